@@ -151,7 +151,7 @@ def test_info_ends_with_2_where_a_topic_is_not_there(
     assert 'no such topic' in capsys.readouterr().err
     # Nothing is wrong with what nobody says: the topics are shown.
     assert main(['info', bag]) == 0
-    assert 'Not looked into' in capsys.readouterr().out
+    assert 'Streams not read' in capsys.readouterr().out
 
 
 def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag: str) -> None:

@@ -153,7 +153,7 @@ def test_the_screen_and_the_file_say_what_was_assumed(tmp_path, monkeypatch, cap
     measured = ['--gravity', repr(LUOYANG_520.gravity)]
     for options, doubt, words in (
         ([], 30.62, ['known to 30.6 ppm']),
-        (measured, 0.0, ['taken as exact', 'the height of 520 m does not count']),
+        (measured, 0.0, ['taken as exact', 'the height of 520 m is not used']),
         (['--gravity-std', '1e-4'], 10.2, ['known to 10.2 ppm']),
         (['--height', '520', '--height-std', '100'], 43.9, ['known to 43.9 ppm']),
     ):

@@ -334,7 +334,7 @@ def test_what_counts_in_a_prediction_is_refused_without_one(
     capsys.readouterr()
     assert main(['plans', *plan, *option]) == 2
     said = capsys.readouterr()
-    assert f'{option[0]} counts in what is predicted' in said.err
+    assert f'{option[0]} is for the prediction of a plan' in said.err
     assert not said.out
 
 

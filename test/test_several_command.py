@@ -45,7 +45,7 @@ def refused(capsys, *words):
         ([{'port': PORT}, {}], ['--latitude', '48'], 'unit U1 has no port, and U0 has'),
         ([{'port': PORT}], ['--latitude', '48'], 'unit U0 has no device'),
         ([{'port': PORT, 'device': 'stim300'}], [], 'give --latitude, of a real stand'),
-        ([{}, {}], ['--device', 'stim300'], '--device: of real hardware'),
+        ([{}, {}], ['--device', 'stim300'], '--device is for real hardware'),
         ([{'imu': 'nope'}], [], "No imu is called 'nope'"),
     ],
 )
@@ -65,7 +65,7 @@ def test_several_units_are_not_held_by_hand(capsys, file, tmp_path):
 
 def test_without_says_that_it_is_of_several_units(capsys, tmp_path):
     words = 'twelve_position', '--without', 'U1', '-o', str(tmp_path / 'stand')
-    assert '--without: of several units' in refused(capsys, *words)
+    assert '--without is for several units' in refused(capsys, *words)
 
 
 def test_a_stand_keeps_the_units_and_all_files_that_they_name(file, tmp_path):

@@ -124,8 +124,8 @@ def test_a_token_is_all_of_it_and_none_fits_nothing():
 def test_options_that_do_not_go_together_are_refused_before_anything_starts(tmp_path, capsys):
     folder = tmp_path / 'stand'
     for words, said in (
-        (['--control'], '--control: of the page in the browser'),
-        (['--web-host', '0.0.0.0'], '--web-host: of the page'),
+        (['--control'], '--control is for the page in the browser'),
+        (['--web-host', '0.0.0.0'], '--web-host is for the page'),
         (['--web', '70000'], 'expected a port'),
     ):
         assert main(['stand', 'twelve_position', '-o', str(folder), *words]) == 2

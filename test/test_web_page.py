@@ -223,7 +223,7 @@ def test_the_command_prints_page_and_token_and_keeps_the_page(tmp_path):
         return (tmp_path / 'out').read_text()
 
     assert until(lambda: 'The page stays at' in out() or command.poll() is not None), out()
-    assert 'to look on' not in out()
+    assert 'to watch from another terminal' not in out()
     url = re.search(r'^page: (http://127\.0\.0\.1:\d+)$', out(), re.MULTILINE)[1]
     token = re.search(r'^token for its buttons: (\S{20,})$', out(), re.MULTILINE)[1]
     assert 'error/std' in out()

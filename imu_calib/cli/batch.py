@@ -25,19 +25,27 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='recordings, folders of some, patterns, manifests (.csv, .yaml), URLs (s3://...)',
     )
     parser.add_argument(
-        '-o', '--output', required=True, dest='catalogue', metavar='CATALOGUE', help='a folder'
+        '-o',
+        '--output',
+        required=True,
+        dest='catalogue',
+        metavar='CATALOGUE',
+        help='folder of the catalogue',
     )
     options.add_scheduler_option(parser)
     parser.add_argument(
-        '--workers', type=int, metavar='N', help='on this machine (default: one for each core)'
+        '--workers',
+        type=int,
+        metavar='N',
+        help='workers on this machine (default: one for each core)',
     )
     parser.add_argument(
         '--memory',
         default=MEMORY,
         metavar='SIZE',
-        help='of each worker on this machine (default: %(default)s)',
+        help='memory of each worker on this machine (default: %(default)s)',
     )
-    parser.add_argument('--retry', action='store_true', help='do again what failed')
+    parser.add_argument('--retry', action='store_true', help='run again what failed')
     options.add_session_options(parser)
     options.add_imus_option(parser)
     parser.epilog = (
@@ -57,7 +65,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     @contextmanager
     def begun(text: str) -> Iterator[Show]:
         arguments.last_word = (
-            f'What was done is in {arguments.catalogue}: the same command goes on from there.'
+            f'What was done is in {arguments.catalogue}: the same command continues from there.'
         )
         try:
             with progress_bar(text) as show:

@@ -51,7 +51,7 @@ def follow(processes: Processes, words: Words) -> Outcome:
                 display.update(view(progress, monitor.refusal))
                 shown = _said(progress.text, shown)
             elif time.monotonic() > deadline:
-                raise InputError('The session does not start: nothing comes from the IMU.')
+                raise InputError('The session does not start: the IMU sends nothing.')
             if _entered():
                 monitor.solve()
         finished, text = monitor.outcome

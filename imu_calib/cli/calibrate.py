@@ -42,18 +42,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '-o',
         '--output',
         metavar='FILE|DIR',
-        help=f'default: {_FILE}; of several units a folder (default: {FOLDER}), in which each '
-        'calibration is called by its serial number. What is named is overwritten; a default that '
-        'exists is not',
+        help=(
+            f'default: {_FILE}; of several units a folder (default: {FOLDER}), in which each '
+            'calibration is called by its serial number. A path that is given here is overwritten; '
+            'the default is not, where it exists'
+        ),
     )
     parser.add_argument(
-        '--budget', action='store_true', help='show where the uncertainty of each parameter is from'
+        '--budget',
+        action='store_true',
+        help='show the sources of the uncertainty of each parameter',
     )
     parser.add_argument(
         '--specification',
         action='store_true',
-        help="hold the unit against the specification in the IMU's file: exit code 3 where a "
-        'parameter is outside, uncertainty and all',
+        help="check the unit against the specification in the IMU's file: exit code 3 where a "
+        'parameter is outside, its uncertainty considered',
     )
     add_json_option(parser)
     parser.epilog = f'{EXIT_CODES} Methods: {", ".join(sorted(METHODS))}.'
@@ -144,7 +148,7 @@ def _source(provenance: Mapping[str, Any]) -> str:
     source, height = str(provenance['gravity_source']), provenance['height']
     if source != MEASURED or height is None or provenance['height_assumed']:
         return source
-    return f'{source}; the height of {height:g} m does not count beside it'
+    return f'{source}; the height of {height:g} m is not used'
 
 
 def _doubt(provenance: Mapping[str, Any]) -> str:

@@ -87,10 +87,10 @@ def _show(found: UnitResults, judged: Mapping[str, Conformity]) -> None:
         print_whole(seen_table(found.table))
     said = {u.serial_number: u.result.calibration.findings for u in solved if u.result is not None}
     everywhere = _common(list(said.values()))
-    sentence_list('Worth knowing of all units', everywhere)
+    sentence_list('Worth knowing about all units', everywhere)
     for serial, findings in said.items():
         own = [sentence for sentence in findings if sentence not in everywhere]
-        sentence_list(f'Worth knowing of {serial}', own)
+        sentence_list(f'Worth knowing about {serial}', own)
 
 
 def _common(findings: list[tuple[str, ...]]) -> list[str]:

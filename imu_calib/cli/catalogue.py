@@ -28,7 +28,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
     parser.add_argument('catalogue', metavar='CATALOGUE', help='the folder')
     parser.add_argument(
-        '--where', metavar='SQL', help='rows for which this holds: "serial = \'A1\' and K_gx > 0"'
+        '--where', metavar='SQL', help='select rows by a condition: "serial = \'A1\' and K_gx > 0"'
     )
     parser.add_argument(
         '--columns',
@@ -36,10 +36,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help=f'columns in their order, * for all (default: {",".join(_SHOWN)})',
     )
     parser.add_argument(
-        '--sql', metavar='QUERY', help='a question of your own; the table is called rows'
+        '--sql', metavar='QUERY', help='an SQL query of your own; the table is called rows'
     )
     parser.add_argument(
-        '-o', '--output', metavar='FILE', help='.csv or .json; all columns unless --columns says'
+        '-o',
+        '--output',
+        metavar='FILE',
+        help='.csv or .json file to write, with all columns unless --columns is given',
     )
     parser.set_defaults(run=run)
 
@@ -50,7 +53,7 @@ def run(arguments: argparse.Namespace) -> None:
     if path is not None and path.suffix not in _WRITERS:
         raise InputError(f'{path}: found {path.suffix or "no ending"}, expected .csv or .json.')
     if arguments.sql is not None and (arguments.where or arguments.columns):
-        raise InputError('--sql is a whole question: leave --where and --columns out.')
+        raise InputError('--sql is a whole query: leave --where and --columns out.')
     catalogue = Catalogue(arguments.catalogue)
     default = '*' if path is not None else ', '.join(_SHOWN)
     columns = default if arguments.columns is None else arguments.columns

@@ -29,7 +29,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--draft',
         action='store_true',
-        help='leave open what is missing, and mark every page as a draft',
+        help='leave gaps where something is missing, and mark every page as a draft',
     )
     parser.add_argument(
         '-o',
@@ -37,7 +37,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         nargs='+',
         default=['certificate.html'],
         metavar='FILE',
-        help=f'files to write, by their ends: {", ".join(FORMATS)} (default: certificate.html)',
+        help=f'files to write, by their suffixes: {", ".join(FORMATS)} (default: certificate.html)',
     )
     parser.set_defaults(run=run)
 

@@ -17,7 +17,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--order',
         type=int,
         metavar='N',
-        help='of a polynomial in temperature (default: straight lines between neighbours)',
+        help='order of a polynomial in temperature (default: straight lines between neighbours)',
     )
     parser.set_defaults(run=run)
 

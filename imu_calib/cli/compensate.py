@@ -18,7 +18,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '-o', '--output', required=True, metavar='DIR', help='recording to write (mcap)'
     )
-    parser.add_argument('--imu', metavar='NAME|FILE', help="what the IMU's numbers mean")
+    parser.add_argument(
+        '--imu', metavar='NAME|FILE', help='name or file of the IMU: what its numbers mean'
+    )
     options.add_serial_option(parser)
     parser.add_argument('--imu-topic', metavar='TOPIC', help='raw sensor_msgs/Imu topic')
     parser.add_argument(
@@ -30,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--frame-id', default='', metavar='FRAME', help="default: the input's own")
     parser.add_argument('--keep', action='store_true', help='write the raw stream as well')
     parser.add_argument(
-        '--compression', choices=('', 'lz4', 'zstd'), default='', help='of the output'
+        '--compression', choices=('', 'lz4', 'zstd'), default='', help='compression of the output'
     )
     parser.set_defaults(run=run)
 

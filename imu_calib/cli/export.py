@@ -25,13 +25,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--sample-rate',
         type=float,
         metavar='HZ',
-        help='of the stream: kalibr, and imucal of pulses',
+        help='sample rate of the stream: for kalibr, and for imucal of pulses',
     )
     parser.add_argument(
         '--topic', default='/imu/data', help='kalibr: topic of the stream (default: %(default)s)'
     )
     parser.add_argument(
-        '--imu', metavar='NAME|FILE', help='kalibr: the data sheet, for noise that was not measured'
+        '--imu',
+        metavar='NAME|FILE',
+        help=(
+            'kalibr: name or file of the IMU, whose data sheet gives the noise that was not '
+            'measured'
+        ),
     )
     parser.set_defaults(run=run)
 

@@ -26,16 +26,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action='append',
         default=[],
         metavar='NAME|FILE',
-        help='whose specification counts for its type, instead of that of its newest calibration; '
-        'may be given several times',
+        help=(
+            'IMU file whose specification counts for its type, instead of that of its newest '
+            'calibration; may be given several times'
+        ),
     )
-    parser.add_argument('--on', metavar='DATE', help='of which the page is (default: today)')
+    parser.add_argument('--on', metavar='DATE', help='date of the page (default: today)')
     parser.add_argument(
         '--ahead',
         type=float,
         default=AHEAD,
         metavar='DAYS',
-        help='before a recalibration is due from which the page says so (default: %(default)g)',
+        help='how many days ahead the page announces a recalibration (default: %(default)g)',
     )
     parser.set_defaults(run=run)
 

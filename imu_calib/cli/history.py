@@ -41,7 +41,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--serial',
         metavar='NUMBER',
-        help='one unit, parameter by parameter; all others still say what is usual',
+        help='show one unit, parameter by parameter; the others still give what is usual',
     )
     parser.add_argument(
         '--where', metavar='SQL', help='rows that count: "imu = \'fog_medium\'" (default: all)'
@@ -51,17 +51,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action='append',
         default=[],
         metavar='NAME|FILE',
-        help='whose specification counts for its type, instead of that by which its newest '
-        'calibration was judged; may be given several times',
+        help=(
+            'IMU file whose specification counts for its type, instead of that by which its newest '
+            'calibration was judged; may be given several times'
+        ),
     )
     parser.add_argument(
-        '--on', type=_day, metavar='DATE', help='on which units are due or not (default: today)'
+        '--on',
+        type=_day,
+        metavar='DATE',
+        help='date for which it is stated which units are due (default: today)',
     )
     parser.add_argument(
         '-o',
         '--output',
         metavar='FILE',
-        help='.json: everything; .csv: a row for each unit and parameter',
+        help='file to write; .json: everything; .csv: a row for each unit and parameter',
     )
     add_json_option(parser)
     parser.epilog = 'Exit code 3: a unit is outside its specification at its newest session.'

@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     found = look_inside(outside, options.stated(arguments), progress_bar)
     if found.inside is None:
         sentence_list('Lost', outside.lost)
-        OUTPUT.print(f'\nNot looked into: {found.not_said}', markup=False)
+        OUTPUT.print(f'\nStreams not read: {found.not_said}', markup=False)
     else:
         _show(found.inside)
     return Outcome(found.to_dict())

@@ -32,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
     parser.add_argument('plan', metavar='PLAN', help='name of a plan, or a file')
     parser.add_argument('--runs', type=int, default=100, help='default: %(default)s')
-    parser.add_argument('--seed', type=int, default=0, help='of the first run (default: 0)')
+    parser.add_argument('--seed', type=int, default=0, help='seed of the first run (default: 0)')
     parser.add_argument(
         '--jobs',
         type=int,
@@ -54,12 +54,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--azimuth',
         type=float,
         metavar='DEG',
-        help="heading of the table's zero, known to the calibrator; without it the heading is "
-        'another one in each run, and unknown',
+        help="heading of the table's zero, known to the calibrator; without it each run has "
+        'another heading, which the calibrator does not know',
     )
     options.add_method_option(parser)
     parser.add_argument(
-        '--bias-instability', action='store_true', help="let the biases drift by the IMU's figure"
+        '--bias-instability',
+        action='store_true',
+        help="let the biases drift as the IMU's file states",
     )
     parser.add_argument(
         '-o',

@@ -37,11 +37,13 @@ def add_imperfections_option(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         '--imperfections',
         metavar='NAME|FILE',
-        help='what is wrong with the stand: axes, wobble, zeros and encoders of the table in '
-        'arcsec, positioning errors, ramps in deg/s^2, stamps in ms, samples lost or sent twice in '
-        '%%, frozen counts in s, ringing, a floor that shakes, temperature, warm-up of the biases '
-        f'(shipped: {shipped("imperfections")}; docs/files/imperfections.md; default: nothing). '
-        f'The table as it then truly is goes to {TRUE_TABLE}',
+        help=(
+            'imperfections of the stand: axes, wobble, zeros and encoders of the table in arcsec, '
+            'positioning errors, ramps in deg/s^2, stamps in ms, samples lost or sent twice in %%, '
+            'frozen counts in s, ringing, a floor that shakes, temperature, warm-up of the biases '
+            f'(shipped: {shipped("imperfections")}; docs/files/imperfections.md; default: '
+            f'nothing). The true table is written to {TRUE_TABLE}'
+        ),
     )
 
 
@@ -60,8 +62,10 @@ def add_site_options(parser: argparse.ArgumentParser) -> None:
         '--height',
         type=float,
         metavar='M',
-        help=f'metres above the ellipsoid (default: 0, in doubt by {HEIGHT_STD:g} m); it says what '
-        'gravity is, and does not count beside --gravity',
+        help=(
+            f'metres above the ellipsoid (default: 0, in doubt by {HEIGHT_STD:g} m); gravity is '
+            'computed from it, unless --gravity is given'
+        ),
     )
     parser.add_argument(
         '--height-std',
@@ -115,7 +119,8 @@ def add_scheduler_option(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         '--scheduler',
         metavar='ADDRESS',
-        help='of a Dask cluster whose workers do the work, tcp://host:8786 (default: this machine)',
+        help='address of the Dask cluster that does the work, tcp://host:8786 (default: this '
+        'machine)',
     )
 
 
@@ -132,7 +137,7 @@ def add_serial_option(parser: argparse.ArgumentParser) -> None:
         '--serial',
         metavar='NUMBER',
         help="serial number of the unit (default: the recording's, where it says); of several "
-        'units it chooses the one that the recording says has it',
+        'units in a recording it chooses the one with this number',
     )
 
 
@@ -167,7 +172,9 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
         help="the plan that was run (default: the recording's own, else none); "
         f'{NO_PLAN}: no plan, joint states give the attitudes',
     )
-    parser.add_argument('--imu', metavar='NAME|FILE', help="what the IMU's numbers mean")
+    parser.add_argument(
+        '--imu', metavar='NAME|FILE', help='name or file of the IMU: what its numbers mean'
+    )
     parser.add_argument('--table', metavar='NAME|FILE', help='the turntable (default: three_axis)')
     parser.add_argument(
         '--azimuth', type=float, metavar='DEG', help="heading of the table's zero against north"

@@ -41,9 +41,9 @@ _ON_A_TABLE = (
     'allows (Fisher information; azimuth and tilts unknown), which the joint estimate reaches.'
 )
 _IN_THE_HAND = (
-    'Predicted standard deviations by the noise, for turns of two seconds about one axis each.'
+    'Predicted standard deviations by the noise, for turns of two seconds, each about one axis.'
 )
-_LEANING = 'The tilt of a hold comes on top: E_a errs by half of it, D_a by g times a sixth.'
+_LEANING = 'The tilt of a hold adds to that: E_a errs by half of it, D_a by g times a sixth.'
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -70,27 +70,37 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--optimise',
         type=float,
         metavar='MINUTES',
-        help='find the plan that tells most in this time on the table, and write it to -o',
+        help=(
+            'find the plan that determines the parameters best in this time on the table, and '
+            'write it to -o'
+        ),
     )
     parser.add_argument(
         '--rate',
         type=float,
         metavar='DEG/S',
-        help='of the turns of --optimise (default: 60, or what the slowest joint can)',
+        help='rate of the turns of --optimise (default: 60, or that of the slowest joint)',
     )
-    parser.add_argument('-o', '--output', metavar='FILE', help='the plan that --optimise found')
+    parser.add_argument(
+        '-o', '--output', metavar='FILE', help='file for the plan that --optimise finds'
+    )
     parser.add_argument(
         '--truth',
         default='cao2022_table1',
         metavar='NAME|FILE',
-        help='what the unit is thought to be: its counters run by it (default: %(default)s)',
+        help=(
+            'assumed true parameters of the unit; pulse rates follow from them (default: '
+            '%(default)s)'
+        ),
     )
     parser.add_argument(
         '--azimuth', type=float, metavar='DEG', help="heading of the table's zero, where known"
     )
     options.add_method_option(parser)
     parser.add_argument(
-        '--bias-instability', action='store_true', help="let the biases drift by the IMU's figure"
+        '--bias-instability',
+        action='store_true',
+        help="let the biases drift as the IMU's file states",
     )
     options.add_site_options(parser)
     parser.epilog = f'Methods: {", ".join(sorted(METHODS))}.'
@@ -146,9 +156,7 @@ def _refuse_without_imu(arguments: argparse.Namespace) -> None:
     given = [name for name, value in stated.items() if value is not None and value is not False]
     if given:
         option = f'--{given[0].replace("_", "-")}'
-        raise InputError(
-            f'{option} counts in what is predicted of a plan: give PLAN and --imu, too.'
-        )
+        raise InputError(f'{option} is for the prediction of a plan: give PLAN and --imu, too.')
 
 
 def _predict(arguments: argparse.Namespace) -> None:
@@ -340,7 +348,7 @@ def _in_words(position: Position) -> str:
     if position.rate_test is not None:
         turns = position.rate_test.turns
         often = 'once' if turns == 1 else f'{turns} times'
-        words.insert(0, f'turn {often} about what is up, still for 2 s before and after')
+        words.insert(0, f'turn {often} about the vertical, still for 2 s before and after')
     return ', then '.join(words)
 
 

@@ -175,7 +175,9 @@ class Processes:
                 raise InputError(words)
             if node not in self._missed:
                 self._missed.add(node)
-                ERRORS.print(f'{words} The session goes on without.', style='yellow', markup=False)
+                ERRORS.print(
+                    f'{words} The session goes on without it.', style='yellow', markup=False
+                )
 
     def last_words(self, node: str) -> str:
         """Return the last line that a node wrote."""

@@ -242,6 +242,6 @@ def _complete(folder: Path) -> str:
         if result.is_file() or (result.is_dir() and any(result.iterdir())):
             return f'--resume {folder}: its session is complete; the result is {result}.'
     return (
-        f'--resume {folder}: its session has ended without a result, there is nothing to be gone '
-        f'on with. imu-calib calibrate {shlex.quote(str(folder / JOURNAL))} says why.'
+        f'--resume {folder}: its session has ended without a result and cannot be resumed. '
+        f'imu-calib calibrate {shlex.quote(str(folder / JOURNAL))} says why.'
     )

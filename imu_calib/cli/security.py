@@ -11,14 +11,12 @@ from .terminal import OUTPUT
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
+    parser.add_argument('keystore', metavar='KEYSTORE', help='folder to create or update')
     parser.add_argument(
-        'keystore', metavar='KEYSTORE', help='folder to create, or to bring up to date'
+        '--namespace', default='', metavar='NAME', help='ROS domain of the nodes of the stand'
     )
     parser.add_argument(
-        '--namespace', default='', metavar='NAME', help='in which the nodes of the stand are'
-    )
-    parser.add_argument(
-        '--policy', metavar='FILE', help='of your own (default: config/security/policy.xml)'
+        '--policy', metavar='FILE', help='policy of your own (default: config/security/policy.xml)'
     )
     parser.set_defaults(run=run)
 
@@ -37,12 +35,11 @@ def run(arguments: argparse.Namespace) -> None:
     for name in enclaves:
         OUTPUT.print(f'  {name}', markup=False)
     OUTPUT.print(
-        'Where nodes of the stand run:\n'
-        f'  export ROS_SECURITY_KEYSTORE={keystore} ROS_SECURITY_ENABLE=true '
-        'ROS_SECURITY_STRATEGY=Enforce\n'
-        'and in the terminal of the person who leads it:\n'
-        f'  export ROS_SECURITY_ENCLAVE_OVERRIDE={enclave("operator")}\n'
-        f'{keystore / "private"} signs whom the stand trusts: keep it where no node runs.',
+        f'Where nodes of the stand run:\n  export ROS_SECURITY_KEYSTORE={keystore} '
+        'ROS_SECURITY_ENABLE=true ROS_SECURITY_STRATEGY=Enforce\nand in the terminal of the person '
+        'who leads the stand:\n  export '
+        f'ROS_SECURITY_ENCLAVE_OVERRIDE={enclave("operator")}\n{keystore / "private"} signs the '
+        'keys that the stand trusts: keep it on a machine where no node runs.',
         markup=False,
         soft_wrap=True,
     )

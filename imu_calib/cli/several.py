@@ -67,7 +67,7 @@ def check(arguments: argparse.Namespace) -> None:
     """
     if not arguments.imus:
         if arguments.without:
-            raise InputError('--without: of several units; give --imus, too.')
+            raise InputError('--without is for several units; give --imus, too.')
         return
     refuse_beside_imus(arguments, 'imu', 'serial', 'port', 'baud')
     if load_plan(arguments.plan).by_hand:

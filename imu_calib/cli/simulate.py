@@ -37,24 +37,32 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="true heading of the table's zero against north, about up (default: 0)",
     )
     parser.add_argument(
-        '--bias-instability', action='store_true', help="let the biases drift by the IMU's figure"
+        '--bias-instability',
+        action='store_true',
+        help="let the biases drift as the IMU's file states",
     )
     options.add_imperfections_option(parser)
     parser.add_argument('--seed', type=int, default=0, help='same seed, same bits (default: 0)')
     parser.add_argument(
-        '--compression', choices=('', 'lz4', 'zstd'), default='', help='of the recording'
+        '--compression',
+        choices=('', 'lz4', 'zstd'),
+        default='',
+        help='compression of the recording',
     )
     parser.add_argument(
         '--start',
         metavar='DATE',
-        help='when it begins, for instance 2026-01-31T12:00:00Z (default: 2023-11-14T22:13:20Z)',
+        help='when the recording begins, for instance 2026-01-31T12:00:00Z (default: '
+        '2023-11-14T22:13:20Z)',
     )
     parser.add_argument(
         '--temperature',
         type=float,
         metavar='T',
-        help='of the unit at the start, degC (default: 25, at which the true parameters hold); '
-        'what it does to them --imperfections say',
+        help=(
+            'temperature of the unit at the start, degC (default: 25, at which the true parameters '
+            'hold); --imperfections state its effect'
+        ),
     )
     options.add_serial_option(parser)
     options.add_site_options(parser)

@@ -32,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--resume',
         metavar='FOLDER',
-        help='instead of a plan: go on with the interrupted session of a folder',
+        help='instead of a plan: resume the interrupted session of a folder',
     )
     parser.add_argument(
         '-o', '--output', default='stand', metavar='DIR', help='folder to create (default: stand)'
@@ -53,7 +53,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--verbose',
         action='store_true',
-        help='print the variables of the network too, by which other programs look on',
+        help='also print the network variables with which other programs can watch',
     )
     web_page.add_options(parser)
     real = parser.add_argument_group(
@@ -69,13 +69,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--baud',
         type=int,
         metavar='BIT/S',
-        help="of a serial port (default: as the device's file says, else 115200)",
+        help="baud rate of a serial port (default: as the device's file says, else 115200)",
     )
     real.add_argument(
         '--network',
         metavar='INTERFACE',
-        help='leave this machine by that network interface, for instance eth0: who is on that '
-        'network can then lead the table, unless SROS 2 is enforced',
+        help=(
+            'use that network interface, for instance eth0, not this machine alone: anyone on that '
+            'network can then lead the table, unless SROS 2 is enforced'
+        ),
     )
     real.add_argument(
         '--stop-required',
@@ -101,7 +103,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar='X',
-        help='times real time at most (default: as fast as the nodes follow)',
+        help='highest speed in multiples of real time (default: as fast as the nodes follow)',
     )
     parser.set_defaults(run=run, start=0.0, default_of=parser.get_default)
 
@@ -191,7 +193,7 @@ def _check(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration
     _check_baud(arguments)
     if arguments.port:
         if arguments.imperfections:
-            raise InputError('--imperfections: of simulated hardware; leave it out with --port.')
+            raise InputError('--imperfections is for simulated hardware; leave it out with --port.')
         frames = _check_device(arguments)
     elif arguments.network:
         raise InputError('--network: simulated hardware stays on this machine; leave it out.')
@@ -217,12 +219,12 @@ def _check_several(arguments: argparse.Namespace, words: Words) -> dict[str, Cal
     """Refuse several units that could give nothing; return their truths by serial number."""
     real = several.is_real(arguments)
     if real and arguments.imperfections:
-        raise InputError('--imperfections: of simulated hardware; leave it out with ports.')
+        raise InputError('--imperfections is for simulated hardware; leave it out with ports.')
     if real and arguments.latitude is None:
         raise InputError('--imus: give --latitude, of a real stand, in degrees.')
     if not real and (arguments.network or arguments.device):
         name = '--network' if arguments.network else '--device'
-        raise InputError(f'{name}: of real hardware; {arguments.imus} names no port.')
+        raise InputError(f'{name} is for real hardware; {arguments.imus} names no port.')
     site = options.stated(arguments).site(LUOYANG)
     plan, table = load_plan(arguments.plan), load_table(arguments.table)
     if real:
@@ -270,7 +272,7 @@ def _check_device(arguments: argparse.Namespace) -> FrameFormat:
     if arguments.latitude is None:
         missing.append('--latitude, of a real stand, in degrees')
     if missing:
-        raise InputError(f'--port: give {"; and ".join(missing)}.')
+        raise InputError(f'--port needs {"; and ".join(missing)}.')
     frames = load_format(arguments.device)
     check_port(arguments.port)
     return frames

@@ -135,7 +135,7 @@ def run(
     missing: list[str] = []
     if environment and arguments.verbose:
         joined = ' '.join(f"{key}='{value}'" for key, value in environment.items())
-        OUTPUT.print(f'to look on: export {joined}', markup=False)
+        OUTPUT.print(f'to watch from another terminal: export {joined}', markup=False)
     try:
         with Processes(folder, environment, (claim,)) as processes:
             outcome = _session(arguments, processes, given, words)

@@ -34,7 +34,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--another-unit',
         action='store_true',
-        help='compare all the same where calibration and recording name different units',
+        help='compare even if calibration and recording name different units',
     )
     add_json_option(parser)
     parser.set_defaults(run=run)

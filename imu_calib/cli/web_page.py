@@ -65,8 +65,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     page.add_argument(
         '--control',
         action='store_true',
-        help='let the page start, pause, abort and resume the plan, for those who have the token '
-        'that is printed; a table that stops then ends nothing',
+        help=(
+            'let the page start, pause, abort and resume the plan, for those who have the token '
+            'that is printed; the session then survives a stop of the table'
+        ),
     )
 
 
@@ -80,7 +82,7 @@ def check(arguments: argparse.Namespace) -> None:
     if arguments.web is None:
         if arguments.control or arguments.web_host != LOOPBACK:
             name = '--control' if arguments.control else '--web-host'
-            raise InputError(f'{name}: of the page in the browser; give --web, too.')
+            raise InputError(f'{name} is for the page in the browser; give --web, too.')
         return
     if not 0 <= arguments.web < 1 << 16:
         raise InputError(f'--web: found {arguments.web}, expected a port from 0 to 65535.')
