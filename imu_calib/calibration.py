@@ -157,7 +157,9 @@ class Calibration:
         lost = needed & ~np.isfinite(self.values + self.std)
         if lost.any():
             names = [p.name for p, gone in zip(self.parameters, lost, strict=True) if gone]
-            raise InputError(f'No calibration to be written: {", ".join(names)} is no number.')
+            raise InputError(
+                f'The calibration cannot be written: {", ".join(names)} is not a number.'
+            )
         return {
             'format': _FORMAT,
             'imu': self.imu.id,
@@ -477,7 +479,7 @@ def calibration_section(path: str | Path) -> Section:
         raise InputError(f'{file} is a recording; expected a calibration file.')
     section = Section.load(file)
     if not section.has('format'):
-        raise InputError(f"{file} is no calibration file (the key 'format' is missing).")
+        raise InputError(f"{file} is not a calibration file (the key 'format' is missing).")
     return section
 
 

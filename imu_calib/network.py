@@ -72,8 +72,8 @@ def check_domain(whose: str) -> None:
     if given not in {'', '0'}:
         return
     raise InputError(
-        f'{_DOMAIN} is {given or "not set"}: {whose} is not led in the default domain 0, where '
-        'every program of ROS that says nothing else is. Give the stand a domain of its own, in '
+        f'{_DOMAIN} is {given or "not set"}: {whose} is not led in the default domain 0, which '
+        'every ROS program uses unless told otherwise. Give the stand a domain of its own, in '
         f'every terminal and for the driver of the table: export {_DOMAIN}=42 (1 to 101).'
     )
 

@@ -190,7 +190,7 @@ class Plan:
             raise InputError(
                 f'plan {self.name}, position {position}: to {rate / DEG:g} deg/s and back joint '
                 f'{table.joints[joint].name} of table {table.name} needs {needed / DEG:.0f} deg, '
-                'a turn is spare for it.'
+                'but only one turn is available for it.'
             )
 
     def _turning_joint(self, table: Table, position: Position, angles: Floats) -> int:
@@ -296,7 +296,7 @@ def _read_attitude(section: Section) -> Floats:
         raise InputError(f'{where}: found {letters}, expected three of E, N, U, W, S, D.')
     attitude = np.array([COMPASS[letter] for letter in letters]).T
     if abs(np.linalg.det(attitude) - 1) > 1e-9:
-        raise InputError(f'{where}: X, Y, Z along {letters} are no right-handed frame.')
+        raise InputError(f'{where}: X, Y, Z along {letters} do not form a right-handed frame.')
     if section.has('turned'):
         turned = section.section('turned')
         axis = turned.choice('about', _BODY_AXES)

@@ -114,7 +114,7 @@ def _check_covariance(calibration: Calibration, name: str) -> None:
     )
     covariance = calibration.covariance[np.ix_(estimated, estimated)]
     if not np.isfinite(covariance).all():
-        raise InputError(f'{name}: covariance: found what is no number.')
+        raise InputError(f'{name}: covariance: found values that are not numbers.')
     std = np.sqrt(np.diag(covariance))
     scale = np.where(std > 0, std, 1.0)
     correlation = covariance / np.outer(scale, scale)

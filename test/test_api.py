@@ -194,7 +194,7 @@ def test_verify_judges_values_and_files(
     verification = imu_calib.verify(result.calibration, tmp_path / 'other')
     assert verification.verdict is Verdict.PASS
     same = imu_calib.verify(result.calibration, folder / 'bag')
-    assert same.findings[0].startswith('This recording made the calibration')
+    assert same.findings[0].startswith('The calibration was made from this recording')
     with pytest.raises(InputError, match='another'):
         imu_calib.verify(result.calibration, tmp_path / 'other', imu='mems_counts')
 

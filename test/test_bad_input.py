@@ -425,7 +425,7 @@ def test_an_output_folder_that_does_not_exist(cli: CommandLine, recorded: Path) 
     [
         (None, r'calibration.yaml: cannot be read|no such file'),
         ('- 1\n- 2\n', 'calibration.yaml: found a list, expected keys'),
-        (PLAN_TEXT, "calibration.yaml is no calibration file .the key 'format' is missing"),
+        (PLAN_TEXT, "calibration.yaml is not a calibration file .the key 'format' is missing"),
         ('format: 1\nunits: pulses\nimu: [', 'calibration.yaml: not YAML'),
     ],
 )

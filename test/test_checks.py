@@ -429,7 +429,7 @@ def test_positioning_errors_are_told_from_a_tenth_of_what_is_stated() -> None:
     (sentence,) = scattering(joints=4 * ARCSEC, step=0.001 * DEG)
     assert sentence.endswith('the standard deviations allow for them.')
     (sentence,) = scattering(joints=3 * ARCSEC, untold=('joint axes that wobble (wobble)',))
-    assert 'joint axes that wobble (wobble) would look the same. A second session' in sentence
+    assert 'be distinguished from joint axes that wobble (wobble). A second session' in sentence
     assert scattering(untold=('joint axes that wobble (wobble)',)) == []
     (sentence,) = scattering(stops=5 * ARCSEC)
     assert sentence.startswith('Attitude errors of the whole table, 5 arcsec about each axis')

@@ -102,7 +102,7 @@ def test_broken_rows_are_left_out_and_counted(tmp_path: Path) -> None:
     )
     assert done.counts == {'/imu/data_raw': 2}
     assert done.findings == (
-        '2 lines of log.csv are no row of numbers; left out.',
+        '2 lines of log.csv are not rows of numbers; left out.',
         '1 rows hold no number in a column that is needed; left out.',
     )
 

@@ -161,7 +161,7 @@ def test_a_unit_that_is_not_in_its_mount_is_told_by_its_accelerometers() -> None
     (gone,) = found.rejected
     assert (gone.start, gone.end) == (60 * NS, 70 * NS)
     assert gone.reason.startswith('the vertical by the accelerometers is ')
-    assert gone.reason.endswith('and within their errors at most other dwells')
+    assert gone.reason.endswith('at most other dwells they agree')
     # Less are its errors.
     near = rest(60, leaning, up=rotation(X, 19 * DEG) @ leaning[2])
     assert len(label(session(*sound, near), plan(), TABLE).segments) == 3
@@ -176,7 +176,7 @@ def test_the_angle_off_is_said() -> None:
     rests = [rest(0, UPS['a']), rest(20, UPS['b']), rest(60, leaning, up=up)]
     (gone,) = label(session(*rests), plan(), TABLE).rejected
     assert gone.reason.startswith(
-        'the accelerometers see up 30 deg off where the encoders have it, '
+        'the vertical by the accelerometers is 30 deg off that by the encoders; '
     )
 
 
@@ -296,7 +296,7 @@ def test_setpoints_of_another_plan_are_refused() -> None:
         label(session(setpoints=setpoints), plan(), TABLE)
     assert str(error.value) == (
         'The setpoints of the recording are of plan one, other with positions x, y; '
-        'plan any has a, b, c.'
+        'plan any has a, b, c. Give the plan that was run.'
     )
     label(session(setpoints=(*setpoints, asked(20, 'c'))), plan(), TABLE)
     # HOLD asks for no position.

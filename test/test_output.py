@@ -329,7 +329,7 @@ def test_what_is_no_calibration_file_is_said(
     imu = folder / 'wide.imu.yaml'
     assert main(['report', str(imu)]) == 2
     said = ' '.join(capsys.readouterr().err.split())
-    assert f"{imu} is no calibration file (the key 'format' is missing)." in said
+    assert f"{imu} is not a calibration file (the key 'format' is missing)." in said
 
 
 def test_tables_in_files_end_without_blanks_and_zeros_have_no_sign(

@@ -474,4 +474,4 @@ def test_commands_carry_them_from_the_recording_to_compensation(
 def test_a_plan_knows_no_drift(capsys: pytest.CaptureFixture[str]) -> None:
     asked = ['plans', 'twelve_position', '--imu', 'fog_navigation', '--terms', 'trend']
     assert main(asked) == 2
-    assert 'nothing of its plan' in capsys.readouterr().err
+    assert 'a plan does not say how a session drifts' in capsys.readouterr().err

@@ -93,7 +93,7 @@ def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
 def _left_out(text: Text, rows: int) -> tuple[str, ...]:
     said = []
     if text.broken:
-        said.append(f'{text.broken} lines of {text.path.name} are no row of numbers; left out.')
+        said.append(f'{text.broken} lines of {text.path.name} are not rows of numbers; left out.')
     if rows:
         said.append(f'{rows} rows hold no number in a column that is needed; left out.')
     return tuple(said)

@@ -300,8 +300,8 @@ def setup_of(stated: Stated) -> Setup:
     terms = stated.sensor_terms
     if stated.changes:
         raise InputError(
-            f'`terms`: found {stated.terms!r}, expected terms of the sensors alone: '
-            'how a session drifts is nothing of its plan; its calibration estimates it.'
+            f'`terms`: found {stated.terms!r}, expected terms of the sensors alone: a plan does '
+            'not say how a session drifts; its calibration estimates that.'
         )
     setup = Setup(imu, plan, None if plan.by_hand else table, site, stated.method, terms=terms)
     check_plan(setup.method_name, plan, site)

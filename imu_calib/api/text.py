@@ -69,7 +69,7 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
     except OSError as error:
         raise InputError(f'{path}: cannot be read ({error.strerror}).') from None
     except UnicodeDecodeError:
-        raise InputError(f'{path}: is no text file, expected a table of numbers.') from None
+        raise InputError(f'{path}: is not a text file, expected a table of numbers.') from None
     lines = [row for row in text.splitlines() if row.strip() and not row.startswith(_COMMENTS)]
     if not lines:
         raise InputError(f'{path}: holds no lines, expected a table of numbers.')

@@ -42,7 +42,7 @@ _OTHER_TEMPERATURE = 5.0
 """K between two sessions from which on it is said. A judgement: MEMS biases move by a tenth of a
 degree per second in it, those of fibre-optic gyros within their stability."""
 
-_THE_SAME = 'This recording made the calibration: it cannot but bear it out.'
+_THE_SAME = 'The calibration was made from this recording: it cannot be tested with it.'
 
 
 def verify(

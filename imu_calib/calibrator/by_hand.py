@@ -134,13 +134,12 @@ class HandCalibrator:
         if seen is None:
             return ['Less than 2 s of data were received: record a session of a minute or more.']
         return [
-            'In the quietest two seconds tenths of a second strayed by '
+            'In the quietest two seconds the means of a tenth of a second deviated by '
             f'{seen.rate / DEG:.2g} deg/s and {seen.force / STANDARD_GRAVITY:.2g} g from their '
             f'mean; a hold keeps within {seen.tolerance.rate / DEG:.2g} deg/s of the rate at rest '
-            f'and {seen.tolerance.force / STANDARD_GRAVITY:.2g} g, as the noise of this session '
-            f'has it, for a second and more. Hold the unit still for {HOLD_SECONDS:.0f} s in each '
-            'attitude, the hand propped on something firm, and turn it by a quarter turn or more '
-            'between.'
+            f'and {seen.tolerance.force / STANDARD_GRAVITY:.2g} g, by the noise of this session, '
+            f'for a second or more. Hold the unit still for {HOLD_SECONDS:.0f} s in each attitude, '
+            'the hand propped on something firm, and turn it by a quarter turn or more between.'
         ]
 
     def snapshot(self) -> HandCalibrator:

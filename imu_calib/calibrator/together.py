@@ -15,14 +15,14 @@ from .results import Result
 
 _NOBODY = (
     'What it says of the table contradicts the other unit (chi-square {square:.0f} with {freedom} '
-    'degrees of freedom): it is unknown which of two is right, and each is calibrated by itself. A '
-    'third unit would tell.'
+    'degrees of freedom): it is unknown which of the two is right, and each is calibrated by '
+    'itself. A third unit would show which.'
 )
 _ODD = (
     'What it says of the table contradicts the other units (chi-square {square:.0f} with {freedom} '
-    'degrees of freedom): it is calibrated by itself. A unit that is loose on the fixture does so, '
-    'one whose samples froze or whose clock jumps, and sensors that do not answer as they are said '
-    'to.'
+    'degrees of freedom): it is calibrated by itself. Possible causes: a unit that is loose on the '
+    'fixture, samples that froze, a clock that jumps, and sensors that differ from their '
+    'description.'
 )
 
 

@@ -248,7 +248,7 @@ def _check_baud(arguments: argparse.Namespace) -> None:
     if not arguments.port:
         raise InputError('--baud: simulated hardware has no serial port; give --port, too.')
     if not is_serial(arguments.port):
-        raise InputError(f'--baud: {arguments.port} is no serial port; leave --baud out.')
+        raise InputError(f'--baud: {arguments.port} is not a serial port; leave --baud out.')
     if arguments.baud < _SLOWEST:
         raise InputError(f'--baud: found {arguments.baud}, expected {_SLOWEST} bit/s or more.')
 

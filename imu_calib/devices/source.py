@@ -38,8 +38,10 @@ _SOCKETS = ('socket', 'tcp', 'udp')
 _ADVICE = {
     errno.ENOENT: 'there is no such device. Connect it and switch it on; ls -l /dev/serial/by-id '
     'lists the serial ports that are there.',
-    errno.EACCES: 'this user may not open it. Join the group that owns it '
-    '(sudo usermod -aG dialout $USER) and log in anew.',
+    errno.EACCES: (
+        'this user may not open it. Join the group that owns it (sudo usermod -aG dialout $USER) '
+        'and log in again.'
+    ),
     errno.ENOTTY: (
         'this is not a serial port. Name the one where the IMU is; ls -l /dev/serial/by-id lists '
         'those that are there.'

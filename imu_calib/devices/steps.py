@@ -121,7 +121,7 @@ class Stepper:
             steps = _forward(ticks, self.period, "The device's clock went back.", begins)
         elif counts is not None and self.period is not None:
             counts[counts * self.period > past + _PLAUSIBLE] = 0.0 if self._live else 1.0
-            reason = 'The frame counter does not go on where it was: the device started anew.'
+            reason = 'The frame counter does not continue: the device was restarted.'
             steps = _forward(counts * self.period, self.period, reason, begins)
         else:
             assert self.period is not None
@@ -183,7 +183,7 @@ class Stepper:
             seconds = float(ticks[k] - by_counter) / _NS
             ticks[k] = by_counter
             return Finding(k, seconds, "The device's clock jumped.")
-        reason = 'The frame counter went back: the device started anew.'
+        reason = 'The frame counter went back: the device was restarted.'
         if 0 < ticks[k] <= past[k] + _PLAUSIBLE:
             return Finding(k, None, reason)
         ticks[k] = period

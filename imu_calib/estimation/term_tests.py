@@ -45,8 +45,8 @@ _TEMPERATURE_TELLS = (
 """What does where it was recorded."""
 
 _BROKEN_OFF = (
-    'The search for what the session shows besides was broken off: with what it tried the least '
-    'squares did not converge. No further term is estimated, though the session may need one.'
+    'The search for further terms was stopped: with the terms that it tried the least squares did '
+    'not converge. No further term is estimated, though the session may need one.'
 )
 
 _LN10 = float(np.log(10.0))

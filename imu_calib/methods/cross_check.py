@@ -99,8 +99,8 @@ class Comparison:
         )
         return [
             f'The closed form {self.method} differs from the joint estimate by more than their '
-            f'standard deviations allow: {names}. It allows neither for tilts nor for '
-            'segments that were weighed down, and weighs short and long ones alike.'
+            f'standard deviations allow: {names}. It allows neither for tilts nor for outliers, '
+            'and gives short and long segments the same weight.'
         ]
 
     def document(self) -> dict[str, object]:

@@ -344,17 +344,17 @@ def _astray(found: Estimate) -> list[str]:
         angle = max(move.misclosure for move in turned) / ARCSEC
         notes.append(
             f'By the gyros {len(turned)} of {len(turned) + len(led)} moves end elsewhere than by '
-            f'the encoders ({_ways(turned)}; {angle:.3g} arcsec at most): they are left out. Rates '
-            'beyond the range of the gyros do so, gyros that do not answer in proportion, samples '
-            'that freeze on the way, and a table whose axes are not where its description says.'
+            f'the encoders ({_ways(turned)}; {angle:.3g} arcsec at most): they are left out. '
+            'Possible causes: rates beyond the range of the gyros, nonlinear gyros, samples that '
+            'freeze on the way, and a table whose axes are not where its description says.'
         )
     if pushed:
         speed = max(move.misclosure for move in pushed)
         notes.append(
-            f'By the accelerometers {len(pushed)} of {len(pushed) + len(led.with_accels)} moves '
-            f'do not end at rest ({_ways(pushed)}; {speed:.3g} m/s at most): their velocities '
-            'are left out. Accelerometers that do not answer in proportion do so, samples that '
-            'freeze on the way, and a unit that vibrates in its mount.'
+            f'By the accelerometers {len(pushed)} of {len(pushed) + len(led.with_accels)} moves do '
+            f'not end at rest ({_ways(pushed)}; {speed:.3g} m/s at most): their velocities are '
+            'left out. Possible causes: nonlinear accelerometers, samples that freeze on the way, '
+            'and a unit that vibrates in its mount.'
         )
     return notes
 
@@ -398,9 +398,9 @@ def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
         )
     if notes and untold:
         notes[-1] += (
-            f' In so few positions {" and ".join(untold)} would look the same. A second session at '
-            'the same positions tells: the same residuals are the axes and the encoders, others '
-            'the stops. So do stops at more angles of each joint.'
+            f' In so few positions they cannot be distinguished from {" and ".join(untold)}. A '
+            'second session at the same positions would show which: the same residuals mean the '
+            'axes and the encoders, others the stops. So would stops at more angles of each joint.'
         )
     for name, first, unit, symbol in (
         ('gyros', 0, DEG_H, 'deg/h'),
@@ -412,11 +412,11 @@ def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
             if scatter.fast_drift[first // 3]:
                 notes.append(
                     f'The {name} scatter from dwell to dwell by {drift / unit:.2g} {symbol}, more '
-                    'than their noise, and swifter than biases drift (the description of the IMU '
-                    f'states {stated} for those): the standard deviations allow for it. A floor '
-                    'that shakes does so, and so do errors that follow the attitude and are too '
-                    f'small to be told ({_OF_ATTITUDE[name]}). A second session tells: the same '
-                    'residuals at the same positions are the attitude.'
+                    'than their noise, and faster than biases drift (the description of the IMU '
+                    f'states {stated} for those): the standard deviations allow for it. Possible '
+                    'causes: a floor that shakes, and errors that depend on the attitude and are '
+                    f'too small to be identified ({_OF_ATTITUDE[name]}). A second session shows '
+                    'which: the same residuals at the same positions mean the attitude.'
                 )
                 continue
             notes.append(

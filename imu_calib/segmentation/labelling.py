@@ -136,7 +136,7 @@ def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
         elif in_mount and off >= UP_TOLERANCE:
             reason = (
                 f'the vertical by the accelerometers is {off / DEG:.0f} deg off that by the '
-                'encoders, and within their errors at most other dwells'
+                'encoders; at most other dwells they agree'
             )
             rejected.append(Rejected(segment.start, segment.end, reason))
         else:

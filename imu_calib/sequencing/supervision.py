@@ -34,7 +34,10 @@ class Supervision:
 
         """
         if not self.needed:
-            raise InputError('A session is gone on with by what the calibrator lacks: supervise.')
+            raise InputError(
+                'To resume a session the parameter supervised must be true: the calibrator says '
+                'which steps it lacks.'
+            )
         self._resumes = True
 
     def skip_done(self, seen: int, repeat_steps: Sequence[int]) -> None:

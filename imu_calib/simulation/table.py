@@ -304,7 +304,7 @@ class SimulatedTable:
             angles[names.index(name)] = setpoint.angles[i]
             rates[names.index(name)] = setpoint.rates[i] if setpoint.rates else 0.0
         if not np.isfinite([angles, rates]).all():
-            raise InputError(f'{_where(setpoint)}: an angle or a rate is no finite number.')
+            raise InputError(f'{_where(setpoint)}: an angle or a rate is not a finite number.')
         return angles, rates
 
     def _aim(self, goal: Floats, before: _Order) -> _Order:

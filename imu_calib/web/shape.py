@@ -199,7 +199,7 @@ def _origin(element: ElementTree.Element) -> tuple[Triple, Floats]:
 def _numbers(text: str) -> Triple:
     x, y, z = (float(part) for part in text.split())
     if not all(math.isfinite(v) for v in (x, y, z)):
-        raise ValueError(f'{text} are no numbers')
+        raise ValueError(f'{text} are not numbers')
     return x, y, z
 
 
