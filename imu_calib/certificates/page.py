@@ -42,7 +42,7 @@ def certificate_page(certificate: Certificate) -> str:
     fields = certificate.fields
     title = f'Calibration certificate {fields.number or _MISSING}'
     laboratory = fields.laboratory.name or _MISSING
-    mark = 'DRAFT, no certificate' if certificate.draft else ''
+    mark = 'DRAFT, not a certificate' if certificate.draft else ''
     body = ''.join(
         [
             _head(certificate),

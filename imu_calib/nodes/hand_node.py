@@ -79,7 +79,7 @@ class HandNode(ros.Node):
         rate = declare(
             self, 'sample_rate', 0.0, 'sample rate of the IMU, Hz; 0: as its file says', lower=0.0
         )
-        seed = declare(self, 'seed', 0, 'of all randomness', lower=0)
+        seed = declare(self, 'seed', 0, 'seed of all random numbers', lower=0)
         start = declare(self, 'start', 0.0, 'when the simulated time begins, s', lower=0.0)
         wrong = declare(self, 'imperfections', '', 'name or file of the imperfections; empty: none')
         options = StandOptions(bias_instability=drifting, sample_rate=rate or None)

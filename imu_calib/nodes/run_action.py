@@ -113,7 +113,7 @@ class RunAction:
             if sequencer.state().phase is Phase.PAUSED and not goal.request.resume:
                 if sequencer.obstacle:
                     raise InputError(sequencer.obstacle)
-                sequencer.abort('Begun anew.')
+                sequencer.abort('Restarted.')
             self._start()
         except InputError as error:
             self._refused = str(error)

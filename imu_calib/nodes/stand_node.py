@@ -143,7 +143,7 @@ class StandNode(ros.Node):
             start_time=round(start * 1e9) + StandOptions.start_time,
         )
         site = Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity)
-        seed = declare(self, 'seed', 0, 'of all randomness', lower=0)
+        seed = declare(self, 'seed', 0, 'seed of all random numbers', lower=0)
         wrong = declare(self, 'imperfections', '', 'name or file of the imperfections; empty: none')
         if wrong:
             options = load_imperfections(wrong, options, table, seed)
