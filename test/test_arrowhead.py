@@ -256,7 +256,7 @@ def joined(monkeypatch: pytest.MonkeyPatch, squares: Any, sizes: Any, seen: Any)
     monkeypatch.setattr(module, '_System', lambda units, size: Given(units, size, squares))
     found_by = lambda of: sizes[of]  # noqa: E731
     monkeypatch.setattr(module, 'CommonSizes', type('Sizes', (), {'found_by': found_by}))
-    monkeypatch.setattr(module, 'rests_seen', lambda _: (seen, 10))
+    monkeypatch.setattr(module, 'dwells_seen', lambda _: (seen, 10))
     units = [type('Alone', (str,), {'equations': name})(name) for name in sizes]
     return join(units)
 

@@ -25,7 +25,7 @@ from ..observation.common_errors import (
     TABLE_STATE,
     CommonSizes,
     CommonTable,
-    rests_seen,
+    dwells_seen,
 )
 from ..observation.components import Component
 from ..observation.components import parts as parts_of
@@ -148,7 +148,7 @@ def join(alone: Sequence[Estimate]) -> Joined:
         NotObservable: The iteration does not converge.
 
     """
-    seen, of_all = rests_seen([found.equations for found in alone])
+    seen, of_all = dwells_seen([found.equations for found in alone])
     partial = tuple((k, n, of_all) for k, n in enumerate(seen) if n < _HALF * of_all)
     kept = [k for k, n in enumerate(seen) if n >= _HALF * of_all]
     out: list[Contradicting] = []

@@ -187,7 +187,7 @@ def shares_a_table(equations: Equations) -> bool:
     return all(part.angles is not None for part in parts)
 
 
-def rests_seen(units: Sequence[Equations]) -> tuple[list[int], int]:
+def dwells_seen(units: Sequence[Equations]) -> tuple[list[int], int]:
     """Return how many of the table's dwells each unit saw, and how many there are in all."""
     evidences = [unit.evidence for unit in units]
     dwells = _alike([_times(e, e.segments) for e in evidences])
