@@ -44,7 +44,7 @@ CAUSES = {
     'stops': 'Attitude errors of the whole table|attitude error of the table of',
     'moves': 'By the gyros .* of .* moves end elsewhere',
     'velocities': 'By the accelerometers .* of .* moves do not end at rest',
-    'outliers': 'Outliers?, given less weight',
+    'outliers': ', given less weight',
     'turns': 'turns .* scatter|Turns .* scatter',
     'gyro drift': 'biases of the gyros drift by',
     'accelerometer drift': 'biases of the accelerometers drift by',

@@ -703,7 +703,11 @@ def test_the_plan_of_another_session(cli: CommandLine, recorded: Path) -> None:
 @pytest.mark.parametrize(
     ('old', 'new', 'sentence'),
     [
-        ('[U, W, S]', '[U, W, W]', r'plan.yaml: positions\[1\]: axes: .* no right-handed frame'),
+        (
+            '[U, W, S]',
+            '[U, W, W]',
+            r'plan.yaml: positions\[1\]: axes: .* do not form a right-handed frame',
+        ),
         ('name: twelve', ']][', 'plan.yaml: not YAML'),
         ('dwell: 20 s', 'dwell: 20 m', r'plan.yaml: dwell: '),
         ('id: 2,', 'id: 1,', "plan.yaml: positions: two positions have the id '1'"),

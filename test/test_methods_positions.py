@@ -230,8 +230,8 @@ def test_a_plan_that_cannot_give_the_answer_is_refused_beforehand(
     ('axes', 'message'),
     [
         # The stray row under Table 2-12 of Luo 2018 is of that kind.
-        ('[U, E, S]', r'positions\[0\]: axes: X, Y, Z along .* are right-handed frame'),
-        ('[U, U, N]', r'right-handed frame'),
+        ('[U, E, S]', r'positions\[0\]: axes: X, Y, Z along .* do not form a right-handed frame'),
+        ('[U, U, N]', r'do not form a right-handed frame'),
         ('[U, E, Q]', r'expected three of E, N, U, W, S, D'),
     ],
 )

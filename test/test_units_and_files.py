@@ -107,8 +107,8 @@ positions:
 @pytest.mark.parametrize(
     ('position', 'message'),
     [
-        ('{id: 1, axes: [U, E, E]}', 'right-handed frame'),
-        ('{id: 1, axes: [U, N, E]}', 'right-handed frame'),
+        ('{id: 1, axes: [U, E, E]}', 'do not form a right-handed frame'),
+        ('{id: 1, axes: [U, N, E]}', 'do not form a right-handed frame'),
         ('{id: 1, axes: [U, N]}', 'expected three of'),
         ('{id: 1, axes: [E, N, U], dwell: -1 s}', 'dwell: found -1 s, expected 0 or more'),
         ('{id: 1, axes: [E, N, U], turned: {about: Q, by: 45 deg}}', 'expected one of X, Y, Z'),
