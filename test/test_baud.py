@@ -112,7 +112,7 @@ def test_a_shipped_device_fits_at_the_rate_of_its_file_to_the_bit(device, rate, 
 @pytest.mark.parametrize(
     ('port_name', 'baud', 'sentence'),
     [
-        ('socket://127.0.0.1:5000', 921600, r'127\.0\.0\.1:5000 is no serial port'),
+        ('socket://127.0.0.1:5000', 921600, r'127\.0\.0\.1:5000 is not a serial port'),
         ('', 921600, 'give --port'),
         ('/dev/ttyUSB0', 9, 'found 9, expected 50'),
     ],
