@@ -459,7 +459,7 @@ def test_values_that_are_no_numbers(cli: CommandLine) -> None:
         gyro[middle_of_7() : middle_of_7() + 3, 1] = np.nan
         accel[middle_of_7() + 500, 2] = np.inf
 
-    cli.uses_the_rest(r'4 samples left out for values that are no num', good().with_imu(spoil))
+    cli.uses_the_rest(r'4 samples left out for values that are not num', good().with_imu(spoil))
 
 
 def test_a_channel_that_is_never_a_number(cli: CommandLine) -> None:
