@@ -310,7 +310,9 @@ def test_a_recording_without_a_frame_is_one_of_another_device(data):
 
 
 def test_a_port_that_is_none_is_told_in_words(capsys):
-    with pytest.raises(NothingComes, match=r'/dev/null does not open: this is not a serial port\. '):
+    with pytest.raises(
+        NothingComes, match=r'/dev/null does not open: this is not a serial port\. '
+    ):
         listen('/dev/null', Words(real=True))
     assert not capsys.readouterr().err
 

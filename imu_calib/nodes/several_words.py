@@ -87,7 +87,7 @@ def _state(sessions: Sessions, imu_timeout: float) -> tuple[SessionPhase, str]:
     reached = f'{min(known)} of {len(least.parameters)} parameters'
     return (
         phase,
-        f'{len(sessions.open)} units; of the last, {_name(least)}, {reached} are determined.',
+        f'{len(sessions.open)} units; {_name(least)} has the fewest determined: {reached}.',
     )
 
 
