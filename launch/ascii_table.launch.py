@@ -9,10 +9,10 @@ from launch import LaunchDescription
 
 ARGUMENTS = [
     DeclareLaunchArgument(
-        'table_port', description='Of the controller: a serial port or socket://host:port.'
+        'table_port', description='Port of the controller: a serial port or socket://host:port.'
     ),
     DeclareLaunchArgument(
-        'table_baud', default_value='115200', description='Of a serial port, bit/s.'
+        'table_baud', default_value='115200', description='Baud rate of a serial port, bit/s.'
     ),
     DeclareLaunchArgument(
         'table', default_value='three_axis', description='Name or file of the turntable.'
@@ -22,7 +22,7 @@ ARGUMENTS = [
         default_value='false',
         description='Whether the table moves only while a heartbeat comes on the topic heartbeat.',
     ),
-    DeclareLaunchArgument('namespace', default_value='', description='Of all names.'),
+    DeclareLaunchArgument('namespace', default_value='', description='Namespace of all names.'),
 ]
 
 

@@ -16,7 +16,7 @@ ARGUMENTS = [
         'plan', default_value='twelve_position', description='Name or file of the plan.'
     ),
     DeclareLaunchArgument(
-        'imu', default_value='fog_medium', description='Name or file: what its numbers mean.'
+        'imu', default_value='fog_medium', description='Name or file of the IMU.'
     ),
     DeclareLaunchArgument(
         'units',
@@ -31,21 +31,31 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'table', default_value='three_axis', description='Name or file of the turntable.'
     ),
-    DeclareLaunchArgument('latitude', description='Of the stand, deg, negative in the south.'),
     DeclareLaunchArgument(
-        'latitude_std', default_value='nan', description='Of the latitude, deg; nan: 0.01.'
+        'latitude', description='Latitude of the stand, deg, negative in the south.'
     ),
     DeclareLaunchArgument(
-        'height', default_value='nan', description='Above the ellipsoid, m; nan: not known.'
+        'latitude_std',
+        default_value='nan',
+        description='Standard deviation of the latitude, deg; nan: 0.01.',
     ),
     DeclareLaunchArgument(
-        'height_std', default_value='nan', description='Of the height, m; nan: 0 if it is stated.'
+        'height', default_value='nan', description='Height above the ellipsoid, m; nan: not known.'
     ),
     DeclareLaunchArgument(
-        'gravity', default_value='nan', description='As measured, m/s^2; nan: normal gravity.'
+        'height_std',
+        default_value='nan',
+        description='Standard deviation of the height, m; nan: 0 if it is stated.',
     ),
     DeclareLaunchArgument(
-        'gravity_std', default_value='nan', description='m/s^2; nan: 0 if measured, 30e-5 if not.'
+        'gravity',
+        default_value='nan',
+        description='Gravity as measured, m/s^2; nan: normal gravity.',
+    ),
+    DeclareLaunchArgument(
+        'gravity_std',
+        default_value='nan',
+        description='Standard deviation of gravity, m/s^2; nan: 0 if measured, 30e-5 if not.',
     ),
     DeclareLaunchArgument(
         'azimuth', default_value='nan', description="Heading of the table's zero, deg, if known."
@@ -56,7 +66,10 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'terms',
         default_value='auto',
-        description='That the joint estimate adds: auto (those that show), none, or names, commas.',
+        description=(
+            'Terms that the joint estimate adds: auto (those that are significant), none, or names '
+            'with commas between.'
+        ),
     ),
     DeclareLaunchArgument(
         'journal', default_value='journal', description='Folder of the recording.'
@@ -66,14 +79,16 @@ ARGUMENTS = [
         default_value='calibration.yaml',
         description='File that takes the result; of several units the folder.',
     ),
-    DeclareLaunchArgument('namespace', default_value='', description='Of nodes and topics.'),
+    DeclareLaunchArgument(
+        'namespace', default_value='', description='Namespace of nodes and topics.'
+    ),
     DeclareLaunchArgument(
         'use_sim_time', default_value='false', description='Whether /clock is the time.'
     ),
     DeclareLaunchArgument(
         'params_file',
         default_value=str(SHARE / 'config' / 'nodes' / 'stand.yaml'),
-        description='Parameters that are no arguments.',
+        description='File of parameters that are not arguments.',
     ),
     DeclareLaunchArgument(
         'imu_topic', default_value='imu/pulses', description='sensor_msgs/Imu of the device.'

@@ -26,10 +26,12 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'port',
         default_value='',
-        description='Of the IMU: a serial port, socket://host:port, udp://host:port, or a file; '
-        'needed without units.',
+        description='Port of the IMU: a serial port, socket://host:port, udp://host:port, '
+        'or a file; needed without units.',
     ),
-    DeclareLaunchArgument('latitude', description='Of the stand, deg, negative in the south.'),
+    DeclareLaunchArgument(
+        'latitude', description='Latitude of the stand, deg, negative in the south.'
+    ),
     DeclareLaunchArgument(
         'device',
         default_value='',
@@ -48,13 +50,13 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'baud',
         default_value='0',
-        description="Of a serial port, bit/s; 0: as the device's file says, else 115200.",
+        description="Baud rate of a serial port, bit/s; 0: as the device's file says, else 115200.",
     ),
     DeclareLaunchArgument(
         'table_output',
         default_value='setpoint',
         choices=['setpoint', 'trajectory'],
-        description='What leads the table.',
+        description='How the table is led: setpoints, or trajectories of ros2_control.',
     ),
     DeclareLaunchArgument(
         'autostart',

@@ -26,7 +26,9 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 'rviz', default_value='false', description='Whether RViz shows it.'
             ),
-            DeclareLaunchArgument('namespace', default_value='', description='Of all topics.'),
+            DeclareLaunchArgument(
+                'namespace', default_value='', description='Namespace of all topics.'
+            ),
             DeclareLaunchArgument(
                 'use_sim_time', default_value='false', description='Whether /clock is the time.'
             ),

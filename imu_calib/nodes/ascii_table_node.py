@@ -36,7 +36,7 @@ class AsciiTableNode(Node):
         table = load_table(declare(self, 'table', 'three_axis', 'Name or file of the table.'))
         port = declare(self, 'port', '', 'Serial port or socket://host:port of the controller.')
         tcp_address(port)  # Refuses what cannot be.
-        baud = declare(self, 'baud', 115200, 'Of a serial port, bit/s.', lower=50)
+        baud = declare(self, 'baud', 115200, 'Baud rate of a serial port, bit/s.', lower=50)
         reply = declare(
             self, 'reply_timeout', 0.2, 'Longest wait for a reply, s.', lower=0.01, upper=0.4
         )

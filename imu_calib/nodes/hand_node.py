@@ -43,7 +43,11 @@ class HandNode(ros.Node):
         super().__init__('hand_node')
         self._hardware = self._read_hardware()
         self._speed = declare(
-            self, 'speed', 0.0, 'most times real time; 0: as fast as the nodes follow', lower=0.0
+            self,
+            'speed',
+            0.0,
+            'highest speed in multiples of real time; 0: as fast as the nodes follow',
+            lower=0.0,
         )
         port = declare(self, 'port', 5760, 'TCP port that serves frames', lower=1, upper=65535)
         self._line = FrameServer(port)

@@ -52,7 +52,7 @@ class ImuNode(ManagedNode):
             self,
             'baud',
             0,
-            "Of a serial port, bit/s; 0: as the device's file says, else 115200.",
+            "Baud rate of a serial port, bit/s; 0: as the device's file says, else 115200.",
             lower=0,
         )
         self._buffer = declare(

@@ -64,7 +64,11 @@ class StandNode(ros.Node):
         super().__init__('stand_node')
         self._hardware = self._read_hardware()
         speed = declare(
-            self, 'speed', 0.0, 'most times real time; 0: as fast as the nodes follow', lower=0.0
+            self,
+            'speed',
+            0.0,
+            'highest speed in multiples of real time; 0: as fast as the nodes follow',
+            lower=0.0,
         )
         self._pace = _Pace(speed)
         port = declare(
