@@ -9,11 +9,12 @@ from ideal import mean_of
 from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.segmentation.bridging import Bridged
 from imu_calib.segmentation.clock import NO_CLOCK, ClockFit, ShareSeen
+from imu_calib.segmentation.interruptions import interruption
 from imu_calib.segmentation.motion import Motion
 from imu_calib.segmentation.repeated_samples import Repetition
 from imu_calib.segmentation.segment import Segment
 from imu_calib.segmentation.segmented import MountShift
-from imu_calib.segmentation.segmenter import Segmenter, clock_jumps, interruption
+from imu_calib.segmentation.segmenter import Segmenter, clock_jumps
 from imu_calib.segmentation.statistics import Samples
 from imu_calib.stream import Floats, Units
 from imu_calib.turntable import Joint, Table
@@ -52,7 +53,7 @@ def test_lost_samples_are_told_by_their_share() -> None:
     held = reader()
     held._intake.samples, held._lost = 17, 3
     held._off_grid = {START + 9 * NS, START + 2 * NS}
-    held._interruptions = [(START, START + 2 * NS)]
+    held._interruptions.feed(np.array([START, START + 2 * NS]))
     assert held._losses() == (
         '3 IMU samples are missing (15 %), a few at a time: what they counted is read from those '
         'around them',

@@ -13,6 +13,8 @@ from test_calibration_session import recut
 from imu_calib.plan import Plan
 from imu_calib.segmentation.apart import offset_by_pattern
 from imu_calib.segmentation.bunches import spread
+from imu_calib.segmentation.grid import clock_steps
+from imu_calib.segmentation.interruptions import Interruptions
 from imu_calib.segmentation.motion import Motion
 from imu_calib.simulation.options import Delivery
 from imu_calib.stream import Floats, ImuBlock, JointBlock, Stamps
@@ -53,6 +55,47 @@ def test_what_is_missing_is_no_queue() -> None:
     kept = np.delete(np.arange(4000), np.r_[700:703, 2000:2020])
     off = (spread(stamp[kept]) - START) * 1e-9 - made[kept]
     assert np.abs(off[:-512]).max() < 1e-4
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_of_a_queue_that_goes_on_beyond_what_is_looked_at_no_sample_is_missing(seed: int) -> None:
+    """Those in it come late, be it by no whole number of intervals."""
+    stamp, made = queue(seed, 0.05, 0.1)
+    late = (stamp - START) * 1e-9 - made
+    inside = np.flatnonzero(late > 0.5 * INTERVAL)
+    for end in inside[inside > 3000][::20].tolist():
+        off = (spread(stamp[:end]) - START) * 1e-9 - made[:end]
+        assert np.abs(off).max() < 1e-4
+        assert clock_steps(spread(stamp[:end])) == []
+
+
+def silences(*, missing: int, held: int, jitter: float = 0.0, rate: int = 100) -> list[float]:
+    """How long a stream is interrupted where samples are missing and others are held up, s."""
+    rng = np.random.default_rng(1)
+    made = np.arange(4000) / rate + jitter * rng.standard_normal(4000)
+    made[2000:] += missing / rate
+    came = made.copy()
+    came[2000 : 2000 + held] = made[2000 + held] + 20e-6 * (np.arange(held) - held)
+    stamp = START + np.rint(came * 1e9).astype(np.int64)
+    found = []
+    for cut in (4000, 37, 1):
+        stream = Interruptions()
+        for k in range(0, 4000, cut):
+            stream.feed(stamp[k : k + cut])
+        found.append(stream.found)
+    assert found[0] == found[1] == found[2]
+    return [(begins - last) * 1e-9 for last, begins in found[0]]
+
+
+@pytest.mark.parametrize('jitter', [0.0, 1e-3, 2e-3])
+def test_what_comes_late_is_no_interruption(jitter: float) -> None:
+    for held in (90, 110, 150, 500):
+        assert silences(missing=0, held=held, jitter=jitter) == []
+    assert silences(missing=0, held=1500, rate=1000) == []
+    near = pytest.approx(2.01, abs=0.02)
+    assert silences(missing=200, held=0, jitter=jitter) == [near]
+    # Of a stop of 3.5 s the samples of 1.5 s were held up.
+    assert silences(missing=200, held=150, jitter=jitter) == [near]
 
 
 def test_stamps_that_come_one_by_one_stay() -> None:

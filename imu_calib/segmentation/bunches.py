@@ -26,7 +26,7 @@ _MANY = 0.25
 """Share of steps that are short where samples come in bunches: half of them do in pairs."""
 
 _FEWEST = 3
-"""Whole bunches that show a pattern."""
+"""Whole bunches that show a pattern; samples in time that show that none is missing before them."""
 
 _ALIKE = 0.75
 """Share of bunches that are of one size, give or take a sample: a reader that polls gets one more
@@ -105,6 +105,13 @@ def _out_of_queue(stamp: Stamps) -> Stamps:
     line = np.arange(len(stamp)) * interval
     late = (stamp - stamp[0]) - line
     earliest = scipy.ndimage.minimum_filter1d(late, _AHEAD, mode='nearest', origin=-(_AHEAD // 2))
+    # Of a queue that ends beyond what is looked at no sample is in time: those before it tell.
+    in_time = np.flatnonzero(late - earliest <= _DRIFT * interval)
+    level = late[in_time]
+    sure = np.flatnonzero(np.abs(level[_FEWEST - 1 :] - level[: 1 - _FEWEST]) <= _DRIFT * interval)
+    if len(sure):
+        last = int(in_time[sure[-1] + _FEWEST - 1])
+        earliest[last:] = np.minimum(earliest[last:], late[last])
     return np.asarray(stamp[0] + np.rint(line + earliest).astype(np.int64))
 
 

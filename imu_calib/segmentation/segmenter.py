@@ -32,6 +32,7 @@ from .bunches import spread
 from .clock import ClockFit, ClockSample, ShareSeen, clock_sample, fit_clock, seen_by_gyros
 from .grid import clock_steps
 from .intake import StreamBuffer
+from .interruptions import Interruptions, interruptions
 from .motion import JointTracker, Motion, Rest
 from .moves import MoveReader
 from .order import Ordered
@@ -61,9 +62,6 @@ _NEAR = 0.5
 """s: clocks so near are compared motion by motion, in a second of rest on either side."""
 _TELLING = 10 * DEG
 """rad: motions longer than that tell when they were."""
-INTERRUPTION = 1_000_000_000
-"""A stream that is silent for so long, ns, may come from a program that was started again. A
-judgement: no node starts in less, and a line rarely fails for longer."""
 
 
 class Segmenter:
@@ -95,8 +93,7 @@ class Segmenter:
         self._compared: list[bool] = []
         self._trial: list[Rest | Motion] | None = [] if table is not None else None
         self._clock: list[ClockSample] = []
-        self._newest: int | None = None
-        self._interruptions: list[tuple[int, int]] = []
+        self._interruptions = Interruptions()
         self._seen_motions: list[tuple[float, ShareSeen]] = []
         self._repetitions: list[Repetition] = []
         self._segments: list[Segment] = []
@@ -137,7 +134,7 @@ class Segmenter:
     def feed(self, block: Block) -> None:
         """Take a block in."""
         if isinstance(block, ImuBlock):
-            self._note_interruptions(block.stamp)
+            self._interruptions.feed(block.stamp)
             self._intake.take_imu(block)
         elif isinstance(block, JointBlock):
             self._follow_joints(self._intake.take_joints(block))
@@ -154,16 +151,6 @@ class Segmenter:
         values = (self._spec, self._table, self._sensor, *self._segments, *self._turns)
         return copy.deepcopy(self, {id(value): value for value in values})
 
-    def _note_interruptions(self, stamp: Stamps) -> None:
-        """Note where the IMU's stream begins anew."""
-        if not len(stamp):
-            return
-        before = stamp[0] if self._newest is None else self._newest
-        last = np.append(before, stamp[:-1])
-        begins = stamp - last > INTERRUPTION
-        self._interruptions += zip(last[begins].tolist(), stamp[begins].tolist(), strict=True)
-        self._newest = int(stamp[-1])
-
     def finish(self) -> Segmented:
         """End of all streams."""
         self._follow_joints(self._intake.finish())
@@ -177,7 +164,7 @@ class Segmenter:
         if self._clocks_unknown:
             self._drop_all()
         self._retime()
-        clock = fit_clock(self._clock, [begins for _, begins in self._interruptions])
+        clock = fit_clock(self._clock, [begins for _, begins in self._interruptions.found])
         return Segmented(
             tuple(self._segments),
             tuple(self._turns),
@@ -517,7 +504,7 @@ class Segmenter:
                 'clock was set, or it began to sample anew; what is before and after counts by '
                 'itself'
             )
-        lost += _interruptions(self._interruptions)
+        lost += interruptions(self._interruptions.found)
         if self._table is not None and self._joints is not None and self._joints.silent:
             lost.append(f'There are no joint states of table {self._table.name}')
         return tuple(lost)
@@ -535,27 +522,6 @@ def made_between(rows: RowBuffer, start: int, end: int) -> tuple[Stamps, Floats]
     stamp, values = made[inside], values[inside]
     stamp.flags.writeable = False
     return stamp, values
-
-
-def interruption(last: int, begins: int) -> str:
-    """Say what an interruption of the IMU's stream costs: from its last stamp to the next, ns."""
-    gap = (begins - last) * 1e-9
-    return f'The IMU stream was interrupted: {gap:.1f} s are missing, from {at(last)}'
-
-
-_LISTED = 3
-"""Interruptions that have a sentence each; more are counted."""
-
-
-def _interruptions(found: Sequence[tuple[int, int]]) -> list[str]:
-    """Say what the interruptions cost, each from its last stamp to the next, ns."""
-    if len(found) <= _LISTED:
-        return [interruption(last, begins) for last, begins in found]
-    seconds = sum(begins - last for last, begins in found) * 1e-9
-    return [
-        f'The IMU stream has {len(found)} interruptions, {seconds:.1f} s in all, the first at '
-        f'{at(found[0][0])}'
-    ]
 
 
 _SHOWN = 1e-4
