@@ -134,7 +134,9 @@ def left_out(period_ms: int, at: int, count: int = 100) -> list[int]:
     late = np.where(np.arange(count) >= at, 0.4, 0.0)
     stamp = START + np.rint((np.arange(count) + late) * period_ms * 1e6).astype(np.int64)
     held = reader()
-    kept, values = held._apart_at_steps(stamp, np.arange(6.0 * count).reshape(count, 6))
+    rows = np.arange(6.0 * count).reshape(count, 6)
+    kept, values, late = held._apart_at_steps(stamp, rows, np.arange(count))
+    assert late.tolist() == (values[:, 0] / 6).tolist()
     gone = np.flatnonzero(~np.isin(stamp, kept)).tolist()
     assert values[:, 0].tolist() == [6.0 * k for k in range(count) if k not in gone]
     assert held._off_grid == ({int(stamp[at])} if gone else set())
