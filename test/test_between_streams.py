@@ -9,11 +9,12 @@ from ideal import mean_of
 from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.segmentation.bridging import Bridged
 from imu_calib.segmentation.clock import NO_CLOCK, ClockFit, ShareSeen
+from imu_calib.segmentation.interruptions import interruption
 from imu_calib.segmentation.motion import Motion
 from imu_calib.segmentation.repeated_samples import Repetition
 from imu_calib.segmentation.segment import Segment
 from imu_calib.segmentation.segmented import MountShift
-from imu_calib.segmentation.segmenter import Segmenter, clock_jumps, interruption
+from imu_calib.segmentation.segmenter import Segmenter, clock_jumps
 from imu_calib.segmentation.statistics import Samples
 from imu_calib.stream import Floats, Units
 from imu_calib.turntable import Joint, Table
@@ -52,7 +53,7 @@ def test_lost_samples_are_told_by_their_share() -> None:
     held = reader()
     held._intake.samples, held._lost = 17, 3
     held._off_grid = {START + 9 * NS, START + 2 * NS}
-    held._interruptions = [(START, START + 2 * NS)]
+    held._interruptions.feed(np.array([START, START + 2 * NS]))
     assert held._losses() == (
         '3 IMU samples are missing (15 %), a few at a time: what they counted is interpolated from '
         'those around them',
@@ -133,7 +134,9 @@ def left_out(period_ms: int, at: int, count: int = 100) -> list[int]:
     late = np.where(np.arange(count) >= at, 0.4, 0.0)
     stamp = START + np.rint((np.arange(count) + late) * period_ms * 1e6).astype(np.int64)
     held = reader()
-    kept, values = held._apart_at_steps(stamp, np.arange(6.0 * count).reshape(count, 6))
+    rows = np.arange(6.0 * count).reshape(count, 6)
+    kept, values, late = held._apart_at_steps(stamp, rows, np.arange(count))
+    assert late.tolist() == (values[:, 0] / 6).tolist()
     gone = np.flatnonzero(~np.isin(stamp, kept)).tolist()
     assert values[:, 0].tolist() == [6.0 * k for k in range(count) if k not in gone]
     assert held._off_grid == ({int(stamp[at])} if gone else set())

@@ -302,9 +302,9 @@ def test_ramps_alone_are_no_turn() -> None:
     session = found(unit(motions), joint(motions))
     assert session.turns == ()
     (gone,) = session.rejected
-    # Half a second of either ramp leaves the line by less than shows.
+    # Four seconds: ramps of round numbers are no steps of the encoder, in which they could hide.
     assert gone.reason == (
-        'the joint states show 60 deg/s for 242 deg, less than a whole turn: ramps take the rest '
+        'the joint states show 60 deg/s for 240 deg, less than a whole turn: ramps take the rest '
         '(more turns, a slower rate or faster ramps leave one)'
     )
     assert gone.turn

@@ -133,6 +133,16 @@ def test_a_clock_that_was_set_back_is_found_where_its_stamps_go_on() -> None:
     assert clock_steps(stamps(made[sound])) == [1000]
 
 
+def test_of_a_short_view_of_a_queue_nothing_tells_that_a_clock_was_set() -> None:
+    made = np.arange(44) * PERIOD
+    wait = np.zeros(44)
+    wait[[3, 18]] = 0.24, 0.0098
+    came = stamps(np.append(queue(made + wait)[:36], 0.4 + PERIOD * np.arange(8)))
+    short = stamps(np.concatenate([0.24 + 2e-5 * np.arange(20), 0.250009 + 2e-5 * np.arange(20)]))
+    assert clock_steps(short) == [20]
+    assert clock_steps(short, PERIOD) == clock_steps(came, PERIOD) == []
+
+
 def test_stamps_without_a_grid_have_no_steps_off_it() -> None:
     rng = np.random.default_rng(8)
     assert clock_steps(stamps(np.cumsum(rng.uniform(0.005, 0.015, 3000)))) == []
@@ -182,6 +192,19 @@ def test_samples_of_a_bunch_are_spread_over_the_time_that_it_was_made_in(
         assert (grid.index == np.arange(len(made))).all()
         # Edges are spread by the interval of the packets: what stamps leave of it is rounding.
         assert grid.period == pytest.approx(1 / rate, rel=1e-5)
+
+
+@pytest.mark.parametrize('end', [1002, 1003, 1020])
+def test_of_what_is_held_up_at_the_end_nothing_is_missing(end: int) -> None:
+    """A queue that goes on beyond the end, as of a view or of a recording."""
+    made = np.arange(4000) * PERIOD
+    wait = np.zeros(4000)
+    wait[1000] = 0.277
+    came = stamps(queue(made + wait)[:end])
+    assert (read_grid(came).index == np.arange(end)).all()
+    # What is lost right before the end is.
+    lost = stamps(np.delete(made[:1002], 1000))
+    assert read_grid(lost).index[-1] == 1001
 
 
 def test_a_sample_that_a_packet_lacks_and_a_packet_that_never_came_are_missing() -> None:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from sessions import Named, calibrate, quick_plan, session, stand
+from sessions import Named, calibrate, paper_imu, quick_plan, session, stand
 from test_calibration_session import recut
 
 from imu_calib.plan import Plan
 from imu_calib.segmentation.apart import offset_by_pattern
 from imu_calib.segmentation.bunches import spread
+from imu_calib.segmentation.grid import clock_steps
+from imu_calib.segmentation.interruptions import Interruptions
+from imu_calib.segmentation.lateness import Lateness
 from imu_calib.segmentation.motion import Motion
+from imu_calib.segmentation.segmenter import Segmenter
 from imu_calib.simulation.options import Delivery
 from imu_calib.stream import Floats, ImuBlock, JointBlock, Stamps
-from imu_calib.turntable import Joint, Table
+from imu_calib.turntable import Joint, Table, load_table
 from imu_calib.units import DEG
 
 START = 1_700_000_000 * 10**9
@@ -55,6 +60,47 @@ def test_what_is_missing_is_no_queue() -> None:
     assert np.abs(off[:-512]).max() < 1e-4
 
 
+@pytest.mark.parametrize('seed', range(5))
+def test_of_a_queue_that_goes_on_beyond_what_is_looked_at_no_sample_is_missing(seed: int) -> None:
+    """Those in it come late, be it by no whole number of intervals."""
+    stamp, made = queue(seed, 0.05, 0.1)
+    late = (stamp - START) * 1e-9 - made
+    inside = np.flatnonzero(late > 0.5 * INTERVAL)
+    for end in inside[inside > 3000][::20].tolist():
+        off = (spread(stamp[:end]) - START) * 1e-9 - made[:end]
+        assert np.abs(off).max() < 1e-4
+        assert clock_steps(spread(stamp[:end])) == []
+
+
+def silences(*, missing: int, held: int, jitter: float = 0.0, rate: int = 100) -> list[float]:
+    """How long a stream is interrupted where samples are missing and others are held up, s."""
+    rng = np.random.default_rng(1)
+    made = np.arange(4000) / rate + jitter * rng.standard_normal(4000)
+    made[2000:] += missing / rate
+    came = made.copy()
+    came[2000 : 2000 + held] = made[2000 + held] + 20e-6 * (np.arange(held) - held)
+    stamp = START + np.rint(came * 1e9).astype(np.int64)
+    found = []
+    for cut in (4000, 37, 1):
+        stream = Interruptions()
+        for k in range(0, 4000, cut):
+            stream.feed(stamp[k : k + cut])
+        found.append(stream.found)
+    assert found[0] == found[1] == found[2]
+    return [(begins - last) * 1e-9 for last, begins in found[0]]
+
+
+@pytest.mark.parametrize('jitter', [0.0, 1e-3, 2e-3])
+def test_what_comes_late_is_no_interruption(jitter: float) -> None:
+    for held in (90, 110, 150, 500):
+        assert silences(missing=0, held=held, jitter=jitter) == []
+    assert silences(missing=0, held=1500, rate=1000) == []
+    near = pytest.approx(2.01, abs=0.02)
+    assert silences(missing=200, held=0, jitter=jitter) == [near]
+    # Of a stop of 3.5 s the samples of 1.5 s were held up.
+    assert silences(missing=200, held=150, jitter=jitter) == [near]
+
+
 def test_stamps_that_come_one_by_one_stay() -> None:
     alone, _ = queue(1, 0.01, 0.02)
     assert spread(alone) is alone
@@ -68,6 +114,39 @@ def test_jittering_stamps_stay(late: float, jitter: float) -> None:
     for seed in range(20):
         jittery, _ = queue(seed, late, 0.1, jitter)
         assert spread(jittery) is jittery
+
+
+@pytest.mark.parametrize('share', [0.005, 0.05])
+def test_what_is_late_is_said_and_nothing_else(share: float) -> None:
+    """By how much, and that it counts when it was made; no clock was set, nothing is missing."""
+    late = Delivery(late=share, delay=0.1)
+    for seed in (2, 3):
+        reader = Segmenter(paper_imu(), load_table('three_axis'))
+        for _, block in session(plan(), stand(delivery=late), seed=seed):
+            reader.feed(block)
+        (said,) = reader.finish().losses
+        found = re.match(
+            r'(\d+) IMU samples \((.*) %\) are stamped late, by up to (.*?), the', said
+        )
+        assert found, said
+        # A queue behind each: of Poisson's process 1 - exp(-rate delay) of the time.
+        assert float(found[2]) == pytest.approx(100 * (1 - np.exp(-share * 10)), rel=0.25)
+
+
+def test_a_few_late_samples_are_not_worth_a_sentence() -> None:
+    few = Lateness()
+    stamp = START + 10**7 * np.arange(2000)
+    few.note(stamp, np.where(np.arange(2000) == 7, 2 * 10**7, 0), INTERVAL)
+    assert (few.count, few.words(2000), len(few.words(900))) == (1, [], 1)
+    few.note(stamp, np.where(np.arange(2000) == 7, 12 * 10**8, 0), INTERVAL)
+    assert few.words(20_000) == [
+        '2 IMU samples (0.01 %) are stamped late, by up to 1.2 s, the first at 2023-11-14 '
+        '22:13:20.070 UTC: they were held up, and count when they were made, as those that are in '
+        'time show'
+    ]
+    jitter = Lateness()
+    jitter.note(stamp, np.resize([-2, 2, 1, 0], 2000) * 10**7, INTERVAL)
+    assert jitter.count == 0
 
 
 # Clocks apart

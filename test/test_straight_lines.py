@@ -13,6 +13,7 @@ from imu_calib.segmentation.motion import Motion
 from imu_calib.segmentation.plateau import (
     Plateau,
     _bends,
+    _encoder_step,
     _half_turns,
     _hidden_by_steps,
     _Line,
@@ -187,16 +188,69 @@ def test_the_step_of_an_encoder_is_what_close_readings_differ_by(
     assert found == pytest.approx(0.005 * DEG * step, rel=2e-5)
 
 
-def test_angles_at_even_intervals_are_no_steps_of_an_encoder() -> None:
-    """Those of a ramp are at others: what differs alike from 0.02 deg on is not believed."""
-    assert _step(0.0199 * DEG * np.arange(9)) == pytest.approx(0.0199 * DEG)
-    assert _step(0.0201 * DEG * np.arange(9)) == 0.0
-    ramp = np.cumsum([2, 2, 3, 3, 4, 4])
-    assert _step(0.05 * DEG * np.append(np.arange(9), 8 + ramp)) == pytest.approx(0.05 * DEG)
-    assert _step(0.05 * DEG * np.append(np.arange(9), 8 + ramp[:-1])) == 0.0
-    assert _step(0.21 * DEG * np.append(np.arange(9), 8 + ramp)) == 0.0
+def test_angles_that_are_far_apart_or_alike_have_no_step() -> None:
+    assert _step(0.19 * DEG * np.arange(9)) == pytest.approx(0.19 * DEG)
+    assert _step(0.21 * DEG * np.arange(9)) == 0.0
     assert _step(np.zeros(9)) == 0.0
     assert _step(np.zeros(0)) == 0.0
+
+
+def ramped(
+    rate: float, ramps: float, hz: float, phase: float, step: float
+) -> tuple[Floats, Floats]:
+    """Angles of a turn in steps, deg; none if 0. The table begins so far between two readings."""
+    up = rate / ramps
+    time = (np.arange(-0.3, 2 * up + 372 / rate + 0.3, 1 / hz)) + phase / hz
+    speed = [0.0, rate, rate, 0.0]
+    knots = [0.0, up, up + 372 / rate, 2 * up + 372 / rate]
+    # The integral of a rate that is linear between its knots.
+    fine = np.union1d(time, knots)
+    at = np.interp(fine, knots, speed)
+    angle = np.append(0.0, np.cumsum(np.diff(fine) * (at[1:] + at[:-1]) / 2))
+    angle = angle[np.searchsorted(fine, time)]
+    return time, (np.rint(angle / step + 0.3) * step if step else angle) * DEG
+
+
+@pytest.mark.parametrize('lost', [0, 7])
+@pytest.mark.parametrize('phase', [0.0, 0.002, 0.1, 0.5, 0.8, 0.998])
+@pytest.mark.parametrize(('rate', 'ramps'), [(60, 100), (60, 200), (60, 50), (20, 20), (80, 200)])
+def test_round_ramps_are_no_steps_of_an_encoder(
+    rate: float, ramps: float, phase: float, lost: int
+) -> None:
+    """At 100 Hz ramps of 200 deg/s^2 gain 0.02 deg more each time: 0.01, 0.03, 0.05."""
+    time, angle = ramped(rate, ramps, 100.0, phase, 0.0)
+    kept = np.ones(len(time), dtype=bool)
+    kept[np.linspace(40, len(time) - 40, lost, dtype=int)] = False
+    assert _encoder_step(time[kept], angle[kept]) == 0.0
+
+
+def test_readings_of_a_rate_alone_have_no_step() -> None:
+    """One that sets in between two of them: all differ alike."""
+    angle = np.clip(0.05 * DEG * (np.arange(900) - 100), 0, 30 * DEG)
+    assert _encoder_step(np.arange(900) / 100, angle) == 0.0
+    assert _step(angle) == pytest.approx(0.05 * DEG)
+
+
+def test_round_ramps_look_coarse() -> None:
+    """So that the test above means something: what close readings differ by is no proof."""
+    assert _step(ramped(60, 200, 100.0, 0.998, 0.0)[1]) == pytest.approx(0.01 * DEG, rel=0.01)
+
+
+@pytest.mark.parametrize('step', [0.01, 0.02, 0.05, 0.1])
+@pytest.mark.parametrize('phase', [0.1, 0.33, 0.8])
+@pytest.mark.parametrize(
+    ('rate', 'ramps', 'hz'),
+    [(60, 100, 100), (10, 100, 100), (5, 20, 50), (90, 20, 50), (60, 400, 500)],
+)
+def test_steps_of_an_encoder_show_where_the_table_speeds_up(
+    rate: float, ramps: float, hz: float, phase: float, step: float
+) -> None:
+    """At the rate itself readings may be as many whole steps apart, one like the other."""
+    time, angle = ramped(rate, ramps, hz, phase, step)
+    assert _encoder_step(time, angle) == pytest.approx(step * DEG, rel=1e-9)
+    # Radians of so many digits as keep a thousandth of a step.
+    digits = 6 if step >= 0.05 else 7
+    assert _encoder_step(time, np.round(angle, digits)) == pytest.approx(step * DEG, rel=0.01)
 
 
 # Half turns

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..cdr import Kind
 from ..instants import at
-from ..segmentation.segmenter import INTERRUPTION, interruption
+from ..segmentation.interruptions import INTERRUPTION, interruption
 from ..stream import Block, ImuBlock, JointBlock
 from .intake import TopicIntake
 

@@ -26,7 +26,7 @@ _MANY = 0.25
 """Share of steps that are short where samples come in bunches: half of them do in pairs."""
 
 _FEWEST = 3
-"""Whole bunches that show a pattern."""
+"""Whole bunches that show a pattern; samples in time that show that none is missing before them."""
 
 _ALIKE = 0.75
 """Share of bunches that are of one size, give or take a sample: a reader that polls gets one more
@@ -59,20 +59,37 @@ _LARGEST = 0.9
 
 
 def spread(stamp: Stamps) -> Stamps:
-    """Spread the samples of each bunch evenly over the time since the one before.
+    """Return when samples were made, (n,) ns, increasing; `stamp` where they come one by one.
 
-    Those that queue behind one that is held up by chance go back to when they were made.
+    Those of a bunch are spread evenly over the time since the one before. Those that queue behind
+    one that is held up by chance go back to when they were made.
+
+    Args:
+        stamp: (n,) ns, increasing.
+
+    """
+    return made(stamp)[0]
+
+
+def made(stamp: Stamps) -> tuple[Stamps, Stamps]:
+    """Return when samples were made, and how much later they came by chance: not in bunches.
 
     Args:
         stamp: (n,) ns, increasing.
 
     Returns:
-        (n,) ns, increasing; `stamp` itself where samples come one by one.
+        (n,) and (n,) ns.
 
     """
     starts = _bunches(stamp)
     if starts is None:
-        return _out_of_queue(stamp)
+        instants = _out_of_queue(stamp)
+        return instants, stamp - instants
+    return _out_of_bunches(stamp, starts), np.zeros_like(stamp)
+
+
+def _out_of_bunches(stamp: Stamps, starts: NDArray[np.intp]) -> Stamps:
+    """Return when samples were made of bunches that begin with some of them, (n,) ns."""
     counts = np.diff(starts, append=len(stamp))
     came = (stamp[starts] - stamp[0]).astype(float)
     whole, passed = counts[1:-1], np.diff(came)[:-1]
@@ -89,8 +106,8 @@ def spread(stamp: Stamps) -> Stamps:
     begins = np.append(came[0] - slots[0] * interval, came[:-1])
     number = _places(counts, slots)
     each = np.repeat((came - begins) / slots, counts)
-    made = np.rint(np.repeat(begins, counts) + number * each).astype(np.int64)
-    return np.asarray(stamp[0] + made)
+    instants = np.rint(np.repeat(begins, counts) + number * each).astype(np.int64)
+    return np.asarray(stamp[0] + instants)
 
 
 def _out_of_queue(stamp: Stamps) -> Stamps:
@@ -105,6 +122,13 @@ def _out_of_queue(stamp: Stamps) -> Stamps:
     line = np.arange(len(stamp)) * interval
     late = (stamp - stamp[0]) - line
     earliest = scipy.ndimage.minimum_filter1d(late, _AHEAD, mode='nearest', origin=-(_AHEAD // 2))
+    # Of a queue that ends beyond what is looked at no sample is in time: those before it tell.
+    in_time = np.flatnonzero(late - earliest <= _DRIFT * interval)
+    level = late[in_time]
+    sure = np.flatnonzero(np.abs(level[_FEWEST - 1 :] - level[: 1 - _FEWEST]) <= _DRIFT * interval)
+    if len(sure):
+        last = int(in_time[sure[-1] + _FEWEST - 1])
+        earliest[last:] = np.minimum(earliest[last:], late[last])
     return np.asarray(stamp[0] + np.rint(line + earliest).astype(np.int64))
 
 

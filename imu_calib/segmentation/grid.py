@@ -154,7 +154,7 @@ def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
     return grid
 
 
-def clock_steps(stamp: Stamps) -> list[int]:
+def clock_steps(stamp: Stamps, hint: float = 0.0) -> list[int]:
     """Return where stamps go on off the grid of those before: their clock was set.
 
     What is missing shifts them by whole intervals, and the counts go on with what was lost. Where a
@@ -162,6 +162,7 @@ def clock_steps(stamp: Stamps) -> list[int]:
 
     Args:
         stamp: (n,) ns, increasing.
+        hint: Sample interval as far as it is known, s; 0 if it is not.
 
     Returns:
         The first samples after each step; none where samples come in bunches, or where stamps
@@ -174,7 +175,7 @@ def clock_steps(stamp: Stamps) -> list[int]:
         return []
     steps = np.diff(stamp) * 1e-9
     period = float(np.median(steps))
-    if float(np.quantile(steps, 0.25)) < _HASTE * period:
+    if float(np.quantile(steps, 0.25)) < _HASTE * max(period, hint):
         return []
     off = np.abs(steps / period - 1)
     scatter = 1.4826 * float(np.median(off))
@@ -242,8 +243,12 @@ def _missing_before(
         first = max(0, k - window)
         if bunched and len(time) - k < _TAIL:
             break
+        after = late[k : k + window]
+        if k + int(after.argmin()) == len(time) - 1 and time[-1] - time[-2] < _HASTE * period:
+            # A queue that goes on beyond the end: how late its samples are is not to be seen.
+            break
         before = float((late[first:k] - found[first:k] * period).min())
-        shift = (float(late[k : k + window].min()) - before) / period - missing
+        shift = (float(after.min()) - before) / period - missing
         count = round(shift)
         if count > 0:
             missing += count

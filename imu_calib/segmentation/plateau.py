@@ -63,9 +63,20 @@ _COARSEST = 0.2 * DEG
 """Largest step that is taken for that of an encoder, rad: 11 bits a turn. Nobody calibrates by
 less."""
 
-_EVENLY = 0.02 * DEG
-"""Least difference, rad, from which on angles that all differ alike may be those of a fine encoder
-at one rate, read at even intervals: ramps must show other multiples. 72 arcsec, 14 bits a turn."""
+_CORNERS = 20
+"""Readings at which the gain of a smooth motion changes, at most: three at each corner of the rate,
+of which a motion of three ramps has six."""
+
+_SHORT_RAMPS = 32
+"""Readings on ramps up to which steps may show at corners alone. A judgement: of so many on ramps
+that are coarse two in three change the gain."""
+
+_EXACTLY = 2e-3
+"""Of a step: so near to whole ones do readings of a coarse encoder differ. A judgement: radians of
+six digits are rounded by a thousandth of 0.05 deg, and the step that is seen is off by as much."""
+
+_LOST = 1.5
+"""Of the interval of joint states: a longer one lacks some, and its differences say nothing."""
 
 _FINELY = 1e-6
 """Of the interval in which a slope is sought: how finely; a deviation wants no more."""
@@ -200,11 +211,13 @@ def find_plateaus(motion: Motion) -> list[Plateau]:
     """Find where the joint that turns most did so at constant rate, half a turn or more each."""
     time = (motion.stamp - motion.stamp[0]) * 1e-9
     angle = motion.position[:, _turning(motion)]
+    seeds = _seeds(time, angle)
+    step = _encoder_step(time, angle) if seeds else 0.0
     found: list[tuple[int, Plateau]] = []
     taken = np.zeros(len(time), dtype=bool)
-    for seed in _seeds(time, angle):
+    for seed in seeds:
         if not taken[slice(*seed)].any():
-            first, last, plateau = _grown(time, angle, *seed)
+            first, last, plateau = _grown(time, angle, step, *seed)
             taken[first:last] = True
             if plateau is not None:
                 found.append((first, plateau))
@@ -283,9 +296,10 @@ def _bends(
     return bend, _BENT * scatter * seeming + _BENT_AT_MOST * _SEED
 
 
-def _grown(time: Floats, angle: Floats, first: int, last: int) -> tuple[int, int, Plateau | None]:
+def _grown(
+    time: Floats, angle: Floats, step: float, first: int, last: int
+) -> tuple[int, int, Plateau | None]:
     """Let the line of a seed grow to where the angles leave it; return its range and the whole."""
-    step = _step(angle)
     for _ in range(_ROUNDS):
         line = _Line.through(time[first:last], angle[first:last], step)
         reach = (last - first) // 2
@@ -302,8 +316,37 @@ def _grown(time: Floats, angle: Floats, first: int, last: int) -> tuple[int, int
     return first, last, _trimmed(line, time, angle, first, last)
 
 
+def _encoder_step(time: Floats, angle: Floats) -> float:
+    """Return the step of the encoder, rad, where its readings show one; else 0.
+
+    Angles may differ by whole numbers of something because ramps are round: one of 200 deg/s^2
+    that is read at 100 Hz gains 0.02 deg more each time. Steps make gains go up and down while the
+    table speeds up, which a smooth motion does not, coarse as its angles may look. Ramps of a few
+    readings do not show that: there readings differ by whole steps exactly.
+
+    Source: docs/mathematics.md, 'Rate test'.
+    """
+    step = _step(angle)
+    if not step:
+        return 0.0
+    apart = np.diff(time)
+    four = np.lib.stride_tricks.sliding_window_view(apart < _LOST * np.median(apart), 3).all(axis=1)
+    gains = np.diff(angle, 2)
+    changes = np.count_nonzero(np.abs(np.diff(gains))[four] > step / 2)
+    if changes > _CORNERS:
+        return step
+    ramps = np.count_nonzero(np.abs(gains[1:])[four] > step / 2)
+    if ramps > _SHORT_RAMPS or changes < _FEWEST:
+        return 0.0
+    steps = np.abs(np.diff(angle)) / step
+    steps = steps[steps < _NEAR]
+    # The step is off by as much, and counts so many times.
+    exact = np.abs(steps - np.rint(steps)) < _EXACTLY * np.maximum(steps, 1.0)
+    return step if exact.all() else 0.0
+
+
 def _step(angle: Floats) -> float:
-    """Return the step of the encoder, rad, of which close readings differ by multiples; else 0."""
+    """Return of what, rad, close angles differ by multiples; 0 of nothing."""
     apart = np.diff(np.sort(angle))
     apart = apart[apart > _SAME_READING]
     least = float(apart.min(initial=_COARSEST))
@@ -312,10 +355,8 @@ def _step(angle: Floats) -> float:
         return 0.0
     for share in _SHARES:
         steps = near * share / least
-        whole = np.rint(steps)
-        if np.all(np.abs(steps - whole) < _WHOLE):
-            others = np.count_nonzero(whole != np.median(whole))
-            return least / share if least < _EVENLY or others >= _FEWEST else 0.0
+        if np.all(np.abs(steps - np.rint(steps)) < _WHOLE):
+            return least / share
     return 0.0
 
 

@@ -28,11 +28,13 @@ from ..units import DEG, counted
 from .apart import FARTHEST, offset_by_pattern
 from .bridging import LONGEST, Bridged, bridged
 from .buffer import RowBuffer
-from .bunches import spread
+from .bunches import made
 from .clock import ClockFit, ClockSample, ShareSeen, clock_sample, fit_clock, seen_by_gyros
 from .dwells import read_dwell
 from .grid import clock_steps
 from .intake import StreamBuffer
+from .interruptions import Interruptions, interruptions
+from .lateness import Lateness
 from .motion import JointTracker, Motion, Rest
 from .moves import MoveReader
 from .order import Ordered
@@ -61,9 +63,6 @@ _NEAR = 0.5
 """s: clocks so near are compared motion by motion, in a second of rest on either side."""
 _TELLING = 10 * DEG
 """rad: motions longer than that tell when they were."""
-INTERRUPTION = 1_000_000_000
-"""A stream that is silent for so long, ns, may come from a program that was started again. A
-judgement: no node starts in less, and a line rarely fails for longer."""
 
 
 class Segmenter:
@@ -95,8 +94,7 @@ class Segmenter:
         self._compared: list[bool] = []
         self._trial: list[Rest | Motion] | None = [] if table is not None else None
         self._clock: list[ClockSample] = []
-        self._newest: int | None = None
-        self._interruptions: list[tuple[int, int]] = []
+        self._interruptions = Interruptions()
         self._seen_motions: list[tuple[float, ShareSeen]] = []
         self._repetitions: list[Repetition] = []
         self._segments: list[Segment] = []
@@ -107,6 +105,7 @@ class Segmenter:
         self._slips: list[MountShift] = []
         self._pace = Pace()
         self._lost = 0
+        self._late = Lateness()
         self._frozen = 0, 0
         self._unlike = False
         self._off_grid: set[int] = set()
@@ -137,7 +136,7 @@ class Segmenter:
     def feed(self, block: Block) -> None:
         """Take a block in."""
         if isinstance(block, ImuBlock):
-            self._note_interruptions(block.stamp)
+            self._interruptions.feed(block.stamp)
             self._intake.take_imu(block)
         elif isinstance(block, JointBlock):
             self._follow_joints(self._intake.take_joints(block))
@@ -154,16 +153,6 @@ class Segmenter:
         values = (self._spec, self._table, self._sensor, *self._segments, *self._turns)
         return copy.deepcopy(self, {id(value): value for value in values})
 
-    def _note_interruptions(self, stamp: Stamps) -> None:
-        """Note where the IMU's stream begins anew."""
-        if not len(stamp):
-            return
-        before = stamp[0] if self._newest is None else self._newest
-        last = np.append(before, stamp[:-1])
-        begins = stamp - last > INTERRUPTION
-        self._interruptions += zip(last[begins].tolist(), stamp[begins].tolist(), strict=True)
-        self._newest = int(stamp[-1])
-
     def finish(self) -> Segmented:
         """End of all streams."""
         self._follow_joints(self._intake.finish())
@@ -177,7 +166,7 @@ class Segmenter:
         if self._clocks_unknown:
             self._drop_all()
         self._retime()
-        clock = fit_clock(self._clock, [begins for _, begins in self._interruptions])
+        clock = fit_clock(self._clock, [begins for _, begins in self._interruptions.found])
         return Segmented(
             tuple(self._segments),
             tuple(self._turns),
@@ -271,6 +260,7 @@ class Segmenter:
         self._segments, self._turns, self._rejected, self._slips = [], [], [], []
         self._moves = MoveReader(self._sensor)
         self._pace, self._lost, self._off_grid = Pace(), 0, set()
+        self._late = Lateness()
 
     def _watch_stillness(self, *, last: bool) -> None:
         """Let the IMU's own samples tell dwells from motions."""
@@ -315,12 +305,12 @@ class Segmenter:
 
     def _rest(self, rest: Rest) -> None:
         start, end = rest.start + self._offset_ns, rest.end + self._offset_ns
-        stamp, values = made_between(self._intake.imu, start, end)
+        stamp, values, late = made_between(self._intake.imu, start, end)
         attitude = None
         if self._table is not None and rest.angles is not None:
             attitude = self._table.attitude(rest.angles)
         # Without a table a static dwell is asked for its mean alone, not for when.
-        steps = [] if self._table is None else clock_steps(stamp)
+        steps = [] if self._table is None else clock_steps(stamp, self._pace.interval)
         self._off_grid.update(stamp[steps].tolist())
         edges = [0, *steps, len(stamp)]
         cuts = [k for a, b in pairwise(edges) for k in range(a, b, _LONGEST_REST)]
@@ -328,6 +318,7 @@ class Segmenter:
             if len(stamp[piece]) < 2:
                 continue
             came = self._sensor.samples(stamp[piece], values[piece], self._pace)
+            self._late.note(came.stamp, late[piece] + (stamp[piece] - came.stamp), came.period)
             whole = bridged(came, self._sensor.walk)
             self._note_lost(whole, start, end)
             delivered = whole.values(values[piece])
@@ -340,12 +331,17 @@ class Segmenter:
     def _motion(self, motion: Motion) -> None:
         start = motion.start + self._offset_ns - MARGIN_NS
         end = motion.end + self._offset_ns + MARGIN_NS
-        stamp, values = self._apart_at_steps(*made_between(self._intake.imu, start, end))
+        stamp, values, late = self._apart_at_steps(*made_between(self._intake.imu, start, end))
         if len(stamp) < 2:
             return
+        came = self._sensor.samples(stamp, values, self._pace)
+        begins, ends_at = motion.start + self._offset_ns, motion.end + self._offset_ns
+        inside = slice(*np.searchsorted(came.stamp, [begins, ends_at], side='right').tolist())
+        late = late + (stamp - came.stamp)
+        self._late.note(came.stamp[inside], late[inside], came.period)
         # The rate changes here: what lies right beside a lost sample tells of it, and no more.
-        whole = bridged(self._sensor.samples(stamp, values, self._pace), self._sensor.walk, 1)
-        self._note_lost(whole, motion.start + self._offset_ns, motion.end + self._offset_ns)
+        whole = bridged(came, self._sensor.walk, 1)
+        self._note_lost(whole, begins, ends_at)
         samples, values = whole.samples, whole.values(values)
         # By the stamps as they came: the rest begins with the first beyond, and on the line of
         # another static dwell the same sample may lie on the other side.
@@ -354,7 +350,10 @@ class Segmenter:
         self._moves.motion(samples.part(0, ends), values[:ends])
         skew = self._intake.skew
         around = Around(
-            self._sensor, values, samples, None if skew is None else made_between(skew, start, end)
+            self._sensor,
+            values,
+            samples,
+            None if skew is None else made_between(skew, start, end)[:2],
         )
         if self._table is None or not len(motion.stamp):
             self._take(read_free_motion(around, motion))
@@ -396,18 +395,20 @@ class Segmenter:
         if abs(self._offset_ns - shift) > _NEAR * 1e9:
             self._reference_ns = self._offset_ns
 
-    def _apart_at_steps(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
+    def _apart_at_steps(
+        self, stamp: Stamps, values: Floats, late: Stamps
+    ) -> tuple[Stamps, Floats, Stamps]:
         """Leave samples of a motion out where the clock was set: a gap that is not filled."""
-        steps = clock_steps(stamp)
+        steps = clock_steps(stamp, self._pace.interval)
         if not steps:
-            return stamp, values
+            return stamp, values, late
         self._off_grid.update(stamp[steps].tolist())
         # From half a gap that is filled at most, and a sample, before the step on.
         around = round(LONGEST / float(np.median(np.diff(stamp)) * 1e-9)) // 2 + 1
         beside = np.zeros(len(stamp), dtype=bool)
         for k in steps:
             beside[max(0, k - around) : k + around] = True
-        return stamp[~beside], values[~beside]
+        return stamp[~beside], values[~beside], late[~beside]
 
     def _take(self, found: Sequence[Segment | Turn | FreeMotion | MountShift | Rejected]) -> None:
         """Keep what was found, each kind in order."""
@@ -494,6 +495,7 @@ class Segmenter:
                 f'The clock of the IMU is {abs(self._apart_ns) * 1e-9:.1f} s {ahead} that of the '
                 'table, by the pattern of the motions: the stamps are corrected by it'
             )
+        lost += self._late.words(self._intake.samples)
         if self._lost:
             share = self._lost / (self._intake.samples + self._lost)
             lost.append(
@@ -517,45 +519,28 @@ class Segmenter:
                 'clock was set, or it restarted sampling; the data before and after are used '
                 'separately'
             )
-        lost += _interruptions(self._interruptions)
+        lost += interruptions(self._interruptions.found)
         if self._table is not None and self._joints is not None and self._joints.silent:
             lost.append(f'There are no joint states of table {self._table.name}')
         return tuple(lost)
 
 
-def made_between(rows: RowBuffer, start: int, end: int) -> tuple[Stamps, Floats]:
-    """Return the samples made after one instant and up to another, ns; (n,) and (n, columns).
+def made_between(rows: RowBuffer, start: int, end: int) -> tuple[Stamps, Floats, Stamps]:
+    """Return the samples made after one instant and up to another, ns.
 
     A bunch that came after an instant may have been begun before it: bunches are looked at for as
     long beyond both as is looked at beside a motion, which is longer than one lasts.
+
+    Returns:
+        When they were made, (n,) ns; (n, columns) values; by how much later they came, (n,) ns.
+
     """
     came, values = rows.between(start - MARGIN_NS, end + MARGIN_NS)
-    made = spread(came)
-    inside = slice(*np.searchsorted(made, [start, end], side='right').tolist())
-    stamp, values = made[inside], values[inside]
+    stamp, late = made(came)
+    inside = slice(*np.searchsorted(stamp, [start, end], side='right').tolist())
+    stamp, values = stamp[inside], values[inside]
     stamp.flags.writeable = False
-    return stamp, values
-
-
-def interruption(last: int, begins: int) -> str:
-    """Say what an interruption of the IMU's stream costs: from its last stamp to the next, ns."""
-    gap = (begins - last) * 1e-9
-    return f'The IMU stream was interrupted: {gap:.1f} s are missing, from {at(last)}'
-
-
-_LISTED = 3
-"""Interruptions that have a sentence each; more are counted."""
-
-
-def _interruptions(found: Sequence[tuple[int, int]]) -> list[str]:
-    """Say what the interruptions cost, each from its last stamp to the next, ns."""
-    if len(found) <= _LISTED:
-        return [interruption(last, begins) for last, begins in found]
-    seconds = sum(begins - last for last, begins in found) * 1e-9
-    return [
-        f'The IMU stream has {len(found)} interruptions, {seconds:.1f} s in all, the first at '
-        f'{at(found[0][0])}'
-    ]
+    return stamp, values, late[inside]
 
 
 _SHOWN = 1e-4

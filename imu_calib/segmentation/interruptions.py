@@ -1,0 +1,114 @@
+"""Where the IMU's stream begins anew: silences that are made up for by no samples behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..instants import at
+from ..stream import Stamps
+from .bunches import SHORT
+
+INTERRUPTION = 1_000_000_000
+"""A stream that is silent for so long, ns, may come from a program that was started again. A
+judgement: no node starts in less, and a line rarely fails for longer."""
+
+_LAST = 1024
+"""Stamps before a silence that tell the sample interval, half of which are late at most."""
+
+_LAG = 240
+"""Most samples whose time does (`bunches`)."""
+
+_OVER = 32
+"""Samples that gain nothing on the clock after which a queue is over: a reader that comes back to
+one between others does so within a few. A judgement."""
+
+_GAINS = 0.5
+"""Of an interval: less is jitter."""
+
+_LISTED = 3
+"""Interruptions that have a sentence each; more are counted."""
+
+
+class Interruptions:
+    """Finds where a stream was interrupted; the outcome does not depend on how it was cut.
+
+    Samples that were held up come one upon the other, until as many have come as were made in the
+    meantime. By how much they gain on the clock, so much of the silence lacks nothing.
+    """
+
+    def __init__(self) -> None:
+        self._last: Stamps = np.empty(0, dtype=np.int64)
+        self._silences: list[tuple[int, int]] = []
+        self._begins = 0
+        self._interval = 0.0
+        self._count = 0
+        self._gained, self._gained_at = 0.0, 0
+        self._queues = False
+
+    @property
+    def found(self) -> list[tuple[int, int]]:
+        """From the last stamp to when the next sample was made, ns, in order."""
+        return [(last, next_) for last, next_ in self._silences if next_ - last > INTERRUPTION]
+
+    def feed(self, stamp: Stamps) -> None:
+        """Take (n,) stamps of the IMU, ns, as they come."""
+        if not len(stamp):
+            return
+        before = self._last[-1] if len(self._last) else stamp[0]
+        begins = np.flatnonzero(np.diff(stamp, prepend=before) > INTERRUPTION)
+        for part in np.split(stamp, begins):
+            if len(part):
+                self._follow(part)
+                self._last = np.concatenate([self._last, part])[-_LAST:]
+
+    def _follow(self, stamp: Stamps) -> None:
+        """Take stamps among which only the first may come after a silence."""
+        first = int(stamp[0])
+        if len(self._last) and first - int(self._last[-1]) > INTERRUPTION:
+            self._interval = _interval(self._last)
+            self._silences.append((int(self._last[-1]), first))
+            self._begins, self._count, self._gained, self._gained_at = first, 0, 0.0, 0
+            self._queues, stamp = self._interval > 0, stamp[1:]
+        for now in stamp.tolist() if self._queues else ():
+            self._count += 1
+            gained = self._count * self._interval - (now - self._begins)
+            if gained > self._gained + _GAINS * self._interval:
+                self._gained, self._gained_at = gained, self._count
+                last, _ = self._silences[-1]
+                self._silences[-1] = last, max(last, self._begins - round(gained))
+            elif self._count - self._gained_at > _OVER:
+                self._queues = False
+                break
+
+
+def _interval(stamp: Stamps) -> float:
+    """Return the sample interval by (n,) stamps, ns; 0 where they tell none.
+
+    Of samples that come many at a time single steps tell too much, and spans do where others are
+    missing.
+    """
+    steps = np.diff(stamp)
+    if not len(steps):
+        return 0.0
+    lag = min(_LAG, -(-len(steps) // 2))
+    apart = steps[steps >= SHORT * float(steps.mean())]
+    return min(float(np.median(apart)), float(np.median(stamp[lag:] - stamp[:-lag])) / lag)
+
+
+def interruption(last: int, begins: int) -> str:
+    """Say what an interruption of the IMU's stream costs: from its last stamp to the next, ns."""
+    gap = (begins - last) * 1e-9
+    return f'The IMU stream was interrupted: {gap:.1f} s are missing, from {at(last)}'
+
+
+def interruptions(found: Sequence[tuple[int, int]]) -> list[str]:
+    """Say what the interruptions cost, each from its last stamp to the next, ns."""
+    if len(found) <= _LISTED:
+        return [interruption(last, begins) for last, begins in found]
+    seconds = sum(begins - last for last, begins in found) * 1e-9
+    return [
+        f'The IMU stream has {len(found)} interruptions, {seconds:.1f} s in all, the first at '
+        f'{at(found[0][0])}'
+    ]

@@ -1,0 +1,57 @@
+"""How many samples are stamped late by chance, and by how much: what is said of a busy line."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..instants import at
+from ..stream import Stamps
+
+_JITTER = 6 * 1.4826
+"""Times the median absolute deviation: six standard deviations of a Gaussian one (1.4826)."""
+
+_FEW = 1e-3
+"""Share of the samples up to which nothing is said of them: a judgement. A host that was busy for a
+moment costs nothing, as others tell when they were made."""
+
+_LONG = 1.0
+"""s: one so late is said even by itself. It looks like an interruption (`interruptions`)."""
+
+
+class Lateness:
+    """Counts samples that are stamped after the next one was made."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.longest = 0.0
+        self.first: int | None = None
+
+    def note(self, stamp: Stamps, late: Stamps, period: float) -> None:
+        """Take samples in.
+
+        Args:
+            stamp: (n,) when they were made, ns.
+            late: (n,) by how much later they are stamped, ns.
+            period: Sample interval, s.
+
+        """
+        scatter = float(np.median(np.abs(late - np.median(late)))) if len(late) else 0.0
+        beyond = late > max(period * 1e9, _JITTER * scatter)
+        if not beyond.any():
+            return
+        self.count += int(np.count_nonzero(beyond))
+        self.longest = max(self.longest, float(late[beyond].max()) * 1e-9)
+        if self.first is None:
+            self.first = int(stamp[beyond][0])
+
+    def words(self, samples: int) -> list[str]:
+        """Say how many of so many samples are late, if they are more than a few."""
+        share = self.count / max(samples, 1)
+        if self.first is None or (share < _FEW and self.longest < _LONG):
+            return []
+        longest = f'{self.longest:.1f} s' if self.longest >= 1 else f'{self.longest * 1e3:.0f} ms'
+        return [
+            f'{self.count} IMU samples ({100 * share:.2g} %) are stamped late, by up to {longest}, '
+            f'the first at {at(self.first)}: they were held up, and count when they were made, as '
+            'those that are in time show'
+        ]
