@@ -2,6 +2,7 @@
 
 import re
 import sys
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -10,10 +11,12 @@ from loopback import CHECKOUT
 import imu_calib
 
 sys.path.insert(0, str(CHECKOUT / 'docs'))
-from imperfect_stands import CAUSES, CONDITIONS
+from imperfect_stands import CAUSES, CONDITIONS, blocks, stand
 from imperfections import PARAMETER_NAMES, misnamed, outcome, session
 
+from imu_calib.calibrator import Calibrator
 from imu_calib.model.terms import TERMS
+from imu_calib.units import ARCSEC
 
 TERM = 'The session shows accelerometer quadratic term (accel_quadratic, by chance once in 10^8).'
 
@@ -85,6 +88,8 @@ def test_a_wrong_name_counts_unless_the_right_one_stands_beside_it() -> None:
         ('attitude errors of stops 2 arcsec', 'fog_medium', 0),
         # By chance a session seemed calm, and the drift of the data sheet was taken back.
         ('perfect', 'mems_counts', 7),
+        # Of right angles 3 arcsec were assumed where nobody states them: off without a word.
+        ('orthogonality 60 arcsec', 'mems_counts', 13),
         pytest.param('g_sensitivity', 'fog_navigation', 0, marks=pytest.mark.repeats),
         # A sample lost where a joint started made a move that did not fit.
         pytest.param('lost 0.5 %', 'fog_navigation', 1, marks=pytest.mark.repeats),
@@ -94,3 +99,18 @@ def test_sessions_that_named_what_was_not_there(condition: str, grade: str, seed
     found = session(grade, seed, condition)
     assert outcome(found) == 'honest'
     assert not misnamed(found), found['findings']
+
+
+@pytest.mark.parametrize('stated', [3, 10])
+def test_axes_further_off_than_is_stated_are_named_and_nothing_else(stated: int) -> None:
+    """What was found could not be fitted, or was not looked for, and wobble was named instead."""
+    condition = 'orthogonality 60 arcsec'
+    simulated, setup = stand(condition, 'fog_navigation', 18)
+    assert setup.table is not None
+    errors = replace(setup.table.errors, orthogonality=stated * ARCSEC)
+    calibrator = Calibrator(replace(setup, table=replace(setup.table, errors=errors, assumed=())))
+    for block in blocks(condition, simulated):
+        calibrator.feed(block)
+    (finding,) = calibrator.finish().calibration.findings
+    assert finding.startswith('The session shows joint axes that are not at right angles')
+    assert f'the description of the table states {stated} arcsec' in finding

@@ -48,6 +48,9 @@ direction of a family that moves them by less is not tested."""
 _TABLE = 1 * ARCMIN
 """The largest useful size of an error of a table: ten times what a decent one has."""
 
+_BEYOND = 20.0
+"""The same over what is stated of it: what is less than ten times that, `_SEEN`, is not seen."""
+
 _FREE = 300 * ARCSEC
 """Standard deviation of an error of a table that is as good as free: a thousand times what the
 best accelerometers and dwells see, and few enough for the covariance to be inverted."""
@@ -168,8 +171,12 @@ def columns_of(
             base = slopes[:, len(parameters) :]
             result[family] = tuple(_changing(ideal, family, base, t) for t in times_of(family))
         elif family.term is None:
-            columns = family.freed(ideal, _TABLE, alone=True).by_table(state)
-            result[family] = ((columns, np.full(columns.shape[1], _TABLE)),)
+            table = equations.evidence.table
+            stated = 0.0 if table is None else getattr(table.errors, family.name)
+            # A zero that is off cannot be told from the next axis leaning about the joint's.
+            size = _TABLE if family.name == 'zeros' else max(_TABLE, _BEYOND * stated)
+            columns = family.freed(ideal, size, alone=True).by_table(state)
+            result[family] = ((columns, np.full(columns.shape[1], size)),)
         else:
             sizes = np.array([useful_limit(p) for p in family.parameters])
             places = indices_of(family.parameters, parameters)

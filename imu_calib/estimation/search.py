@@ -214,7 +214,7 @@ def search_terms(
         if not found:
             break
         try:
-            trial, found = _tried(start, found)
+            trial = start.with_found(found).estimate()
         except NotObservable:
             rejected.add(found[-1].family)
             continue
@@ -224,26 +224,6 @@ def search_terms(
         rejected |= {one.family for one in found} - {one.family for one in kept}
     search = _concluded(first, (), first, weigh=look and noisy)
     return replace(search, broken_off=True) if broken_off else search
-
-
-def _tried(start: _Model, found: tuple[Found, ...]) -> tuple[Estimate, tuple[Found, ...]]:
-    """Estimate with what was found.
-
-    Where axes are off by minutes of arc, and may be by several, what of it turns all misalignments
-    alike is hardly held: the weights follow the state, and the steps go round the minimum. There
-    errors of the table are given the size that is seen, and no allowance for so few of them.
-
-    Raises:
-        NotObservable: It comes to no end, or cannot be told apart.
-
-    """
-    try:
-        return start.with_found(found).estimate(), found
-    except NotConverged:
-        narrow = tuple(replace(one, size=one.seen) for one in found)
-        if narrow == found:
-            raise
-        return start.with_found(narrow).estimate(), narrow
 
 
 def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found, ...]:
