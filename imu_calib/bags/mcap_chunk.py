@@ -27,7 +27,7 @@ TOGETHER = 4 << 20
 takes once, is little beside that of the bytes, and few enough to stay in the processor's cache."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Chunk:
     """Where messages lie in the file: a chunk record, or a stretch of a file without chunks.
 
@@ -137,8 +137,8 @@ def chunk_at(position: int, head: bytes) -> tuple[Chunk, int]:
 
     """
     fields = Fields(head)
-    start_ns, end_ns, size = (fields.number('Q') for _ in range(3))
-    crc, compression, stored = fields.number('I'), fields.string(), fields.number('Q')
+    start_ns, end_ns, size, crc = fields.numbers('QQQI')
+    compression, stored = fields.string(), fields.number('Q')
     data = position + RECORD_HEAD + fields.position
     chunk = Chunk(position, data, stored, size, compression, crc, start_ns, end_ns)
     return chunk, fields.position + stored
