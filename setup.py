@@ -82,7 +82,7 @@ setup(
         'rich>=13',
         'lz4>=4',
         'pyserial>=3.5',
-        "backports.zstd>=1; python_version < '3.14'",
+        'zstandard>=0.22',
     ],
     extras_require={
         'dds': [DDS, ROSBAGS],

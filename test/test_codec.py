@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
-import types
 
 import pytest
+import zstandard
 from backports import zstd
 
 from imu_calib.bags import codec
@@ -60,9 +60,13 @@ def test_an_unknown_compression_is_named():
         codec.decompressor('brotli')
 
 
-@pytest.fixture(params=['zstd', 'lz4'])
-def compression(request):
-    return request.param
+@pytest.fixture(params=['lz4', *PACKAGES])
+def compression(request, monkeypatch):
+    """A compression, by each package."""
+    if request.param == 'lz4':
+        return 'lz4'
+    monkeypatch.setattr(codec, '_ZSTD_MODULES', (request.param,))
+    return 'zstd'
 
 
 @pytest.mark.parametrize('size', [1, codec._PIECE, 3 * codec._PIECE + 1])
@@ -83,7 +87,20 @@ def test_a_block_that_is_no_sound_frame_of_its_size_is_left_to_others(compressio
         assert not codec.unpacked_into(memory, other, compression)
 
 
-def test_zstandard_unpacks_at_once(monkeypatch):
-    fake = types.SimpleNamespace(__name__='zstandard', ZstdError=ValueError)
-    monkeypatch.setattr(codec, '_zstd', lambda: fake)
-    assert not codec.unpacked_into(memoryview(bytearray(9)), b'', 'zstd')
+def test_a_frame_goes_into_memory_where_it_states_its_size_and_nothing_can_be_missed(monkeypatch):
+    # zstandard does not notice that a checksum is cut off.
+    monkeypatch.setattr(codec, '_ZSTD_MODULES', ('zstandard',))
+    memory = memoryview(bytearray(len(CONTENT)))
+    for sized, checked in ((False, False), (True, True)):
+        pack = zstandard.ZstdCompressor(write_content_size=sized, write_checksum=checked)
+        assert not codec.unpacked_into(memory, pack.compress(CONTENT), 'zstd')
+        assert codec.decompressor('zstd')(pack.compress(CONTENT)) == CONTENT
+        if checked:
+            with pytest.raises(codec.CodecError):
+                codec.decompressor('zstd')(pack.compress(CONTENT)[:-1])
+    assert not any(memory)
+    assert codec.unpacked_into(memory, zstandard.ZstdCompressor().compress(CONTENT), 'zstd')
+
+
+def test_the_package_that_unpacks_into_memory_comes_first():
+    assert codec._zstd() is zstandard

@@ -127,7 +127,7 @@ def test_records_of_other_kinds_say_nothing_of_the_file() -> None:
         (SCHEMA, b'\x01', 'requires a buffer'),
         (SCHEMA, struct.pack('<HI', 1, 3) + b'ab', 'a field of 3 bytes reaches beyond the record'),
         (CHANNEL, struct.pack('<HHI', 1, 1, 1) + b'\xff', 'invalid start byte'),
-        (CHUNK_INDEX, bytes(32) + block(bytes(9)) + bytes(40), 'buffer size must be a multiple'),
+        (CHUNK_INDEX, bytes(32) + block(bytes(9)) + bytes(40), 'requires a buffer of a multiple'),
     ],
 )
 def test_what_contradicts_the_format_is_refused_by_its_opcode(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 HEAD = RECORD_HEAD + MESSAGE_HEAD
 _MESSAGE = int(Op.MESSAGE)
-_HEAD_KIND = np.dtype([('op', 'u1'), ('length', '<u8'), ('channel', '<u2')])
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,44 +83,56 @@ def indexed(parts: Sequence[Part], buffer: Bytes) -> dict[int, Placed] | None:
         for several chunks also where each has to be looked at by itself.
 
     """
+    # One table behind the other, those of a channel together, in the order of the buffer.
+    channels = dict.fromkeys(channel for part in parts for channel in part.tables)
+    held = [(one, k) for one in channels for k, part in enumerate(parts) if one in part.tables]
+    if not held:
+        return None
+    tables = [parts[k].tables[channel] for channel, k in held]
+    counts = [len(table) for table in tables]
+    ends = list(accumulate(counts))
+    begins = [end - count for end, count in zip(ends, counts, strict=True)]
+    offsets = np.concatenate([table[:, 1] for table in tables])
+    offsets += np.repeat([parts[k].start for _, k in held], counts)
+    rising = _are_rising(offsets, begins)
+    if not rising:
+        # No order of the entries is prescribed; messages count in the order of the file.
+        offsets = offsets[np.lexsort((offsets, np.repeat(begins, counts)))]
+        rising = _are_rising(offsets, begins)
+    inside = all(
+        parts[k].start <= offsets.item(begin) and offsets.item(end - 1) <= parts[k].end - HEAD
+        for (_, k), begin, end in zip(held, begins, ends, strict=True)
+    )
+    if not rising or not inside:
+        return None
+    op, size, channel_of = _heads(buffer, offsets)
+    if (op != _MESSAGE).any() or (size < 0).any():
+        return None
+    offsets += HEAD
     placed = {}
-    filled = np.zeros(len(parts), np.int64)
-    for channel in dict.fromkeys(channel for part in parts for channel in part.tables):
-        holding = [k for k, part in enumerate(parts) if channel in part.tables]
-        tables = [parts[k].tables[channel] for k in holding]
-        counts = np.array([len(table) for table in tables])
-        offsets = np.concatenate(
-            [table[:, 1] + parts[k].start for k, table in zip(holding, tables, strict=True)]
-        )
-        first = 0
-        if (offsets[1:] <= offsets[:-1]).any():
-            # No order of the entries is prescribed; messages count in the order of the file.
-            order = np.argsort(offsets)
-            offsets, first = offsets[order], int(order[0])
-            if len(parts) > 1 or (offsets[1:] == offsets[:-1]).any():
-                return None
-        ends = np.cumsum(counts)
-        begins = ends - counts
-        edges = np.array([(parts[k].start, parts[k].end - HEAD) for k in holding])
-        if (offsets[begins] < edges[:, 0]).any() or (offsets[ends - 1] > edges[:, 1]).any():
+    for channel in channels:
+        mine = [i for i, (one, _) in enumerate(held) if one == channel]
+        these = slice(begins[mine[0]], ends[mine[-1]])
+        if (channel_of[these] != channel).any():
             return None
-        heads = _heads(buffer, offsets)
-        if (heads['op'] != _MESSAGE).any() or (heads['channel'] != channel).any():
-            return None
-        one = _placed(offsets, heads, int(tables[0][first, 0]))
-        if (one.size < 0).any():
-            return None
-        placed[channel] = one
-        filled[holding] += np.add.reduceat(one.size, begins) + HEAD * counts
-    if (filled == [part.end - part.start for part in parts]).all():
-        return placed or None
+        placed[channel] = _placed(buffer, offsets[these], size[these])
+    filled = [0] * len(parts)
+    for (_, k), count, total in zip(held, counts, np.add.reduceat(size, begins), strict=True):
+        filled[k] += HEAD * count + int(total)
+    if filled == [part.end - part.start for part in parts]:
+        return placed
     return placed if len(parts) == 1 and _is_complete(placed, buffer, parts[0]) else None
+
+
+def _are_rising(offsets: Indices, begins: list[int]) -> bool:
+    """Tell whether offsets rise within each table, which begin at some of them."""
+    rising = offsets[1:] > offsets[:-1]
+    rising[[begin - 1 for begin in begins[1:]]] = True
+    return bool(rising.all())
 
 
 def _is_complete(placed: dict[int, Placed], buffer: Bytes, part: Part) -> bool:
     """Tell whether messages and records of other kinds fill a chunk, without overlap."""
-    if not placed:
-        return False
     starts = np.sort(np.concatenate([p.offset for p in placed.values()])) - HEAD
     ends = np.sort(np.concatenate([p.offset + p.size for p in placed.values()]))
     starts, ends = np.append(starts, part.end), np.concatenate([[part.start], ends])
@@ -144,16 +156,15 @@ def _walked(part: Part, buffer: Bytes, lose: Callable[[str], None]) -> dict[int,
     marked = offsets[records[offsets] == _MESSAGE]
     # The head of a message reaches further than that of a record, perhaps beyond the chunk.
     offsets = marked[marked <= len(records) - HEAD]
-    heads = _heads(records, offsets)
-    sound = heads['length'] >= MESSAGE_HEAD
-    offsets, heads = offsets[sound] + part.start, heads[sound]
-    if bad := len(marked) - len(offsets):
+    _, size, channel_of = _heads(records, offsets)
+    sound = size >= 0
+    if bad := len(marked) - int(np.count_nonzero(sound)):
         lose(f'{part.name} holds {bad} messages too short to be any.')
+    offsets += part.start + HEAD
     placed = {}
-    for channel in np.unique(heads['channel']).tolist():
-        mine = heads['channel'] == channel
-        (first,) = struct.unpack_from('<Q', buffer.data, int(offsets[mine.argmax()]) + HEAD - 16)
-        placed[channel] = _placed(offsets[mine], heads[mine], int(first))
+    for channel in np.unique(channel_of[sound]).tolist():
+        mine = sound & (channel_of == channel)
+        placed[channel] = _placed(buffer, offsets[mine], size[mine])
     return placed
 
 
@@ -168,18 +179,25 @@ def _joined(several: Sequence[dict[int, Placed]]) -> dict[int, Placed]:
     return joined
 
 
-def _heads(buffer: Bytes, offsets: Indices) -> np.ndarray[Any, Any]:
-    """Gather opcode, length and channel of records."""
-    if len(buffer) < _HEAD_KIND.itemsize:
-        return np.empty(0, _HEAD_KIND)
-    last = len(buffer) - _HEAD_KIND.itemsize + 1
-    anywhere = np.ndarray((last,), f'V{_HEAD_KIND.itemsize}', buffer, 0, (1,))
-    return anywhere[offsets].view(_HEAD_KIND)
+def _heads(buffer: Bytes, offsets: Indices) -> tuple[Bytes, Indices, np.ndarray[Any, Any]]:
+    """Return opcodes of records, sizes of their messages, and channels, (n,) each.
+
+    A size is negative where a record is too short to be a message.
+    """
+    width = RECORD_HEAD + 2
+    if len(offsets) == 0:
+        return np.empty(0, np.uint8), np.empty(0, np.int64), np.empty(0, np.uint16)
+    anywhere = np.ndarray((len(buffer) - width + 1,), f'V{width}', buffer, 0, (1,))
+    # Plain views: one of a structure takes the interpreter longer than the fields are worth.
+    gathered, shape, step = anywhere[offsets], (len(offsets),), (width,)
+    length = np.ndarray(shape, '<i8', gathered, 1, step)
+    channel = np.ndarray(shape, '<u2', gathered, RECORD_HEAD, step)
+    return np.ndarray(shape, np.uint8, gathered, 0, step), length - MESSAGE_HEAD, channel
 
 
-def _placed(offsets: Indices, heads: np.ndarray[Any, Any], log_ns: int) -> Placed:
-    size = heads['length'].astype(np.int64) - MESSAGE_HEAD
-    return Placed(offsets + HEAD, size, log_ns)
+def _placed(buffer: Bytes, offset: Indices, size: Indices) -> Placed:
+    (first,) = struct.unpack_from('<Q', buffer.data, int(offset[0]) - 16)
+    return Placed(offset, size, int(first))
 
 
 def times_at(buffer: Bytes, offset: Indices) -> Times:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import cache
 
 import numpy as np
 
@@ -121,7 +122,7 @@ class Catalogue:
             name, language, text = fields.string(), fields.string(), fields.block()
             self.schemas[key] = name, language, text.decode(errors='replace')
         elif op == Op.CHANNEL:
-            key, schema = fields.number('H'), fields.number('H')
+            key, schema = fields.numbers('HH')
             topic, encoding = fields.string(), fields.string()
             profiles = fields.strings().get('offered_qos_profiles', '')
             name, language, text_ = self.schemas.get(schema, ('', '', ''))
@@ -130,21 +131,26 @@ class Catalogue:
         elif op == Op.METADATA:
             self.metadata.setdefault(fields.string(), {}).update(fields.strings())
         elif op == Op.CHUNK_INDEX:
-            times = fields.number('Q'), fields.number('Q')
-            start, length = fields.number('Q'), fields.number('Q')
-            pairs = np.frombuffer(fields.block(), [('id', '<u2'), ('offset', '<u8')])
-            index = dict(zip(pairs['id'].tolist(), pairs['offset'].tolist(), strict=True))
+            first, last, start, length = fields.numbers('QQQQ')
+            index = dict(struct.iter_unpack('<HQ', fields.block()))
             behind, compression = fields.number('Q'), fields.string()
-            sizes = fields.number('Q'), fields.number('Q')
-            self.chunks.append(ChunkIndex(times, start, length, index, behind, compression, sizes))
+            stored, size = fields.numbers('QQ')
+            found = (first, last), start, length, index, behind, compression, (stored, size)
+            self.chunks.append(ChunkIndex(*found))
         elif op == Op.METADATA_INDEX:
-            self.metadata_at.append((fields.number('Q'), fields.number('Q')))
+            start, length = fields.numbers('QQ')
+            self.metadata_at.append((start, length))
         elif op == Op.STATISTICS:
             fields.skip(18)
-            self.totals = fields.number('I'), fields.number('I')
+            metadata, chunks = fields.numbers('II')
+            self.totals = metadata, chunks
             fields.skip(16)
-            pairs = np.frombuffer(fields.block(), [('id', '<u2'), ('count', '<u8')])
-            self.counts = dict(zip(pairs['id'].tolist(), pairs['count'].tolist(), strict=True))
+            self.counts = dict(struct.iter_unpack('<HQ', fields.block()))
+
+
+@cache
+def _form(codes: str) -> struct.Struct:
+    return struct.Struct(f'<{codes}')
 
 
 class Fields:
@@ -154,12 +160,16 @@ class Fields:
         self._content = content
         self.position = position
 
+    def numbers(self, codes: str) -> tuple[int, ...]:
+        """Read little-endian numbers."""
+        form = _form(codes)
+        found = form.unpack_from(self._content, self.position)
+        self.position += form.size
+        return found
+
     def number(self, code: str) -> int:
-        """Read a little-endian number."""
-        value: int
-        (value,) = struct.unpack_from(f'<{code}', self._content, self.position)
-        self.position += struct.calcsize(code)
-        return value
+        """Read one little-endian number."""
+        return self.numbers(code)[0]
 
     def skip(self, size: int) -> None:
         """Pass over bytes."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import struct
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -100,6 +101,9 @@ class _Scanner:
             )
 
     def _read(self, position: int, size: int) -> bytes:
+        if not self.elsewhere:
+            # One call of the system instead of two, for each record of the walk.
+            return os.pread(self.file.fileno(), size, position)
         self.file.seek(position)
         return self.file.read(size)
 
@@ -180,7 +184,7 @@ class _Scanner:
         chunks = self.found.chunks
         if chunks and not chunks[-1].cut:
             # Its message index may be cut off as well, which would hide the topics without one.
-            chunks[-1] = replace(chunks[-1], index=None, counts=None)
+            chunks[-1].index = chunks[-1].counts = None
         until = max((chunk.end_ns for chunk in chunks if not chunk.cut), default=None)
         known = f'; the data up to log time {until / 1e9:.3f} s is whole' if until else ''
         where = (
@@ -204,7 +208,7 @@ class _Scanner:
             f'{self.name} holds no valid record at byte {position}: {what} cannot be read.'
         )
         if self.found.chunks:
-            self.found.chunks[-1] = replace(self.found.chunks[-1], index=None, counts=None)
+            self.found.chunks[-1].index = self.found.chunks[-1].counts = None
         return following
 
     def _chunk(self, position: int, length: int, following: int, head: bytes) -> int | None:
@@ -217,7 +221,7 @@ class _Scanner:
         if following > self.end:
             if self._overrun(position) is None:
                 return None
-            chunk = replace(chunk, stored=self.size - chunk.data, cut=True)
+            chunk.stored, chunk.cut = self.size - chunk.data, True
             following = self.size
         self.found.chunks.append(chunk)
         return following
@@ -229,12 +233,10 @@ class _Scanner:
         channel, size = struct.unpack_from('<HI', head)
         if self.found.chunks and size == length - INDEX_HEAD and size % 16 == 0:
             chunk = self.found.chunks[-1]
-            index, counts = chunk.index, chunk.counts
-            if index is None or counts is None:
-                index, counts = {}, {}
-                self.found.chunks[-1] = replace(chunk, index=index, counts=counts)
-            index[channel] = position + RECORD_HEAD + INDEX_HEAD, size // 16
-            counts[channel] = size // 16
+            if chunk.index is None or chunk.counts is None:
+                chunk.index, chunk.counts = {}, {}
+            chunk.index[channel] = position + RECORD_HEAD + INDEX_HEAD, size // 16
+            chunk.counts[channel] = size // 16
         return following
 
     def _unchunked(self, position: int) -> int | None:
