@@ -261,8 +261,8 @@ def test_samples_are_compensated_live_and_in_bulk(terms: tuple[Term, ...]) -> No
     assert whole.rate == pytest.approx(rate, abs=1e-11)
     assert whole.force == pytest.approx(force, abs=1e-11)
     assert not whole.marks.any()
-    single = [applied.apply(g[None], a[None], np.array([0.01])) for g, a in zip(gyro, accel)]  # noqa: B905
-    alone = concatenated(single[:60])
+    pairs = zip(gyro[:60], accel[:60], strict=True)
+    alone = concatenated([applied.apply(g[None], a[None], np.array([0.01])) for g, a in pairs])
     for part in ('rate', 'force', 'rate_covariance', 'force_covariance'):
         assert getattr(alone, part).tobytes() == getattr(whole, part)[:60].tobytes()
 
