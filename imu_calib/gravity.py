@@ -76,7 +76,7 @@ def without_gravity(calibration: Calibration) -> Floats:
     """
     deviation, std = gravity_deviation(calibration), calibration.std
     if not deviation.any():
-        return calibration.covariance
+        return calibration.covariance.copy()
     known = np.isfinite(std) & (std > 0)
     scaled = deviation[known] / std[known]
     correlation = calibration.covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
