@@ -63,10 +63,9 @@ def gravity_deviation(calibration: Calibration) -> Floats:
     """
     gravity = calibration.provenance.get('gravity')
     std = calibration.provenance.get('gravity_std')
-    doubt = 0.0
-    if isinstance(gravity, float) and isinstance(std, float) and gravity > 0:
-        doubt = std / gravity
-    return gravity_slope(calibration.model, calibration.parameters) * doubt
+    if not (isinstance(gravity, float) and isinstance(std, float) and gravity > 0):
+        return np.zeros(len(calibration.parameters))
+    return gravity_slope(calibration.model, calibration.parameters) * (std / gravity)
 
 
 def without_gravity(calibration: Calibration) -> Floats:
@@ -76,6 +75,8 @@ def without_gravity(calibration: Calibration) -> Floats:
     another deviation than the one that was added.
     """
     deviation, std = gravity_deviation(calibration), calibration.std
+    if not deviation.any():
+        return calibration.covariance.copy()
     known = np.isfinite(std) & (std > 0)
     scaled = deviation[known] / std[known]
     correlation = calibration.covariance[np.ix_(known, known)] / np.outer(std[known], std[known])

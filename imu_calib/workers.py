@@ -39,6 +39,8 @@ _RECONNECT = 60.0
 _CONNECT = '10s'
 """In which a process of this machine takes a connection, however busy. One that has died holding a
 result is waited for so long, and not tried again: Dask's 30 s and retries are for networks."""
+_ANSWER = '10s'
+"""In which a scheduler takes the connection of a client."""
 _TICK = '500ms'
 """Between looks of a process at its own event loop: as often as it looks at its memory."""
 _KEEPS = 4 << 20
@@ -150,7 +152,7 @@ def _reached(scheduler: str) -> Client:
     try:
         # One that is interrupted half way would be waited for as well.
         with _without_interrupts():
-            return Client(scheduler, timeout='10s', set_as_default=False)
+            return Client(scheduler, timeout=_ANSWER, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(
             f'`scheduler` {scheduler}: no Dask scheduler answers there '

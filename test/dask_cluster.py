@@ -1,45 +1,69 @@
-"""A Dask scheduler and a worker on the loopback interface."""
+"""A Dask scheduler and a worker on the loopback interface, and tasks for workers of any kind.
 
-import json
+What runs a task imports its module: this one loads next to nothing.
+"""
+
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 from loopback import until
 
+from imu_calib import NotObservable
+
+_BOTH = """
+import sys
+from distributed import LocalCluster
+here = {'host': '127.0.0.1', 'scheduler_port': int(sys.argv[1]), 'dashboard_address': None}
+cluster = LocalCluster(1, threads_per_worker=1, processes=False, protocol='tcp', **here)
+print(cluster.scheduler_address, flush=True)
+sys.stdin.read()
+"""
+
 
 class Cluster:
-    """A scheduler and a worker in processes of their own, as on a cluster."""
+    """A scheduler and a worker in a process of their own, as on a cluster."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.address = ''
-        self.processes: list[subprocess.Popen[bytes]] = []
+        self._process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
         """Start both, the scheduler where it was."""
-        file = self.folder / 'scheduler.json'
-        file.unlink(missing_ok=True)
         port = self.address.rsplit(':', 1)[-1] if self.address else '0'
-        run = [sys.executable, '-m', 'distributed.cli.dask_scheduler', '--no-dashboard']
-        run = [*run, '--host', '127.0.0.1', '--port', port, '--scheduler-file', str(file)]
-        self.processes.append(self._quiet(run))
-        until(file.is_file, 60)
-        until(lambda: b'"address"' in file.read_bytes(), 60)
-        self.address = json.loads(file.read_text())['address']
-        work = [sys.executable, '-m', 'distributed.cli.dask_worker', self.address]
-        self.processes.append(
-            self._quiet([*work, '--nthreads', '1', '--no-dashboard', '--no-nanny'])
+        self._process = subprocess.Popen(
+            [sys.executable, '-c', _BOTH, port],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            cwd=self.folder,
+            text=True,
         )
-
-    def _quiet(self, command: list[str]) -> 'subprocess.Popen[bytes]':
-        return subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=self.folder
-        )
+        assert self._process.stdout is not None
+        self.address = self._process.stdout.readline().strip()
+        assert self.address, 'the cluster has not started'
 
     def stop(self) -> None:
         """Kill both."""
-        for process in self.processes:
-            process.kill()
-            process.wait()
-        self.processes.clear()
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+            self._process = None
+
+
+def first_last(folder: Path, task: int) -> tuple[int, int]:
+    """A task of which the first waits for the last one to be done."""
+    if task:
+        (folder / str(task)).touch()
+    else:
+        until((folder / '3').exists, 60)
+    return task, os.getpid()
+
+
+def refused(task: int) -> int:
+    """A task that gives no result."""
+    if task == 1:
+        raise NotObservable('Nothing to see.')
+    return task

@@ -36,6 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A plan of short dwells, its recording and its result."""
     folder = tmp_path_factory.mktemp('api')
     text = Path(CHECKOUT, 'config/plans/twelve_position.yaml').read_text(encoding='utf-8')
+    text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
     lines = ['dwell: 3.0 s\n' if row.startswith('dwell:') else row for row in text.splitlines(True)]
     (folder / 'brief.yaml').write_text(''.join(lines), encoding='utf-8')
     imu_calib.simulate(folder / 'brief.yaml', folder / 'bag', seed=3, latitude=34.65)

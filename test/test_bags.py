@@ -371,17 +371,18 @@ def test_a_topic_of_two_publishers_is_one_topic(tmp_path, plugin):
 
 def test_when_a_message_was_published_is_not_when_it_was_written(tmp_path):
     """Neither rosbags nor we write an mcap in which the two differ: recorders of others do."""
-    path = write_with_rosbags(tmp_path / 'bag', ROWS, MCAP)
+    rows = ROWS[:500]
+    path = write_with_rosbags(tmp_path / 'bag', rows, MCAP)
     file = storage_file(path)
     content = file.read_bytes()
-    for stamp in {stamp for stamp, _, _ in ROWS}:
+    for stamp in {stamp for stamp, _, _ in rows}:
         same, other = (struct.pack('<QQ', stamp, publish) for publish in (stamp, stamp - 9))
         content = content.replace(same, other)
     file.write_bytes(content)
     with open_recording(path) as recording:
         found = [times for _, _, times in recording.messages()]
     log = np.concatenate([times.log for times in found])
-    assert sorted(log.tolist()) == sorted(stamp for stamp, _, _ in ROWS)
+    assert sorted(log.tolist()) == sorted(stamp for stamp, _, _ in rows)
     assert np.concatenate([times.publish for times in found]).tolist() == (log - 9).tolist()
 
 

@@ -111,10 +111,13 @@ def test_the_command_names_what_is_not_in_both(
     assert 'G_gzz' in told
 
 
+SI = load_imu('si')
+
+
 def drawn(rng: np.random.Generator, truth: np.ndarray, spread: np.ndarray) -> Calibration:
     """A calibration whose errors have the covariance that it states."""
     values = truth + np.linalg.cholesky(spread) @ rng.standard_normal(len(truth))
-    return Calibration(load_imu('si'), SensorModel.from_vector(values), spread)
+    return Calibration(SI, SensorModel.from_vector(values), spread)
 
 
 def covariance(rng: np.random.Generator, scale: float) -> np.ndarray:

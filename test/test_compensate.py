@@ -216,7 +216,8 @@ def test_the_calibration_of_another_serial_number_is_refused(tmp_path, capsys):
 def test_a_compensated_recording_is_read_as_what_it_is(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     text = named_file('plans', 'twelve_position').read_text()
-    (tmp_path / 'short.yaml').write_text(text.replace('dwell: 120 s', 'dwell: 20 s'))
+    text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
+    (tmp_path / 'short.yaml').write_text(text.replace('dwell: 120 s', 'dwell: 5 s'))
     site = ['--latitude', '34.65', '--gravity', '9.797']
     assert main(['simulate', './short.yaml', '-o', 'bag', '--seed', '3', *site]) == 0
     assert main(['compensate', 'bag', '--calibration', 'bag/truth.yaml', '-o', 'out']) == 0

@@ -261,8 +261,8 @@ def test_samples_are_compensated_live_and_in_bulk(terms: tuple[Term, ...]) -> No
     assert whole.rate == pytest.approx(rate, abs=1e-11)
     assert whole.force == pytest.approx(force, abs=1e-11)
     assert not whole.marks.any()
-    single = [applied.apply(g[None], a[None], np.array([0.01])) for g, a in zip(gyro, accel)]  # noqa: B905
-    alone = concatenated(single[:60])
+    pairs = zip(gyro[:60], accel[:60], strict=True)
+    alone = concatenated([applied.apply(g[None], a[None], np.array([0.01])) for g, a in pairs])
     for part in ('rate', 'force', 'rate_covariance', 'force_covariance'):
         assert getattr(alone, part).tobytes() == getattr(whole, part)[:60].tobytes()
 
@@ -569,7 +569,7 @@ def attitudes() -> list[Floats]:
     """Body axes along those of the table, and each of them slanted by 45 degrees."""
     found = []
     for order in permutations(range(3)):
-        for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        for signs in ((1, 1), (-1, -1)):
             axes = np.eye(3)[:, list(order)] * np.array([*signs, 1])
             axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
             found.append(axes)
@@ -623,8 +623,9 @@ def observed(terms: tuple[Term, ...]) -> Observed:
     return Observed(evidence_of(terms), load_imu('si'), 100.0)
 
 
-@of_resting
-def test_the_joint_estimate_finds_every_parameter(terms: tuple[Term, ...]) -> None:
+@pytest.mark.parametrize('triads', ['g', 'a', 'ga'])
+def test_the_joint_estimate_finds_every_parameter(triads: str) -> None:
+    terms = tuple(term for term in AT_REST if term.triad in triads)
     parameters = parameters_of(terms)
     found = estimate(evidence_of(terms), parameters)
     wanted = unit(terms).values(parameters)
@@ -693,7 +694,7 @@ def test_verify_predicts_by_the_formula(terms: tuple[Term, ...]) -> None:
 )
 def test_what_a_plan_cannot_tell_is_refused_by_name(names: set[str], told: str) -> None:
     evidence = evidence_of(())
-    aligned = replace(evidence, segments=evidence.segments[:24])
+    aligned = replace(evidence, segments=evidence.segments[:12])
     terms = [term for term in TERMS if term.name in names]
     check_observable(Equations(evidence, parameters_of(terms)))
     with pytest.raises(NotObservable, match=told):

@@ -3,6 +3,7 @@
 import re
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from urllib.parse import unquote
@@ -46,6 +47,7 @@ def prose(path: Path) -> str:
     return INDENTED.sub('', FENCE.sub('', path.read_text('utf-8')))
 
 
+@cache
 def titles(path: Path) -> list[str]:
     """Return the headings of a page as they are read, without marks."""
     found = HEADING.findall(prose(path))

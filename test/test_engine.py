@@ -1,6 +1,7 @@
 """Independent tasks: the same results wherever they run, and a clean end by Ctrl-C."""
 
 import os
+import runpy
 import signal
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dask_cluster import Cluster
+from dask_cluster import Cluster, first_last, refused
 from loopback import CHECKOUT, until
 from test_montecarlo import study
 
@@ -35,15 +36,6 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     cluster.stop()
 
 
-def first_last(folder: Path, task: int) -> tuple[int, int]:
-    """A task of which the first waits for the last one to be done."""
-    if task:
-        (folder / str(task)).touch()
-    else:
-        until((folder / '3').exists, 60)
-    return task, os.getpid()
-
-
 def test_results_keep_the_order_of_the_tasks(tmp_path: Path) -> None:
     ended: list[tuple[int, int]] = []
     found = run_all(partial(first_last, tmp_path), range(4), jobs=2, ended=ended.append)
@@ -54,13 +46,6 @@ def test_results_keep_the_order_of_the_tasks(tmp_path: Path) -> None:
     assert here == [(task, os.getpid()) for task in (3, 1, 2)]
 
 
-def refused(task: int) -> int:
-    """A task that gives no result."""
-    if task == 1:
-        raise NotObservable('Nothing to see.')
-    return task
-
-
 @pytest.mark.parametrize('jobs', [1, 2])
 def test_what_a_task_refuses_is_said(jobs: int) -> None:
     with pytest.raises(NotObservable, match='Nothing to see'):
@@ -68,7 +53,10 @@ def test_what_a_task_refuses_is_said(jobs: int) -> None:
 
 
 def test_a_cluster_gives_what_this_machine_gives(
-    scheduler: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scheduler: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     there = run_all(partial(first_last, tmp_path), [3, 1, 2], scheduler=scheduler)
     assert [task for task, _ in there] == [3, 1, 2]
@@ -88,11 +76,14 @@ def test_a_cluster_gives_what_this_machine_gives(
     assert main(['plans', 'six_position', '--scheduler', scheduler]) == 2
     assert '--scheduler is for --reach' in capsys.readouterr().err
     # The tasks of a study are known by the name of a module, not by that of the script.
-    command = [sys.executable, 'benchmarks/by_hand.py', 'six_position_by_hand', '--runs', '2']
-    command += ['--scheduler', scheduler]
-    done = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=False)
+    script = CHECKOUT / 'benchmarks' / 'by_hand.py'
+    words = [str(script), 'six_position_by_hand', '--runs', '2', '--scheduler', scheduler]
+    monkeypatch.setattr(sys, 'argv', words)
+    monkeypatch.syspath_prepend(script.parent)
     # Two runs say nothing of a spread: it may end with 1.
-    assert 'six_position_by_hand: 2 runs' in done.stdout, done.stderr
+    with pytest.raises(SystemExit):
+        runpy.run_path(str(script), run_name='__main__')
+    assert 'six_position_by_hand: 2 runs' in capsys.readouterr().out
 
 
 def test_what_callbacks_of_dask_raise_is_not_logged(
@@ -176,13 +167,13 @@ def test_nothing_but_a_scheduler_asks_for_dask(
     assert "pip install 'imu_calib[fleet]'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize('address', ['nonsense', 'foo://host:8786', 'tcp://host:port', ''])
-def test_what_is_no_address_ends_at_once(address: str) -> None:
+def test_what_is_no_address_ends_at_once() -> None:
     """In a process of its own: what Dask leaves behind speaks when the interpreter ends."""
     pytest.importorskip('distributed')
-    words = ['montecarlo', 'six_position', '--runs', '2', '--scheduler', address]
-    command = [sys.executable, '-m', 'imu_calib.cli.main', *words]
-    done = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    (said,) = done.stderr.strip().splitlines()
-    assert f'found {address!r}, expected an address as tcp://host:8786' in said
+    addresses = ['nonsense', 'foo://host:8786', 'tcp://host:port', '']
+    words = ['montecarlo', 'six_position', '--runs', '2', '--scheduler']
+    code = f'from imu_calib.cli.main import main; print([main([*{words}, a]) for a in {addresses}])'
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == '[2, 2, 2, 2]'
+    for address, said in zip(addresses, done.stderr.strip().splitlines(), strict=True):
+        assert f'found {address!r}, expected an address as tcp://host:8786' in said

@@ -6,6 +6,7 @@ import re
 import signal
 import time
 from contextlib import contextmanager
+from functools import cache
 
 import pytest
 from loopback import CHECKOUT
@@ -28,6 +29,7 @@ def rows():
     return [row for row in cells if set(row[0]) != {'-'} and row[0] != 'what fails']
 
 
+@cache
 def names_in(module):
     """Return the names of the tests of a file."""
     tree = ast.parse((CHECKOUT / 'test' / f'{module}.py').read_text(encoding='utf-8'))

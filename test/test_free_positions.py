@@ -68,8 +68,13 @@ def calibrator(session: HandSession, model: SensorModel, seed: int, **options: o
 
 
 @cache
+def thirty(seed: int) -> tuple[HandCalibrator, Result]:
+    free = calibrator(spread_holds(30, seed), unit(seed), seed)
+    return free, free.finish()
+
+
 def result(seed: int = 0) -> Result:
-    return calibrator(spread_holds(30, seed), unit(seed), seed).finish()
+    return thirty(seed)[1]
 
 
 def test_thirty_holds_give_scales_to_300_ppm_and_angles_to_an_arcminute() -> None:
@@ -407,8 +412,8 @@ def test_guidance_asks_for_what_is_missing() -> None:
 
 
 def test_guidance_says_enough_when_it_is_and_gains_shrink() -> None:
-    free = calibrator(spread_holds(30), unit(0), 0)
-    found = free.evidence(free.finish().session)
+    free, ended = thirty(0)
+    found = free.evidence(ended.session)
     early, late = guide(replace(found, segments=found.segments[:12])), guide(found)
     assert late.stage is Stage.ENOUGH
     assert late.candidates[0].gain < early.candidates[0].gain

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from other_world import DEG, Flaw, World, applied, attitude, rotation_vector, times, transposed
-from sessions import SITE, quick_plan, truth
+from sessions import SITE, at_one_rate, quick_plan, truth
 
 from imu_calib.cli.main import main
 from imu_calib.config import Section
 from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
 from imu_calib.model import SensorModel
+from imu_calib.plan import Plan
 from imu_calib.simulation import (
     Delivery,
     SimulatedStand,
@@ -37,14 +39,22 @@ PLAN = quick_plan('twelve_position', 5.0)
 EXACT = StandOptions(positioning_error=0.0, bias_instability=False, rate_error=0.0)
 
 
-def stand(options: StandOptions, model: SensorModel | None = None, seed: int = 1) -> SimulatedStand:
+BRIEF = at_one_rate(PLAN)
+
+
+def stand(
+    options: StandOptions, model: SensorModel | None = None, plan: Plan = PLAN
+) -> SimulatedStand:
     spec = load_imu('fog_medium')
-    return SimulatedStand(PLAN, TABLE, spec, model or truth().model, SITE, options, seed)
+    return SimulatedStand(plan, TABLE, spec, model or truth().model, SITE, options, 1)
 
 
-def imu(stand: SimulatedStand) -> tuple[Stamps, Floats]:
-    """All samples of a session: stamps and six columns."""
-    blocks = [b for _, b in stand.blocks() if isinstance(b, ImuBlock)]
+@cache
+def imu(options: StandOptions, *, perfect: bool = False) -> tuple[Stamps, Floats]:
+    """All samples of a brief session: stamps and six columns."""
+    model = SensorModel() if perfect else None
+    stream = stand(options, model, BRIEF).blocks()
+    blocks = [b for _, b in stream if isinstance(b, ImuBlock)]
     rows = [np.hstack([b.gyro, b.accel]) for b in blocks]
     return np.concatenate([b.stamp for b in blocks]), np.vstack(rows)
 
@@ -216,29 +226,29 @@ def test_what_is_delivered_does_not_depend_on_how_blocks_are_cut() -> None:
         bunch=3, late=0.02, delay=0.03, lost=0.02, twice=0.02, frozen_every=20.0, frozen_for=2.0
     )
     options = replace(EXACT, delivery=delivery, imu_stamp_jitter=1e-3, bias_instability=False)
-    whole = imu(stand(options))
-    cut = imu(stand(replace(options, block_length=0.37)))
+    whole = imu(options)
+    cut = imu(replace(options, block_length=0.37))
     assert (whole[0] == cut[0]).all()
     # The values of long and of short blocks differ by the rounding of the integrals.
     assert (whole[1] == cut[1]).mean() > 0.999
 
 
 def test_other_imperfections_leave_noise_and_counts_as_they_were() -> None:
-    stamps, counts = imu(stand(EXACT))
-    late, same = imu(stand(replace(EXACT, delivery=Delivery(late=0.01, delay=0.02, bunch=4))))
+    stamps, counts = imu(EXACT)
+    late, same = imu(replace(EXACT, delivery=Delivery(late=0.01, delay=0.02, bunch=4)))
     assert (same == counts).all()
     assert (late >= stamps).all()
-    _, fewer = imu(stand(replace(EXACT, delivery=Delivery(lost=0.01))))
-    kept = np.isin(stamps, imu(stand(replace(EXACT, delivery=Delivery(lost=0.01))))[0])
+    _, fewer = imu(replace(EXACT, delivery=Delivery(lost=0.01)))
+    kept = np.isin(stamps, imu(replace(EXACT, delivery=Delivery(lost=0.01)))[0])
     assert (counts[kept] == fewer).all()
 
 
 def test_samples_are_lost_and_sent_twice_by_their_shares() -> None:
-    stamps, counts = imu(stand(EXACT))
-    after, _ = imu(stand(replace(EXACT, delivery=Delivery(lost=0.02))))
+    stamps, counts = imu(EXACT)
+    after, _ = imu(replace(EXACT, delivery=Delivery(lost=0.02)))
     lost, n = len(stamps) - len(after), len(stamps)
     assert lost == pytest.approx(0.02 * n, abs=4 * math.sqrt(0.02 * n))
-    after, values = imu(stand(replace(EXACT, delivery=Delivery(twice=0.02))))
+    after, values = imu(replace(EXACT, delivery=Delivery(twice=0.02)))
     again = np.flatnonzero(np.diff(after) == 0)
     assert len(again) == pytest.approx(0.02 * n, abs=4 * math.sqrt(0.02 * n))
     assert (values[again] == values[again + 1]).all()
@@ -246,8 +256,8 @@ def test_samples_are_lost_and_sent_twice_by_their_shares() -> None:
 
 
 def test_bunches_are_stamped_when_their_last_sample_is_there() -> None:
-    stamps, _ = imu(stand(EXACT))
-    bunched, _ = imu(stand(replace(EXACT, delivery=Delivery(bunch=4))))
+    stamps, _ = imu(EXACT)
+    bunched, _ = imu(replace(EXACT, delivery=Delivery(bunch=4)))
     whole = len(stamps) // 4 * 4
     wait = (bunched - stamps)[:whole].reshape(-1, 4)
     # Three intervals for the first, none for the last; they come off the queue 20 us apart.
@@ -255,8 +265,8 @@ def test_bunches_are_stamped_when_their_last_sample_is_there() -> None:
 
 
 def test_a_late_sample_holds_up_those_behind() -> None:
-    stamps, _ = imu(stand(EXACT))
-    late, _ = imu(stand(replace(EXACT, delivery=Delivery(late=0.01, delay=0.05))))
+    stamps, _ = imu(EXACT)
+    late, _ = imu(replace(EXACT, delivery=Delivery(late=0.01, delay=0.05)))
     wait = (late - stamps) * 1e-9
     assert (np.diff(late) >= 20_000 - 1).all()
     held_up = wait > 1e-6
@@ -270,9 +280,9 @@ def test_a_late_sample_holds_up_those_behind() -> None:
 
 
 def test_a_frozen_device_repeats_one_sample_and_loses_what_it_counted() -> None:
-    stamps, counts = imu(stand(EXACT))
+    stamps, counts = imu(EXACT)
     delivery = Delivery(frozen_every=60.0, frozen_for=3.0)
-    same_stamps, frozen = imu(stand(replace(EXACT, delivery=delivery)))
+    same_stamps, frozen = imu(replace(EXACT, delivery=delivery))
     assert (same_stamps == stamps).all()
     changed = (frozen != counts).any(axis=1)
     # Some samples of a freeze are what they would have been anyhow.
@@ -290,20 +300,19 @@ def test_a_frozen_device_repeats_one_sample_and_loses_what_it_counted() -> None:
 
 def test_biases_fade_and_follow_the_temperature_as_stated() -> None:
     quiet = replace(EXACT, noise=False, quantise=False)
-    model = SensorModel()
-    stamps, still = imu(stand(quiet, model))
+    stamps, still = imu(quiet, perfect=True)
     seconds = (stamps - stamps[0]) * 1e-9
     spec = load_imu('fog_medium')
     per_sample = 0.01 / np.repeat([spec.gyro.scale_factor, spec.accel.scale_factor], 3)
     fading = WarmUp((0.1 * DEG_H, 0.0, -0.2 * DEG_H), 50 * MICRO_G, 120.0)
-    _, warm = imu(stand(replace(quiet, warm_up=fading), model))
+    _, warm = imu(replace(quiet, warm_up=fading), perfect=True)
     start = np.array([0.1 * DEG_H, 0.0, -0.2 * DEG_H, *(3 * [50 * MICRO_G])])
     wanted = start * np.exp(-seconds / 120.0)[:, None] * per_sample
     # The first interval begins within a sample of time zero: 0.01 s of 120.
     assert np.abs(warm - still - wanted).max() < 2e-4 * np.abs(wanted).max()
     drift = ThermalDrift(gyro_bias=1 * DEG_H, accel_bias=(MICRO_G, 0.0, 0.0))
     ramp = replace(quiet, warming=Warming(ramp=0.01), thermal_drift=drift)
-    _, hot = imu(stand(ramp, model))
+    _, hot = imu(ramp, perfect=True)
     rise = 0.01 * seconds[:, None] * np.array([*(3 * [DEG_H]), MICRO_G, 0.0, 0.0]) * per_sample
     assert np.abs(hot - still - rise).max() < 2e-4 * np.abs(rise).max()
 

@@ -58,7 +58,7 @@ pytestmark = [
         SETUP is None, reason='imu_calib_msgs is not built: colcon build, source install/setup.bash'
     ),
     pytest.mark.skipif(
-        ROS.is_file() and not has_wheel(), reason='the wheel cyclonedds is not in this Python'
+        SETUP is not None and not has_wheel(), reason='the wheel cyclonedds is not in this Python'
     ),
 ]
 

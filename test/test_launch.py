@@ -38,40 +38,41 @@ NODES = {
 TYPES = {'bool': bool, 'int': int, 'double': float, 'string': str}
 
 
-@pytest.fixture
-def declared(monkeypatch, tmp_path):
+@pytest.fixture(scope='module')
+def declared(tmp_path_factory):
     """Start each node; return (default, read-only) of what it declares, by node and name."""
-    for name, value in environment().items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.chdir(tmp_path)
-    seen = {}
-    for name, kind in NODES.items():
-        module = import_module(f'imu_calib.nodes.{name}')
-        own = seen[name] = {}
+    with pytest.MonkeyPatch.context() as patched:
+        for name, value in environment().items():
+            patched.setenv(name, value)
+        patched.chdir(tmp_path_factory.mktemp('nodes'))
+        return {name: declared_by(name, kind, patched) for name, kind in NODES.items()}
 
-        def note(node, name, default, text, *, own=own, **more):
-            own[name] = default, more.get('read_only', True)
-            return declare(node, name, default, text, **more)
 
-        monkeypatch.setattr(module, 'declare', note)
-        monkeypatch.setattr(session_parameters, 'declare', note)
-        monkeypatch.setattr(heartbeat, 'declare', note)
-        port = free_port()
-        given = {
-            'imu_node': {'port': f'socket://127.0.0.1:{port}'},
-            'calibrator_node': {'latitude': 30.0},
-            'web_node': {'latitude': 30.0, 'port': 0},
-            'stand_node': {'port': port},
-            'hand_node': {'port': port},
-            'ascii_table_node': {'port': f'socket://127.0.0.1:{port}'},
-        }
-        words = [w for k, v in given.get(name, {}).items() for w in ('-p', f'{k}:={v}')]
-        ros.init(args=['--ros-args', *words])
-        node = getattr(module, kind)()
-        node.stop()
-        node.destroy_node()
-        ros.try_shutdown()
-    return seen
+def declared_by(name, kind, patched):
+    module, own = import_module(f'imu_calib.nodes.{name}'), {}
+
+    def note(node, name, default, text, **more):
+        own[name] = default, more.get('read_only', True)
+        return declare(node, name, default, text, **more)
+
+    for place in (module, session_parameters, heartbeat):
+        patched.setattr(place, 'declare', note)
+    port = free_port()
+    given = {
+        'imu_node': {'port': f'socket://127.0.0.1:{port}'},
+        'calibrator_node': {'latitude': 30.0},
+        'web_node': {'latitude': 30.0, 'port': 0},
+        'stand_node': {'port': port},
+        'hand_node': {'port': port},
+        'ascii_table_node': {'port': f'socket://127.0.0.1:{port}'},
+    }
+    words = [w for k, v in given.get(name, {}).items() for w in ('-p', f'{k}:={v}')]
+    ros.init(args=['--ros-args', *words])
+    node = getattr(module, kind)()
+    node.stop()
+    node.destroy_node()
+    ros.try_shutdown()
+    return own
 
 
 def test_the_documentation_names_every_parameter(declared):
