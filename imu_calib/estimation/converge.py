@@ -77,7 +77,7 @@ def least_squares(
     much: from then on they are halved. It ends where a step would move the prediction
     by less than a billionth of its standard deviation, or than its rounding, or where small steps
     do not become smaller or lead uphill, or where a full step leads uphill and the least damped one
-    gains nothing.
+    gains nothing. Where rounds end, halved steps have arrived if a full one would hardly move.
 
     Args:
         state: Where to start.
@@ -119,6 +119,8 @@ def least_squares(
             damping = max(_DAMPING, damping * _STRONGER)
             if damping > _STRONGEST:
                 break
+    if not damping and change < _SETTLED:
+        return state
     raise NotConverged(
         f'The least squares did not converge in {rounds} steps (the last would still move the '
         f'outputs by {change / np.sqrt(len(left)):.2g} of their standard deviations): no '
