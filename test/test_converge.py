@@ -160,6 +160,14 @@ def test_a_full_step_that_hardly_matters_and_leads_uphill_ends_it() -> None:
     assert walked([0.101, 5.0, 0.0, 0.0])[1] == pytest.approx([0.101, 0.101 / 1.001, 0.0])
 
 
+def test_halved_steps_whose_full_one_hardly_moves_have_arrived_when_rounds_end() -> None:
+    # Three rounds that gain nothing leave an eighth of each step, which takes 7 % off the next.
+    arriving = [1.0] * 5 + [0.019 * 0.93**k for k in range(50)]
+    assert walked(arriving)[0] == 50
+    with pytest.raises(NotObservable, match='did not converge in 50 steps'):
+        walked([40 * left for left in arriving])
+
+
 def test_small_steps_that_do_not_halve_any_more_have_settled() -> None:
     assert walked([1.0, 0.0199, 0.015, 9.0]) == (3, [1.0, 0.0199, 0.015])
     assert walked([1.0, 0.0199, 0.0099, 0.0, 0.0]) == (3, [1.0, 0.0199, 0.0099, 0.0])

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sessions import calibrate, paper_imu, quick_plan, session, stand, truth
+from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand, truth
 
 from imu_calib.calibrator import Result
 from imu_calib.errors import NotObservable
@@ -18,14 +18,7 @@ from imu_calib.stream import Floats, ImuBlock, JointBlock, SetpointBlock
 from imu_calib.turntable import load_table
 from imu_calib.units import DEG, DEG_H, PPM
 
-PLAN = quick_plan('twelve_position', 20.0)
-TEST = PLAN.positions[0].rate_test
-assert TEST is not None
-SHORT = replace(TEST, rates=(30 * DEG, -30 * DEG, 60 * DEG, -60 * DEG))
-PLAN = replace(
-    PLAN,
-    positions=tuple(replace(p, rate_test=SHORT if p.rate_test else None) for p in PLAN.positions),
-)
+PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 
 
 def mems(noise: float) -> ImuSpec:
@@ -80,7 +73,7 @@ def test_what_tables_and_units_send(
         session(PLAN, stand(azimuth=0.3, **options), seed=1, spec=spec), PLAN, spec=spec
     )
     assert len(result.labelled.segments) == 12
-    assert len(result.labelled.turns) == 12
+    assert len(result.labelled.turns) == 6
     assert np.abs(normalised(result)).max() < 4.5
     assert result.calibration.std[:3].max() < scale_ppm * PPM
     assert result.calibration.std[9:12].max() < bias_deg_h * DEG_H
@@ -112,8 +105,8 @@ def test_clocks_that_are_not_compared_are_no_secret() -> None:
 def test_turns_that_leave_their_line_widen_what_rests_on_them() -> None:
     # Nobody stated that the range ends just below the fastest turn.
     narrow = replace(paper_imu(), gyro=replace(paper_imu().gyro, range=59.99 * DEG))
-    blocks = session(PLAN, stand(azimuth=0.3), seed=1, spec=narrow)
-    result = calibrate(blocks, PLAN, spec=paper_imu())
+    plan = quick_plan('twelve_position', 20.0)
+    result = calibrate(session(plan, stand(azimuth=0.3), seed=1, spec=narrow), plan)
     assert any('Between turns the gyros scatter' in f for f in result.calibration.findings)
     assert result.calibration.std[:3].max() > 20 * PPM
     assert np.abs(normalised(result)).max() < 4.5

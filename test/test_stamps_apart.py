@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from sessions import Named, calibrate, paper_imu, quick_plan, session, stand
+from sessions import Named, at_one_rate, calibrate, paper_imu, quick_plan, session, stand
 from test_calibration_session import recut
 
 from imu_calib.plan import Plan
@@ -204,7 +204,7 @@ def test_nothing_tells_where_no_offset_or_more_than_one_makes_motions_alike() ->
 
 @cache
 def plan() -> Plan:
-    return quick_plan('twelve_position', 8.0)
+    return at_one_rate(quick_plan('twelve_position', 8.0))
 
 
 def held_up() -> list[Named]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import lru_cache
+from struct import Struct
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -19,7 +20,7 @@ from ..stream import (
     SkewBlock,
     TemperatureBlock,
 )
-from .layout import ENCAPSULATION, Layout, LayoutReader
+from .layout import ENCAPSULATION, NS, ORDERS, Layout, LayoutReader
 from .messages import CdrError, Malformed, Messages
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ AnyBlock = TypeVar('AnyBlock', bound=Block)
 
 _AFTER_STAMP = ENCAPSULATION + 8
 """Where the frame of a header begins: after seconds and nanoseconds, four bytes each."""
+_STAMPS = {header: Struct(f'{order}iI') for header, order in ORDERS.items()}
 _CONTENTS = 16
 """Setpoints that are remembered: one is repeated until the next, on a live topic one at a time."""
 _LAST: dict[Callable[[bytes], Layout], Layout] = {}
@@ -126,7 +128,8 @@ def decode_setpoints(messages: Messages, malformed: Malformed | None = None) -> 
         if isinstance(content, str):
             _leave_out(content, malformed)
         else:
-            setpoints.append(Setpoint(LayoutReader(payload).stamp(), *content))
+            sec, nanosec = _STAMPS[payload[:2]].unpack_from(payload, ENCAPSULATION)
+            setpoints.append(Setpoint(sec * NS + nanosec, *content))
     return [SetpointBlock(tuple(setpoints))] if setpoints else []
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 ENCAPSULATION = 4
 """Bytes of the header that says in which order bytes are (RTPS 2.5, section 10.2)."""
-_ORDERS = {b'\x00\x00': '>', b'\x00\x01': '<'}
+ORDERS = {b'\x00\x00': '>', b'\x00\x01': '<'}
 NS = 1_000_000_000
 """Of a second."""
 
@@ -120,7 +120,7 @@ class LayoutReader:
     """
 
     def __init__(self, payload: bytes) -> None:
-        order = _ORDERS.get(payload[:2])
+        order = ORDERS.get(payload[:2])
         if len(payload) < ENCAPSULATION or order is None:
             raise CdrError(
                 f'encapsulation header {payload[:ENCAPSULATION].hex(" ") or "missing"}, '

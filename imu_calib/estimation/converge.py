@@ -81,7 +81,7 @@ def least_squares(
     much: from then on they are halved. It ends where a step would move the prediction
     by less than a billionth of its standard deviation, or than its rounding, or where small steps
     do not become smaller or lead uphill, or where a full step leads uphill and the least damped one
-    gains nothing.
+    gains nothing. Where rounds end, halved steps have arrived if a full one would hardly move.
 
     Where weights follow the state as much as the prediction does, as beside axes of a table that
     lean by minutes of arc, chi-square grows on the way to where steps vanish. What does not arrive
@@ -128,6 +128,8 @@ def least_squares(
             damping = max(_DAMPING, damping * _STRONGER)
             if damping > _STRONGEST:
                 break
+    if not damping and change < _SETTLED:
+        return state
     state = begin
     for _ in range(rounds):
         jacobian, left = system(state)
