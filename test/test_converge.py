@@ -162,7 +162,7 @@ def test_a_full_step_that_hardly_matters_and_leads_uphill_ends_it() -> None:
 
 def test_halved_steps_whose_full_one_hardly_moves_have_arrived_when_rounds_end() -> None:
     # Three rounds that gain nothing leave an eighth of each step, which takes 7 % off the next.
-    arriving = [1.0] * 5 + [0.019 * 0.93**k for k in range(50)]
+    arriving = [1.0] * 5 + [0.019 * 0.93**k for k in range(120)]
     assert walked(arriving)[0] == 50
     with pytest.raises(NotObservable, match='did not converge in 50 steps'):
         walked([40 * left for left in arriving])
