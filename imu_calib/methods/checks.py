@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from ..budget import Share, Shares, Source, total
 from ..earth import EARTH_RATE
@@ -20,7 +19,6 @@ from ..observation.session_model import Nuisance
 from ..rotations import angle_between
 from ..stream import Floats
 from ..units import DEG, DEG_H, PPM
-from .rate_test import RateTestEquations
 from .solution import Residual, Solution
 
 _SIGNIFICANT = 1e-6
@@ -60,24 +58,33 @@ _ON_TURNS = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Fit of Earth rate or gravity to the static dwells, for given sensors.
+    """Earth rate or gravity as the static dwells see it, by given sensors.
 
     Attributes:
         vector: (3,) Earth rate or specific force in the frame of the attitudes.
         covariance: (3, 3) its covariance.
         residuals: (s, 3) what is left.
-        scatter: Chi-square per degree of freedom of what is left, of static dwells or of groups.
-        significant: Whether the scatter exceeds the noise.
-        freedom: Degrees of freedom of the scatter.
+        scatter: Of what is left where more is free.
 
     """
 
     vector: Floats
     covariance: Floats
     residuals: Floats
-    scatter: float
-    significant: bool
-    freedom: float
+    scatter: _Scatter
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """Chi-square per degree of freedom where it is beyond chance, else 1; degrees of freedom."""
+
+    ratio: float = 1.0
+    freedom: float = np.inf
+
+    @property
+    def significant(self) -> bool:
+        """Whether it exceeds what the covariance of the outputs explains."""
+        return self.ratio > 1
 
 
 def conclude(
@@ -117,32 +124,36 @@ def conclude(
     if with_accels:
         check_axes(model.accel.response, 'accelerometers', 'gravity')
     notes = [*findings, *far_scales(model), *clock_finding(evidence)]
-    gyro = _fit(evidence, model, slice(0, 3), estimated=6)
-    accel = _fit(evidence, model, slice(3, 6), estimated=14) if with_accels else None
+    # A closed form knows no moves.
+    equations = Equations(replace(evidence, moves=()), parameters)
+    state = equations.nominal()
+    state[: equations.sensors] = model.values(parameters)
+    gyro = _fit(equations, state, 0)
+    accel = _fit(equations, state, 3) if with_accels else None
     widened = covariance.copy()
     freedom = np.full(len(covariance), np.inf)
     for fit, mine, name in (
         (gyro, ~of_accels, 'gyros'),
         (accel, of_accels, 'accelerometers'),
     ):
-        if fit is not None and fit.significant:
-            widened[np.ix_(mine, mine)] *= fit.scatter
-            freedom[mine] = fit.freedom
+        if fit is not None and fit.scatter.significant:
+            widened[np.ix_(mine, mine)] *= fit.scatter.ratio
+            freedom[mine] = fit.scatter.freedom
             notes.append(
-                f'Between positions the {name} scatter {np.sqrt(fit.scatter):.1f} times more than '
-                'within them (positioning errors that the table does not state, drift): their '
-                'standard deviations are widened.'
+                f'Between positions the {name} scatter {np.sqrt(fit.scatter.ratio):.1f} times '
+                'more than within them (positioning errors that the table does not state, drift): '
+                'their standard deviations are widened.'
             )
-    scatter, of_turns = RateTestEquations.of(evidence).scatter() if evidence.turns else (1.0, 0)
-    if scatter > 1:
+    of_turns = _turns_scatter(equations, state) if evidence.turns else _Scatter()
+    if of_turns.significant:
         # Scale factors and misalignments of the gyros rest on the turns, their biases do not.
         on_turns = [p.triad == 'g' and p.kind in _ON_TURNS for p in parameters]
-        factors = np.where(on_turns, np.sqrt(scatter), 1.0)
+        factors = np.where(on_turns, np.sqrt(of_turns.ratio), 1.0)
         widened *= np.outer(factors, factors)
-        freedom = np.where(on_turns, np.minimum(freedom, of_turns), freedom)
-        notes.append(turns_scatter_finding(scatter))
+        freedom = np.where(on_turns, np.minimum(freedom, of_turns.freedom), freedom)
+        notes.append(turns_scatter_finding(of_turns.ratio))
     beyond = {Source.SCATTER: Share(widened - covariance, freedom)}
-    rate, earth = gyro.vector, gyro.covariance * (gyro.scatter if gyro.significant else 1.0)
+    rate, earth = gyro.vector, gyro.covariance * gyro.scatter.ratio
     if accel is not None and accelerometers is not None and not evidence.plan.by_hand:
         tilt = _tilt(accel)
         rate, earth = tilt.levelled(rate, earth)
@@ -182,7 +193,7 @@ def conclude(
 def _tilt(accel: _Fit) -> Tilt:
     """Return the tilt of the table that the specific force at rest shows."""
     size = float(np.linalg.norm(accel.vector))
-    square = float(np.diag(accel.covariance)[:2].max()) * accel.scatter
+    square = float(np.diag(accel.covariance)[:2].max()) * accel.scatter.ratio
     return Tilt(accel.vector / size, float(np.sqrt(square)) / size)
 
 
@@ -293,102 +304,122 @@ def check_axes(response: Floats, name: str, what: str) -> None:
     )
 
 
-def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int) -> _Fit:
-    """Fit the vector that all static dwells see, and a common offset, by weighted least squares.
+def _fit(equations: Equations, state: Floats, first: int) -> _Fit:
+    """Free the vector that all static dwells see, and a common offset.
 
-    Source: docs/mathematics.md, 'Joint estimate' (azimuth and latitude from the session itself).
-    """
-    triad = model.gyro if channels.start == 0 else model.accel
-    outputs = evidence.outputs()[:, channels] - triad.bias
-    world = EARTH_RATE if channels.start == 0 else evidence.site.gravity
-    variances = evidence.variances()[:, channels] + (evidence.positioning * world) ** 2
-    if channels.start == 0 and evidence.plan.by_hand:
-        # In the hand every hold has a heading of its own: a level rate of unknown direction, of
-        # which each channel sees what its input axis has of the level.
-        ups = evidence.attitudes()[:, 2]
-        level = (triad.response**2).sum(axis=1) - (ups @ triad.response.T) ** 2
-        variances += level * evidence.site.north_rate**2 / 2
-    variances = np.maximum(variances, SMALLEST_VARIANCE)
-    inputs = np.einsum('ij,skj->sik', triad.response, evidence.attitudes())
-    noisy = bool(variances.max() > SMALLEST_VARIANCE)
-    s = len(outputs)
-    design = np.concatenate([inputs, np.broadcast_to(np.eye(3), (s, 3, 3))], axis=2)
-    weights = 1 / np.sqrt(variances)
-    matrix = (design * weights[:, :, None]).reshape(3 * s, 6)
-    scale = np.linalg.norm(matrix, axis=0)
-    wanted = (outputs * weights).reshape(3 * s)
-    inverse = np.linalg.pinv(matrix / scale)
-    solution = inverse @ wanted / scale
-    covariance = (inverse @ inverse.T) / np.outer(scale, scale)
-    left = ((wanted - matrix @ solution) / weights.reshape(-1)).reshape(s, 3)
-    scatter, significant, freedom = 1.0, False, np.inf
-    tested = left
-    if channels.start == 3:
-        tested = _left_by_weighted_fit(evidence, model, variances)
-    for groups in (np.arange(s), _by_up(evidence)):
-        ratio, plain, free = _scatter(tested, variances, groups, estimated)
-        if noisy and plain and ratio > scatter:
-            scatter, significant, freedom = ratio, True, free
-    return _Fit(solution[:3], covariance[:3, :3], left, scatter, significant, freedom)
-
-
-def _left_by_weighted_fit(evidence: Evidence, model: SensorModel, variances: Floats) -> Floats:
-    """Return what responses, biases and tilt leave when fitted together, each output by its noise.
-
-    The closed forms weigh all positions alike. What a position of few pulses does to them through
+    What scatters is held against more: of accelerometers, whose closed forms weigh all positions
+    alike, responses, biases and tilts are free. What a position of few pulses does to them through
     its quantisation is no contradiction among the others.
 
     Args:
-        evidence: The session.
-        model: What a closed form made of it, to begin with.
-        variances: (s, 3) of the outputs of the accelerometers.
+        equations: Of the session without moves.
+        state: (n,) what a closed form made of it.
+        first: Of the channels: 0 for gyros, 3 for accelerometers.
 
-    Returns:
-        (s, 3)
+    Source: docs/mathematics.md, 'Joint estimate' (azimuth and latitude from the session itself).
+    """
+    rows = equations.layout.rest[:, first : first + 3].ravel()
+    covariance = equations.covariance(state)[np.ix_(rows, rows)]
+    offsets = np.tile(np.eye(3), (len(rows) // 3, 1))
+    columns = np.hstack([equations.by_world(state)[rows, first : first + 3], offsets])
+    left = (equations.outputs - equations.predict(state))[rows]
+    found = _Left.of(columns, left, covariance)
+    tested, over = columns, left
+    if first == 3:
+        own = [k for k, p in enumerate(equations.parameters) if p.triad == 'a']
+        free = [*own, *(equations.sensors + which for which in (Nuisance.TILT_X, Nuisance.TILT_Y))]
+        # Twice for what is of second order: tilts times errors of the closed form.
+        moved = state.copy()
+        moved[free] += _Left.of(
+            equations.jacobian(state)[np.ix_(rows, free)], left, covariance
+        ).step
+        tested = equations.jacobian(moved)[np.ix_(rows, free)]
+        over = (equations.outputs - equations.predict(moved))[rows]
+    around = equations.surroundings(state)
+    seen = around.force if first else around.rate
+    return _Fit(
+        seen + found.step[:3],
+        found.covariance[:3, :3],
+        (left - columns @ found.step).reshape(-1, 3),
+        max(
+            (
+                _scatter(equations, means @ tested, means @ over, means @ covariance @ means.T)
+                for means in (np.eye(len(rows)), _means_by_up(equations.evidence))
+            ),
+            key=lambda scatter: scatter.ratio,
+        ),
+    )
+
+
+def _turns_scatter(equations: Equations, state: Floats) -> _Scatter:
+    """Hold the gyros' outputs in the turns about each axis to a line, which they must follow."""
+    rows = equations.layout.turn.ravel()
+    about = np.argmax(np.abs([turn.up for turn in equations.evidence.turns]), axis=1)
+    responses = [k for k, p in enumerate(equations.parameters) if p.kind in _ON_TURNS]
+    offsets = np.kron(about[:, None] == np.arange(3), np.eye(3))
+    columns = np.hstack([equations.jacobian(state)[np.ix_(rows, responses)], offsets])
+    left = (equations.outputs - equations.predict(state))[rows]
+    return _scatter(equations, columns, left, equations.covariance(state)[np.ix_(rows, rows)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """What generalised least squares find and leave.
+
+    Attributes:
+        step: (k,) of the unknowns.
+        covariance: (k, k) its covariance.
+        square: Chi-square of what is left.
+        freedom: Its degrees of freedom.
 
     """
-    equations = Equations(replace(evidence, turns=(), moves=()))
-    state, rows = equations.nominal(), equations.layout.rest[:, 3:].ravel()
-    state[: equations.sensors] = model.values(PARAMETERS)
-    tilts = [equations.sensors + which for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
-    free = np.array([k for k, p in enumerate(PARAMETERS) if p.triad == 'a'] + tilts, dtype=np.intp)
-    weights = 1 / np.sqrt(variances.ravel())
-    # The second step is for what is of second order: tilts times errors of the closed form.
-    for _ in range(2):
-        left = (equations.outputs - equations.predict(state))[rows]
-        columns = equations.jacobian(state)[np.ix_(rows, free)] * weights[:, None]
-        scale = np.linalg.norm(columns, axis=0)
-        step = np.linalg.lstsq(columns / scale, left * weights, rcond=_RANK)[0] / scale
-        state[free] += step
-    return (equations.outputs - equations.predict(state))[rows].reshape(-1, 3)
+
+    step: Floats
+    covariance: Floats
+    square: float
+    freedom: int
+
+    @classmethod
+    def of(cls, columns: Floats, left: Floats, covariance: Floats) -> _Left:
+        """Solve (n, k) columns for (n,) outputs of a covariance (n, n)."""
+        both = np.column_stack([columns, left])
+        both = scipy.linalg.solve_triangular(np.linalg.cholesky(covariance), both, lower=True)
+        columns, left = both[:, :-1], both[:, -1]
+        norms = np.linalg.norm(columns, axis=0)
+        scale = np.where(norms > 0, norms, 1.0)
+        inverse = np.linalg.pinv(columns / scale, rcond=_RANK)
+        rank = round(float(np.sum(inverse.T * columns / scale)))
+        step = inverse @ left / scale
+        over = left - columns @ step
+        return cls(
+            step,
+            (inverse @ inverse.T) / np.outer(scale, scale),
+            float(over @ over),
+            len(left) - rank,
+        )
 
 
-def _by_up(evidence: Evidence) -> NDArray[np.intp]:
-    """Number the static dwells by the direction of up: what errs once in all of such a group.
+def _scatter(equations: Equations, columns: Floats, left: Floats, covariance: Floats) -> _Scatter:
+    """Return by how much more than their covariance outputs scatter about what is free."""
+    noisy = equations.own_variances.max() > SMALLEST_VARIANCE
+    found = _Left.of(columns, left, covariance)
+    if not noisy or not found.freedom:
+        return _Scatter()
+    chance = scipy.special.chdtrc(found.freedom, found.square)
+    ratio = found.square / found.freedom
+    return _Scatter(ratio, found.freedom) if chance < _SIGNIFICANT and ratio > 1 else _Scatter()
 
-    Between the positions of a group only the vertical axis turned. A positioning error of the
+
+def _means_by_up(evidence: Evidence) -> Floats:
+    """Return what makes means of static dwells with one direction up, (3 g, 3 s).
+
+    Between the positions of such a group only the vertical axis turned. A positioning error of the
     other axes is common to them, and hides from the scatter within the group.
     """
     ups = evidence.attitudes()[:, 2]
-    return np.asarray(np.argmax(ups @ ups.T > _SAME_UP, axis=1))
-
-
-def _scatter(
-    left: Floats, variances: Floats, groups: NDArray[np.intp], estimated: int
-) -> tuple[float, bool, int]:
-    """Return chi-square per degree of freedom of groups' means, its significance, and freedom."""
-    square, count = 0.0, 0
-    for group in np.unique(groups):
-        mine = groups == group
-        precision = 1 / variances[mine]
-        mean = (precision * left[mine]).sum(axis=0) / precision.sum(axis=0)
-        square += float(mean**2 @ precision.sum(axis=0))
-        count += 3
-    if count <= estimated:
-        return 1.0, False, 0
-    freedom = count - estimated
-    significant = bool(scipy.special.chdtrc(freedom, square) < _SIGNIFICANT)
-    return square / freedom, significant, freedom
+    groups = np.argmax(ups @ ups.T > _SAME_UP, axis=1)
+    alike = groups == np.unique(groups)[:, None]
+    return np.kron(alike / alike.sum(axis=1, keepdims=True), np.eye(3))
 
 
 def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit | None) -> tuple[Residual, ...]:

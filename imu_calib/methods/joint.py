@@ -257,7 +257,8 @@ def observed_earth_rate(found: Estimate) -> tuple[Floats, Floats]:
 def _free_earth(plain: Equations, state: Floats) -> tuple[Floats, Floats]:
     """Return `observed_earth_rate` about a state (n,), by the covariance of `plain`."""
     sensors = plain.sensors
-    free = scipy.linalg.solve_triangular(plain.factor(state), plain.by_rate(state), lower=True)
+    by_rate = plain.by_world(state)[:, :3]
+    free = scipy.linalg.solve_triangular(plain.factor(state), by_rate, lower=True)
     jacobian, left = plain.whitened(state)
     # The heading is one of the three that are now free.
     jacobian = np.delete(jacobian, sensors + Nuisance.AZIMUTH, axis=1)

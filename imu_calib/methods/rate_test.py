@@ -9,20 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from ..errors import NotObservable
 from ..model import AXES
-from ..observation.evidence import SMALLEST_VARIANCE, Evidence, vertical_axis
+from ..observation.evidence import Evidence, vertical_axis
 from ..stream import Floats
 from .linear import BIAS, UNKNOWNS, ChannelSystem
 
 _ONE_RATE = 0.2
 """Of the largest rate: spread below which a line has no slope of its own."""
-_UNKNOWNS_OF_A_LINE = 2
-"""Offset and slope."""
-_SIGNIFICANT = 1e-6
-"""Probability of chance below which turns scatter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,32 +70,6 @@ class RateTestEquations:
                 )
         outputs = np.array([t.statistics.mean[:3] for t in evidence.turns])
         return cls(outputs, np.array(variances), np.array(inputs), np.array(axes), np.array(off))
-
-    def scatter(self) -> tuple[float, int]:
-        """Hold the turns about each axis to a line, which their outputs must follow.
-
-        Returns:
-            Chi-square per degree of freedom where the turns scatter beyond their noise about
-            that line, 1 where they do not, or where two turns leave nothing to compare; the
-            degrees of freedom.
-
-        """
-        square, freedom = 0.0, 0
-        for axis in range(3):
-            mine = np.flatnonzero(self.axes == axis)
-            if len(mine) <= _UNKNOWNS_OF_A_LINE or np.ptp(self.inputs[mine]) == 0:
-                continue
-            for channel in range(3):
-                weights = 1 / np.sqrt(np.maximum(self.variances[mine, channel], SMALLEST_VARIANCE))
-                design = np.column_stack([np.ones(len(mine)), self.inputs[mine]]) * weights[:, None]
-                wanted = self.outputs[mine, channel] * weights
-                left = wanted - design @ np.linalg.lstsq(design, wanted, rcond=None)[0]
-                square += float(left @ left)
-                freedom += len(mine) - _UNKNOWNS_OF_A_LINE
-        noisy = bool(self.variances.max() > SMALLEST_VARIANCE)
-        if not freedom or not noisy or scipy.special.chdtrc(freedom, square) > _SIGNIFICANT:
-            return 1.0, freedom
-        return max(1.0, square / freedom), freedom
 
     def add_to(self, system: ChannelSystem, axis: int, first: int) -> None:
         """Add the equation for the response to one axis.
