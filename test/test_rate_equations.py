@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from imu_calib.errors import NotObservable
 from imu_calib.methods.linear import BIAS, ChannelSystem, solve_triad
@@ -72,45 +71,6 @@ def test_an_axis_that_nothing_turns_is_named(axis: int, name: str) -> None:
     )
     with pytest.raises(NotObservable, match=lost):
         RateTestEquations.of(session(*turns))
-
-
-def equations(left: Floats, variance: float) -> RateTestEquations:
-    """Four turns about x at four rates, of which a line leaves (4, 3); none about y and z."""
-    inputs = np.array([-2.0, -1.0, 1.0, 2.0])
-    outputs = 0.3 + 1.1 * inputs[:, None] + left
-    variances = np.full((4, 3), variance)
-    return RateTestEquations(outputs, variances, inputs, np.zeros(4, int), np.zeros((4, 3)))
-
-
-# At right angles to [1, 1, 1, 1] and to the inputs, and of length one.
-ACROSS = np.array([1.0, -1.0, -1.0, 1.0]) / 2
-
-
-@pytest.mark.parametrize(('chance', 'scatters'), [(1.1e-6, False), (0.9e-6, True)])
-def test_turns_scatter_about_their_line_where_chance_hardly_does(
-    chance: float, scatters: bool
-) -> None:
-    # Three channels with four turns less two unknowns.
-    square = chi2.isf(chance, 6)
-    left = np.outer(ACROSS, np.sqrt(square / 3) * np.array([1.0, -1.0, 1.0])) * 1e-3
-    scatter, freedom = equations(left, 1e-6).scatter()
-    assert freedom == 6
-    assert scatter == pytest.approx(square / 6 if scatters else 1.0)
-
-
-def test_two_turns_or_one_rate_leave_nothing_to_compare() -> None:
-    wild = np.outer([1.0, -1.0, 1.0, -1.0], np.ones(3))
-    whole = equations(wild, 1e-6)
-    assert whole.scatter()[0] > 1
-    two = RateTestEquations(
-        whole.outputs[:2], whole.variances[:2], whole.inputs[:2], np.zeros(2, int), np.zeros((2, 3))
-    )
-    assert two.scatter() == (1.0, 0)
-    alike = RateTestEquations(
-        whole.outputs, whole.variances, np.ones(4), np.zeros(4, int), np.zeros((4, 3))
-    )
-    assert alike.scatter() == (1.0, 0)
-    assert equations(wild, 0.0).scatter() == (1.0, 6)
 
 
 def test_several_rates_are_a_slope_and_one_is_an_output_less_the_bias() -> None:

@@ -193,9 +193,8 @@ class SessionModel:
 
     def _predicted(self, state: Floats) -> Floats:
         """Return what is read by the parameters of the session's mean, (m,)."""
-        around, *inputs = self._inputs(state)
-        model = self.model(state)
-        at_rest, turned = self._answers(model, inputs)
+        around, model = self.surroundings(state), self.model(state)
+        at_rest, turned = self.answers(state)
         led = self.evidence.links.misclosures(model, self.earth(state), around.force)
         if state[self.clock]:
             led = led + self._led_by_clock(model, around) * state[self.clock]
@@ -203,15 +202,10 @@ class SessionModel:
         predicted[self._divided] /= 1 + state[self.clock]
         return predicted
 
-    def _answers(self, model: SensorModel, inputs: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Return what rests (s, 6) and turns (t, 6) read by the table's clock.
-
-        Args:
-            model: The sensors.
-            inputs: As `_inputs` returns them: rates and forces at rest, then in turns.
-
-        """
-        rate, force, turning, felt = inputs
+    def answers(self, state: Floats) -> tuple[Floats, Floats]:
+        """Return what rests (s, 6) and turns (t, 6) read by the table's clock."""
+        _, rate, force, turning, felt = self._inputs(state)
+        model = self.model(state)
         at_rest = np.hstack(model.predict(rate, force))
         return at_rest, mean_over_turn(np.concatenate(model.predict(turning, felt), axis=-1))
 
@@ -223,14 +217,14 @@ class SessionModel:
         return self._once('derivatives', state, self._derivatives)
 
     def _derivatives(self, state: Floats) -> Floats:
-        around, *inputs = self._inputs(state)
+        around, _, _, turning, felt = self._inputs(state)
         model, n = self.model(state), self.sensors
         at_rest, turned, led = (
             np.zeros((count, 6, self.size))
             for count in (self.layout.rests, self.layout.turns, self.layout.moves)
         )
-        arms, felt = self.evidence.arms, mean_over_turn(model.slopes(*inputs[2:])[..., 3:])
-        turned[arms.turns, :, self.arms] = felt[arms.turns] @ arms.slopes
+        arms, by_force = self.evidence.arms, model.slopes(turning, felt)[..., 3:]
+        turned[arms.turns, :, self.arms] = mean_over_turn(by_force)[arms.turns] @ arms.slopes
         led[:, :, self.clock] = self._led_by_clock(model, around)
         result = self.layout.joined(at_rest, turned, led)
         faster, divided = 1 + state[self.clock], self._divided
@@ -238,8 +232,7 @@ class SessionModel:
         world = np.vstack([around.rate_slopes, around.force_slopes])
         result[:, n : n + 3] = self.by_world(state) @ world
         result[:, :n] = self.by_parameters(state, self.parameters)
-        answers = self._answers(model, inputs)
-        answered = self.layout.joined(*answers, np.zeros_like(led[:, :, 0]))
+        answered = self.layout.joined(*self.answers(state), np.zeros_like(led[:, :, 0]))
         result[divided, self.clock] = -answered[divided] / faster**2
         result[:, self.changing] = self.columns(self.changes, result)
         return result
