@@ -13,6 +13,7 @@ from test_information import ACCEL_WALK, GYRO_WALK, SITE, evidence_of, statistic
 
 from imu_calib.budget import Share, Source
 from imu_calib.errors import Contradiction, InputError
+from imu_calib.methods import method
 from imu_calib.methods.checks import _Fit, _fit, _residuals, _Scatter, _tilt, conclude
 from imu_calib.methods.solution import Solution
 from imu_calib.model import SensorModel, Triad
@@ -396,6 +397,15 @@ def test_a_session_without_noise_scatters_by_nothing() -> None:
     fit = fitted(still, 0)
     assert fit.scatter == _Scatter(1.0, np.inf)
     assert fit.vector == pytest.approx(SITE.earth_rate, abs=1e-14)
+
+
+@pytest.mark.parametrize('name', ['twelve_position', 'joint'])
+def test_nor_is_it_lost_to_rounding_on_a_table_that_misses(name: str) -> None:
+    still = replace(CLEAN, walk=np.zeros(6), positioning=60 * ARCSEC)
+    found = method(name)(still)
+    off = found.model.vector() - TRUE.vector()
+    assert np.abs(off).max() < 1e-14
+    assert (np.abs(off) < found.std).all()
 
 
 def test_the_plan_is_the_one_that_these_numbers_are_of() -> None:
