@@ -16,19 +16,21 @@ from imu_calib.errors import Contradiction, InputError
 from imu_calib.methods import joint
 from imu_calib.methods.checks import (
     WrongLatitude,
-    _azimuth_std,
-    _fit,
-    _Left,
-    _means_by_up,
-    _off_positions,
-    _outstanding,
-    _scatter,
     check_axes,
     check_latitude,
     clock_finding,
     encoder_finding,
     far_scales,
     turns_scatter_finding,
+)
+from imu_calib.methods.conclusion import (
+    LeastSquares,
+    _azimuth_std,
+    _fit,
+    _means_by_up,
+    _off_positions,
+    _outstanding,
+    _scatter,
 )
 from imu_calib.methods.cross_check import Comparison
 from imu_calib.methods.free_positions import (
@@ -205,7 +207,7 @@ def test_what_is_left_is_that_of_generalised_least_squares() -> None:
     columns, left = rng.standard_normal((9, 3)), rng.standard_normal(9)
     covariance = np.cov(rng.standard_normal((9, 40)))
     precision = np.linalg.inv(covariance)
-    found = _Left.of(columns, left, covariance)
+    found = LeastSquares.weighed(columns, left, covariance)
     wanted = np.linalg.inv(columns.T @ precision @ columns)
     np.testing.assert_allclose(found.covariance, wanted, rtol=1e-9)
     np.testing.assert_allclose(found.step, wanted @ columns.T @ precision @ left, rtol=1e-9)
@@ -214,7 +216,7 @@ def test_what_is_left_is_that_of_generalised_least_squares() -> None:
     assert found.freedom == 6
     # A column that says what another says takes no further degree of freedom, nor one of zeros.
     twice = np.column_stack([columns, 5 * columns[:, 0], np.zeros(9)])
-    again = _Left.of(twice, left, covariance)
+    again = LeastSquares.weighed(twice, left, covariance)
     assert (again.square, again.freedom) == (pytest.approx(found.square), 6)
 
 

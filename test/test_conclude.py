@@ -14,7 +14,7 @@ from test_information import ACCEL_WALK, GYRO_WALK, SITE, evidence_of, statistic
 from imu_calib.budget import Share, Source
 from imu_calib.errors import Contradiction, InputError
 from imu_calib.methods import method
-from imu_calib.methods.checks import _Fit, _fit, _residuals, _Scatter, _tilt, conclude
+from imu_calib.methods.conclusion import _Fit, _fit, _residuals, _Scatter, _tilt, conclude
 from imu_calib.methods.solution import Solution
 from imu_calib.model import SensorModel, Triad
 from imu_calib.observation.equations import Equations

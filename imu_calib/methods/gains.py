@@ -27,7 +27,7 @@ from ..model import (
 from ..observation.equations import Equations
 from ..observation.evidence import Evidence
 from ..stream import Floats
-from .checks import conclude
+from .conclusion import conclude
 from .solution import Solution
 
 BIAS = 3

@@ -15,7 +15,7 @@ from ..errors import NotObservable
 from ..model import AXES, SensorModel, Triad
 from ..observation.evidence import Evidence
 from ..stream import Floats
-from .checks import conclude
+from .conclusion import conclude
 from .gains import Gains
 from .linear import BIAS, UNKNOWNS, ChannelSystem, SolvedTriad, solve_triad
 from .rate_test import RateTestEquations
