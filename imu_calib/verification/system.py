@@ -29,10 +29,10 @@ from ..observation.equations import Equations
 from ..observation.evidence import Evidence
 from ..observation.information import Information
 from ..observation.layout import Indices
+from ..observation.lengths import Sensors, Up, compare_lengths, noise_at_rest
 from ..observation.session_model import Nuisance
 from ..rotations import rotations
 from ..stream import Floats
-from .lengths import Sensors, Up, compare_lengths, noise_at_rest
 from .observed import Observed
 
 _ROUNDS = 30
