@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy
 
 from ..calibrator import Setup
 from ..courses import Course
@@ -250,14 +251,10 @@ def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
     none = np.zeros((len(spans), 3, 3)), np.zeros(len(spans), dtype=bool)
     means = BiasDrift.over(begin, end - begin, *none).of_one(STATED_TIME)
     askew = [len(rests) + k for k, t in enumerate(turns) if t.skewed is not None]
-    rows = evidence.layout
-    channel = [*rows.channels.tolist(), *[6] * len(askew)]
-    which = np.concatenate([rows.segment, np.array(askew, dtype=int)])
+    which = np.concatenate([evidence.layout.segment, np.array(askew, dtype=int)])
     figures = [t.bias_instability for t in (*triads(spec), spec.skewed or TriadSpec())]
+    session = SessionModel(evidence)
     # What a move carries along as it turns; all else reads its own bias.
-    answers = np.eye(7)[channel]
-    led = evidence.links.by_parameters(SensorModel(), BIASES)
-    answers[rows.move, :6] = led[:, :3]
-    answers[rows.velocity, :6] = led[list(rows.moves_with_accels), 3:]
-    by_bias = answers * figures
+    answers = session.by_parameters(session.nominal(), BIASES)
+    by_bias = scipy.linalg.block_diag(answers, np.ones((len(askew), 1))) * figures
     return np.asarray(means[np.ix_(which, which)] * (by_bias @ by_bias.T))
