@@ -53,7 +53,6 @@ def solve_gyros(evidence: Evidence, bias: BiasEquation) -> SolvedTriad:
     test = RateTestEquations.of(evidence)
     solved = _gyros(evidence, test, bias, test.outputs)
     for _ in range(_PASSES):
-        test = RateTestEquations.of(evidence, solved.triad.response)
         outputs = test.outputs - test.off_axis @ solved.triad.response.T
         solved = _gyros(evidence, test, bias, outputs)
     return solved

@@ -26,7 +26,6 @@ class RateTestEquations:
 
     Attributes:
         outputs: (t, 3) mean gyro outputs, rad/s.
-        variances: (t, 3) theirs, (rad/s)^2.
         inputs: (t,) rate about the vertical body axis, Earth included, rad/s.
         axes: (t,) which body axis was vertical.
         off_axis: (t, 3) what the encoders say that the other axes turned, rad/s.
@@ -34,34 +33,25 @@ class RateTestEquations:
     """
 
     outputs: Floats
-    variances: Floats
     inputs: Floats
     axes: Floats
     off_axis: Floats
 
     @classmethod
-    def of(cls, evidence: Evidence, response: Floats | None = None) -> RateTestEquations:
+    def of(cls, evidence: Evidence) -> RateTestEquations:
         """Collect the turns of a session.
-
-        Args:
-            evidence: The session.
-            response: (3, 3) of the gyros as far as it is known, for the variances.
 
         Raises:
             NotObservable: An axis about which nothing turned.
 
         """
-        axes, inputs, variances, off = [], [], [], []
+        axes, inputs, off = [], [], []
         for turn in evidence.turns:
             axis, sign = vertical_axis(turn.up, turn.position)
-            rate = turn.rate()
+            rate = turn.rate() + evidence.site.up_rate
             axes.append(axis)
-            inputs.append(sign * (rate + evidence.site.up_rate))
-            off.append((rate + evidence.site.up_rate) * (turn.up - sign * np.eye(3)[axis]))
-            variance = turn.variance(evidence.walk, evidence.site.north_rate, response)
-            # An error of the encoder's rate shows in the channel that turns, and there alone.
-            variance[axis] += (turn.rate_error * rate) ** 2
-            variances.append(variance)
+            inputs.append(sign * rate)
+            off.append(rate * (turn.up - sign * np.eye(3)[axis]))
         for axis, name in enumerate(AXES):
             if axis not in axes:
                 raise NotObservable(
@@ -69,7 +59,7 @@ class RateTestEquations:
                     f'the gyros to {name.upper()} cannot be determined.'
                 )
         outputs = np.array([t.statistics.mean[:3] for t in evidence.turns])
-        return cls(outputs, np.array(variances), np.array(inputs), np.array(axes), np.array(off))
+        return cls(outputs, np.array(inputs), np.array(axes), np.array(off))
 
     def add_to(self, system: ChannelSystem, axis: int, first: int) -> None:
         """Add the equation for the response to one axis.
