@@ -253,7 +253,8 @@ def _fit(equations: Equations, state: Floats, first: int) -> _Fit:
     tested, over = columns, left
     if first == 3:
         own = [k for k, p in enumerate(equations.parameters) if p.triad == 'a']
-        free = [*own, *(equations.sensors + which for which in (Nuisance.TILT_X, Nuisance.TILT_Y))]
+        tilts = [equations.sensors + which for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
+        free = np.array([*own, *tilts], dtype=np.intp)
         # Twice for what is of second order: tilts times errors of the closed form.
         moved = state.copy()
         moved[free] += LeastSquares.weighed(
@@ -281,7 +282,8 @@ def _turns_scatter(equations: Equations, state: Floats) -> _Scatter:
     """Hold the gyros' outputs in the turns about each axis to a line, which they must follow."""
     rows = equations.layout.turn.ravel()
     about = np.argmax(np.abs([turn.up for turn in equations.evidence.turns]), axis=1)
-    responses = [k for k, p in enumerate(equations.parameters) if p.kind in _ON_TURNS]
+    on_turns = [k for k, p in enumerate(equations.parameters) if p.kind in _ON_TURNS]
+    responses = np.array(on_turns, dtype=np.intp)
     offsets = np.kron(about[:, None] == np.arange(3), np.eye(3))
     columns = np.hstack([equations.jacobian(state)[np.ix_(rows, responses)], offsets])
     left = (equations.outputs - equations.predict(state))[rows]

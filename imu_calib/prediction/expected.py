@@ -195,8 +195,10 @@ def _by_table(setup: Setup) -> _Times:
         elif step.dwell:
             begin = standing + _UNSEEN / 2
             stretch = _stretch(begin, visit.end - _UNSEEN / 2 - begin)
-            stays = at is None or np.array_equal(at, visit.angles)
-            times.courses.append(None if stays else joint_course(table, at, visit.angles))
+            moved = None if at is None or np.array_equal(at, visit.angles) else at
+            times.courses.append(
+                None if moved is None else joint_course(table, moved, visit.angles)
+            )
             times.rests.append(Segment(*stretch, attitude, step.position, visit.angles))
             at = visit.angles
         else:

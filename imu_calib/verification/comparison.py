@@ -134,8 +134,8 @@ def _rates(system: TriadSystem, rates: Floats, covariances: Floats) -> Iterator[
     square, spread = squares(rates, covariances)
     lengths = np.sqrt(np.maximum(square, 0.0))
     deviations = np.sqrt(spread) / (lengths + EARTH_RATE)
-    seen = rates, covariances, ups, lengths.tolist(), deviations.tolist()
-    for place, w, c, up, length, std in zip(_at_rest(system), *seen, strict=True):
+    every = zip(rates, covariances, ups, lengths.tolist(), deviations.tolist(), strict=True)
+    for place, (w, c, up, length, std) in zip(_at_rest(system), every, strict=True):
         yield _one(*place, Quantity.EARTH_RATE, length - EARTH_RATE, std)
         yield _one(*place, Quantity.UP_RATE, float(w @ up) - up_rate, float(np.sqrt(up @ c @ up)))
 
