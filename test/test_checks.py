@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,23 +10,27 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from test_information import evidence_of, statistics
 
 from imu_calib.errors import Contradiction, InputError
 from imu_calib.methods import joint
 from imu_calib.methods.checks import (
     WrongLatitude,
-    _azimuth_std,
-    _by_up,
-    _fit,
-    _off_positions,
-    _outstanding,
-    _scatter,
     check_axes,
     check_latitude,
     clock_finding,
     encoder_finding,
     far_scales,
     turns_scatter_finding,
+)
+from imu_calib.methods.conclusion import (
+    LeastSquares,
+    _azimuth_std,
+    _fit,
+    _means_by_up,
+    _off_positions,
+    _outstanding,
+    _scatter,
 )
 from imu_calib.methods.cross_check import Comparison
 from imu_calib.methods.free_positions import (
@@ -35,6 +40,7 @@ from imu_calib.methods.free_positions import (
 )
 from imu_calib.methods.solution import Residual
 from imu_calib.model import PARAMETERS, SensorModel, Triad
+from imu_calib.observation.equations import Equations
 from imu_calib.stream import Floats
 from imu_calib.units import ARCSEC, DEG, DEG_H, MICRO_G
 
@@ -196,34 +202,46 @@ def test_an_azimuth_is_as_sure_as_the_level_rate_across() -> None:
 # Scatter
 
 
-def test_scatter_is_that_of_weighted_means_of_groups() -> None:
+def test_what_is_left_is_that_of_generalised_least_squares() -> None:
     rng = np.random.default_rng(4)
-    left = rng.standard_normal((5, 3))
-    variances = rng.uniform(0.5, 2.0, (5, 3))
-    groups = np.array([0, 0, 1, 2, 2])
-    square = 0.0
-    for group in ([0, 1], [2], [3, 4]):
-        for channel in range(3):
-            weights = [1 / variances[k, channel] for k in group]
-            mean = sum(w * left[k, channel] for w, k in zip(weights, group, strict=True))
-            square += (mean / sum(weights)) ** 2 * sum(weights)
-    found = _scatter(left, variances, groups, 4)
-    assert found == (pytest.approx(square / 5), False, 5)
-    # Nothing is left to compare.
-    assert _scatter(left, variances, groups, 9) == (1.0, False, 0)
-    assert _scatter(left, variances, groups, 8)[2] == 1
+    columns, left = rng.standard_normal((9, 3)), rng.standard_normal(9)
+    covariance = np.cov(rng.standard_normal((9, 40)))
+    precision = np.linalg.inv(covariance)
+    found = LeastSquares.weighed(columns, left, covariance)
+    wanted = np.linalg.inv(columns.T @ precision @ columns)
+    np.testing.assert_allclose(found.covariance, wanted, rtol=1e-9)
+    np.testing.assert_allclose(found.step, wanted @ columns.T @ precision @ left, rtol=1e-9)
+    over = left - columns @ found.step
+    assert found.square == pytest.approx(over @ precision @ over)
+    assert found.freedom == 6
+    # A column that says what another says takes no further degree of freedom, nor one of zeros.
+    twice = np.column_stack([columns, 5 * columns[:, 0], np.zeros(9)])
+    again = LeastSquares.weighed(twice, left, covariance)
+    assert (again.square, again.freedom) == (pytest.approx(found.square), 6)
+
+
+NOISY: Any = SimpleNamespace(own_variances=np.ones(1))
 
 
 @pytest.mark.parametrize(('chance', 'wanted'), [(1.1e-6, False), (0.9e-6, True)])
 def test_scatter_counts_where_chance_makes_it_once_in_a_million(
     chance: float, wanted: bool
 ) -> None:
-    square = chi2.isf(chance, 15 - 6)
-    left = np.full((5, 3), np.sqrt(square / 15))
-    ratio, plain, freedom = _scatter(left, np.ones((5, 3)), np.arange(5), 6)
-    assert plain is wanted
-    assert ratio == pytest.approx(square / 9)
-    assert freedom == 9
+    # At right angles to a constant, which is free.
+    left = np.array([1.0, -1.0, 1.0, -1.0]) / 2
+    square = chi2.isf(chance, 3)
+    found = _scatter(NOISY, np.ones((4, 1)), left * np.sqrt(square) * 0.1, 0.01 * np.eye(4))
+    assert found.significant is wanted
+    assert found.ratio == pytest.approx(square / 3 if wanted else 1.0)
+    assert found.freedom == (3 if wanted else np.inf)
+
+
+def test_what_nothing_is_left_of_or_has_no_noise_does_not_scatter() -> None:
+    wild = np.array([1e3, -1e3])
+    assert _scatter(NOISY, np.ones((2, 1)), wild, np.eye(2)).significant
+    assert not _scatter(NOISY, np.eye(2), wild, np.eye(2)).significant
+    still: Any = SimpleNamespace(own_variances=np.full(1, 1e-24))
+    assert not _scatter(still, np.ones((2, 1)), wild, np.eye(2)).significant
 
 
 def test_rests_with_the_same_up_are_one_group() -> None:
@@ -231,7 +249,8 @@ def test_rests_with_the_same_up_are_one_group() -> None:
     attitudes = np.zeros((5, 3, 3))
     attitudes[:, 2] = ups
     held: Any = SimpleNamespace(attitudes=lambda: attitudes)
-    assert _by_up(held).tolist() == [0, 1, 0, 3, 1]
+    means = _means_by_up(held) @ np.arange(15.0)
+    assert means.reshape(-1, 3).tolist() == [[3, 4, 5], [7.5, 8.5, 9.5], [9, 10, 11]]
 
 
 def test_a_position_far_out_of_the_rest_is_named() -> None:
@@ -488,25 +507,29 @@ def test_moves_left_out_are_counted_and_the_first_are_named() -> None:
 
 def test_turns_by_hand_are_not_taken_for_a_table() -> None:
     """In the hand each channel sees what its input axis has of a level rate from anywhere."""
-    north_rate, rests = 5e-5, 400
+    rests, walk = 400, 1e-6
     rng = np.random.default_rng(11)
     attitudes = Rotation.random(rests, random_state=3).as_matrix()
     level = rng.uniform(0, 2 * np.pi, rests)
-    rates = north_rate * np.column_stack([np.cos(level), np.sin(level), np.zeros(rests)])
+    site = evidence_of().site
+    rates = np.column_stack([np.cos(level), np.sin(level), np.zeros(rests)]) * site.north_rate
+    rates += rng.standard_normal((rests, 3)) * walk / np.sqrt(100) + [0, 0, site.up_rate]
     response = np.array([[1.1, 0.1, 0.0], [0.0, 0.9, 0.2], [-0.1, 0.0, 1.0]])
     outputs = np.einsum('ij,skj,sk->si', response, attitudes, rates)
-    held: Any = SimpleNamespace(
-        outputs=lambda: np.hstack([outputs, outputs]),
-        variances=lambda: np.full((rests, 6), 1e-14),
-        attitudes=lambda: attitudes,
-        positioning=0.0,
-        plan=SimpleNamespace(by_hand=True),
-        site=SimpleNamespace(north_rate=north_rate),
+    first, none = evidence_of().segments[0], np.zeros(3)
+    segments = tuple(
+        replace(first, statistics=statistics(np.append(y, none), 100.0), attitude=a)
+        for y, a in zip(outputs, attitudes, strict=True)
     )
+    held = replace(evidence_of(), segments=segments, turns=(), walk=np.full(6, walk))
     model = SensorModel(Triad(response - np.eye(3), np.zeros(3)))
-    found = _fit(held, model, slice(0, 3), 6)
+
+    def fitted(*, by_hand: bool) -> Any:
+        equations = Equations(replace(held, plan=replace(held.plan, by_hand=by_hand)))
+        return _fit(equations, np.append(model.vector(), np.zeros(equations.nuisances)), 0)
+
+    found = fitted(by_hand=True)
     # Nothing is the same at all rests, and what differs is what was allowed for.
-    assert np.abs(found.vector[:2]).max() < 5 * north_rate / np.sqrt(2 * rests)
-    assert not found.significant
-    held.plan.by_hand = False
-    assert _fit(held, model, slice(0, 3), 6).significant
+    assert np.abs(found.vector[:2]).max() < 5 * site.north_rate / np.sqrt(2 * rests)
+    assert not found.scatter.significant
+    assert fitted(by_hand=False).scatter.significant

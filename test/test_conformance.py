@@ -52,6 +52,7 @@ from imu_calib.model.session_terms import Course, change
 from imu_calib.nodes.convert import calibration_message, calibration_of
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
+from imu_calib.observation.lengths import Sensors
 from imu_calib.plan import load_plan
 from imu_calib.plausibility import check_plausible
 from imu_calib.reports.assessment import assess, tables
@@ -64,7 +65,6 @@ from imu_calib.simulation.options import ImuOptions
 from imu_calib.stream import Floats
 from imu_calib.units import DEG
 from imu_calib.verification import Observed, Verdict, verify
-from imu_calib.verification.lengths import Sensors
 
 REFERENCE = math.pi / 3
 """60 deg/s, at which the coefficients of gyros' terms are stated."""

@@ -102,7 +102,7 @@ def least_squares(
     jacobian, left = system(state)
     damping, share, before = 0.0, 1.0, np.inf
     for _ in range(rounds):
-        step = _step(jacobian, left, damping)
+        step = linear_step(jacobian, left, damping)
         change = float(np.linalg.norm(jacobian @ step))
         tried = moved(state, share * step)
         rounding = _ROUNDING * float(np.linalg.norm(jacobian, axis=0).max())
@@ -148,7 +148,8 @@ def least_squares(
     )
 
 
-def _step(jacobian: Floats, left: Floats, damping: float) -> Floats:
+def linear_step(jacobian: Floats, left: Floats, damping: float = 0.0) -> Floats:
+    """Return the step (n,) that least squares take, the shortest by columns of norm one."""
     norms = np.linalg.norm(jacobian, axis=0)
     scale = np.where(norms > 0, norms, 1.0)
     columns = jacobian / scale

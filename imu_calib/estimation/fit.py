@@ -27,7 +27,7 @@ from ..observation.lacking import advice, lacking_parameters
 from ..observation.session_model import Nuisance
 from ..stream import Floats
 from ..units import DEG
-from .converge import least_squares
+from .converge import least_squares, linear_step
 from .excess_scatter import ExcessScatter, excess
 
 _STARTS = 8
@@ -103,7 +103,7 @@ def start(equations: Equations) -> Floats:
         first = equations.sensors
         columns[:, [first + which for which in Nuisance if which or known]] = 0.0
         columns[:, equations.changing] = 0.0
-        step = _least_squares(columns, left)
+        step = linear_step(columns, left)
         rest = left - columns @ step
         if (square := float(rest @ rest)) < smallest:
             best, smallest = state + step, square
@@ -123,12 +123,6 @@ def fit(equations: Equations, state: Floats) -> Floats:
         state = state.copy()
         state[azimuth] = (state[azimuth] + np.pi) % (2 * np.pi) - np.pi
     return state
-
-
-def _least_squares(jacobian: Floats, left: Floats) -> Floats:
-    norms = np.linalg.norm(jacobian, axis=0)
-    scale = np.where(norms > 0, norms, 1.0)
-    return np.asarray(np.linalg.lstsq(jacobian / scale, left, rcond=None)[0] / scale)
 
 
 def with_scatter(equations: Equations, scatter: ExcessScatter) -> Equations:

@@ -1,39 +1,22 @@
-"""A solution against its data: residuals, contradictions, widened standard deviations."""
+"""What every solution is held to: axes, scales, clocks, encoders and the latitude."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
 import numpy as np
-import scipy
-from numpy.typing import NDArray
 
-from ..budget import Share, Shares, Source, total
 from ..earth import EARTH_RATE
 from ..errors import Contradiction, InputError
-from ..model import AXES, PARAMETERS, Parameter, ParameterKind, SensorModel
-from ..observation.equations import Equations
-from ..observation.evidence import SMALLEST_VARIANCE, Evidence
-from ..observation.level import Accelerometers, Tilt, widened_for_tilt
-from ..observation.session_model import Nuisance
-from ..rotations import angle_between
+from ..model import AXES, SensorModel
+from ..observation.evidence import Evidence
 from ..stream import Floats
 from ..units import DEG, DEG_H, PPM
-from .rate_test import RateTestEquations
-from .solution import Residual, Solution
 
-_SIGNIFICANT = 1e-6
-"""Probability of chance below which scatter counts: no false one in a laboratory's lifetime."""
-_CONTRADICTION = 5.0
+CONTRADICTION = 5.0
 """Standard deviations: false in 6e-7 of Gaussian cases."""
 _SCALE_LIMIT = 2.0
 """Times: what differs by more is stated in other units; sensors differ by percents."""
 _AXIS_LIMIT = 0.5
 """Of an axis's largest response: beyond, the axes are exchanged, not misaligned."""
-_RANK = 1e-3
-"""Of the largest singular value, columns of one length: what attitudes show by no more is the last
-digits of an encoder. Six positions show one tilt, and not the other beside the misalignments."""
 _FAR_SCALE = 0.1
 """Share: data sheets allow percents."""
 _COARSE_STEP = 2e-3 * DEG
@@ -42,148 +25,10 @@ are no reason to buy others."""
 
 _WELL_KNOWN_CLOCKS = 5e-6
 """Of the rate: below it, K_g is known to 5 ppm all the same."""
-_OFF_POSITION = 0.02 * DEG
-"""rad: a plan rounds to hundredths of a degree, and tables position better; a judgement."""
-_OUTSTANDING = 5.0
-"""Times 1.5 of the usual worst channel of a position: of Gaussian residuals in six channels some
-12 standard deviations."""
 _LEAST_EARTH_RATE = 0.01 * DEG_H
 """rad/s: what a latitude that is wrong by some hundredths of a degree changes."""
-_LEAST_AZIMUTH = 0.05 * DEG
-"""rad: how well a table's zero is set to north without measuring it; a judgement."""
 _TOLD = 0.2
 """Of the Earth's rate: known worse, it tells a latitude to no better than ten degrees."""
-_SAME_UP = 0.99
-"""Cosine: 8 degrees, far less than positions of a plan differ by."""
-_ON_TURNS = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """Fit of Earth rate or gravity to the static dwells, for given sensors.
-
-    Attributes:
-        vector: (3,) Earth rate or specific force in the frame of the attitudes.
-        covariance: (3, 3) its covariance.
-        residuals: (s, 3) what is left.
-        scatter: Chi-square per degree of freedom of what is left, of static dwells or of groups.
-        significant: Whether the scatter exceeds the noise.
-        freedom: Degrees of freedom of the scatter.
-
-    """
-
-    vector: Floats
-    covariance: Floats
-    residuals: Floats
-    scatter: float
-    significant: bool
-    freedom: float
-
-
-def conclude(
-    evidence: Evidence,
-    model: SensorModel,
-    shares: Shares,
-    condition: float,
-    *,
-    gain: Floats,
-    parameters: tuple[Parameter, ...] = PARAMETERS,
-    findings: Sequence[str],
-    north_known: bool,
-    accelerometers: Accelerometers | None = None,
-) -> Solution:
-    """Check a solution against its data and widen covariances by the scatter of residuals.
-
-    Args:
-        evidence: The session.
-        model: What a method found.
-        shares: Its covariance (n, n) by source; NaN for accelerometers that were not estimated.
-        condition: Condition number of its system.
-        gain: (n, m) derivatives of its parameters by the outputs.
-        parameters: What the rows of the covariance stand for.
-        findings: What the method has to say already.
-        north_known: Whether the attitudes are against north.
-        accelerometers: How the method makes accelerometers of a session; None where it does not.
-
-    Raises:
-        InputError: The outputs are not in the units that the IMU's description states.
-        NotObservable: Axes are swapped or mirrored, or the data contradicts the latitude.
-
-    """
-    covariance = total(shares)
-    of_accels = np.array([p.triad == 'a' for p in parameters])
-    with_accels = bool(np.isfinite(covariance[np.ix_(of_accels, of_accels)]).all())
-    check_axes(model.gyro.response, 'gyros', 'whole turns' if evidence.turns else 'the Earth rate')
-    if with_accels:
-        check_axes(model.accel.response, 'accelerometers', 'gravity')
-    notes = [*findings, *far_scales(model), *clock_finding(evidence)]
-    gyro = _fit(evidence, model, slice(0, 3), estimated=6)
-    accel = _fit(evidence, model, slice(3, 6), estimated=14) if with_accels else None
-    widened = covariance.copy()
-    freedom = np.full(len(covariance), np.inf)
-    for fit, mine, name in (
-        (gyro, ~of_accels, 'gyros'),
-        (accel, of_accels, 'accelerometers'),
-    ):
-        if fit is not None and fit.significant:
-            widened[np.ix_(mine, mine)] *= fit.scatter
-            freedom[mine] = fit.freedom
-            notes.append(
-                f'Between positions the {name} scatter {np.sqrt(fit.scatter):.1f} times more than '
-                'within them (positioning errors that the table does not state, drift): their '
-                'standard deviations are widened.'
-            )
-    scatter, of_turns = RateTestEquations.of(evidence).scatter() if evidence.turns else (1.0, 0)
-    if scatter > 1:
-        # Scale factors and misalignments of the gyros rest on the turns, their biases do not.
-        on_turns = [p.triad == 'g' and p.kind in _ON_TURNS for p in parameters]
-        factors = np.where(on_turns, np.sqrt(scatter), 1.0)
-        widened *= np.outer(factors, factors)
-        freedom = np.where(on_turns, np.minimum(freedom, of_turns), freedom)
-        notes.append(turns_scatter_finding(scatter))
-    beyond = {Source.SCATTER: Share(widened - covariance, freedom)}
-    rate, earth = gyro.vector, gyro.covariance * (gyro.scatter if gyro.significant else 1.0)
-    if accel is not None and accelerometers is not None and not evidence.plan.by_hand:
-        tilt = _tilt(accel)
-        rate, earth = tilt.levelled(rate, earth)
-        tilted, said = widened_for_tilt(evidence, model.accel, widened, accelerometers, tilt)
-        beyond[Source.TILT] = Share.known(tilted - widened)
-        widened = tilted
-        notes += said
-    residuals = _residuals(evidence, gyro, accel)
-    notes += _outstanding(residuals)
-    notes += _off_positions(evidence)
-    if not evidence.plan.by_hand:
-        check_latitude(evidence, rate, earth)
-    azimuth = float(np.arctan2(rate[0], rate[1]))
-    azimuth_std = _azimuth_std(rate, earth)
-    if north_known and abs(azimuth) > max(_CONTRADICTION * azimuth_std, _LEAST_AZIMUTH):
-        notes.append(
-            f'The gyros see north {azimuth / DEG:.1f} +- {azimuth_std / DEG:.1f} deg off the '
-            'azimuth given: the gyro biases are wrong by up to '
-            f'{evidence.site.north_rate * abs(np.sin(azimuth)) / DEG_H:.2f} deg/h.'
-        )
-    return Solution(
-        model,
-        widened,
-        residuals,
-        azimuth + (evidence.azimuth or 0.0),
-        azimuth_std,
-        float(rate[2]),
-        float(np.sqrt(earth[2, 2])),
-        condition,
-        tuple(notes),
-        parameters=parameters,
-        shares={**shares, **beyond},
-        gain=gain,
-    )
-
-
-def _tilt(accel: _Fit) -> Tilt:
-    """Return the tilt of the table that the specific force at rest shows."""
-    size = float(np.linalg.norm(accel.vector))
-    square = float(np.diag(accel.covariance)[:2].max()) * accel.scatter
-    return Tilt(accel.vector / size, float(np.sqrt(square)) / size)
 
 
 def turns_scatter_finding(scatter: float) -> str:
@@ -293,150 +138,6 @@ def check_axes(response: Floats, name: str, what: str) -> None:
     )
 
 
-def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int) -> _Fit:
-    """Fit the vector that all static dwells see, and a common offset, by weighted least squares.
-
-    Source: docs/mathematics.md, 'Joint estimate' (azimuth and latitude from the session itself).
-    """
-    triad = model.gyro if channels.start == 0 else model.accel
-    outputs = evidence.outputs()[:, channels] - triad.bias
-    world = EARTH_RATE if channels.start == 0 else evidence.site.gravity
-    variances = evidence.variances()[:, channels] + (evidence.positioning * world) ** 2
-    if channels.start == 0 and evidence.plan.by_hand:
-        # In the hand every hold has a heading of its own: a level rate of unknown direction, of
-        # which each channel sees what its input axis has of the level.
-        ups = evidence.attitudes()[:, 2]
-        level = (triad.response**2).sum(axis=1) - (ups @ triad.response.T) ** 2
-        variances += level * evidence.site.north_rate**2 / 2
-    variances = np.maximum(variances, SMALLEST_VARIANCE)
-    inputs = np.einsum('ij,skj->sik', triad.response, evidence.attitudes())
-    noisy = bool(variances.max() > SMALLEST_VARIANCE)
-    s = len(outputs)
-    design = np.concatenate([inputs, np.broadcast_to(np.eye(3), (s, 3, 3))], axis=2)
-    weights = 1 / np.sqrt(variances)
-    matrix = (design * weights[:, :, None]).reshape(3 * s, 6)
-    scale = np.linalg.norm(matrix, axis=0)
-    wanted = (outputs * weights).reshape(3 * s)
-    inverse = np.linalg.pinv(matrix / scale)
-    solution = inverse @ wanted / scale
-    covariance = (inverse @ inverse.T) / np.outer(scale, scale)
-    left = ((wanted - matrix @ solution) / weights.reshape(-1)).reshape(s, 3)
-    scatter, significant, freedom = 1.0, False, np.inf
-    tested = left
-    if channels.start == 3:
-        tested = _left_by_weighted_fit(evidence, model, variances)
-    for groups in (np.arange(s), _by_up(evidence)):
-        ratio, plain, free = _scatter(tested, variances, groups, estimated)
-        if noisy and plain and ratio > scatter:
-            scatter, significant, freedom = ratio, True, free
-    return _Fit(solution[:3], covariance[:3, :3], left, scatter, significant, freedom)
-
-
-def _left_by_weighted_fit(evidence: Evidence, model: SensorModel, variances: Floats) -> Floats:
-    """Return what responses, biases and tilt leave when fitted together, each output by its noise.
-
-    The closed forms weigh all positions alike. What a position of few pulses does to them through
-    its quantisation is no contradiction among the others.
-
-    Args:
-        evidence: The session.
-        model: What a closed form made of it, to begin with.
-        variances: (s, 3) of the outputs of the accelerometers.
-
-    Returns:
-        (s, 3)
-
-    """
-    equations = Equations(replace(evidence, turns=(), moves=()))
-    state, rows = equations.nominal(), equations.layout.dwell[:, 3:].ravel()
-    state[: equations.sensors] = model.values(PARAMETERS)
-    tilts = [equations.sensors + which for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
-    free = np.array([k for k, p in enumerate(PARAMETERS) if p.triad == 'a'] + tilts, dtype=np.intp)
-    weights = 1 / np.sqrt(variances.ravel())
-    # The second step is for what is of second order: tilts times errors of the closed form.
-    for _ in range(2):
-        left = (equations.outputs - equations.predict(state))[rows]
-        columns = equations.jacobian(state)[np.ix_(rows, free)] * weights[:, None]
-        scale = np.linalg.norm(columns, axis=0)
-        step = np.linalg.lstsq(columns / scale, left * weights, rcond=_RANK)[0] / scale
-        state[free] += step
-    return (equations.outputs - equations.predict(state))[rows].reshape(-1, 3)
-
-
-def _by_up(evidence: Evidence) -> NDArray[np.intp]:
-    """Number the static dwells by the direction of up: what errs once in all of such a group.
-
-    Between the positions of a group only the vertical axis turned. A positioning error of the
-    other axes is common to them, and hides from the scatter within the group.
-    """
-    ups = evidence.attitudes()[:, 2]
-    return np.asarray(np.argmax(ups @ ups.T > _SAME_UP, axis=1))
-
-
-def _scatter(
-    left: Floats, variances: Floats, groups: NDArray[np.intp], estimated: int
-) -> tuple[float, bool, int]:
-    """Return chi-square per degree of freedom of groups' means, its significance, and freedom."""
-    square, count = 0.0, 0
-    for group in np.unique(groups):
-        mine = groups == group
-        precision = 1 / variances[mine]
-        mean = (precision * left[mine]).sum(axis=0) / precision.sum(axis=0)
-        square += float(mean**2 @ precision.sum(axis=0))
-        count += 3
-    if count <= estimated:
-        return 1.0, False, 0
-    freedom = count - estimated
-    significant = bool(scipy.special.chdtrc(freedom, square) < _SIGNIFICANT)
-    return square / freedom, significant, freedom
-
-
-def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit | None) -> tuple[Residual, ...]:
-    std = np.sqrt(evidence.variances())
-    of_accels = np.full_like(gyro.residuals, np.nan) if accel is None else accel.residuals
-    values = np.hstack([gyro.residuals, of_accels])
-    return tuple(
-        Residual(str(segment.position), segment.start, value, deviation)
-        for segment, value, deviation in zip(evidence.segments, values, std, strict=True)
-    )
-
-
-def _outstanding(residuals: Sequence[Residual]) -> list[str]:
-    """Name positions whose residuals stand far out of the others'."""
-    if not residuals:
-        return []
-    normalised = np.array(
-        [np.abs(r.value) / np.maximum(r.std, np.sqrt(SMALLEST_VARIANCE)) for r in residuals]
-    )
-    worst = np.nanmax(normalised, axis=1)
-    limit = _OUTSTANDING * max(1.0, 1.4826 * float(np.median(worst)))
-    names = [
-        f'{r.position} ({w:.0f} sigma)' for r, w in zip(residuals, worst, strict=True) if w > limit
-    ]
-    plural = 's' * (len(names) > 1)
-    return [f'Outlier{plural}: position{plural} {", ".join(names)}.'] if names else []
-
-
-def _off_positions(evidence: Evidence) -> list[str]:
-    known = {p.id: p for p in evidence.plan.positions}
-    words = []
-    for segment in evidence.segments:
-        if segment.angles is None or segment.attitude is None or evidence.azimuth is not None:
-            continue
-        position = known.get(str(segment.position))
-        if position is None:
-            continue
-        angle = float(angle_between(segment.attitude, position.attitude))
-        if angle > _OFF_POSITION:
-            words.append(f'{position.id} ({angle / DEG:.2f} deg)')
-    if not words:
-        return []
-    return [
-        f'By the encoders attitudes differ from the plan: position {", ".join(words)}; the closed '
-        'form, which takes those of the plan, is biased by that.'
-    ]
-
-
 class WrongLatitude(Contradiction):
     """The gyros see the Earth turn as it does at another latitude.
 
@@ -469,8 +170,8 @@ def check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> Non
     up_std = float(np.sqrt(covariance[2, 2]))
     level = float(np.hypot(earth[0], earth[1]))
     level_std = float(np.sqrt(max(covariance[0, 0], covariance[1, 1])))
-    far_up = abs(earth[2] - site.up_rate) > max(_CONTRADICTION * up_std, _LEAST_EARTH_RATE)
-    far_level = abs(level - site.north_rate) > max(_CONTRADICTION * level_std, _LEAST_EARTH_RATE)
+    far_up = abs(earth[2] - site.up_rate) > max(CONTRADICTION * up_std, _LEAST_EARTH_RATE)
+    far_level = abs(level - site.north_rate) > max(CONTRADICTION * level_std, _LEAST_EARTH_RATE)
     if not (far_up or far_level):
         return
     seen = float(np.arctan2(earth[2], level))
@@ -481,7 +182,7 @@ def check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> Non
         f'(expected {site.up_rate / DEG_H:.2f}) and {level / DEG_H:.2f} +- '
         f'{level_std / DEG_H:.2f} deg/h horizontal (expected {site.north_rate / DEG_H:.2f})'
     )
-    if abs(total - EARTH_RATE) > _CONTRADICTION * total_std:
+    if abs(total - EARTH_RATE) > CONTRADICTION * total_std:
         raise Contradiction(
             f'The data contradicts itself: {text}, {total / DEG_H:.2f} deg/h in all, where the '
             f'Earth turns at {EARTH_RATE / DEG_H:.2f} deg/h at any latitude. The rate test does '
@@ -495,11 +196,3 @@ def check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> Non
         seen,
         abs(total - EARTH_RATE) / total_std,
     )
-
-
-def _azimuth_std(earth: Floats, covariance: Floats) -> float:
-    level = float(np.hypot(earth[0], earth[1]))
-    if level == 0.0:
-        return float('inf')
-    across = np.array([earth[1], -earth[0]]) / level
-    return float(np.sqrt(across @ covariance[:2, :2] @ across)) / level

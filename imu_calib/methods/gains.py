@@ -27,7 +27,7 @@ from ..model import (
 from ..observation.equations import Equations
 from ..observation.evidence import Evidence
 from ..stream import Floats
-from .checks import conclude
+from .conclusion import conclude
 from .solution import Solution
 
 BIAS = 3
@@ -121,7 +121,7 @@ class Gains:
         """
         model = self.model(evidence)
         return conclude(
-            _without_g(evidence, model.g_sensitivity),
+            evidence,
             model,
             self.shares(evidence, model),
             self.condition,
@@ -150,23 +150,6 @@ def shares_of(evidence: Evidence, model: SensorModel, rows: Floats) -> dict[Sour
     clock = rows @ equations.clock_slope(state) * evidence.clock_rate()[1]
     found[Source.CLOCK] = Share.of_parts([(np.outer(clock, clock), evidence.clock_freedom)])
     return found
-
-
-def _without_g(evidence: Evidence, g: Floats) -> Evidence:
-    """Return the session with what specific force does to the gyros taken out."""
-    if not g.any():
-        return evidence
-    up = np.array([0.0, 0.0, evidence.site.gravity])
-    segments, turns = [], []
-    for segment, attitude in zip(evidence.segments, evidence.attitudes(), strict=True):
-        mean = segment.statistics.mean.copy()
-        mean[:3] -= g @ attitude.T @ up
-        segments.append(replace(segment, statistics=replace(segment.statistics, mean=mean)))
-    for turn in evidence.turns:
-        mean = turn.statistics.mean.copy()
-        mean[:3] -= g @ turn.up * evidence.site.gravity
-        turns.append(replace(turn, statistics=replace(turn.statistics, mean=mean)))
-    return replace(evidence, segments=tuple(segments), turns=tuple(turns))
 
 
 def inverse(design: Floats, names: Sequence[str], what: str) -> tuple[Floats, float]:

@@ -39,6 +39,7 @@ from .checks import (
     far_scales,
     turns_scatter_finding,
 )
+from .conclusion import LeastSquares
 from .solution import Residual, Solution
 
 _TELLING = 0.1
@@ -257,21 +258,17 @@ def observed_earth_rate(found: Estimate) -> tuple[Floats, Floats]:
 def _free_earth(plain: Equations, state: Floats) -> tuple[Floats, Floats]:
     """Return `observed_earth_rate` about a state (n,), by the covariance of `plain`."""
     sensors = plain.sensors
-    free = scipy.linalg.solve_triangular(plain.factor(state), plain.by_rate(state), lower=True)
+    by_rate = plain.by_world(state)[:, :3]
+    free = scipy.linalg.solve_triangular(plain.factor(state), by_rate, lower=True)
     jacobian, left = plain.whitened(state)
     # The heading is one of the three that are now free.
     jacobian = np.delete(jacobian, sensors + Nuisance.AZIMUTH, axis=1)
     columns = np.hstack([jacobian, np.vstack([free, np.zeros((plain.nuisances, 3))])])
-    scale = np.linalg.norm(columns, axis=0)
-    inverse = np.linalg.pinv(columns / scale)
-    step = inverse @ left / scale
-    covariance = (inverse @ inverse.T) / np.outer(scale, scale)
-    over = left - columns @ step
-    freedom = max(1, len(left) - columns.shape[1])
-    covariance = covariance[-3:, -3:] * max(1.0, float(over @ over) / freedom)
+    seen = LeastSquares.of(columns, left, float(np.finfo(float).eps))
+    covariance = seen.covariance[-3:, -3:] * max(1.0, seen.square / max(1, seen.freedom))
     around = plain.surroundings(state)
     # The tilts' own columns turn the rate along with gravity: what is free comes on top of that.
-    return around.level @ (around.rate + step[-3:]), around.level @ covariance @ around.level.T
+    return around.level @ (around.rate + seen.step[-3:]), around.level @ covariance @ around.level.T
 
 
 def _findings(found: Estimate, untold: Sequence[str]) -> list[str]:

@@ -15,7 +15,7 @@ from ..errors import NotObservable
 from ..model import AXES, SensorModel, Triad
 from ..observation.evidence import Evidence
 from ..stream import Floats
-from .checks import conclude
+from .conclusion import conclude
 from .gains import Gains
 from .linear import BIAS, UNKNOWNS, ChannelSystem, SolvedTriad, solve_triad
 from .rate_test import RateTestEquations
@@ -53,7 +53,6 @@ def solve_gyros(evidence: Evidence, bias: BiasEquation) -> SolvedTriad:
     test = RateTestEquations.of(evidence)
     solved = _gyros(evidence, test, bias, test.outputs)
     for _ in range(_PASSES):
-        test = RateTestEquations.of(evidence, solved.triad.response)
         outputs = test.outputs - test.off_axis @ solved.triad.response.T
         solved = _gyros(evidence, test, bias, outputs)
     return solved

@@ -9,20 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from ..errors import NotObservable
 from ..model import AXES
-from ..observation.evidence import SMALLEST_VARIANCE, Evidence, vertical_axis
+from ..observation.evidence import Evidence, vertical_axis
 from ..stream import Floats
 from .linear import BIAS, UNKNOWNS, ChannelSystem
 
 _ONE_RATE = 0.2
 """Of the largest rate: spread below which a line has no slope of its own."""
-_UNKNOWNS_OF_A_LINE = 2
-"""Offset and slope."""
-_SIGNIFICANT = 1e-6
-"""Probability of chance below which turns scatter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +26,6 @@ class RateTestEquations:
 
     Attributes:
         outputs: (t, 3) mean gyro outputs, rad/s.
-        variances: (t, 3) theirs, (rad/s)^2.
         inputs: (t,) rate about the vertical body axis, Earth included, rad/s.
         axes: (t,) which body axis was vertical.
         off_axis: (t, 3) what the encoders say that the other axes turned, rad/s.
@@ -39,34 +33,25 @@ class RateTestEquations:
     """
 
     outputs: Floats
-    variances: Floats
     inputs: Floats
     axes: Floats
     off_axis: Floats
 
     @classmethod
-    def of(cls, evidence: Evidence, response: Floats | None = None) -> RateTestEquations:
+    def of(cls, evidence: Evidence) -> RateTestEquations:
         """Collect the turns of a session.
-
-        Args:
-            evidence: The session.
-            response: (3, 3) of the gyros as far as it is known, for the variances.
 
         Raises:
             NotObservable: An axis about which nothing turned.
 
         """
-        axes, inputs, variances, off = [], [], [], []
+        axes, inputs, off = [], [], []
         for turn in evidence.turns:
             axis, sign = vertical_axis(turn.up, turn.position)
-            rate = turn.rate()
+            rate = turn.rate() + evidence.site.up_rate
             axes.append(axis)
-            inputs.append(sign * (rate + evidence.site.up_rate))
-            off.append((rate + evidence.site.up_rate) * (turn.up - sign * np.eye(3)[axis]))
-            variance = turn.variance(evidence.walk, evidence.site.north_rate, response)
-            # An error of the encoder's rate shows in the channel that turns, and there alone.
-            variance[axis] += (turn.rate_error * rate) ** 2
-            variances.append(variance)
+            inputs.append(sign * rate)
+            off.append(rate * (turn.up - sign * np.eye(3)[axis]))
         for axis, name in enumerate(AXES):
             if axis not in axes:
                 raise NotObservable(
@@ -74,33 +59,7 @@ class RateTestEquations:
                     f'the gyros to {name.upper()} cannot be determined.'
                 )
         outputs = np.array([t.statistics.mean[:3] for t in evidence.turns])
-        return cls(outputs, np.array(variances), np.array(inputs), np.array(axes), np.array(off))
-
-    def scatter(self) -> tuple[float, int]:
-        """Hold the turns about each axis to a line, which their outputs must follow.
-
-        Returns:
-            Chi-square per degree of freedom where the turns scatter beyond their noise about
-            that line, 1 where they do not, or where two turns leave nothing to compare; the
-            degrees of freedom.
-
-        """
-        square, freedom = 0.0, 0
-        for axis in range(3):
-            mine = np.flatnonzero(self.axes == axis)
-            if len(mine) <= _UNKNOWNS_OF_A_LINE or np.ptp(self.inputs[mine]) == 0:
-                continue
-            for channel in range(3):
-                weights = 1 / np.sqrt(np.maximum(self.variances[mine, channel], SMALLEST_VARIANCE))
-                design = np.column_stack([np.ones(len(mine)), self.inputs[mine]]) * weights[:, None]
-                wanted = self.outputs[mine, channel] * weights
-                left = wanted - design @ np.linalg.lstsq(design, wanted, rcond=None)[0]
-                square += float(left @ left)
-                freedom += len(mine) - _UNKNOWNS_OF_A_LINE
-        noisy = bool(self.variances.max() > SMALLEST_VARIANCE)
-        if not freedom or not noisy or scipy.special.chdtrc(freedom, square) > _SIGNIFICANT:
-            return 1.0, freedom
-        return max(1.0, square / freedom), freedom
+        return cls(outputs, np.array(inputs), np.array(axes), np.array(off))
 
     def add_to(self, system: ChannelSystem, axis: int, first: int) -> None:
         """Add the equation for the response to one axis.

@@ -30,6 +30,10 @@ _FEW = 32
 """Outputs of five dwells, which determine nothing: numpy solves for so few in 0.1 ms, and loading
 scipy takes longer than all else that is done with such a session."""
 
+_ROUNDING = 4 * float(np.finfo(float).eps)
+"""Of a variance, for each output: what a root of the covariance loses of it (Higham 2002, Accuracy
+and Stability of Numerical Algorithms, theorem 10.7)."""
+
 GIVEN_AZIMUTH = 1 * ARCMIN
 """How well a table's azimuth is known where its configuration states it."""
 
@@ -166,6 +170,8 @@ class Equations(SessionModel):
         result = np.diag(self.own_variances)
         for component in self.shared(state):
             component.part.add_to(result)
+        # Without noise what outputs share leaves no more of them than rounding, and no root.
+        result[np.diag_indices(len(result))] *= 1 + _ROUNDING * len(result)
         return result
 
     def shares(self, state: Floats, gain: Floats) -> dict[Source, Share]:

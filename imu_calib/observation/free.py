@@ -92,7 +92,7 @@ class FreeEquations(Equations):
         result = super()._derivatives(state)
         ends = [link.second for link in self.evidence.links.links]
         run = np.append(self.runs, self.runs[ends])[self.layout.segment]
-        by_level = self.by_rate(state)[:, :2] * self._level_rate
+        by_level = self.by_world(state)[:, :2] * self._level_rate
         same = run[:, None] == np.arange(self.runs.max(initial=-1) + 1)
         result[:, self.north] = (same[:, :, None] * by_level[:, None]).reshape(len(run), -1)
         dwells = len(self.runs)

@@ -193,9 +193,8 @@ class SessionModel:
 
     def _predicted(self, state: Floats) -> Floats:
         """Return what is read by the parameters of the session's mean, (m,)."""
-        around, *inputs = self._inputs(state)
-        model = self.model(state)
-        at_rest, turned = self._answers(model, inputs)
+        around, model = self.surroundings(state), self.model(state)
+        at_rest, turned = self.answers(state)
         led = self.evidence.links.misclosures(model, self.earth(state), around.force)
         if state[self.clock]:
             led = led + self._led_by_clock(model, around) * state[self.clock]
@@ -203,15 +202,10 @@ class SessionModel:
         predicted[self._divided] /= 1 + state[self.clock]
         return predicted
 
-    def _answers(self, model: SensorModel, inputs: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Return what dwells (s, 6) and turns (t, 6) read by the table's clock.
-
-        Args:
-            model: The sensors.
-            inputs: As `_inputs` returns them: rates and forces at rest, then in turns.
-
-        """
-        rate, force, turning, felt = inputs
+    def answers(self, state: Floats) -> tuple[Floats, Floats]:
+        """Return what dwells (s, 6) and turns (t, 6) read by the table's clock."""
+        _, rate, force, turning, felt = self._inputs(state)
+        model = self.model(state)
         at_rest = np.hstack(model.predict(rate, force))
         return at_rest, mean_over_turn(np.concatenate(model.predict(turning, felt), axis=-1))
 
@@ -223,27 +217,22 @@ class SessionModel:
         return self._once('derivatives', state, self._derivatives)
 
     def _derivatives(self, state: Floats) -> Floats:
-        around, rate, force, turning, felt = self._inputs(state)
+        around, _, _, turning, felt = self._inputs(state)
         model, n = self.model(state), self.sensors
-        at_rest = np.zeros((len(rate), 6, self.size))
-        turned = np.zeros((len(turning), 6, self.size))
-        moves = self.evidence.links
-        led = np.zeros((len(moves), 6, self.size))
-        world = np.vstack([around.rate_slopes, around.force_slopes])
-        at_rest[:, :, n : n + 3] = model.slopes(rate, force) @ _both(self._to_body) @ world
-        slopes = model.slopes(turning, felt)
-        turned[:, :, n : n + 3] = mean_over_turn(slopes @ _both(self._headings) @ world)
-        arms = self.evidence.arms
-        turned[arms.turns, :, self.arms] = mean_over_turn(slopes[..., 3:])[arms.turns] @ arms.slopes
-        led[:, :, n : n + 3] = moves.by_rate() @ around.rate_slopes
-        led[:, :, n : n + 3] += moves.by_force() @ around.force_slopes
+        at_rest, turned, led = (
+            np.zeros((count, 6, self.size))
+            for count in (self.layout.dwells, self.layout.turns, self.layout.moves)
+        )
+        arms, by_force = self.evidence.arms, model.slopes(turning, felt)[..., 3:]
+        turned[arms.turns, :, self.arms] = mean_over_turn(by_force)[arms.turns] @ arms.slopes
         led[:, :, self.clock] = self._led_by_clock(model, around)
         result = self.layout.joined(at_rest, turned, led)
         faster, divided = 1 + state[self.clock], self._divided
         result[divided] /= faster
+        world = np.vstack([around.rate_slopes, around.force_slopes])
+        result[:, n : n + 3] = self.by_world(state) @ world
         result[:, :n] = self.by_parameters(state, self.parameters)
-        answers = self._answers(model, (rate, force, turning, felt))
-        answered = self.layout.joined(*answers, np.zeros_like(led[:, :, 0]))
+        answered = self.layout.joined(*self.answers(state), np.zeros_like(led[:, :, 0]))
         result[divided, self.clock] = -answered[divided] / faster**2
         result[:, self.changing] = self.columns(self.changes, result)
         return result
@@ -305,21 +294,24 @@ class SessionModel:
     def _to_body(self) -> Floats:
         return np.transpose(self._attitudes, (0, 2, 1))
 
-    def by_rate(self, state: Floats) -> Floats:
-        """Return the derivatives of `predict` by the Earth rate in the frame of the attitudes.
+    def by_world(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict` by Earth rate and gravity.
 
         Returns:
-            (m, 3).
+            (m, 6), both in the frame of the attitudes.
 
         """
-        return self._once('by rate', state, self._by_rate)
+        return self._once('by world', state, self._by_world)
 
-    def _by_rate(self, state: Floats) -> Floats:
+    def _by_world(self, state: Floats) -> Floats:
         _, rate, force, turning, felt = self._inputs(state)
-        model = self.model(state)
-        at_rest = model.slopes(rate, force)[..., :3] @ self._to_body
-        turned = mean_over_turn(model.slopes(turning, felt)[..., :3] @ self._headings)
-        return self.layout.joined(at_rest, turned, self.evidence.links.by_rate())
+        model, moves = self.model(state), self.evidence.links
+        at_rest = model.slopes(rate, force) @ _both(self._to_body)
+        turned = mean_over_turn(model.slopes(turning, felt) @ _both(self._headings))
+        led = np.concatenate([moves.by_rate(), moves.by_force()], axis=2)
+        result = self.layout.joined(at_rest, turned, led)
+        result[self._divided] /= 1 + state[self.clock]
+        return result
 
     def by_mount(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by rotations of the unit in its mount.
@@ -362,7 +354,8 @@ class SessionModel:
 
     def latitude_slope(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by the latitude, (m,) per rad."""
-        return np.asarray(self.by_rate(state) @ self.surroundings(state).rate_by_latitude)
+        by_rate = self.by_world(state)[:, :3]
+        return np.asarray(by_rate @ self.surroundings(state).rate_by_latitude)
 
     def clock_slope(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by the rate between the clocks."""

@@ -7,10 +7,11 @@ from random walk, pulses and times alone (`readings`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy
 
 from ..calibrator import Setup
 from ..courses import Course
@@ -20,8 +21,7 @@ from ..imu import ImuSpec, TriadSpec
 from ..methods.free_positions import NAME as FREE_POSITIONS
 from ..model import BIASES, SensorModel, Skewed
 from ..model.motion import has_motion_terms
-from ..observation.evidence import UP, Evidence
-from ..observation.headings import headings, mean_over_turn
+from ..observation.evidence import Evidence
 from ..observation.ideal_moves import (
     BY_HAND_MOVE,
     ideal_holds,
@@ -30,19 +30,28 @@ from ..observation.ideal_moves import (
     joint_course,
     nanoseconds,
 )
-from ..rotations import rotation
+from ..observation.session_model import Nuisance, SessionModel
 from ..segmentation.clock import ClockFit
 from ..segmentation.moves import COARSEST
-from ..segmentation.segment import Segment, Turn
+from ..segmentation.segment import Segment, Statistics, Turn
 from ..segmentation.segmented import Move
 from ..segmentation.sensor import NEARLY
 from ..stream import Floats, Mode
 from ..turntable import TURN
-from .readings import SPARE, each_turn, period_of, reading, skewed_alone, triads, walk_of
+from .readings import (
+    SPARE,
+    each_turn,
+    period_of,
+    reading,
+    skewed_alone,
+    triads,
+    unread,
+    walk_of,
+)
 from .schedule import SETTLE, schedule
 
 _UNSEEN = 0.5
-"""What the segmentation leaves at the two ends of a rest: a window of the joint states each, s."""
+"""What the segmentation leaves at the two ends of a dwell: a window of the joint states each, s."""
 
 _BY_HAND_TURN = 2.0
 """s for a whole turn by hand."""
@@ -57,31 +66,20 @@ _ANYHOW = Skewed(np.full((1, 3), 1 / math.sqrt(3)), np.zeros(1))
 
 
 @dataclass(frozen=True, eq=False)
-class _Dwell:
-    """The table stands at one attitude, from `start` to `end` (s since the first step).
+class _Times:
+    """When the unit would stand and when it would turn; nothing is read yet.
 
-    `course` leads there from the rest before, where nothing is turned in between.
+    Attributes:
+        dwells: Dwells.
+        turns: Whole turns, of which so much is measured.
+        courses: Of each dwell, what leads there from the one before where nothing is turned in
+            between.
+
     """
 
-    position: str
-    attitude: Floats
-    start: float
-    end: float
-    angles: Floats | None = None
-    course: Course | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class _Turning:
-    """Whole turns at a signed rate about up (rad/s), of which `seconds` are measured."""
-
-    position: str
-    up: Floats
-    start: float
-    seconds: float
-    rate: float
-    angles: Floats | None = None
-    joint: int | None = None
+    dwells: list[Segment]
+    turns: list[Turn]
+    courses: list[Course | None]
 
 
 def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> Evidence:
@@ -102,144 +100,130 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
             f'The IMU {setup.imu.id} states no angle_random_walk or no velocity_random_walk: '
             'there is nothing to predict from.'
         )
-    dwells, turnings = _course(setup)
+    times = _by_hand(setup) if setup.plan.by_hand else _by_table(setup)
     stated = setup.table.azimuth if setup.table is not None else None
-    heading = (stated or 0.0) if azimuth is None else azimuth
+    # Joint states at 100 Hz tell the clocks apart far better than any parameter needs.
+    bare = Evidence(
+        tuple(times.dwells),
+        tuple(times.turns),
+        setup.plan,
+        setup.site,
+        ClockFit(0.0, 0.0, 0.0, 0.0, 0.0, len(times.turns)),
+        stated,
+        walk,
+        setup.table.positioning if setup.table is not None else 0.0,
+        table=setup.table,
+        free=setup.method_name == FREE_POSITIONS,
+        coarse=has_motion_terms(setup.terms),
+    )
+    session = SessionModel(bare, truth.parameters)
+    state = session.nominal()
+    state[: session.sensors] = truth.values(truth.parameters)
     # The attitudes of a session are those of the table's own idea of north.
-    world = rotation(UP, (stated or 0.0) - heading)
-    earth, force = world @ setup.site.earth_rate, setup.site.specific_force
-    segments = []
-    for dwell in dwells:
-        body = dwell.attitude.T
-        mean = np.concatenate(truth.predict(body @ earth, body @ force))
-        statistics = reading(setup.imu, mean, dwell.end - dwell.start)
-        segments.append(
-            Segment(
-                nanoseconds(dwell.start),
-                nanoseconds(dwell.end),
-                statistics,
-                dwell.attitude,
-                dwell.position,
-                dwell.angles,
-            )
-        )
-    turns = []
-    for turning in turnings:
-        spin = turning.up * (turning.rate + setup.site.up_rate)
-        turned = headings(turning.up[None])
-        both = turned @ earth + turning.up * turning.rate, turned @ force
-        mean = mean_over_turn(np.concatenate(truth.predict(*both), axis=-1))[0]
-        spare = 0.0 if setup.plan.by_hand else SPARE
-        statistics = reading(setup.imu, mean, turning.seconds, spare)
-        askew = None
-        if setup.imu.skewed is not None:
-            lies = truth.skewed or _ANYHOW
-            fourth = np.append(lies.predict(spin)[0], np.zeros(5))
-            askew = reading(skewed_alone(setup.imu), fourth, turning.seconds, SPARE)
-        turns.append(
-            Turn(
-                nanoseconds(turning.start),
-                nanoseconds(turning.start + turning.seconds),
-                statistics,
-                turning.rate * turning.seconds,
-                None if setup.plan.by_hand else turning.seconds,
-                turning.up,
-                turning.position,
-                skewed=askew,
-                each=each_turn(setup.imu, statistics, askew, turning.rate),
-                level=_BY_HAND_LEVEL if setup.plan.by_hand else 0.0,
-                angles=turning.angles,
-                joint=turning.joint,
-            )
-        )
-    free = setup.method_name == FREE_POSITIONS
-    if free:
+    heading = 0.0 if azimuth is None else azimuth - (stated or 0.0)
+    state[session.sensors + Nuisance.AZIMUTH] = heading
+    at_rest, turned = session.answers(state)
+    segments = [
+        replace(dwell, statistics=reading(setup.imu, mean, dwell.statistics.duration))
+        for dwell, mean in zip(times.dwells, at_rest, strict=True)
+    ]
+    turns = [
+        _read(turn, mean, setup, truth) for turn, mean in zip(times.turns, turned, strict=True)
+    ]
+    if bare.free:
         segments = ideal_holds(segments)
         moves = [ideal_move_by_hand(a, b, truth, setup.site) for a, b in pairwise(segments)]
     else:
+        around = session.surroundings(state)
         moves = [
             move
-            for before, after, dwell in zip(segments, segments[1:], dwells[1:], strict=False)
-            if dwell.course is not None
+            for before, after, course in zip(
+                segments, segments[1:], times.courses[1:], strict=False
+            )
+            if course is not None
             and setup.table is not None
             and _followed(
-                move := ideal_move(before, after, dwell.course, setup.table, truth, (earth, force)),
+                move := ideal_move(
+                    before, after, course, setup.table, truth, (around.rate, around.force)
+                ),
                 setup.imu,
             )
         ]
-    # Joint states at 100 Hz tell the clocks apart far better than any parameter needs.
-    clock = ClockFit(0.0, 0.0, 0.0, 0.0, 0.0, len(turns))
-    positioning = setup.table.positioning if setup.table is not None else 0.0
-    return Evidence(
-        tuple(segments),
-        tuple(turns),
-        setup.plan,
-        setup.site,
-        clock,
-        stated,
-        walk,
-        positioning,
-        moves=tuple(moves),
-        table=setup.table,
-        free=free,
-        coarse=has_motion_terms(setup.terms),
-    )
+    return replace(bare, segments=tuple(segments), turns=tuple(turns), moves=tuple(moves))
 
 
-def _course(setup: Setup) -> tuple[list[_Dwell], list[_Turning]]:
-    """Say when the unit would stand and when it would turn."""
-    if setup.plan.by_hand:
-        return _by_hand(setup)
-    table = setup.table
+def _read(turn: Turn, mean: Floats, setup: Setup, truth: SensorModel) -> Turn:
+    """Return a turn with what the six channels read in it, and a skewed gyro where there is one."""
+    seconds, spare = turn.statistics.duration, 0.0 if setup.plan.by_hand else SPARE
+    statistics, askew = reading(setup.imu, mean, seconds, spare), None
+    if setup.imu.skewed is not None:
+        lies = truth.skewed or _ANYHOW
+        seen = lies.predict(turn.up * (turn.rate() + setup.site.up_rate))
+        fourth = np.append(seen[0], np.zeros(5))
+        askew = reading(skewed_alone(setup.imu), fourth, seconds, SPARE)
+    each = each_turn(setup.imu, statistics, askew, turn.rate())
+    return replace(turn, statistics=statistics, skewed=askew, each=each)
+
+
+def _stretch(start: float, seconds: float) -> tuple[int, int, Statistics]:
+    """Return the stamps and the length of what nobody has read, from s since the first step."""
+    return nanoseconds(start), nanoseconds(start + seconds), unread(seconds)
+
+
+def _by_table(setup: Setup) -> _Times:
+    table, times = setup.table, _Times([], [], [])
     if table is None:
         raise InputError(f'Plan {setup.plan.name} needs a table.')
-    steps = setup.plan.steps(table)
-    dwells: list[_Dwell] = []
-    turnings: list[_Turning] = []
     standing = 0.0
     at: Floats | None = None
-    for visit in schedule(steps, table, settle=SETTLE):
+    for visit in schedule(setup.plan.steps(table), table, settle=SETTLE):
         if visit.rest > visit.begin:
             standing = visit.rest
         step = visit.step
+        attitude = table.attitude(step.angles)
         if step.mode is Mode.RATE:
             joint = next(k for k, rate in enumerate(step.rates) if rate)
-            up = table.attitude(step.angles)[2]
+            up = attitude[2]
             sense = math.copysign(1.0, float(table.joint_axis(joint, step.angles) @ up))
-            rate = float(step.rates[joint])
-            seconds = TURN * step.turns / abs(rate)
-            start = (visit.begin + visit.rest - seconds) / 2
-            turnings.append(
-                _Turning(step.position, up, start, seconds, sense * rate, step.angles, joint)
+            seconds = TURN * step.turns / abs(float(step.rates[joint]))
+            angle = math.copysign(TURN * step.turns, sense * step.rates[joint])
+            stretch = _stretch((visit.begin + visit.rest - seconds) / 2, seconds)
+            times.turns.append(
+                Turn(*stretch, angle, seconds, up, step.position, angles=step.angles, joint=joint)
             )
             at = None
         elif step.dwell:
-            attitude = table.attitude(step.angles)
-            span = (standing + _UNSEEN / 2, visit.end - _UNSEEN / 2)
-            course = None
-            if at is not None and not np.array_equal(at, visit.angles):
-                course = joint_course(table, at, visit.angles)
-            dwells.append(_Dwell(step.position, attitude, *span, visit.angles, course))
+            begin = standing + _UNSEEN / 2
+            stretch = _stretch(begin, visit.end - _UNSEEN / 2 - begin)
+            moved = None if at is None or np.array_equal(at, visit.angles) else at
+            times.courses.append(
+                None if moved is None else joint_course(table, moved, visit.angles)
+            )
+            times.dwells.append(Segment(*stretch, attitude, step.position, visit.angles))
             at = visit.angles
         else:
             at = None
-    return dwells, turnings
+    return times
 
 
-def _by_hand(setup: Setup) -> tuple[list[_Dwell], list[_Turning]]:
-    dwells, turnings, now = [], [], 0.0
+def _by_hand(setup: Setup) -> _Times:
+    times, now = _Times([], [], []), 0.0
     for position in setup.plan.positions:
         if position.rate_test is not None:
-            turns = position.rate_test.turns
-            seconds = turns * _BY_HAND_TURN
-            rate = TURN * turns / seconds
+            angle = TURN * position.rate_test.turns
+            seconds = position.rate_test.turns * _BY_HAND_TURN
             now += _BY_HAND_STILL
-            turnings.append(_Turning(position.id, position.up, now, seconds, rate))
+            stretch = _stretch(now, seconds)
+            times.turns.append(
+                Turn(*stretch, angle, None, position.up, position.id, level=_BY_HAND_LEVEL)
+            )
             now += seconds + _BY_HAND_STILL
         if position.dwell:
-            dwells.append(_Dwell(position.id, position.attitude, now, now + position.dwell))
+            stretch = _stretch(now, position.dwell)
+            times.dwells.append(Segment(*stretch, position.attitude, position.id))
+            times.courses.append(None)
         now += position.dwell + BY_HAND_MOVE
-    return dwells, turnings
+    return times
 
 
 def _followed(move: Move, spec: ImuSpec) -> bool:
@@ -269,14 +253,10 @@ def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
     none = np.zeros((len(spans), 3, 3)), np.zeros(len(spans), dtype=bool)
     means = BiasDrift.over(begin, end - begin, *none).of_one(STATED_TIME)
     askew = [len(dwells) + k for k, t in enumerate(turns) if t.skewed is not None]
-    rows = evidence.layout
-    channel = [*rows.channels.tolist(), *[6] * len(askew)]
-    which = np.concatenate([rows.segment, np.array(askew, dtype=int)])
+    which = np.concatenate([evidence.layout.segment, np.array(askew, dtype=int)])
     figures = [t.bias_instability for t in (*triads(spec), spec.skewed or TriadSpec())]
+    session = SessionModel(evidence)
     # What a move carries along as it turns; all else reads its own bias.
-    answers = np.eye(7)[channel]
-    led = evidence.links.by_parameters(SensorModel(), BIASES)
-    answers[rows.move, :6] = led[:, :3]
-    answers[rows.velocity, :6] = led[list(rows.moves_with_accels), 3:]
-    by_bias = answers * figures
+    answers = session.by_parameters(session.nominal(), BIASES)
+    by_bias = scipy.linalg.block_diag(answers, np.ones((len(askew), 1))) * figures
     return np.asarray(means[np.ix_(which, which)] * (by_bias @ by_bias.T))

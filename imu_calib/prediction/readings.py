@@ -37,7 +37,7 @@ def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = N
 
     """
     gain, quantisation = np.full(6, 1 / seconds), np.zeros(6)
-    period, nothing = period_of(spec), np.full(6, np.nan)
+    period = period_of(spec)
     steps = np.array([triad.scale_factor for triad in triads(spec)])
     for c, triad in enumerate(triads(spec)):
         if spec.units is Units.COUNTS:
@@ -55,18 +55,31 @@ def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = N
                 found.walk_gain,
                 found.quantisation_variance * triad.scale_factor**2,
             )
-    return Statistics(
+    return replace(
+        unread(seconds),
         samples=round(seconds / period),
-        missing=0,
-        duration=seconds,
         mean=mean,
         walk_gain=gain,
         quantisation_variance=quantisation,
         end_points=mean,
+        pulse=steps if spec.units is Units.PULSES else np.zeros(6),
+    )
+
+
+def unread(seconds: float) -> Statistics:
+    """Return the statistics of a stretch of which nothing but the length is known, s."""
+    nothing = np.full(6, np.nan)
+    return Statistics(
+        samples=0,
+        missing=0,
+        duration=seconds,
+        mean=np.zeros(6),
+        walk_gain=np.zeros(6),
+        quantisation_variance=np.zeros(6),
+        end_points=np.zeros(6),
         blocks=tuple(np.empty((0, 4)) for _ in range(6)),
         drift=nothing,
         drift_std=nothing,
-        pulse=steps if spec.units is Units.PULSES else np.zeros(6),
     )
 
 

@@ -175,36 +175,13 @@ class Turn:
     joint: int | None = None
     step: float = 0.0
 
-    def variance(self, walk: Floats, north_rate: float, response: Floats | None = None) -> Floats:
-        """Return the variances of the gyros' means, (3,): noise, level Earth rate, error of `up`.
-
-        Args:
-            walk: (6,) random-walk coefficients.
-            north_rate: Level Earth rate, rad/s; its direction is not used.
-            response: (3, 3) of the gyros: each sees what its input axis has of the level; that of
-                ideal ones if unknown.
-
-        """
-        own = self.statistics.variance(walk)[:3]
-        level, encoder = self.level_variance(north_rate, response), self.encoder_variance(response)
-        return np.asarray(own + level + encoder)
-
-    def level_variance(self, north_rate: float, response: Floats | None = None) -> Floats:
-        """Return what the level Earth rate leaves in the variances of the gyros' means, (3,)."""
-        return (self.level * north_rate) ** 2 / 2 * self._across(response)
-
-    def encoder_variance(self, response: Floats | None = None) -> Floats:
-        """Return what the encoders' noise across the axis adds to these variances, (3,)."""
-        return (self.up_error * self.rate()) ** 2 * self._across(response)
+    def encoder_variance(self) -> Floats:
+        """Return what the encoders' noise adds to the variances of the gyros' means, (3,)."""
+        return np.asarray((self.up_error * self.rate()) ** 2 * (1 - self.up**2))
 
     def lean_variance(self, gravity: float) -> Floats:
         """Return what it adds to the variances of the accelerometers' means, (3,)."""
-        return (self.up_error * gravity) ** 2 * self._across(None)
-
-    def _across(self, response: Floats | None) -> Floats:
-        """Return the square of what each gyro sees of a unit rate across the axis, (3,)."""
-        rows = np.eye(3) if response is None else response
-        return np.asarray((rows**2).sum(axis=1) - (rows @ self.up) ** 2)
+        return np.asarray((self.up_error * gravity) ** 2 * (1 - self.up**2))
 
     def retimed(self, pace: Pace) -> Turn:
         """Return the same by the sample interval that all of a session tells."""

@@ -11,8 +11,8 @@ import numpy as np
 import scipy
 
 from ..earth import EARTH_RATE
+from ..observation.lengths import propagated, squares
 from ..stream import Floats
-from .lengths import propagated
 from .system import Fit, TriadSystem
 
 
@@ -131,12 +131,11 @@ def _forces(
 
 def _rates(system: TriadSystem, rates: Floats, covariances: Floats) -> Iterator[ComparedQuantity]:
     up_rate, ups = system.evidence.site.up_rate, system.forces / system.evidence.site.gravity
-    for place, w, c, up in zip(_at_rest(system), rates, covariances, ups, strict=True):
-        # Noise makes a vector longer: it is taken off the square.
-        square = float(w @ w) - float(np.trace(c))
-        spread = np.sqrt(4 * w @ c @ w + 2 * np.trace(c @ c))
-        length = np.sqrt(max(square, 0.0))
-        std = float(spread / (length + EARTH_RATE))
+    square, spread = squares(rates, covariances)
+    lengths = np.sqrt(np.maximum(square, 0.0))
+    deviations = np.sqrt(spread) / (lengths + EARTH_RATE)
+    every = zip(rates, covariances, ups, lengths.tolist(), deviations.tolist(), strict=True)
+    for place, (w, c, up, length, std) in zip(_at_rest(system), every, strict=True):
         yield _one(*place, Quantity.EARTH_RATE, length - EARTH_RATE, std)
         yield _one(*place, Quantity.UP_RATE, float(w @ up) - up_rate, float(np.sqrt(up @ c @ up)))
 

@@ -9,9 +9,9 @@ from itertools import permutations, product
 import numpy as np
 
 from ..model import AXES, G_SENSITIVITY, Triad, indices_of, terms_of
+from ..observation.lengths import Sensors
 from ..stream import Floats
 from ..units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY
-from .lengths import Sensors
 
 _BIAS_UNITS = {
     True: {'deg/s': DEG, 'deg/h': DEG_H, 'rad/h': 1 / 3600},

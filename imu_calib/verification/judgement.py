@@ -20,12 +20,12 @@ from ..earth import Site
 from ..gravity import gravity_covariance, same_place, without_gravity
 from ..model import Parameter, ParameterKind, SensorModel, indices_of, terms_of
 from ..model.motion import has_motion_terms
+from ..observation.lengths import Sensors, Up, noise_at_rest
 from ..segmentation.segmented import Move
 from ..stream import Floats
 from ..units import DEG
 from .comparison import ComparedQuantity, compare
 from .diagnosis import Diagnosis, diagnose, with_true_noise
-from .lengths import Sensors, Up, noise_at_rest
 from .observed import Observed
 from .system import Fit, TriadSystem, factor_of
 

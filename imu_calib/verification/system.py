@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..budget import Source
 from ..earth import EARTH_RATE
 from ..errors import NotObservable
-from ..estimation.converge import least_squares
+from ..estimation.converge import least_squares, linear_step
 from ..imu import TriadSpec
 from ..model import Parameter, Triad
 from ..observation.components import Component, Diagonal
@@ -29,10 +29,10 @@ from ..observation.equations import Equations
 from ..observation.evidence import Evidence
 from ..observation.information import Information
 from ..observation.layout import Indices
+from ..observation.lengths import Sensors, Up, compare_lengths, noise_at_rest
 from ..observation.session_model import Nuisance
 from ..rotations import rotations
 from ..stream import Floats
-from .lengths import Sensors, Up, compare_lengths, noise_at_rest
 from .observed import Observed
 
 _ROUNDS = 30
@@ -314,9 +314,7 @@ class TriadSystem:
         if headed:
             reversed_ = point + np.pi * (np.arange(len(point)) == azimuth)
             columns = np.column_stack([columns, (system(reversed_)[1] - left) / 2])
-        norms = np.linalg.norm(columns, axis=0)
-        scale = np.where(norms > 0, norms, 1.0)
-        step = np.linalg.lstsq(columns / scale, left, rcond=None)[0] / scale
+        step = linear_step(columns, left)
         if headed:
             point[azimuth] = np.arctan2(step[azimuth], 1 + step[-1])
         return point, float(((left - columns @ step) ** 2).sum())

@@ -1,7 +1,11 @@
-"""Compare sessions of unknown attitudes: by lengths, and the rate along gravity.
+"""Dwells in unknown attitudes as equations: lengths, and the rate along gravity.
 
 The length of the specific force is gravity, that of the rate the Earth's, and its part along
-gravity the vertical Earth rate, wherever the unit stands.
+gravity the vertical Earth rate, wherever the unit stands: what is left of the six equations of a
+dwell where its three angles are free. Squares are compared, whose mean over the noise is known
+though the heading drowns in it, as it does for gyros whose noise exceeds the Earth's rate.
+
+Source: docs/mathematics.md, 'Verification'.
 """
 
 from __future__ import annotations
@@ -13,8 +17,8 @@ import scipy
 
 from ..earth import EARTH_RATE, Site
 from ..model import AXES, Parameter, SensorModel
-from ..observation.evidence import SMALLEST_VARIANCE
 from ..stream import Floats
+from .evidence import SMALLEST_VARIANCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +128,8 @@ def compare_lengths(
     seen, by_outputs, by_parameters = sensors.compensated(values, read, up.forces)
     noise = propagated(by_outputs, noise)
     jacobian = np.einsum('mi,mip->mp', 2 * seen, by_parameters)
-    # The mean of a squared length is the square of the mean and the noise.
-    square = (seen**2).sum(axis=1) - np.trace(noise, axis1=1, axis2=2)
-    spread = 4 * np.einsum('mi,mij,mj->m', seen, noise, seen)
-    covariance = np.diag(spread + 2 * np.einsum('mij,mji->m', noise, noise))
+    square, spread = squares(seen, noise)
+    covariance = np.diag(spread)
     if not sensors.gyros:
         return jacobian, site.gravity**2 - square, covariance
     ups = up.forces / site.gravity
@@ -138,6 +140,22 @@ def compare_lengths(
         np.append(EARTH_RATE**2 - square, site.up_rate - (seen * ups).sum(axis=1)),
         scipy.linalg.block_diag(covariance, along),
     )
+
+
+def squares(vectors: Floats, covariances: Floats) -> tuple[Floats, Floats]:
+    """Return the squared lengths of (m, 3) vectors without their noise, and their variances, (m,).
+
+    Noise makes a vector longer: the mean of a square is the square of the mean and the noise.
+
+    Args:
+        vectors: With normal noise.
+        covariances: (m, 3, 3) of it.
+
+    """
+    along = np.einsum('mi,mij,mj->m', vectors, covariances, vectors)
+    own = np.trace(covariances, axis1=1, axis2=2)
+    spread = np.trace(covariances @ covariances, axis1=1, axis2=2)
+    return (vectors**2).sum(axis=1) - own, 4 * along + 2 * spread
 
 
 def noise_at_rest(variances: Floats, magnitude: float) -> Floats:

@@ -1,0 +1,367 @@
+"""A closed form against its data: what is left, what contradicts it, and what widens it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from ..budget import Share, Shares, Source, total
+from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel
+from ..observation.equations import Equations
+from ..observation.evidence import SMALLEST_VARIANCE, Evidence
+from ..observation.level import Accelerometers, Tilt, widened_for_tilt
+from ..observation.session_model import Nuisance
+from ..rotations import angle_between
+from ..stream import Floats
+from ..units import DEG, DEG_H
+from .checks import (
+    CONTRADICTION,
+    check_axes,
+    check_latitude,
+    clock_finding,
+    far_scales,
+    turns_scatter_finding,
+)
+from .solution import Residual, Solution
+
+_SIGNIFICANT = 1e-6
+"""Probability of chance below which scatter counts: no false one in a laboratory's lifetime."""
+_RANK = 1e-3
+"""Of the largest singular value, columns of one length: what attitudes show by no more is the last
+digits of an encoder. Six positions show one tilt, and not the other beside the misalignments."""
+
+_OFF_POSITION = 0.02 * DEG
+"""rad: a plan rounds to hundredths of a degree, and tables position better; a judgement."""
+_OUTSTANDING = 5.0
+"""Times 1.5 of the usual worst channel of a position: of Gaussian residuals in six channels some
+12 standard deviations."""
+_LEAST_AZIMUTH = 0.05 * DEG
+"""rad: how well a table's zero is set to north without measuring it; a judgement."""
+_SAME_UP = 0.99
+"""Cosine: 8 degrees, far less than positions of a plan differ by."""
+_ON_TURNS = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
+
+
+@dataclass(frozen=True, eq=False)
+class LeastSquares:
+    """What linear least squares find, and leave.
+
+    Attributes:
+        step: (k,) of the unknowns; the shortest where they are not determined.
+        covariance: (k, k) its covariance.
+        square: Chi-square of what is left.
+        freedom: Its degrees of freedom.
+
+    """
+
+    step: Floats
+    covariance: Floats
+    square: float
+    freedom: int
+
+    @classmethod
+    def of(cls, columns: Floats, left: Floats, rank: float) -> LeastSquares:
+        """Solve (n, k) columns for (n,) outputs, both in standard deviations.
+
+        Args:
+            columns: By the unknowns.
+            left: To be explained.
+            rank: Least singular value that counts, of the largest, columns of one length.
+
+        """
+        norms = np.linalg.norm(columns, axis=0)
+        scale = np.where(norms > 0, norms, 1.0)
+        inverse = np.linalg.pinv(columns / scale, rcond=rank)
+        step = inverse @ left / scale
+        over = left - columns @ step
+        known = round(float(np.sum(inverse.T * columns / scale)))
+        covariance = (inverse @ inverse.T) / np.outer(scale, scale)
+        return cls(step, covariance, float(over @ over), len(left) - known)
+
+    @classmethod
+    def weighed(cls, columns: Floats, left: Floats, covariance: Floats) -> LeastSquares:
+        """Solve (n, k) columns for (n,) outputs of a covariance (n, n)."""
+        rows = np.column_stack([columns, left])
+        rows = scipy.linalg.solve_triangular(np.linalg.cholesky(covariance), rows, lower=True)
+        return cls.of(rows[:, :-1], rows[:, -1], _RANK)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Earth rate or gravity as the static dwells see it, by given sensors.
+
+    Attributes:
+        vector: (3,) Earth rate or specific force in the frame of the attitudes.
+        covariance: (3, 3) its covariance.
+        residuals: (s, 3) what is left.
+        scatter: Of what is left where more is free.
+
+    """
+
+    vector: Floats
+    covariance: Floats
+    residuals: Floats
+    scatter: _Scatter
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """Chi-square per degree of freedom where it is beyond chance, else 1; degrees of freedom."""
+
+    ratio: float = 1.0
+    freedom: float = np.inf
+
+    @property
+    def significant(self) -> bool:
+        """Whether it exceeds what the covariance of the outputs explains."""
+        return self.ratio > 1
+
+
+def conclude(
+    evidence: Evidence,
+    model: SensorModel,
+    shares: Shares,
+    condition: float,
+    *,
+    gain: Floats,
+    parameters: tuple[Parameter, ...] = PARAMETERS,
+    findings: Sequence[str],
+    north_known: bool,
+    accelerometers: Accelerometers | None = None,
+) -> Solution:
+    """Check a solution against its data and widen covariances by the scatter of residuals.
+
+    Args:
+        evidence: The session.
+        model: What a method found.
+        shares: Its covariance (n, n) by source; NaN for accelerometers that were not estimated.
+        condition: Condition number of its system.
+        gain: (n, m) derivatives of its parameters by the outputs.
+        parameters: What the rows of the covariance stand for.
+        findings: What the method has to say already.
+        north_known: Whether the attitudes are against north.
+        accelerometers: How the method makes accelerometers of a session; None where it does not.
+
+    Raises:
+        InputError: The outputs are not in the units that the IMU's description states.
+        NotObservable: Axes are swapped or mirrored, or the data contradicts the latitude.
+
+    """
+    covariance = total(shares)
+    of_accels = np.array([p.triad == 'a' for p in parameters])
+    with_accels = bool(np.isfinite(covariance[np.ix_(of_accels, of_accels)]).all())
+    check_axes(model.gyro.response, 'gyros', 'whole turns' if evidence.turns else 'the Earth rate')
+    if with_accels:
+        check_axes(model.accel.response, 'accelerometers', 'gravity')
+    notes = [*findings, *far_scales(model), *clock_finding(evidence)]
+    # A closed form knows no moves.
+    equations = Equations(replace(evidence, moves=()), parameters)
+    state = equations.nominal()
+    state[: equations.sensors] = model.values(parameters)
+    gyro = _fit(equations, state, 0)
+    accel = _fit(equations, state, 3) if with_accels else None
+    widened = covariance.copy()
+    freedom = np.full(len(covariance), np.inf)
+    for fit, mine, name in (
+        (gyro, ~of_accels, 'gyros'),
+        (accel, of_accels, 'accelerometers'),
+    ):
+        if fit is not None and fit.scatter.significant:
+            widened[np.ix_(mine, mine)] *= fit.scatter.ratio
+            freedom[mine] = fit.scatter.freedom
+            notes.append(
+                f'Between positions the {name} scatter {np.sqrt(fit.scatter.ratio):.1f} times '
+                'more than within them (positioning errors that the table does not state, drift): '
+                'their standard deviations are widened.'
+            )
+    of_turns = _turns_scatter(equations, state) if evidence.turns else _Scatter()
+    if of_turns.significant:
+        # Scale factors and misalignments of the gyros rest on the turns, their biases do not.
+        on_turns = [p.triad == 'g' and p.kind in _ON_TURNS for p in parameters]
+        factors = np.where(on_turns, np.sqrt(of_turns.ratio), 1.0)
+        widened *= np.outer(factors, factors)
+        freedom = np.where(on_turns, np.minimum(freedom, of_turns.freedom), freedom)
+        notes.append(turns_scatter_finding(of_turns.ratio))
+    beyond = {Source.SCATTER: Share(widened - covariance, freedom)}
+    rate, earth = gyro.vector, gyro.covariance * gyro.scatter.ratio
+    if accel is not None and accelerometers is not None and not evidence.plan.by_hand:
+        tilt = _tilt(accel)
+        rate, earth = tilt.levelled(rate, earth)
+        tilted, said = widened_for_tilt(evidence, model.accel, widened, accelerometers, tilt)
+        beyond[Source.TILT] = Share.known(tilted - widened)
+        widened = tilted
+        notes += said
+    residuals = _residuals(evidence, gyro, accel)
+    notes += _outstanding(residuals)
+    notes += _off_positions(evidence)
+    if not evidence.plan.by_hand:
+        check_latitude(evidence, rate, earth)
+    azimuth = float(np.arctan2(rate[0], rate[1]))
+    azimuth_std = _azimuth_std(rate, earth)
+    if north_known and abs(azimuth) > max(CONTRADICTION * azimuth_std, _LEAST_AZIMUTH):
+        notes.append(
+            f'The gyros see north {azimuth / DEG:.1f} +- {azimuth_std / DEG:.1f} deg off the '
+            'azimuth given: the gyro biases are wrong by up to '
+            f'{evidence.site.north_rate * abs(np.sin(azimuth)) / DEG_H:.2f} deg/h.'
+        )
+    return Solution(
+        model,
+        widened,
+        residuals,
+        azimuth + (evidence.azimuth or 0.0),
+        azimuth_std,
+        float(rate[2]),
+        float(np.sqrt(earth[2, 2])),
+        condition,
+        tuple(notes),
+        parameters=parameters,
+        shares={**shares, **beyond},
+        gain=gain,
+    )
+
+
+def _tilt(accel: _Fit) -> Tilt:
+    """Return the tilt of the table that the specific force at rest shows."""
+    size = float(np.linalg.norm(accel.vector))
+    square = float(np.diag(accel.covariance)[:2].max()) * accel.scatter.ratio
+    return Tilt(accel.vector / size, float(np.sqrt(square)) / size)
+
+
+def _fit(equations: Equations, state: Floats, first: int) -> _Fit:
+    """Free the vector that all static dwells see, and a common offset.
+
+    What scatters is held against more: of accelerometers, whose closed forms weigh all positions
+    alike, responses, biases and tilts are free. What a position of few pulses does to them through
+    its quantisation is no contradiction among the others.
+
+    Args:
+        equations: Of the session without moves.
+        state: (n,) what a closed form made of it.
+        first: Of the channels: 0 for gyros, 3 for accelerometers.
+
+    Source: docs/mathematics.md, 'Joint estimate' (azimuth and latitude from the session itself).
+    """
+    rows = equations.layout.dwell[:, first : first + 3].ravel()
+    covariance = equations.covariance(state)[np.ix_(rows, rows)]
+    offsets = np.tile(np.eye(3), (len(rows) // 3, 1))
+    columns = np.hstack([equations.by_world(state)[rows, first : first + 3], offsets])
+    left = (equations.outputs - equations.predict(state))[rows]
+    found = LeastSquares.weighed(columns, left, covariance)
+    tested, over = columns, left
+    if first == 3:
+        own = [k for k, p in enumerate(equations.parameters) if p.triad == 'a']
+        tilts = [equations.sensors + which for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
+        free = np.array([*own, *tilts], dtype=np.intp)
+        # Twice for what is of second order: tilts times errors of the closed form.
+        moved = state.copy()
+        moved[free] += LeastSquares.weighed(
+            equations.jacobian(state)[np.ix_(rows, free)], left, covariance
+        ).step
+        tested = equations.jacobian(moved)[np.ix_(rows, free)]
+        over = (equations.outputs - equations.predict(moved))[rows]
+    around = equations.surroundings(state)
+    seen = around.force if first else around.rate
+    return _Fit(
+        seen + found.step[:3],
+        found.covariance[:3, :3],
+        (left - columns @ found.step).reshape(-1, 3),
+        max(
+            (
+                _scatter(equations, means @ tested, means @ over, means @ covariance @ means.T)
+                for means in (np.eye(len(rows)), _means_by_up(equations.evidence))
+            ),
+            key=lambda scatter: scatter.ratio,
+        ),
+    )
+
+
+def _turns_scatter(equations: Equations, state: Floats) -> _Scatter:
+    """Hold the gyros' outputs in the turns about each axis to a line, which they must follow."""
+    rows = equations.layout.turn.ravel()
+    about = np.argmax(np.abs([turn.up for turn in equations.evidence.turns]), axis=1)
+    on_turns = [k for k, p in enumerate(equations.parameters) if p.kind in _ON_TURNS]
+    responses = np.array(on_turns, dtype=np.intp)
+    offsets = np.kron(about[:, None] == np.arange(3), np.eye(3))
+    columns = np.hstack([equations.jacobian(state)[np.ix_(rows, responses)], offsets])
+    left = (equations.outputs - equations.predict(state))[rows]
+    return _scatter(equations, columns, left, equations.covariance(state)[np.ix_(rows, rows)])
+
+
+def _scatter(equations: Equations, columns: Floats, left: Floats, covariance: Floats) -> _Scatter:
+    """Return by how much more than their covariance outputs scatter about what is free."""
+    noisy = equations.own_variances.max() > SMALLEST_VARIANCE
+    found = LeastSquares.weighed(columns, left, covariance)
+    if not noisy or not found.freedom:
+        return _Scatter()
+    chance = scipy.special.chdtrc(found.freedom, found.square)
+    ratio = found.square / found.freedom
+    return _Scatter(ratio, found.freedom) if chance < _SIGNIFICANT and ratio > 1 else _Scatter()
+
+
+def _means_by_up(evidence: Evidence) -> Floats:
+    """Return what makes means of static dwells with one direction up, (3 g, 3 s).
+
+    Between the positions of such a group only the vertical axis turned. A positioning error of the
+    other axes is common to them, and hides from the scatter within the group.
+    """
+    ups = evidence.attitudes()[:, 2]
+    groups = np.argmax(ups @ ups.T > _SAME_UP, axis=1)
+    alike = groups == np.unique(groups)[:, None]
+    return np.kron(alike / alike.sum(axis=1, keepdims=True), np.eye(3))
+
+
+def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit | None) -> tuple[Residual, ...]:
+    std = np.sqrt(evidence.variances())
+    of_accels = np.full_like(gyro.residuals, np.nan) if accel is None else accel.residuals
+    values = np.hstack([gyro.residuals, of_accels])
+    return tuple(
+        Residual(str(segment.position), segment.start, value, deviation)
+        for segment, value, deviation in zip(evidence.segments, values, std, strict=True)
+    )
+
+
+def _outstanding(residuals: Sequence[Residual]) -> list[str]:
+    """Name positions whose residuals stand far out of the others'."""
+    if not residuals:
+        return []
+    normalised = np.array(
+        [np.abs(r.value) / np.maximum(r.std, np.sqrt(SMALLEST_VARIANCE)) for r in residuals]
+    )
+    worst = np.nanmax(normalised, axis=1)
+    limit = _OUTSTANDING * max(1.0, 1.4826 * float(np.median(worst)))
+    names = [
+        f'{r.position} ({w:.0f} sigma)' for r, w in zip(residuals, worst, strict=True) if w > limit
+    ]
+    plural = 's' * (len(names) > 1)
+    return [f'Outlier{plural}: position{plural} {", ".join(names)}.'] if names else []
+
+
+def _off_positions(evidence: Evidence) -> list[str]:
+    known = {p.id: p for p in evidence.plan.positions}
+    words = []
+    for segment in evidence.segments:
+        if segment.angles is None or segment.attitude is None or evidence.azimuth is not None:
+            continue
+        position = known.get(str(segment.position))
+        if position is None:
+            continue
+        angle = float(angle_between(segment.attitude, position.attitude))
+        if angle > _OFF_POSITION:
+            words.append(f'{position.id} ({angle / DEG:.2f} deg)')
+    if not words:
+        return []
+    return [
+        f'By the encoders attitudes differ from the plan: position {", ".join(words)}; the closed '
+        'form, which takes those of the plan, is biased by that.'
+    ]
+
+
+def _azimuth_std(earth: Floats, covariance: Floats) -> float:
+    level = float(np.hypot(earth[0], earth[1]))
+    if level == 0.0:
+        return float('inf')
+    across = np.array([earth[1], -earth[0]]) / level
+    return float(np.sqrt(across @ covariance[:2, :2] @ across)) / level
