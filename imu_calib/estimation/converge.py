@@ -133,7 +133,7 @@ def least_squares(
     state = begin
     for _ in range(rounds):
         jacobian, left = system(state)
-        step = _step(jacobian, left, 0.0)
+        step = linear_step(jacobian, left)
         change = float(np.linalg.norm(jacobian @ step))
         if change < _ARRIVED:
             return state
