@@ -22,7 +22,7 @@ from imu_calib.allan import (
 from imu_calib.channel_noise import ChannelNoise
 from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.noise import session_noise
-from imu_calib.observation.evidence import noise
+from imu_calib.observation.known_noise import known_noise
 from imu_calib.reports.noise import noise_lines
 from imu_calib.segmentation.segment import Statistics
 from imu_calib.segmentation.statistics import statistics_at_rest, to_samples
@@ -242,7 +242,7 @@ def test_noise_that_few_blocks_tell_is_stated_a_deviation_larger() -> None:
     for _ in range(40):
         dwells = [rng.normal(size=(4000, 6)) * N / np.sqrt(PERIOD) for _ in range(2)]
         evidence = tuple(SimpleNamespace(statistics=statistics_of(d, SI)) for d in dwells)
-        seen.append(noise(evidence, SI) ** 2 / N**2)
+        seen.append(known_noise(evidence, SI)[0] ** 2 / N**2)
     share = np.sqrt(2 / 6)
     mean, deviation = 1 + share, share * (1 + share) / np.sqrt(np.size(seen))
     assert abs(np.mean(seen) - mean) < 4.5 * deviation

@@ -279,6 +279,15 @@ def test_turns_that_scatter_widen_scale_factors_and_misalignments_alone() -> Non
     assert found.shares[Source.SCATTER].freedom[:12].tolist() == [freedom] * 9 + [30] * 3
 
 
+def test_two_turns_about_an_axis_leave_nothing_to_compare() -> None:
+    evidence, _ = with_turn_errors(1e-4)
+    axes = [int(np.argmax(np.abs(t.up))) for t in evidence.turns]
+    two = tuple(t for k, t in enumerate(evidence.turns) if axes[:k].count(axes[k]) < 2)
+    assert [axes.count(axis) for axis in range(3)] == [4, 4, 4]
+    assert len(two) == 6
+    assert concluded(replace(evidence, turns=two)).findings == ('First.',)
+
+
 def test_without_turns_nothing_is_said_of_them() -> None:
     assert concluded(replace(CLEAN, turns=())).findings == ('First.',)
 

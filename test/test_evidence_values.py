@@ -15,8 +15,10 @@ from imu_calib.errors import NotObservable
 from imu_calib.imu import load_imu
 from imu_calib.model import SensorModel, Triad
 from imu_calib.observation import evidence as module
-from imu_calib.observation.evidence import Evidence, known_noise, vertical_axis
+from imu_calib.observation import known_noise as noise_module
+from imu_calib.observation.evidence import Evidence, vertical_axis
 from imu_calib.observation.free import FreeEquations, led_on
+from imu_calib.observation.known_noise import known_noise
 from imu_calib.observation.level import Tilt, tilt_bias, widened_for_tilt
 from imu_calib.observation.positioning_errors import (
     around,
@@ -218,7 +220,7 @@ def known(squares: Any, freedom: Any, walk: float) -> tuple[Floats, Floats]:
         gyro=SimpleNamespace(random_walk=walk), accel=SimpleNamespace(random_walk=2 * walk)
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, 'pooled_walk', lambda _: found)
+        patch.setattr(noise_module, 'pooled_walk', lambda _: found)
         return known_noise((), spec)
 
 

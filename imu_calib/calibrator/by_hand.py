@@ -26,7 +26,8 @@ from ..methods.free_positions import (
 )
 from ..methods.solution import Residual, Solution
 from ..model import PARAMETERS, SensorModel
-from ..observation.evidence import Evidence, known_noise
+from ..observation.evidence import Evidence
+from ..observation.known_noise import known_noise
 from ..segmentation.clock import NO_CLOCK
 from ..segmentation.labelling import Labelled
 from ..segmentation.segment import Segment

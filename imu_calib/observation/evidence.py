@@ -18,13 +18,13 @@ from ..segmentation.clock import ClockFit
 from ..segmentation.labelling import Labelled
 from ..segmentation.segment import Segment, Turn
 from ..segmentation.segmented import Move, Segmented
-from ..segmentation.statistics import pooled_walk
 from ..segmentation.thermometer import Temperature
 from ..stream import Floats, Units
 from ..table_errors import LEVELLED, TableErrors
 from ..turntable import Table
 from .arms import Arms
 from .headings import headings
+from .known_noise import known_noise
 from .layout import OutputLayout
 from .moves import Moves
 from .positioning_errors import Leaning, around, of_joints, of_stops
@@ -42,12 +42,6 @@ _OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms'}
 _QUARTZ = 50e-6
 """Standard deviation of the rate of clocks that no motion compares, as a ratio: quartz oscillators
 are sold for 20 to 100 ppm over their temperatures."""
-_STATED_FREEDOM = 10.0
-"""Degrees of freedom that a data sheet's random walk counts for: of ten a standard deviation is
-known to 1 / sqrt(20) = 22 %. A judgement of how far units of a type differ."""
-_ENOUGH_FREEDOM = 20.0
-"""Degrees of freedom from which on a random walk needs no allowance for its own doubt, where no
-data sheet stands beside it: it is known to 1 / sqrt(40) = 16 % there."""
 
 SMALLEST_VARIANCE = 1e-24
 """Stands for zero where a noise-free session is divided by its variance, SI units squared.
@@ -383,39 +377,3 @@ def vertical_axis(up: Floats, position: str | None) -> tuple[int, int]:
             'this method needs one of X, Y, Z up or down.'
         )
     return axis, int(np.sign(up[axis]))
-
-
-def noise(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
-    """Return the random-walk coefficients of `known_noise`, (6,).
-
-    Raises:
-        NotObservable: Neither the data nor the IMU's description tells.
-
-    """
-    return known_noise(segments, spec)[0]
-
-
-def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, Floats]:
-    """Return the random-walk coefficients that the data shows, (6,), and degrees of freedom, (6,).
-
-    Short dwells tell little: their scatter may be small by chance, and deviations that rest on it
-    would be far too small. The data sheet's figure then counts like blocks of its own, the fewer
-    the more the data shows; without one, a standard deviation is added to what the data shows.
-
-    Raises:
-        NotObservable: Neither the data nor the IMU's description tells.
-
-    """
-    found = pooled_walk([s.statistics for s in segments])
-    stated = np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
-    known = np.isfinite(found.deviation)
-    if not (known | (stated > 0)).all():
-        raise NotObservable('The noise of the sensors is unknown: no static dwell is long enough.')
-    square = np.where(known, found.square, 0.0)
-    freedom = found.freedom
-    weight = _STATED_FREEDOM**2 / (_STATED_FREEDOM + freedom)
-    blended = (freedom * square + weight * stated**2) / (freedom + weight)
-    doubt = np.where(known & (freedom < _ENOUGH_FREEDOM), found.deviation, 0.0)
-    walk = np.sqrt(np.where(stated > 0, blended, square + doubt))
-    freedom = freedom + np.where(stated > 0, weight, 0.0)
-    return np.asarray(walk), np.asarray(np.maximum(freedom, 1.0))
