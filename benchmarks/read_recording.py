@@ -108,18 +108,27 @@ def read_message_by_message(path: Path) -> Columns:
 
 
 def read_in_columns(path: Path) -> Columns:
-    """Read the way of this package."""
-    blocks: dict[str, list] = {IMU: [], JOINTS: []}
+    """Read the way of this package: each block goes to its place before the next one is read."""
     with open_recording(path) as recording:
+        counts = {topic.name: topic.count or 0 for topic in recording.topics}
+        columns = {
+            'imu stamp': np.empty(counts[IMU], np.int64),
+            'gyro': np.empty((counts[IMU], 3)),
+            'accel': np.empty((counts[IMU], 3)),
+            'joint stamp': np.empty(counts[JOINTS], np.int64),
+            'position': np.empty((counts[JOINTS], 3)),
+        }
+        read = dict.fromkeys(counts, 0)
         for topic, block in recording.read({IMU: Kind.IMU, JOINTS: Kind.JOINTS}):
-            blocks[topic].append(block)
-    return {
-        'imu stamp': np.concatenate([b.stamp for b in blocks[IMU]]),
-        'gyro': np.concatenate([b.gyro for b in blocks[IMU]]),
-        'accel': np.concatenate([b.accel for b in blocks[IMU]]),
-        'joint stamp': np.concatenate([b.stamp for b in blocks[JOINTS]]),
-        'position': np.concatenate([b.position for b in blocks[JOINTS]]),
-    }
+            place = slice(read[topic], read[topic] + len(block))
+            read[topic] = place.stop
+            if topic == IMU:
+                columns['imu stamp'][place] = block.stamp
+                columns['gyro'][place], columns['accel'][place] = block.gyro, block.accel
+            else:
+                columns['joint stamp'][place] = block.stamp
+                columns['position'][place] = block.position
+    return columns
 
 
 def timed(read: Callable[[Path], Columns], path: Path, repeats: int) -> tuple[float, Columns]:

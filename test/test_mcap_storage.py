@@ -276,6 +276,19 @@ def test_an_index_in_any_order_gives_messages_in_that_of_the_file(order: list[in
         assert found[key].log_ns == 50 + k
 
 
+def test_entries_of_several_chunks_may_come_in_any_order() -> None:
+    messages = INSIDE[len(HEADED) :]
+    rows = [(key, time, place - len(HEADED)) for key, time, place in reversed(SOUND)]
+    size, buffer = len(messages), np.frombuffer(messages * 2, np.uint8)
+    parts = [Part('a chunk', start, start + size, tables(*rows)) for start in (0, size)]
+    found = indexed(parts, buffer)
+    assert found is not None
+    places = [place - len(HEADED) + HEAD for place in PLACES]
+    assert found[1].offset.tolist() == [at + start for start in (0, size) for at in places[::2]]
+    assert found[2].size.tolist() == [1, 3, 1, 3]
+    assert (found[1].log_ns, found[2].log_ns) == (50, 51)
+
+
 def test_an_index_is_complete_with_or_without_records_of_other_kinds() -> None:
     for before, between, after in (
         (b'', b'', b''),
