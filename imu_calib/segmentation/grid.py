@@ -58,6 +58,9 @@ _CLOSE = 0.05
 _HASTE = 0.5
 """Of the interval: where a quarter of the steps are shorter, samples come in bunches."""
 
+_QUEUED = 0.5
+"""Share of the steps to the end that are short where those are of a queue."""
+
 _LAG = 240
 """Most samples whose time tells the interval then, in whole bunches: short enough that some of so
 many in a row are without a gap."""
@@ -244,7 +247,8 @@ def _missing_before(
         if bunched and len(time) - k < _TAIL:
             break
         after = late[k : k + window]
-        if k + int(after.argmin()) == len(time) - 1 and time[-1] - time[-2] < _HASTE * period:
+        behind = np.diff(time[k:]) < _HASTE * period
+        if k + int(after.argmin()) == len(time) - 1 and len(behind) and behind.mean() > _QUEUED:
             # A queue that goes on beyond the end: how late its samples are is not to be seen.
             break
         before = float((late[first:k] - found[first:k] * period).min())

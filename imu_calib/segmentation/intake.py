@@ -11,12 +11,14 @@ from ..turntable import Table
 from ..units import counted
 from .buffer import RowBuffer
 from .order import Ordered, StampOrder
+from .shared_stamps import SharedStamps
 
 _APART = 10_000_000_000
 """ns by which joint states may outlast the samples of a recording. A judgement: who records both
 ends both within seconds."""
 
 _TWICE = 'dropped as duplicates'
+_SKEW_TWICE = 'of the skewed gyro dropped as duplicates'
 
 
 class StreamBuffer:
@@ -25,6 +27,7 @@ class StreamBuffer:
     Args:
         table: The table whose joint states come in; None when the IMU stands alone.
         skewed: Whether a skewed gyro is awaited.
+        rate: Samples per second as stated; None where nothing is.
 
     Attributes:
         imu: Samples that wait, six columns.
@@ -36,7 +39,7 @@ class StreamBuffer:
 
     """
 
-    def __init__(self, table: Table | None, *, skewed: bool) -> None:
+    def __init__(self, table: Table | None, *, skewed: bool, rate: float | None = None) -> None:
         self.imu = RowBuffer(6)
         self.skew = RowBuffer(6) if skewed else None
         self.setpoints: list[Setpoint] = []
@@ -46,7 +49,7 @@ class StreamBuffer:
         self._table = table
         self._imu_order, self._skew_order = StampOrder(6), StampOrder(6)
         self._joint_order = StampOrder(len(table.names) if table else 0)
-        self._newest: tuple[Stamps, Floats] | None = None
+        self._imu_stamps, self._skew_stamps = SharedStamps(rate), SharedStamps(rate)
         self._dropped: dict[str, tuple[int, int]] = {}
         self._of_the_table = 0
         self._first_joint: int | None = None
@@ -67,8 +70,9 @@ class StreamBuffer:
         self.samples += len(stamp)
         values = np.hstack([block.gyro, block.accel])
         what = 'values that are not numbers (NaN or infinite)'
-        rows = self._once(*self._finite(what, stamp, values))
-        self._add_imu(self._imu_order.take(*rows))
+        rows = self._imu_stamps.take(*self._finite(what, stamp, values))
+        self._note(_TWICE, rows[2])
+        self._add_imu(self._imu_order.take(*rows[:2]))
 
     def take_skew(self, block: SkewBlock) -> None:
         """Take the skewed gyro's samples in."""
@@ -76,7 +80,9 @@ class StreamBuffer:
         imu = block.as_imu()
         values = np.hstack([imu.gyro, imu.accel])
         what = 'values of the skewed gyro that are not numbers'
-        self._add_skew(self._skew_order.take(*self._finite(what, block.stamp, values)))
+        rows = self._skew_stamps.take(*self._finite(what, block.stamp, values))
+        self._note(_SKEW_TWICE, rows[2])
+        self._add_skew(self._skew_order.take(*rows[:2]))
 
     def take_joints(self, block: JointBlock) -> Ordered:
         """Take joint states in; return those whose order is known, columns as the table's.
@@ -137,6 +143,7 @@ class StreamBuffer:
             f'{counted(count, "sample")} {_how(what)}, the first at {at(first)}'
             for what, (count, first) in self._dropped.items()
         ]
+        lost += self._imu_stamps.words() + self._skew_stamps.words(' of the skewed gyro')
         if self._table is None:
             return lost
         expected = f'not all joints of table {self._table.name} ({", ".join(self._table.names)})'
@@ -204,20 +211,6 @@ class StreamBuffer:
         self._note(what, stamp[~mask])
         return stamp[mask], values[mask]
 
-    def _once(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
-        """Drop the rows that are the one before once more, stamp and all."""
-        if not len(stamp):
-            return stamp, values
-        last = (stamp[:1] - 1, values[:1]) if self._newest is None else self._newest
-        self._newest = stamp[-1:].copy(), values[-1:].copy()
-        again = stamp == np.append(last[0], stamp[:-1])
-        if again.any():
-            again &= (values == np.vstack([last[1], values[:-1]])).all(axis=1)
-        if not again.any():
-            return stamp, values
-        self._note(_TWICE, stamp[again])
-        return stamp[~again], values[~again]
-
     def _note(self, what: str, lost: Stamps) -> None:
         if len(lost):
             count, first = self._dropped.get(what, (0, int(lost[0])))
@@ -229,4 +222,4 @@ def _asks(setpoint: Setpoint) -> tuple[object, ...]:
 
 
 def _how(what: str) -> str:
-    return what if what == _TWICE else f'left out for {what}'
+    return what if what in {_TWICE, _SKEW_TWICE} else f'left out for {what}'

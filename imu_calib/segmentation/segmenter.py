@@ -81,7 +81,7 @@ class Segmenter:
         self._spec = spec
         self._table = table
         self._sensor = Sensor.of(spec)
-        self._intake = StreamBuffer(table, skewed=spec.skewed is not None)
+        self._intake = StreamBuffer(table, skewed=spec.skewed is not None, rate=spec.sample_rate)
         self._joints = JointTracker() if table is not None else None
         self._stillness: StillnessTracker | None = None
         self._thermometer = Thermometer()
