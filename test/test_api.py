@@ -89,14 +89,7 @@ def test_values_do_where_names_do(folder: Path, result: imu_calib.Result) -> Non
     assert again.calibration.values == pytest.approx(result.calibration.values, rel=1e-6)
 
 
-def test_terms_are_left_out_where_they_are_not_wanted(folder: Path) -> None:
-    result = imu_calib.calibrate(folder / 'bag', terms='none')
-    assert not result.calibration.provenance['terms_looked_for']
-    with pytest.raises(InputError, match='nonsense'):
-        imu_calib.calibrate(folder / 'bag', terms='nonsense')
-
-
-def test_progress_is_shown_to_who_asks(folder: Path) -> None:
+def test_progress_is_shown_and_terms_are_left_out_where_that_is_asked(folder: Path) -> None:
     opened: list[str] = []
     shown: list[float] = []
 
@@ -109,7 +102,10 @@ def test_progress_is_shown_to_who_asks(folder: Path) -> None:
 
         def __exit__(self, *_: object) -> None: ...
 
-    imu_calib.calibrate(folder / 'bag', progress=Bar)
+    result = imu_calib.calibrate(folder / 'bag', terms='none', progress=Bar)
+    assert not result.calibration.provenance['terms_looked_for']
+    with pytest.raises(InputError, match='nonsense'):
+        imu_calib.calibrate(folder / 'bag', terms='nonsense')
     assert opened == ['reading']
     assert shown == sorted(shown)
     assert shown[-1] == pytest.approx(1.0)

@@ -114,6 +114,7 @@ triples = st.tuples(numbers, numbers, numbers)
 imu_samples = st.tuples(stamps, st.sampled_from(['', 'imu', 'imu_link']) | texts, triples, triples)
 
 
+@settings(max_examples=50)
 @given(st.lists(st.tuples(imu_samples, st.booleans()), max_size=12))
 def test_imu_of_any_frame_and_byte_order_equals_rosbags_in_order(samples):
     payloads = [serialise(imu_message(*sample), little) for sample, little in samples]
@@ -191,6 +192,7 @@ def joint_samples(draw):
     )
 
 
+@settings(max_examples=50)
 @given(st.lists(st.tuples(joint_samples(), st.booleans()), max_size=8))
 def test_joint_states_of_any_shape_equal_rosbags_and_missing_arrays_are_nan(samples):
     payloads = [serialise(joint_message(*sample), little) for sample, little in samples]
