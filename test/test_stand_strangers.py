@@ -29,48 +29,6 @@ except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
 
-def test_emergency_stop(tmp_path):
-    waits = {'watchdog_timeout': LEASE + 10.0, 'feedback_timeout': LEASE + 10.0}
-    with Stand(tmp_path, turntable_node=waits) as stand:
-        assert stand.reaches(State.TURNING, step=1)
-        stand.estop(pressed=True)
-        stops(stand, 'mergency')
-        success, message = stand.call('turntable_node/start')
-        assert not success, message
-        stand.estop(pressed=False)
-        assert not stand.wait(lambda: stand.state.phase in MOVES, 1.0)
-        assert not stand.call('turntable_node/start')[0], 'not released by the topic alone'
-        success, message = stand.call('turntable_node/release')
-        assert success, message
-        assert not stand.wait(lambda: stand.state.phase in MOVES, 1.0)
-        success, message = stand.call('turntable_node/start')
-        assert success, message
-        assert stand.reaches(State.TURNING)
-        a_pressed_stop_outlives_a_killed_turntable_node(stand)
-        finishes(stand, resumed=True)
-
-
-def a_pressed_stop_outlives_a_killed_turntable_node(stand):
-    stand.words.clear()
-    stand.estop(pressed=True)
-    stops(stand, 'mergency')
-    assert stand.wait(lambda: list((stand.folder / 'state').glob('stop_*')))
-    stand.kill('turntable_node')
-    stand.states.clear()
-    stand.start('turntable_node')
-    # It would start by itself: the parameter says so.
-    assert stand.reaches(State.ABORTED), stand.state
-    before = stand.joints
-    assert not stand.wait(lambda: stand.state.phase in MOVES, 2.0)
-    success, message = stand.call('turntable_node/start')
-    assert not success
-    assert 'call /turntable_node/release' in message
-    stand.estop(pressed=False)
-    assert stand.table_stands(LEASE + 10.0)
-    assert list(stand.joints.position) == list(before.position)
-    assert stand.wait(lambda: stand.call('turntable_node/release')[0], LEASE)
-
-
 OWNERS = {
     'turntable/setpoint': '/turntable_node',
     'turntable/joint_states': '/stand_node',
@@ -80,9 +38,12 @@ OWNERS = {
 }
 
 
-def test_two_publishers_hold_the_table_and_spoofed_words_complete_nothing(tmp_path):
-    """So it goes by a device whose clock drifts."""
-    with Stand(tmp_path, stand_node={'clock_drift': 100.0}) as stand:
+def test_two_publishers_or_an_emergency_stop_the_table_and_spoofed_words_complete_nothing(
+    tmp_path,
+):
+    """So it goes by a device whose clock drifts. After an emergency stop all is run anew."""
+    waits = {'watchdog_timeout': LEASE + 10.0, 'feedback_timeout': LEASE + 10.0}
+    with Stand(tmp_path, stand_node={'clock_drift': 100.0}, turntable_node=waits) as stand:
         for topic in KINDS:
             assert stand.reaches(*MOVES, step=1)
             with stranger(topic):
@@ -105,7 +66,9 @@ def test_two_publishers_hold_the_table_and_spoofed_words_complete_nothing(tmp_pa
                 stops(stand, f'/{topic}', '/stranger')
             assert not [c for c in stand.calibrations if c.status != c.PROVISIONAL]
             assert stand.wait(lambda: stand.call('turntable_node/start')[0])
-        finishes(stand)
+        an_emergency_stop_holds_until_it_is_released(stand)
+        a_pressed_stop_outlives_a_killed_turntable_node(stand)
+        finishes(stand, resumed=True)
         assert any(c.status == c.PROVISIONAL for c in stand.calibrations)
 
 
@@ -113,6 +76,44 @@ def spoofed_progress(stand):
     progress = Progress(plan='short', steps=stand.state.steps, state=Progress.FINISHED)
     progress.header.stamp = stand.joints.header.stamp
     return progress
+
+
+def an_emergency_stop_holds_until_it_is_released(stand):
+    assert stand.reaches(*MOVES)
+    stand.estop(pressed=True)
+    stops(stand, 'mergency')
+    success, message = stand.call('turntable_node/start')
+    assert not success, message
+    stand.estop(pressed=False)
+    assert not stand.wait(lambda: stand.state.phase in MOVES, 1.0)
+    assert not stand.call('turntable_node/start')[0], 'not released by the topic alone'
+    success, message = stand.call('turntable_node/release')
+    assert success, message
+    assert not stand.wait(lambda: stand.state.phase in MOVES, 1.0)
+    success, message = stand.call('turntable_node/start')
+    assert success, message
+    assert stand.reaches(State.TURNING)
+
+
+def a_pressed_stop_outlives_a_killed_turntable_node(stand):
+    stand.words.clear()
+    stand.estop(pressed=True)
+    stops(stand, 'mergency')
+    assert stand.wait(lambda: list((stand.folder / 'state').glob('stop_*')))
+    stand.kill('turntable_node')
+    stand.states.clear()
+    stand.start('turntable_node')
+    # It would start by itself: the parameter says so.
+    assert stand.reaches(State.ABORTED), stand.state
+    before = stand.joints
+    assert not stand.wait(lambda: stand.state.phase in MOVES, 2.0)
+    success, message = stand.call('turntable_node/start')
+    assert not success
+    assert 'call /turntable_node/release' in message
+    stand.estop(pressed=False)
+    assert stand.table_stands(LEASE + 10.0)
+    assert list(stand.joints.position) == list(before.position)
+    assert stand.wait(lambda: stand.call('turntable_node/release')[0], LEASE)
 
 
 def test_who_turns_a_table_nobody_leads_is_stopped_and_no_session_is_more_than_its_data(tmp_path):
