@@ -32,7 +32,7 @@ from imu_calib.calibrator import Result, Setup
 from imu_calib.config import Section
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.methods import twelve_position
-from imu_calib.observation.evidence import noise
+from imu_calib.observation.known_noise import known_noise
 from imu_calib.plan import Plan, load_plan
 from imu_calib.repetition import economical
 from imu_calib.segmentation.segment import Segment, Statistics
@@ -383,7 +383,7 @@ def test_a_few_blocks_of_little_scatter_do_not_pass_for_little_noise() -> None:
     scattered = np.array([[9.8, 0.1, 1e-10, t] for t in (5.0, 15.0, 25.0, 35.0)])
     statistics = replace(_any_segment().statistics, blocks=tuple(scattered for _ in range(6)))
     spec = paper_imu()
-    walk = noise((replace(_any_segment(), statistics=statistics),), spec)
+    walk = known_noise((replace(_any_segment(), statistics=statistics),), spec)[0]
     assert np.all(walk > 0.9 * np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3))
 
 
@@ -397,7 +397,7 @@ def test_many_blocks_tell_the_noise_whatever_the_data_sheet_says() -> None:
     statistics = replace(_any_segment().statistics, blocks=tuple(blocks for _ in range(6)))
     spec = paper_imu()
     sheet = replace(spec, accel=replace(spec.accel, random_walk=true / 3))
-    walk = noise((replace(_any_segment(), statistics=statistics),), sheet)
+    walk = known_noise((replace(_any_segment(), statistics=statistics),), sheet)[0]
     # 399 degrees of freedom know a standard deviation to 3.5 %.
     assert abs(walk[3] / true - 1) < 3 * 0.035
 
