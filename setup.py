@@ -82,6 +82,7 @@ setup(
         'rich>=13',
         'lz4>=4',
         'pyserial>=3.5',
+        'threadpoolctl>=3.5',
         'zstandard>=0.22',
     ],
     extras_require={

@@ -14,11 +14,11 @@ from contextlib import contextmanager
 from multiprocessing import active_children, get_context
 
 from .errors import InputError
+from .threads import THREADS
 from .workers import Engine, Result, Task, WorkerDied, end_started, outcomes
 
 _CHUNK = 4
 """Tasks handed to a process of a pool at once."""
-_THREADS = 'OMP_NUM_THREADS'
 
 
 def run_all(
@@ -117,12 +117,12 @@ def _leave_interrupts() -> None:
 @contextmanager
 def single_threaded() -> Iterator[None]:
     """Let what is spawned run one thread each: small matrices gain nothing from more."""
-    before = os.environ.get(_THREADS)
-    os.environ[_THREADS] = '1'
+    before = os.environ.get(THREADS)
+    os.environ[THREADS] = '1'
     try:
         yield
     finally:
         if before is None:
-            del os.environ[_THREADS]
+            del os.environ[THREADS]
         else:
-            os.environ[_THREADS] = before
+            os.environ[THREADS] = before

@@ -8,6 +8,12 @@ from pathlib import Path
 import pytest
 from loopback import CHECKOUT
 
+from imu_calib.api.calibrating import calibrated
+from imu_calib.api.calibrating_units import calibrated_units
+from imu_calib.api.predicting import optimised, predicted, shortest
+from imu_calib.api.repeating import montecarlo
+from imu_calib.api.verifying import verified
+
 _COUNT = """
 import os, {module}, numpy
 numpy.ones((500, 500)) @ numpy.ones((500, 500))
@@ -25,3 +31,34 @@ def test_a_product_of_matrices_takes_one_thread(module):
     run = [sys.executable, '-c', _COUNT.format(module=module)]
     counted = subprocess.run(run, env=environ, capture_output=True, text=True, check=True)
     assert int(counted.stdout) == 1
+
+
+_DEEP = """
+from threadpoolctl import threadpool_info
+from imu_calib.threads import by_one_thread
+
+def threads():
+    return sorted({pool['num_threads'] for pool in threadpool_info() if pool['user_api'] == 'blas'})
+
+import numpy, scipy.linalg
+print(threads(), by_one_thread(threads)(), threads())
+"""
+
+
+@pytest.mark.parametrize('allowed', ['2', '1'])
+def test_what_is_called_from_python_takes_one_thread_and_gives_the_others_back(allowed):
+    pytest.importorskip('threadpoolctl')
+    environ = {**os.environ, 'OMP_NUM_THREADS': allowed}
+    environ['PYTHONPATH'] = os.pathsep.join([str(CHECKOUT), os.environ.get('PYTHONPATH', '')])
+    run = [sys.executable, '-c', _DEEP]
+    said = subprocess.run(run, env=environ, capture_output=True, text=True, check=True).stdout
+    before, within, after = (part.strip('[ ]\n') for part in said.split(']')[:3])
+    several = str(min(int(allowed), os.cpu_count()))
+    assert (before, within, after) == (several, '1', several)
+
+
+@pytest.mark.parametrize(
+    'function', [calibrated, calibrated_units, verified, predicted, shortest, optimised, montecarlo]
+)
+def test_what_solves_from_python_is_limited(function):
+    assert function.__wrapped__.__name__ == function.__name__

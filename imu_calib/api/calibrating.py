@@ -10,6 +10,7 @@ from ..errors import NotObservable, NotStated
 from ..imu import ImuSpec
 from ..plan import Plan
 from ..segmentation.segmented import Segmented
+from ..threads import by_one_thread
 from ..turntable import Table
 from .assumed import SAID_BY_HAND, ask_for_plan, was_in_the_hand
 from .conforming import specification_of
@@ -98,6 +99,7 @@ def calibrate(
     return calibrated(bag, stated, progress)
 
 
+@by_one_thread
 def calibrated(
     bag: str | AnyPath,
     stated: Stated,

@@ -17,6 +17,7 @@ from ..metadata import serial_key
 from ..mounted import MountedUnit, load_units
 from ..plan import Plan
 from ..stream import Floats
+from ..threads import by_one_thread
 from ..turntable import Table
 from .calibrating import documented, finished
 from .named import Named
@@ -168,6 +169,7 @@ def calibrate_units(
     return calibrated_units(bag, imus, stated, progress, separate=separate)
 
 
+@by_one_thread
 def calibrated_units(
     bag: str | AnyPath,
     imus: Named | Sequence[MountedUnit] | None,

@@ -23,6 +23,7 @@ from ..prediction import Forecast, Reached, TermForecast, duration, forecast, fo
 from ..prediction import reach as shortest_dwells
 from ..prediction.optimise import Optimum
 from ..prediction.optimise import optimise as best_plan
+from ..threads import by_one_thread
 from ..turntable import Table
 from ..units import DEG, parse
 from ..views import predicted_frame
@@ -191,6 +192,7 @@ def optimise(
     return optimised(stated, truth, minutes, rate, output, progress)
 
 
+@by_one_thread
 def optimised(
     stated: Stated,
     truth: Calibration | Named,
@@ -308,6 +310,7 @@ def setup_of(stated: Stated) -> Setup:
     return setup
 
 
+@by_one_thread
 def predicted(setup: Setup, truth: SensorModel, *, drifting: bool) -> Prediction:
     """Predict; as `predict`, of what was stated."""
     found = forecast(setup, truth, drifting=drifting)
@@ -319,6 +322,7 @@ def predicted(setup: Setup, truth: SensorModel, *, drifting: bool) -> Prediction
     return Prediction(setup, found, own, of_terms)
 
 
+@by_one_thread
 def shortest(
     setup: Setup,
     truth: SensorModel,

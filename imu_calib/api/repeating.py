@@ -15,6 +15,7 @@ from ..methods import method as solver
 from ..plan import Plan
 from ..repetition import Outcome, Study, economical, repeat
 from ..simulation import StandOptions
+from ..threads import by_one_thread
 from ..turntable import Table
 from ..views import draw_normalised, repeated_frame
 from .named import Named, as_imu, as_plan, load_truth
@@ -66,6 +67,7 @@ class Repeated:
         return draw_normalised(title, outcome)
 
 
+@by_one_thread
 def montecarlo(
     plan: Plan | Named,
     imu: ImuSpec | Named = 'fog_medium',

@@ -20,6 +20,7 @@ from ..imu import ImuSpec
 from ..plan import UNPLANNED, Plan
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.thermometer import Temperature
+from ..threads import by_one_thread
 from ..turntable import Table
 from ..verification import Verification, observe
 from ..verification import verify as judge
@@ -118,6 +119,7 @@ def verify(
     return verified(calibration, bag, stated, another_unit=another_unit, progress=progress)
 
 
+@by_one_thread
 def verified(
     calibration: Result | AnyCalibration | Named,
     bag: Named,

@@ -68,6 +68,8 @@ _OUTLYING = 6.0
 _UNTESTED = 1e-3
 """Variance that the fit leaves of a residual, below which it tests nothing: the turn alone tells
 there what it should be, and what is left is the iteration's own end."""
+_MEDIANS = np.array([np.nan, 0.67448975, 1.17741002, 1.53817225])
+"""Of the size of a normal vector in no, one, two and three directions, in standard deviations."""
 _JUDGING = 1.5
 """Degrees of freedom of the other turns from which on they tell what is usual. Simulated turns that
 scatter by eight times their noise had half of one in ten holds, and one session in six would lose a
@@ -524,7 +526,7 @@ def _outstanding_turn(state: _State, basis: Floats, left: Floats, limit: float) 
     told = (free > 0) & (np.arange(len(moves)) != worst)
     if freedom[worst] == 0 or np.einsum('kii->', kept) - freedom[worst] < _JUDGING:
         return None
-    usual = float(np.median(others[told] / np.sqrt(scipy.special.chdtri(free[told], 0.5))))
+    usual = float(np.median(others[told] / _MEDIANS[free[told]]))
     return worst if sizes[worst] > limit * max(1 / float(state.scatter[2]), usual) else None
 
 
