@@ -47,7 +47,7 @@ class Case:
 
 # The loop takes the interpreter's time, the columns that of the memory. One machine gives 112 times
 # for mcap, 64 with zstd, 26 for sqlite3. Where the interpreter was faster, an earlier state gave
-# between 0.63 and 0.75 of the ratios that it gave there: promised is a little less than that.
+# 44, 28 and 21 instead of 70, 40 and 28: promised is what such a machine should give.
 CASES = (
     Case('mcap', StoragePlugin.MCAP, CompressionMode.NONE, 65.0),
     Case('mcap, zstd chunks', StoragePlugin.MCAP, CompressionMode.STORAGE, 40.0),
