@@ -81,7 +81,16 @@ def test_a_real_stand_and_a_calibrator_alone_are_launched(tmp_path):
     assert 'Traceback' not in written
 
 
-@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+HANGING_UP = pytest.param(
+    signal.SIGHUP,
+    marks=pytest.mark.skipif(
+        signal.getsignal(signal.SIGHUP) is signal.SIG_IGN,
+        reason='under nohup all that is started ignores SIGHUP',
+    ),
+)
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, HANGING_UP, signal.SIGKILL])
 def test_the_table_stands_when_the_launcher_alone_is_ended(number, tmp_path):
     net = Network(tmp_path)
     port = free_port()
