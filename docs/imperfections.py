@@ -79,7 +79,7 @@ def session(grade: str, seed: int, condition: str) -> dict[str, Any]:
             calibrator.feed(block)
         result = calibrator.finish()
     except ImuCalibError as error:
-        return {**row, 'refused': str(error)}
+        return {**row, 'refused': str(error), 'code': version()}
     found = result.calibration
     unit = unit_of(grade, one.term)
     wanted = truth(unit, simulated.options, simulated.duration)

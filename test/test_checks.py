@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -149,6 +150,16 @@ def test_one_beyond_is_refused(off: list[float]) -> None:
     covariance = (0.02 * DEG_H) ** 2 * np.eye(3)
     with pytest.raises(Contradiction):
         check_latitude(at(40.0), earth(40.0) + np.array(off) * DEG_H, covariance)
+
+
+@pytest.mark.parametrize('off', [[0, 0, 1.0], [0, -1.0, 0]])
+def test_deviations_of_few_degrees_of_freedom_contradict_as_rarely(off: list[float]) -> None:
+    # Student's t of six degrees of freedom is beyond 22.02 as often as a Gaussian is beyond 5.
+    for far, refused in ((21.9, False), (22.1, True)):
+        covariance = (DEG_H / far) ** 2 * np.eye(3)
+        seen = earth(40.0) + np.array(off) * DEG_H
+        with pytest.raises(Contradiction) if refused else nullcontext():
+            check_latitude(at(40.0), seen, covariance, freedom=6)
 
 
 def test_what_is_seen_and_what_fits_is_said() -> None:

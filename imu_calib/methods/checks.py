@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
 from ..earth import EARTH_RATE
 from ..errors import Contradiction, InputError
@@ -153,13 +154,17 @@ class WrongLatitude(Contradiction):
         self.misfit = misfit
 
 
-def check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> None:
+def check_latitude(
+    evidence: Evidence, earth: Floats, covariance: Floats, freedom: float = np.inf
+) -> None:
     """Refuse a latitude that the gyros contradict: gravity and the biases would rest on it.
 
     Args:
         evidence: The session, with the site that was given.
         earth: (3,) Earth rate that the gyros see, against the plumb line, rad/s.
         covariance: (3, 3) its covariance.
+        freedom: Degrees of freedom by which the size of that is known: of few, deviations are
+            distributed by Student's t, whose tails are long.
 
     Raises:
         WrongLatitude: Says what is seen and what was expected, and which latitude would fit.
@@ -170,8 +175,9 @@ def check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> Non
     up_std = float(np.sqrt(covariance[2, 2]))
     level = float(np.hypot(earth[0], earth[1]))
     level_std = float(np.sqrt(max(covariance[0, 0], covariance[1, 1])))
-    far_up = abs(earth[2] - site.up_rate) > max(CONTRADICTION * up_std, _LEAST_EARTH_RATE)
-    far_level = abs(level - site.north_rate) > max(CONTRADICTION * level_std, _LEAST_EARTH_RATE)
+    limit = -float(scipy.special.stdtrit(freedom, scipy.special.ndtr(-CONTRADICTION)))
+    far_up = abs(earth[2] - site.up_rate) > max(limit * up_std, _LEAST_EARTH_RATE)
+    far_level = abs(level - site.north_rate) > max(limit * level_std, _LEAST_EARTH_RATE)
     if not (far_up or far_level):
         return
     seen = float(np.arctan2(earth[2], level))
@@ -182,7 +188,7 @@ def check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> Non
         f'(expected {site.up_rate / DEG_H:.2f}) and {level / DEG_H:.2f} +- '
         f'{level_std / DEG_H:.2f} deg/h horizontal (expected {site.north_rate / DEG_H:.2f})'
     )
-    if abs(total - EARTH_RATE) > CONTRADICTION * total_std:
+    if abs(total - EARTH_RATE) > limit * total_std:
         raise Contradiction(
             f'The data contradicts itself: {text}, {total / DEG_H:.2f} deg/h in all, where the '
             f'Earth turns at {EARTH_RATE / DEG_H:.2f} deg/h at any latitude. The rate test does '

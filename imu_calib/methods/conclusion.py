@@ -198,7 +198,7 @@ def conclude(
     notes += _outstanding(residuals)
     notes += _off_positions(evidence)
     if not evidence.plan.by_hand:
-        check_latitude(evidence, rate, earth)
+        check_latitude(evidence, rate, earth, gyro.scatter.freedom)
     azimuth = float(np.arctan2(rate[0], rate[1]))
     azimuth_std = _azimuth_std(rate, earth)
     if north_known and abs(azimuth) > max(CONTRADICTION * azimuth_std, _LEAST_AZIMUTH):
