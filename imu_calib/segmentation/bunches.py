@@ -68,10 +68,10 @@ def spread(stamp: Stamps) -> Stamps:
         stamp: (n,) ns, increasing.
 
     """
-    return made(stamp)[0]
+    return sampling_times(stamp)[0]
 
 
-def made(stamp: Stamps) -> tuple[Stamps, Stamps]:
+def sampling_times(stamp: Stamps) -> tuple[Stamps, Stamps]:
     """Return when samples were made, and how much later they came by chance: not in bunches.
 
     Args:

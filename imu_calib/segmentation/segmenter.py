@@ -28,7 +28,7 @@ from ..units import DEG, counted
 from .apart import FARTHEST, offset_by_pattern
 from .bridging import LONGEST, Bridged, bridged
 from .buffer import RowBuffer
-from .bunches import made
+from .bunches import sampling_times
 from .clock import ClockFit, ClockSample, ShareSeen, clock_sample, fit_clock, seen_by_gyros
 from .dwells import read_dwell
 from .grid import clock_steps
@@ -536,7 +536,7 @@ def made_between(rows: RowBuffer, start: int, end: int) -> tuple[Stamps, Floats,
 
     """
     came, values = rows.between(start - MARGIN_NS, end + MARGIN_NS)
-    stamp, late = made(came)
+    stamp, late = sampling_times(came)
     inside = slice(*np.searchsorted(stamp, [start, end], side='right').tolist())
     stamp, values = stamp[inside], values[inside]
     stamp.flags.writeable = False
