@@ -52,6 +52,6 @@ class Lateness:
         longest = f'{self.longest:.1f} s' if self.longest >= 1 else f'{self.longest * 1e3:.0f} ms'
         return [
             f'{self.count} IMU samples ({100 * share:.2g} %) are stamped late, by up to {longest}, '
-            f'the first at {at(self.first)}: they were held up, and when they were sampled is taken '
-            'from those that came in time'
+            f'the first at {at(self.first)}: they were held up, and when they were sampled is '
+            'taken from those that came in time'
         ]
