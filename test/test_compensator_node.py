@@ -74,7 +74,7 @@ class Bench:
         assert self.until(
             lambda: (
                 self.temperatures.get_subscription_count()
-                and self.calibrations.get_subscription_count() == self.node._follows
+                and self.calibrations.get_subscription_count() == self.node._applied.follows
                 and self.peer.count_subscribers(topic)
                 and self.peer.count_publishers('imu/data_raw')
             )
@@ -164,7 +164,9 @@ def test_without_a_calibration_nothing_comes_and_it_says_so_until_the_file_is_th
         text = late.read_text()
         late.write_text(text.replace('bias: [8.48', 'bias: [1.48'))
         os.utime(late, ns=(1, 1))
-        assert bench.until(lambda: bench.node._compensator.calibration.model.gyro.bias[0] < 2e-6)
+        assert bench.until(
+            lambda: bench.node._applied.compensator.calibration.model.gyro.bias[0] < 2e-6
+        )
         late.write_text('hello')
         assert bench.until(lambda: bench.said('calibration offered', 'late.yaml', 'a text'))
         assert bench.said('calibration', 'late.yaml is applied')

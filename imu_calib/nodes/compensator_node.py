@@ -3,29 +3,19 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from .. import middleware as ros
-from ..cdr import ImuDecoder, Malformed, Messages, decode_skew, decode_temperatures, rates_payloads
+from ..cdr import ImuDecoder, Messages, decode_skew, decode_temperatures, rates_payloads
 from ..compensation.compensator import Compensator, Reading
-from ..compensation.samples import Mark
-from ..compensation.thermal import (
-    AnyCalibration,
-    ThermalCalibration,
-    by_temperature,
-    check_same_unit,
-    first_of,
-    load_calibration,
-)
-from ..errors import ImuCalibError, InputError
 from ..middleware import messages
 from ..paths import user_path
 from ..stream import ImuBlock
 from . import qos
-from .convert import calibration_of
+from .applied_calibration import AppliedCalibration
+from .compensator_reports import CompensatorReports
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
@@ -34,28 +24,6 @@ _SECOND = 1.0
 """s between two looks at what changes slowly."""
 _GHOST = 15.0
 """s: a publisher that was killed is seen until its lease ends, ten seconds with Cyclone DDS."""
-_STALE = 10.0
-"""s without a temperature: ten times the period of the slowest thermometers in use, 1 Hz."""
-_WORDS = {
-    Mark.GYRO_RANGE: 'a saturated gyro',
-    Mark.ACCEL_RANGE: 'a saturated accelerometer',
-    Mark.RATE: 'rotation faster than in the calibration',
-    Mark.TEMPERATURE: 'temperature outside that of the calibration',
-    Mark.PARITY: 'four gyros that contradict each other',
-    Mark.NO_NUMBER: 'values that are not numbers',
-}
-
-
-@dataclass
-class _Second:
-    """What happened since the last report."""
-
-    since: float
-    taken: int = 0
-    given: int = 0
-    newest: int = 0
-    work: list[float] = field(default_factory=list)
-    marked: dict[Mark, int] = field(default_factory=dict)
 
 
 class CompensatorNode(ros.ManagedNode):
@@ -72,7 +40,7 @@ class CompensatorNode(ros.ManagedNode):
         follow = declare(
             self, 'follow_topic', False, 'also use calibrations published on the topic calibration'
         )
-        self._serial = declare(
+        serial = declare(
             self, 'serial_number', '', 'of the unit; calibrations of others are refused'
         )
         self._frame_id = declare(
@@ -84,34 +52,32 @@ class CompensatorNode(ros.ManagedNode):
             True,
             'Configure and activate at the start, without a lifecycle manager.',
         )
-        self._file = user_path(file) if file else None
-        # A file that is named is a choice: a message from elsewhere must not replace it.
-        self._follows = follow or self._file is None
-        self._version: tuple[int, int] | None = None
-        self._compensator: Compensator | None = None
-        self._source = ''
-        self._made_at = 0.0
-        self._malformed = Malformed()
+        self._diagnostics = Diagnostics(self, 'no calibration yet')
+        path = user_path(file) if file else None
+        follows = follow or path is None
+        self._applied = AppliedCalibration(
+            path,
+            self.resolve_topic_name('calibration'),
+            self._diagnostics,
+            follows=follows,
+            serial_number=serial,
+        )
+        topics = [self.resolve_topic_name(name) for name in ('imu/pulses', 'imu/temperature')]
+        self._reports = CompensatorReports(self._diagnostics, *topics)
         self._decoder = ImuDecoder()
-        self._unused = 0
-        self._heard_temperature = time.monotonic()
         self._two_since: float | None = None
         self._mixed = False
         self._unreliable = False
-        self._diagnostics = Diagnostics(self, 'no calibration yet')
+        self._active = False
         self._publisher = self.create_publisher(
             messages.Imu,
             'imu/data_raw',
             qos.sensor_data(),
             qos_overriding_options=qos.overridable(),
         )
-        self._second = _Second(time.monotonic())
-        self._counted: dict[Mark, int] = dict.fromkeys(Mark, 0)
-        self._offered: Any = None
-        self._active = False
-        if self._follows:
+        if follows:
             self.create_subscription(
-                messages.ImuCalibration, 'calibration', self._on_calibration, qos.results()
+                messages.ImuCalibration, 'calibration', self._applied.take, qos.results()
             )
         ros.open_stream(
             self,
@@ -136,18 +102,13 @@ class CompensatorNode(ros.ManagedNode):
 
     def configure(self) -> None:
         """Take the calibration that is there; samples that come in are left."""
-        self._version, self._compensator, self._source = None, None, ''
-        self._read_file()
-        if self._offered is not None:
-            self._on_calibration(self._offered)
-        self._report_calibration()
+        self._applied.begin()
 
     def activate(self) -> None:
         """Compensate what comes in from now on."""
         self._decoder = ImuDecoder()
-        self._counted = dict.fromkeys(Mark, 0)
-        if self._compensator is not None:
-            self._compensator = Compensator(self._compensator.calibration)
+        self._reports.begin_counts()
+        self._applied.renew()
         self._active = True
         self._diagnostics.report('lifecycle', Level.OK, 'Active: samples are compensated.')
 
@@ -159,8 +120,8 @@ class CompensatorNode(ros.ManagedNode):
 
     def stop(self) -> list[Any]:
         """Give out what waits for others to tell the sample interval."""
-        if self._active and self._compensator is not None:
-            self._publish(self._compensator.finish())
+        if self._active and self._applied.compensator is not None:
+            self._publish(self._applied.compensator.finish())
         return [self._publisher]
 
     def _subscribe(self, *, reliable: bool) -> Any:
@@ -182,26 +143,28 @@ class CompensatorNode(ros.ManagedNode):
         if not self._active:
             return
         begun = time.perf_counter()
-        self._second.taken += len(payloads)
-        if self._compensator is None or self._mixed:
-            self._unused += len(payloads)
+        self._reports.take(len(payloads))
+        compensator = self._applied.compensator
+        if compensator is None or self._mixed:
+            self._reports.unused += len(payloads)
             return
-        for block in self._decoder.decode(payloads, self._malformed):
-            self._publish(self._compensator.take(block))
-        self._second.work.append(time.perf_counter() - begun)
+        for block in self._decoder.decode(payloads, self._reports.malformed):
+            self._publish(compensator.take(block))
+        self._reports.worked(time.perf_counter() - begun)
 
     def _on_skew(self, payloads: list[bytes]) -> None:
-        if self._compensator is None or not self._active:
-            return
-        for block in decode_skew(Messages.join(payloads), self._malformed):
-            self._publish(self._compensator.take(block))
+        if compensator := self._compensating():
+            for block in decode_skew(Messages.join(payloads), self._reports.malformed):
+                self._publish(compensator.take(block))
 
     def _on_temperature(self, payloads: list[bytes]) -> None:
-        self._heard_temperature = time.monotonic()
-        if self._compensator is None or not self._active:
-            return
-        for block in decode_temperatures(Messages.join(payloads), self._malformed):
-            self._publish(self._compensator.take(block))
+        self._reports.hear_temperature()
+        if compensator := self._compensating():
+            for block in decode_temperatures(Messages.join(payloads), self._reports.malformed):
+                self._publish(compensator.take(block))
+
+    def _compensating(self) -> Compensator | None:
+        return self._applied.compensator if self._active else None
 
     def _publish(self, readings: list[Reading]) -> None:
         for reading in readings:
@@ -218,98 +181,18 @@ class CompensatorNode(ros.ManagedNode):
             if not payloads:
                 continue
             ros.publish_all(self._publisher, payloads)
-            self._second.given += len(payloads)
-            self._second.newest = int(stamp[-1])
-
-    def _on_calibration(self, message: Any) -> None:
-        """Take a calibration that is good over."""
-        self._offered = message
-        topic = self.resolve_topic_name('calibration')
-        if message.status == messages.ImuCalibration.INCOMPLETE:
-            text = (
-                f'The calibration on {topic} is incomplete and is not used. {message.status_text}'
-            )
-            self._diagnostics.report('calibration offered', Level.WARN, text)
-        if message.status != messages.ImuCalibration.VALID:
-            return
-        stamp = message.header.stamp
-        try:
-            calibration = by_temperature(calibration_of(message), topic)
-            self._check(calibration, topic)
-            self._use(calibration, topic, stamp.sec + stamp.nanosec * 1e-9)
-        except ImuCalibError as error:
-            self._diagnostics.report('calibration offered', Level.WARN, str(error))
-
-    def _check(self, calibration: AnyCalibration, name: str) -> None:
-        """Refuse the calibration of another unit than the one that is being compensated.
-
-        A message must state the serial number that this node, or what it applies, states.
-
-        Raises:
-            InputError: Says in what they differ.
-
-        """
-        self._check_serial(calibration, name, stated=True)
-        if self._compensator is not None:
-            check_same_unit(calibration, name, self._compensator.calibration, self._source)
-
-    def _check_serial(self, calibration: AnyCalibration, name: str, *, stated: bool) -> None:
-        expected, who = self._serial, 'the parameter serial_number says'
-        if not expected and self._compensator is not None:
-            expected = first_of(self._compensator.calibration).serial_number
-            who = f'{self._source} says'
-        found = first_of(calibration).serial_number
-        if expected and found != expected and (found or stated):
-            raise InputError(
-                f'{name}: serial_number: found {found or "none"}, expected {expected} as {who}: '
-                'it is not applied. Give the calibration of this unit.'
-            )
-
-    def _use(self, calibration: AnyCalibration, source: str, made_at: float) -> None:
-        if self._compensator is None:
-            self._compensator = Compensator(calibration)
-        else:
-            self._compensator.replace(calibration)
-        self._source, self._made_at = source, made_at
-        unit = first_of(calibration)
-        self._diagnostics.hardware_id = f'{unit.imu.id} {unit.serial_number}'.strip()
-        self._diagnostics.report('calibration offered', Level.OK, f'{source} is used.')
-        self._report_calibration()
-
-    def _read_file(self) -> None:
-        """Read the file where it is new or has changed."""
-        if self._file is None:
-            return
-        try:
-            found = self._file.stat()
-        except OSError:
-            # It may be in the middle of being written.
-            self._version = None
-            return
-        version = found.st_mtime_ns, found.st_size
-        if version == self._version:
-            return
-        self._version = version
-        try:
-            calibration = load_calibration(self._file)
-            if self._serial:
-                self._check_serial(calibration, str(self._file), stated=False)
-            self._use(calibration, str(self._file), found.st_mtime)
-        except ImuCalibError as error:
-            self._diagnostics.report('calibration offered', Level.ERROR, str(error))
+            self._reports.give(len(payloads), int(stamp[-1]))
 
     def _on_second(self) -> None:
         if not self._active:
             return
-        self._read_file()
+        self._applied.read_file()
         self._count_publishers()
         if self._unreliable:
             self._subscribe_anew()
-        self._report_calibration()
-        self._report_stream()
-        self._report_range()
-        self._report_temperature()
-        self._second = _Second(time.monotonic())
+        self._applied.report()
+        now = self.get_clock().now().nanoseconds
+        self._reports.report(self._applied.compensator, now, mixed=self._mixed)
 
     def _count_publishers(self) -> None:
         """Give nothing while two devices publish; one that was killed is seen for a while more."""
@@ -331,107 +214,6 @@ class CompensatorNode(ros.ManagedNode):
             Level.WARN,
             f'{topic} is published best effort: messages can be lost on the way.',
         )
-
-    def _report_calibration(self) -> None:
-        if self._compensator is None:
-            topic = self.resolve_topic_name('calibration')
-            sources = [str(self._file)] if self._file is not None else []
-            where = ' or '.join([*sources, topic] if self._follows else sources)
-            self._diagnostics.report(
-                'calibration',
-                Level.WARN,
-                f'No calibration: nothing is published until there is one in {where}.',
-            )
-            return
-        calibration = self._compensator.calibration
-        single = first_of(calibration)
-        age = time.time() - self._made_at
-        self._diagnostics.report(
-            'calibration',
-            Level.OK,
-            f'{self._source} is applied.',
-            imu=single.imu.id,
-            serial_number=single.serial_number or 'not stated',
-            source=self._source,
-            age=f'{age / 3600:.1f} h',
-            temperatures=_degrees(calibration),
-            method=str(single.provenance.get('method', 'not stated')),
-        )
-
-    def _report_stream(self) -> None:
-        second, topic = self._second, self.resolve_topic_name('imu/pulses')
-        span = max(time.monotonic() - second.since, 1e-3)
-        figures = {
-            'in': f'{second.taken / span:.1f} Hz',
-            'out': f'{second.given / span:.1f} Hz',
-            'without calibration': str(self._unused),
-            'malformed': str(self._malformed.count),
-        }
-        level, text = Level.OK, f'{topic} is received and compensated.'
-        compensator = self._compensator
-        if compensator is not None:
-            figures['sample interval'] = f'{compensator.period * 1e3:.6f} ms'
-            figures['irregular intervals between stamps'] = str(compensator.odd_steps)
-            figures['waiting'] = str(compensator.waiting)
-            figures['left out'] = str(compensator.dropped)
-        if second.work:
-            work = np.array(second.work) * 1e6
-            figures['latency in the node'] = (
-                f'{np.median(work):.0f} us, at most {work.max():.0f} us'
-            )
-            age = self.get_clock().now().nanoseconds - second.newest
-            figures['age of the latest sample'] = f'{age * 1e-6:.3f} ms'
-        if self._mixed:
-            level, text = Level.ERROR, f'Two publishers on {topic}: stop one of them.'
-        elif self._malformed.count:
-            level, text = Level.ERROR, f'{topic}: {self._malformed.reason}'
-        elif not second.taken:
-            level, text = Level.WARN, f'There are no messages on {topic}.'
-        elif compensator is not None and not second.given:
-            level, text = Level.WARN, f'{topic} is received, but nothing is published.'
-        self._diagnostics.report('stream', level, text, **figures)
-
-    def _report_range(self) -> None:
-        """Say what was marked in the last second, and how much of it there was in all."""
-        if self._compensator is None:
-            return
-        counts = self._compensator.counts
-        fresh = [m for m in Mark if counts[m] > self._counted[m]]
-        self._counted = {mark: counts[mark] for mark in Mark}
-        level, text = Level.OK, 'All samples are within the range of the calibration.'
-        if fresh:
-            level = Level.WARN
-            text = f'In the last second: {", ".join(_WORDS[mark] for mark in fresh)}.'
-        figures = {_WORDS[mark]: str(counts[mark]) for mark in Mark}
-        if self._compensator.alone:
-            figures["without the skewed gyro's value"] = str(self._compensator.alone)
-        self._diagnostics.report('range', level, text, **figures)
-
-    def _report_temperature(self) -> None:
-        compensator = self._compensator
-        if compensator is None or not isinstance(compensator.calibration, ThermalCalibration):
-            return
-        topic = self.resolve_topic_name('imu/temperature')
-        figures = {'temperature': f'{compensator.celsius:.2f} degC'}
-        level, text = Level.OK, f'{topic} is received.'
-        if compensator.waits_for_temperature:
-            level, text = (
-                Level.ERROR,
-                f'The calibration needs {topic}, which has no messages: nothing is published.',
-            )
-        elif time.monotonic() - self._heard_temperature > _STALE:
-            level, text = (
-                Level.WARN,
-                f'There are no new messages on {topic}: its last value is used.',
-            )
-        self._diagnostics.report('temperature', level, text, **figures)
-
-
-def _degrees(calibration: AnyCalibration) -> str:
-    if isinstance(calibration, ThermalCalibration):
-        return ', '.join(f'{celsius:.2f}' for celsius in calibration.temperatures) + ' degC'
-    seen = calibration.provenance.get('temperature')
-    return 'not measured' if seen is None else f'{float(seen["mean"]):.2f} degC'
 
 
 def main() -> int:

@@ -1,0 +1,154 @@
+"""What compensator_node says of its stream, of the calibration's range and of the temperature."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from ..cdr import Malformed
+from ..compensation.compensator import Compensator
+from ..compensation.samples import Mark
+from ..compensation.thermal import ThermalCalibration
+from .diagnostics import Diagnostics, Level
+
+_STALE = 10.0
+"""s without a temperature: ten times the period of the slowest thermometers in use, 1 Hz."""
+_WORDS = {
+    Mark.GYRO_RANGE: 'a saturated gyro',
+    Mark.ACCEL_RANGE: 'a saturated accelerometer',
+    Mark.RATE: 'rotation faster than in the calibration',
+    Mark.TEMPERATURE: 'temperature outside that of the calibration',
+    Mark.PARITY: 'four gyros that contradict each other',
+    Mark.NO_NUMBER: 'values that are not numbers',
+}
+
+
+class CompensatorReports:
+    """Counts what comes in and goes out between two reports.
+
+    Args:
+        diagnostics: Told once a second.
+        pulses: Topic of the samples.
+        temperature: Topic of the temperatures.
+
+    Attributes:
+        malformed: Messages that could not be read.
+        unused: Samples that came while there was no calibration, or two publishers.
+
+    """
+
+    def __init__(self, diagnostics: Diagnostics, pulses: str, temperature: str) -> None:
+        self.malformed = Malformed()
+        self.unused = 0
+        self._diagnostics = diagnostics
+        self._pulses = pulses
+        self._temperature = temperature
+        self._heard_temperature = time.monotonic()
+        self._counted: dict[Mark, int] = dict.fromkeys(Mark, 0)
+        self._begin()
+
+    def begin_counts(self) -> None:
+        """Count marks anew, as a new compensator does."""
+        self._counted = dict.fromkeys(Mark, 0)
+
+    def take(self, count: int) -> None:
+        """Count samples that came in."""
+        self._taken += count
+
+    def give(self, count: int, newest: int) -> None:
+        """Count samples that went out, the latest stamped so (ns)."""
+        self._given += count
+        self._newest = newest
+
+    def worked(self, seconds: float) -> None:
+        """Take how long samples were in the node."""
+        self._work.append(seconds)
+
+    def hear_temperature(self) -> None:
+        """Take that a temperature has come."""
+        self._heard_temperature = time.monotonic()
+
+    def report(self, compensator: Compensator | None, now: int, *, mixed: bool) -> None:
+        """Say what happened since the last report.
+
+        Args:
+            compensator: None where there is no calibration.
+            now: By the node's clock, ns.
+            mixed: Whether two publishers send samples.
+
+        """
+        self._report_stream(compensator, now, mixed=mixed)
+        if compensator is not None:
+            self._report_range(compensator)
+            if isinstance(compensator.calibration, ThermalCalibration):
+                self._report_temperature(compensator)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._since = time.monotonic()
+        self._taken: int = 0
+        self._given: int = 0
+        self._newest: int = 0
+        self._work: list[float] = []
+
+    def _report_stream(self, compensator: Compensator | None, now: int, *, mixed: bool) -> None:
+        topic = self._pulses
+        span = max(time.monotonic() - self._since, 1e-3)
+        figures = {
+            'in': f'{self._taken / span:.1f} Hz',
+            'out': f'{self._given / span:.1f} Hz',
+            'without calibration': str(self.unused),
+            'malformed': str(self.malformed.count),
+        }
+        level, text = Level.OK, f'{topic} is received and compensated.'
+        if compensator is not None:
+            figures['sample interval'] = f'{compensator.period * 1e3:.6f} ms'
+            figures['irregular intervals between stamps'] = str(compensator.odd_steps)
+            figures['waiting'] = str(compensator.waiting)
+            figures['left out'] = str(compensator.dropped)
+        if self._work:
+            work = np.array(self._work) * 1e6
+            figures['latency in the node'] = (
+                f'{np.median(work):.0f} us, at most {work.max():.0f} us'
+            )
+            figures['age of the latest sample'] = f'{(now - self._newest) * 1e-6:.3f} ms'
+        if mixed:
+            level, text = Level.ERROR, f'Two publishers on {topic}: stop one of them.'
+        elif self.malformed.count:
+            level, text = Level.ERROR, f'{topic}: {self.malformed.reason}'
+        elif not self._taken:
+            level, text = Level.WARN, f'There are no messages on {topic}.'
+        elif compensator is not None and not self._given:
+            level, text = Level.WARN, f'{topic} is received, but nothing is published.'
+        self._diagnostics.report('stream', level, text, **figures)
+
+    def _report_range(self, compensator: Compensator) -> None:
+        """Say what was marked in the last second, and how much of it there was in all."""
+        counts = compensator.counts
+        fresh = [m for m in Mark if counts[m] > self._counted[m]]
+        self._counted = {mark: counts[mark] for mark in Mark}
+        level, text = Level.OK, 'All samples are within the range of the calibration.'
+        if fresh:
+            level = Level.WARN
+            text = f'In the last second: {", ".join(_WORDS[mark] for mark in fresh)}.'
+        figures = {_WORDS[mark]: str(counts[mark]) for mark in Mark}
+        if compensator.alone:
+            figures["without the skewed gyro's value"] = str(compensator.alone)
+        self._diagnostics.report('range', level, text, **figures)
+
+    def _report_temperature(self, compensator: Compensator) -> None:
+        topic = self._temperature
+        figures = {'temperature': f'{compensator.celsius:.2f} degC'}
+        level, text = Level.OK, f'{topic} is received.'
+        if compensator.waits_for_temperature:
+            level, text = (
+                Level.ERROR,
+                f'The calibration needs {topic}, which has no messages: nothing is published.',
+            )
+        elif time.monotonic() - self._heard_temperature > _STALE:
+            level, text = (
+                Level.WARN,
+                f'There are no new messages on {topic}: its last value is used.',
+            )
+        self._diagnostics.report('temperature', level, text, **figures)
