@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,6 +23,17 @@ _WORDS = {
     Mark.PARITY: 'four gyros that contradict each other',
     Mark.NO_NUMBER: 'values that are not numbers',
 }
+
+
+@dataclass
+class _Second:
+    """What happened since the last report."""
+
+    since: float = field(default_factory=time.monotonic)
+    taken: int = 0
+    given: int = 0
+    newest: int = 0
+    work: list[float] = field(default_factory=list)
 
 
 class CompensatorReports:
@@ -46,7 +58,7 @@ class CompensatorReports:
         self._temperature = temperature
         self._heard_temperature = time.monotonic()
         self._counted: dict[Mark, int] = dict.fromkeys(Mark, 0)
-        self._begin()
+        self._second = _Second()
 
     def begin_counts(self) -> None:
         """Count marks anew, as a new compensator does."""
@@ -54,16 +66,16 @@ class CompensatorReports:
 
     def take(self, count: int) -> None:
         """Count samples that came in."""
-        self._taken += count
+        self._second.taken += count
 
     def give(self, count: int, newest: int) -> None:
         """Count samples that went out, the latest stamped so (ns)."""
-        self._given += count
-        self._newest = newest
+        self._second.given += count
+        self._second.newest = newest
 
     def worked(self, seconds: float) -> None:
         """Take how long samples were in the node."""
-        self._work.append(seconds)
+        self._second.work.append(seconds)
 
     def hear_temperature(self) -> None:
         """Take that a temperature has come."""
@@ -83,21 +95,14 @@ class CompensatorReports:
             self._report_range(compensator)
             if isinstance(compensator.calibration, ThermalCalibration):
                 self._report_temperature(compensator)
-        self._begin()
-
-    def _begin(self) -> None:
-        self._since = time.monotonic()
-        self._taken: int = 0
-        self._given: int = 0
-        self._newest: int = 0
-        self._work: list[float] = []
+        self._second = _Second()
 
     def _report_stream(self, compensator: Compensator | None, now: int, *, mixed: bool) -> None:
         topic = self._pulses
-        span = max(time.monotonic() - self._since, 1e-3)
+        span = max(time.monotonic() - self._second.since, 1e-3)
         figures = {
-            'in': f'{self._taken / span:.1f} Hz',
-            'out': f'{self._given / span:.1f} Hz',
+            'in': f'{self._second.taken / span:.1f} Hz',
+            'out': f'{self._second.given / span:.1f} Hz',
             'without calibration': str(self.unused),
             'malformed': str(self.malformed.count),
         }
@@ -107,19 +112,19 @@ class CompensatorReports:
             figures['irregular intervals between stamps'] = str(compensator.odd_steps)
             figures['waiting'] = str(compensator.waiting)
             figures['left out'] = str(compensator.dropped)
-        if self._work:
-            work = np.array(self._work) * 1e6
+        if self._second.work:
+            work = np.array(self._second.work) * 1e6
             figures['latency in the node'] = (
                 f'{np.median(work):.0f} us, at most {work.max():.0f} us'
             )
-            figures['age of the latest sample'] = f'{(now - self._newest) * 1e-6:.3f} ms'
+            figures['age of the latest sample'] = f'{(now - self._second.newest) * 1e-6:.3f} ms'
         if mixed:
             level, text = Level.ERROR, f'Two publishers on {topic}: stop one of them.'
         elif self.malformed.count:
             level, text = Level.ERROR, f'{topic}: {self.malformed.reason}'
-        elif not self._taken:
+        elif not self._second.taken:
             level, text = Level.WARN, f'There are no messages on {topic}.'
-        elif compensator is not None and not self._given:
+        elif compensator is not None and not self._second.given:
             level, text = Level.WARN, f'{topic} is received, but nothing is published.'
         self._diagnostics.report('stream', level, text, **figures)
 
