@@ -425,6 +425,7 @@ def scattering(
     fast: tuple[bool, bool] = (False, False),
     step: float = 0.0,
     untold: tuple[str, ...] = (),
+    by_hand: bool = False,
 ) -> list[str]:
     """Return what is said of an estimate that found positioning errors and drifts."""
     none = np.zeros(6)
@@ -436,7 +437,11 @@ def scattering(
     )
     instability = none if instability is None else instability
     evidence = SimpleNamespace(
-        positioning=stated, table=table, instability=instability, encoder_step=step
+        positioning=stated,
+        table=table,
+        instability=instability,
+        encoder_step=step,
+        plan=SimpleNamespace(by_hand=by_hand),
     )
     found: Any = SimpleNamespace(equations=SimpleNamespace(evidence=evidence), scatter=scatter)
     return joint._scattering(found, untold)
@@ -465,6 +470,13 @@ def test_positioning_errors_are_told_from_a_tenth_of_what_is_stated() -> None:
     assert sentence.startswith('Attitude errors of the whole table, 5 arcsec about each axis')
     assert scattering(stops=0.19 * ARCSEC, stated=2 * ARCSEC) == []
     assert scattering(joints=3 * ARCSEC, stops=5 * ARCSEC, probability=0.01) == []
+
+
+def test_hands_lean_once_and_have_neither_joints_nor_encoders() -> None:
+    assert scattering(by_hand=True) == []
+    (sentence,) = scattering(joints=0.3 * DEG, stops=0.4 * DEG, by_hand=True)
+    assert sentence.startswith('The holds lean by 0.5 deg about each level axis')
+    assert scattering(joints=0.3 * DEG, by_hand=True, probability=0.01) == []
 
 
 def test_drifts_are_told_beside_what_the_data_sheet_states() -> None:

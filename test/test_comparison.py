@@ -23,6 +23,7 @@ from imu_calib.units import DEG, DEG_H
         ('twelve_position', 'joint', 'twelve_position'),
         ('six_position', 'joint', 'six_position'),
         ('rate_24', 'joint', 'rate_24'),
+        ('six_position_by_hand', 'joint', 'six_position'),
         ('eight_position', 'joint_33', 'n_positions'),
         ('optimised_twelve', 'joint', None),
         ('static_six', 'joint', None),
@@ -103,7 +104,7 @@ def test_the_command_line_shows_both(tmp_path: Path, capsys: pytest.CaptureFixtu
         ('static_six', 'static_six'),
         ('off_axis_four', 'off_axis_four'),
         ('skewed', 'skewed'),
-        ('six_position_by_hand', 'six_position'),
+        ('six_position_by_hand', 'joint'),
         ('free_positions', 'free_positions'),
     ],
 )

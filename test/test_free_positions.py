@@ -21,6 +21,7 @@ from imu_calib.cli.main import main
 from imu_calib.earth import Site
 from imu_calib.errors import NotObservable
 from imu_calib.imu import load_imu
+from imu_calib.methods import free_positions
 from imu_calib.methods.free_positions import (
     ESTIMATES,
     FREE,
@@ -390,6 +391,12 @@ def test_a_lost_turn_costs_little_and_is_said() -> None:
     assert any('1 turns are lost' in finding for finding in found.calibration.findings)
     wrong = found.calibration.values - in_frame_of_accelerometers(unit(0)).vector()
     assert np.abs(wrong[SCALES]).max() < 300 * PPM
+
+
+def test_what_does_not_converge_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(free_positions, '_ITERATIONS', 1)
+    with pytest.raises(NotObservable, match='did not converge in 1 steps'):
+        calibrator(spread_holds(20), unit(0), 0).finish()
 
 
 def test_guidance_asks_for_what_is_missing() -> None:

@@ -543,7 +543,8 @@ def test_the_estimator_of_a_plan_is_joint_where_it_solves_the_same() -> None:
         'eight_position': 'joint_33',
         'skewed': 'skewed',
         'static_six': 'static_six',
-        'six_position_by_hand': 'six_position',
+        'six_position_by_hand': 'joint',
+        'free_positions': 'free_positions',
     }
     for name, wanted in asked.items():
         assert default_method(load_plan(name)) == wanted

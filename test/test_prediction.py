@@ -151,13 +151,18 @@ def test_the_method_without_north_says_so() -> None:
     assert 'north' in found.refusal
 
 
-def test_in_the_hand_a_bound_is_the_joint_estimates_alone() -> None:
+def test_in_the_hand_the_closed_form_is_as_sharp_as_the_joint_estimate_but_for_gyro_biases() -> (
+    None
+):
     own = Setup(load_imu('mems_counts'), load_plan('six_position_by_hand'), None, SITE)
-    found, joint = (forecast(replace(own, method=m), truth().model) for m in (None, 'joint'))
-    assert np.isnan(found.best).all()
-    assert np.isfinite(found.std).all()
-    # Tilts that the plan's own method takes for none cost the joint estimate what they are.
-    assert (joint.std[K_AX:] >= found.std[K_AX:] * (1 - 1e-3)).all()
+    names = ('joint', 'six_position')
+    joint, closed = (forecast(replace(own, method=m), truth().model) for m in names)
+    assert np.isfinite(joint.std).all()
+    assert closed.best == pytest.approx(joint.std)
+    # Of holds as long as each other the mean is the least squares of accelerometers.
+    assert closed.std[K_AX:] == pytest.approx(joint.std[K_AX:], rel=1e-3)
+    # Gyros with the axis vertical do not feel where north is.
+    assert (joint.std[D_GX : D_GX + 3] < 0.99 * closed.std[D_GX : D_GX + 3]).all()
 
 
 def test_an_imu_without_noise_figures_is_refused() -> None:

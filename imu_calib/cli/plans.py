@@ -43,7 +43,10 @@ _ON_A_TABLE = (
 _IN_THE_HAND = (
     'Predicted standard deviations by the noise, for turns of two seconds, each about one axis.'
 )
-_LEANING = 'The tilt of a hold adds to that: E_a errs by half of it, D_a by g times a sixth.'
+_LEANING = (
+    'Holds that lean add to that: E_a errs by half of the angle, E_g by all of what a turn leans, '
+    'and by the closed form D_a by g times a sixth.'
+)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -203,12 +203,18 @@ def weighed_down(equations: Equations, rows: NDArray[np.intp], factor: float) ->
 
 
 def candidates(evidence: Evidence, *, turns: bool) -> list[tuple[str, NDArray[np.intp]]]:
-    """Name what may be an outlier as a whole: three outputs of one kind at a time."""
+    """Name what may be an outlier as a whole: three outputs of one kind at a time.
+
+    Of holds by hand no accelerometers: a tilt in one is as likely as the opposite one in the hold
+    the other way up, and which of them counts for less would be chance. It widens what rests on
+    both (`excess`).
+    """
     rows = evidence.layout
     found = []
     for segment, mine in zip(evidence.segments, rows.dwell, strict=True):
         found.append((f'the gyros at position {segment.position}', mine[:3]))
-        found.append((f'the accelerometers at position {segment.position}', mine[3:]))
+        if not evidence.plan.by_hand:
+            found.append((f'the accelerometers at position {segment.position}', mine[3:]))
     turned = [
         f'a turn at {t.rate() / DEG:.3g} deg/s at position {t.position}' for t in evidence.turns
     ]

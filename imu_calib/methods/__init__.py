@@ -59,10 +59,10 @@ _JOINT_OF = {
     'six_position': 'joint',
     'twelve_position': 'joint',
 }
-"""Closed forms for all sensors at the attitudes of a table, and what solves their sessions too.
+"""Closed forms for all sensors at attitudes that are known, and what solves their sessions too.
 
 The others need their own: the joint estimate knows no gyros alone, no skewed one, and no attitudes
-that were not measured.
+of which nothing is known.
 """
 
 _CHECKS: dict[str, Callable[[Plan, Site], None]] = {
@@ -141,12 +141,8 @@ def estimated_parameters(name: str, terms: tuple[Term, ...] = ()) -> tuple[Param
 
 
 def default_method(plan: Plan) -> str:
-    """Return the name of the estimator of a plan where none is asked for.
-
-    The joint estimate where it can solve what the plan's own method solves, else that. What is
-    held by hand stays with its own: no encoder gives its attitudes.
-    """
-    return plan.method if plan.by_hand else _JOINT_OF.get(plan.method, plan.method)
+    """Return the joint estimate where it solves what a plan's own method solves, else that."""
+    return _JOINT_OF.get(plan.method, plan.method)
 
 
 def closed_form_beside(name: str, plan: Plan) -> str | None:

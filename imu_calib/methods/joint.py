@@ -193,6 +193,9 @@ def _concluded(found: Estimate, untold: Sequence[str] = ()) -> Solution:
     if not evidence.plan.by_hand:
         check_latitude(evidence, earth, earth_covariance)
     azimuth, azimuth_std = found.nuisance(Nuisance.AZIMUTH)
+    if evidence.plan.by_hand:
+        # Each hold has a heading of its own.
+        azimuth, azimuth_std = float('nan'), float('inf')
     return Solution(
         model,
         found.covariance[: equations.sensors, : equations.sensors],
@@ -381,13 +384,19 @@ def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
     if scatter.positioning_probability < _SAID:
         # The deviations allow for it by its probability; it is not what happened.
         joints = stops = 0.0
-    if joints > _TELLING * evidence.positioning:
+    if evidence.plan.by_hand and (lean := float(np.hypot(joints, stops))):
+        notes.append(
+            f'The holds lean by {lean / DEG:.2g} deg about each level axis against the plan: the '
+            'standard deviations allow for it, and for as much in the turns. Hold the unit, or a '
+            'box that it is fixed to, against something level; free positions need no level holds.'
+        )
+    elif joints > _TELLING * evidence.positioning:
         notes.append(
             f'Positioning errors of {joints / ARCSEC:.2g} arcsec, which encoders do not show, '
             f'explain the scatter of the residuals ({known}): the standard deviations allow for '
             f'them.{_in_steps(joints, evidence)}'
         )
-    if stops > _TELLING * max(joints, evidence.positioning):
+    if stops > _TELLING * max(joints, evidence.positioning) and not evidence.plan.by_hand:
         notes.append(
             f'Attitude errors of the whole table, {stops / ARCSEC:.2g} arcsec about each axis and '
             'others at each stop, explain the scatter of the residuals: the standard deviations '

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from ..budget import Share, Source
-from ..model import Parameter, ParameterKind
+from ..model import BIASES, Parameter, ParameterKind
 from ..stream import Floats
 from ..units import ARCMIN, DEG
 from .components import Component, Diagonal, Factor, shares
@@ -210,7 +210,20 @@ class Equations(SessionModel):
             parts.append(
                 Component(Source.STOPS, Factor(self.by_positioning(state)[1] * found.stops))
             )
+        if self.evidence.plan.by_hand and (square := found.joints**2 + found.stops**2):
+            parts.append(Component(Source.STOPS, Factor(self._shortened(state) * square)))
         return parts
+
+    def _shortened(self, state: Floats) -> Floats:
+        """Return what the cosines of leaning holds take off what is vertical, (m, 1 + s + t).
+
+        Of two angles of variance s^2 about level axes 1 - cos has the mean s^2, which all holds
+        and turns have in common, and the standard deviation s^2 about it, each for itself.
+        """
+        biases = self.by_parameters(state, BIASES) @ self.model(state).values(BIASES)
+        vertical = self.predict(state) - biases
+        own = self.layout.segment[:, None] == np.arange(self.layout.dwells + self.layout.turns)
+        return np.column_stack([vertical, vertical[:, None] * own])
 
     def whitened(self, state: Floats) -> tuple[Floats, Floats]:
         """Return derivatives and residuals in standard deviations, the priors' rows last.

@@ -27,7 +27,7 @@ from .headings import headings
 from .known_noise import known_noise
 from .layout import OutputLayout
 from .moves import Moves
-from .positioning_errors import Leaning, around, of_joints, of_stops
+from .positioning_errors import Leaning, around, of_holds, of_joints, of_stops
 
 UP = np.array([0.0, 0.0, 1.0])
 """In east, north, up."""
@@ -235,7 +235,13 @@ class Evidence:
 
     @cached_property
     def positioning_leans(self) -> tuple[Leaning, Leaning]:
-        """How attitudes lean where joints stop beside their mark, and by each stop of its own."""
+        """How attitudes lean where joints stop beside their mark, and by each stop of its own.
+
+        Hands have no joints: both are the same.
+        """
+        if self.plan.by_hand:
+            held = of_holds(self.segments, self.turns)
+            return held, held
         return (
             of_joints(self.segments, self.turns, self.table),
             of_stops(self.segments, self.turns),

@@ -24,7 +24,7 @@ from ..model import SensorModel
 from ..rotations import rotations
 from ..stream import Floats
 from .equations import Equations
-from .evidence import UP, Evidence
+from .evidence import Evidence
 from .layout import Indices
 from .surroundings import Surroundings
 
@@ -79,9 +79,7 @@ class FreeEquations(Equations):
 
     def surroundings(self, _: Floats) -> Surroundings:
         """Return what is vertical of Earth rate and gravity: no azimuth and no tilt turns it."""
-        around, none = Surroundings.at(self.evidence.site, 0.0, 0.0, 0.0), np.zeros((3, 3))
-        rate, by_latitude = around.rate * UP, around.rate_by_latitude * UP
-        return Surroundings(rate, around.force, by_latitude, none, none, np.eye(3))
+        return Surroundings.vertical(self.evidence.site)
 
     def earth(self, state: Floats) -> Floats:
         """Return the Earth rate in the frame of each dwell's attitude, (s, 3) rad/s."""

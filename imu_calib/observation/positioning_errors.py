@@ -104,6 +104,14 @@ def of_stops(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
     return Leaning(at_rest, np.zeros((len(turns), 3, 3 * count)))
 
 
+def of_holds(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
+    """Return what hands do: three errors for each hold, and for each turn."""
+    count = len(segments) + len(turns)
+    own = np.eye(count)[:, None, :, None] * np.eye(3)[None, :, None, :]
+    own = own.reshape(count, 3, 3 * count)
+    return Leaning(own[: len(segments)], own[len(segments) :])
+
+
 def around(angles: Floats, joint: int) -> Floats:
     """Return the joint angles (8, k) at equal steps of a turn of one joint, from (k,) rad on."""
     steps = np.repeat(angles[None], _HEADINGS, axis=0)

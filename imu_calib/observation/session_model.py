@@ -126,10 +126,13 @@ class SessionModel:
         """Return Earth rate and gravity in the frame of the attitudes, by a state (n,).
 
         An azimuth that is given is already in the attitudes: the state holds what is left of it.
+        Holds by hand have a heading and a tilt each, and none in common: both are scatter.
         """
         return self._once('surroundings', state, self._surroundings)
 
     def _surroundings(self, state: Floats) -> Surroundings:
+        if self.evidence.plan.by_hand:
+            return Surroundings.vertical(self.evidence.site)
         azimuth, tilt_x, tilt_y = state[self.sensors : self.clock]
         return Surroundings.at(self.evidence.site, azimuth, tilt_x, tilt_y)
 

@@ -58,3 +58,16 @@ class Surroundings:
             slopes.append(np.column_stack([by_azimuth, by_x, -gy @ level]))
         by_latitude = both @ rotation(_Z, -azimuth) @ site.earth_rate_by_latitude
         return cls(vectors[0], vectors[1], by_latitude, slopes[0], slopes[1], both.T)
+
+    @classmethod
+    def vertical(cls, site: Site) -> Surroundings:
+        """Return what is vertical of a site's vectors: no azimuth and no tilt turns it."""
+        none = np.zeros((3, 3))
+        return cls(
+            site.earth_rate * _Z,
+            site.specific_force,
+            site.earth_rate_by_latitude * _Z,
+            none,
+            none,
+            np.eye(3),
+        )

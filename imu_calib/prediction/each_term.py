@@ -52,7 +52,7 @@ def forecast_terms(
         drifting: Likewise.
 
     """
-    if found.method not in JOINT or found.refusal or setup.plan.by_hand:
+    if found.method not in JOINT or found.refusal:
         return ()
     asked = terms_of(found.parameters)
     return tuple(

@@ -40,8 +40,7 @@ class Forecast:
         parameters: What the method estimates.
         std: (n,) by that method, SI units; NaN for what it leaves alone, or where it cannot be
             asked.
-        best: (n,) by the Fisher information; NaN for what the session does not observe, and for
-            the plan's own method in the hand: it takes no tilts for unknown, and may lie below.
+        best: (n,) by the Fisher information; NaN for what the session does not observe.
         refusal: Why the method has no answer, else empty.
 
     """
@@ -97,10 +96,8 @@ def forecast(
             check_observable(Equations(evidence, parameters))
         except NotObservable as error:
             refusal = str(error)
-    best = _nothing(parameters)
-    if name in JOINT or not setup.plan.by_hand:
-        extra = bias_drift_covariance(evidence, setup.imu) if drifting else None
-        best = _best(evidence, truth, parameters, extra)
+    extra = bias_drift_covariance(evidence, setup.imu) if drifting else None
+    best = _best(evidence, truth, parameters, extra)
     std = best if name in JOINT else np.sqrt(square)
     return _with_common(Forecast(evidence, name, parameters, std, best, refusal), setup, truth)
 
