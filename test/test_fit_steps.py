@@ -253,6 +253,41 @@ def test_a_dwell_that_was_knocked_is_an_outlier_of_its_own_chi_square() -> None:
     assert outliers.find_outlier(none, outliers.candidates(sound.evidence, turns=True)) is None
 
 
+@pytest.mark.parametrize(
+    ('freedom', 'sigma', 'named'),
+    [(np.inf, 6.1, True), (30.0, 6.1, False), (30.0, 7.8, True), (20.0, 7.8, False)],
+)
+def test_how_far_an_outlier_is_off_depends_on_how_well_the_noise_is_known(
+    freedom: float, sigma: float, named: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Once in 10^6 dwells three squares are beyond 5.5^2, and by noise that is known to 30 and 20
+    # degrees of freedom beyond 7.2^2 and 8.4^2: three times F, by tables.
+    monkeypatch.setattr(
+        outliers, 'excess', lambda *_, **__: ExcessScatter(NO_POSITIONING_ERRORS, np.zeros(6))
+    )
+    sound = replace(session().evidence, walk_freedom=np.full(6, freedom))
+    segment, deviation = sound.segments[3], np.sqrt(session().own_variances[22])
+
+    def pushed(by: float) -> tuple[Equations, Floats]:
+        mean = segment.statistics.mean + by * deviation * np.eye(6)[4]
+        off = replace(segment, statistics=replace(segment.statistics, mean=mean))
+        segments = (*sound.segments[:3], off, *sound.segments[4:])
+        there = Equations(replace(sound, segments=segments))
+        return there, fit.fit(there, fit.start(there))
+
+    rows = np.array([21, 22, 23])
+    near, far = 0.0, 40.0
+    while far - near > 0.01:
+        middle = (near + far) / 2
+        beyond = outliers._fall(*pushed(middle), rows)[0] > sigma**2
+        near, far = (near, middle) if beyond else (middle, far)
+    view = pushed(far)
+    found = outliers.find_outlier((view, view), outliers.candidates(view[0].evidence, turns=True))
+    assert (found is not None) is named
+    if found is not None:
+        assert found.rows.tolist() == rows.tolist()
+
+
 @cache
 def warmed(rise: float = 4.0) -> Evidence:
     """Twelve positions twice, from one temperature to another."""

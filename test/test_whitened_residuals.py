@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from imu_calib.budget import Share, Source
 from imu_calib.estimation.outliers import (
     _UNLIKE,
     MOST_OUTLIERS,
@@ -24,6 +25,7 @@ from imu_calib.observation.layout import OutputLayout
 from imu_calib.stream import Floats
 
 ROWS, PRIORS, STATE = 40, 4, 6
+FEW = 9.0
 BIG = 1e3
 """Columns are those of coefficients of that size: larger than what counts as seen."""
 
@@ -47,6 +49,13 @@ class Linear:
         white = np.linalg.inv(self.factor(state))
         jacobian = np.vstack([white @ self.design, self.prior])
         return jacobian, np.append(white @ self.outputs, self.prior_left) - jacobian @ state
+
+    def shares(self, _: Floats, gain: Floats) -> dict[Source, Share]:
+        """Return what noise, known by few degrees of freedom, and a known rest make of a gain."""
+        return {
+            Source.NOISE: Share(0.75 * gain @ self.covariance @ gain.T, np.full(len(gain), FEW)),
+            Source.TABLE: Share.known(0.25 * gain @ self.covariance @ gain.T),
+        }
 
     def solved(self) -> Floats:
         """Return the least squares."""
@@ -151,9 +160,11 @@ def test_an_outlier_takes_what_offsets_of_its_own_would() -> None:
     columns = np.eye(ROWS)[:, rows]
     _, _, left = system.refitted(columns)
     _, _, before = system.refitted(np.zeros((ROWS, 0)))
-    square, freedom = _fall(system, system.solved(), rows)  # type: ignore[arg-type]
+    square, rank, freedom = _fall(system, system.solved(), rows)  # type: ignore[arg-type]
     assert square == pytest.approx(before - left)
-    assert freedom == 3
+    assert rank == 3
+    # Three quarters of the variance are known by nine degrees of freedom: GUM, G.2b.
+    assert freedom == pytest.approx(FEW / 0.75**2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..budget import effective_freedom
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.information import Information
@@ -24,7 +25,12 @@ from .fit import fit, with_scatter
 
 _OUTLYING = 1e-6
 """Chance by which a sound dwell or turn counts for less: with fifty of them, one session in 20 000
-loses one."""
+loses one. Noise is known by the blocks of the session alone, thirty and odd degrees of freedom of
+twelve positions of 40 s: the chance is that of F, 60 times that of chi-square."""
+
+_EXACT = 1e6
+"""Degrees of freedom that stand for infinitely many: F is then that of a known variance, to
+three parts in 10^4 at that chance."""
 
 _SUSPECT = 1e-5
 """Chance below which the worst of them is looked at closely: ten times that by which it then counts
@@ -262,19 +268,25 @@ def find_outlier(
         without = weighed_down(plain, rows, _LEFT_OUT)
         others = with_scatter(plain, excess(without, fit(without, state), suspecting=True))
         here = fit(others, state)
-        square, freedom = _fall(others, here, rows)
-        limit = scipy.special.chdtri(max(freedom, 1), _OUTLYING)
-        if freedom and square > limit and (best is None or square > best.chi_square):
+        square, rank, freedom = _fall(others, here, rows)
+        by_chance = rank == 0 or scipy.special.fdtrc(rank, freedom, square / rank) > _OUTLYING
+        if not by_chance and (best is None or square > best.chi_square):
             best = Outlier(name, rows, square)
     return best
 
 
-def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[float, int]:
+def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[float, int, float]:
     """Return by how much chi-square falls when some outputs get offsets of their own, and how many.
 
-    The mean-shift test of Cook and Weisberg 1982, section 2.2.2, for correlated outputs.
+    And the degrees of freedom by which the variances of these outputs' residuals are known, the
+    fewest of them. The mean-shift test of Cook and Weisberg 1982, section 2.2.2, for correlated
+    outputs; docs/mathematics.md, 'Outliers'.
     """
-    return _drop(_cleaned(equations, state), rows)
+    prepared = _cleaned(equations, state)
+    shares = equations.shares(state, prepared[1][rows]).values()
+    variances = np.array([np.diag(share.covariance) for share in shares])
+    freedom = effective_freedom(variances, np.array([share.freedom for share in shares]))
+    return *_drop(prepared, rows), float(freedom.min(initial=_EXACT))
 
 
 def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:

@@ -7,6 +7,7 @@ from enum import Enum
 
 import numpy as np
 
+from ..budget import PROBABILITY
 from ..model import Parameter, Term, terms_of
 from ..model.session_terms import Change, Course, largest, names_of
 from ..stream import Floats
@@ -24,8 +25,10 @@ _HIDDEN = 4.5
 """Standard deviations by which a term of the session that is just not found moves a parameter that
 is then said to hold without it alone: chance passes them in one of 6000 sessions."""
 
-_EVEN = 0.5
-"""Probability beyond which a drift that is not found is more likely than none, and said."""
+_SAID = PROBABILITY
+"""Probability beyond which a drift that is not found is said: that of expanded uncertainties. Of 20
+such sentences one is of a unit that does not drift; what is less likely widens the deviations all
+the same, and stands with its probability among the terms (`summary`)."""
 
 _WORTH_NAMING = 0.1
 """Share of that by which one of several courses is named."""
@@ -196,12 +199,13 @@ def untold_errors(search: Search) -> tuple[str, ...]:
 
 
 def _likely(search: Search) -> list[str]:
-    """Say where a drift that is not found is there all the same, more likely than not.
+    """Say where a drift that is not found is there all the same, but for one case in twenty.
 
-    Of a sound session the score is beyond that, 25 for eight coefficients, once in a thousand.
+    Of a sound session the score is beyond that, 32 for eight coefficients and two courses, once in
+    ten thousand; beyond the even chance, 23, it is once in three hundred.
     """
     total = sum(search.probability.values())
-    if total <= _EVEN:
+    if total <= _SAID:
         return []
     words = ' or '.join(
         f'{family.course.words} ({family.name})'
