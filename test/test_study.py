@@ -90,6 +90,8 @@ def test_a_wrong_name_counts_unless_the_right_one_stands_beside_it() -> None:
         ('perfect', 'mems_counts', 7),
         # Of right angles 3 arcsec were assumed where nobody states them: off without a word.
         ('orthogonality 60 arcsec', 'mems_counts', 13),
+        # Of zeros 20 arcsec, those of one levelling: 6.5 deviations off, by the frame alone.
+        ('zeros 60 arcsec', 'mems_counts', 14),
         pytest.param('g_sensitivity', 'fog_navigation', 0, marks=pytest.mark.repeats),
         # A sample lost where a joint started made a move that did not fit.
         pytest.param('lost 0.5 %', 'fog_navigation', 1, marks=pytest.mark.repeats),
