@@ -158,8 +158,12 @@ CONDITIONS = {
     'encoder noise 15 arcsec': Condition(
         'joint_states: {noise: 15 arcsec}', bound={'readings': 15 * ARCSEC}
     ),
-    'encoder of 16 bits': Condition('joint_states: {resolution: 19.775390625 arcsec}'),
-    'encoder in steps of 0.05 deg': Condition('joint_states: {resolution: 0.05 deg}'),
+    'encoder of 16 bits': Condition(
+        'joint_states: {resolution: 19.775390625 arcsec}', bound={'step': 19.775390625 * ARCSEC}
+    ),
+    'encoder in steps of 0.05 deg': Condition(
+        'joint_states: {resolution: 0.05 deg}', bound={'step': 0.05 * DEG}
+    ),
     'joint stamps jitter 1 ms': Condition('joint_states: {jitter: 1 ms}', bound={'jitter': 1e-3}),
     'positioning errors of joints 5 arcsec': Condition(
         'table: {positioning: {joints: 5 arcsec}}', ('joints',), bound={'positioning': 5 * ARCSEC}

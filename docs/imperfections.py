@@ -343,8 +343,9 @@ for each unit the table is perfect and states it. Biases drift as the data sheet
 - worst: the parameter whose error is the largest in its stated standard deviations
 - widened: the largest ratio of the stated deviations of K, and of D, to those of the perfect table
   that states it; in brackets that of the information bound (`test/bound_of_stands.py`), which knows
-  how large the errors of the stand are. It knows nothing of shaking, of frozen counts, of biases
-  that fade and of terms.
+  how large the errors of the stand are. Where readings of encoders are off it counts motions from
+  rest to rest too, which that of the perfect table does not. It knows nothing of shaking, of frozen
+  counts, of biases that fade and of terms.
 - wrong: an error of more than 4.5 deviations. It is named where a finding names its cause, or where
   the result says for which term that is not seen the parameter holds; else it is silent.
 - off by the frame alone: the table's zeros, or the right angles between its axes, are further off

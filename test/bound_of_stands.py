@@ -3,6 +3,19 @@
 What is wrong with the stand enters as errors of known size: their covariance is that of what they
 do to the outputs. How the table leans by them comes from rotations written out in plain loops
 (`other_world`), by differences.
+
+Readings of an encoder count in turns, where they tell the rate: with the noise and the jitter of
+each, and in steps. A rounded reading says that the table is within half a step of it, and no place
+there is likelier than another. So an offset and a slope are as likely as any other pair with which
+all readings of a turn come out, and the variance of the slope over those pairs is the least mean
+square of any estimator (the mean of the posterior has it). Turns whose steps come in time with the
+readings err by up to (q / T)^2 / 6; others by far less. To write q^2 / 12 for each reading, as if
+each erred for itself, would be far too little of the former.
+
+At rest a rounded reading tells nothing beside the plan: the table was sent to an angle, and comes
+within its positioning errors of it. A bound that took q / sqrt(12) for it would be above what that
+knowledge allows. The same holds of where turns begin and end. So where readings are off, what the
+gyros turn from rest to rest is in the bound beside what they turn on the rate.
 """
 
 from __future__ import annotations
@@ -37,6 +50,8 @@ _TAU = 1000.0
 _SETTLE = 1.0
 _READINGS = 100
 """Of the encoders, per second."""
+_OFFSETS = 16
+"""At which steps may lie beside the first reading."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +65,7 @@ class Stand:
             at twice per turn, each.
         readings: Noise of one reading of an encoder.
         jitter: Of the times of the readings, s.
+        step: Of the readings.
         azimuth: Of the table, where it is stated; None where nobody knows it.
         drift: Of gyros' and accelerometers' biases, that wander with 1000 s, rad/s and m/s^2.
         ramp: Whether biases and, of each triad together, scale factors drift evenly.
@@ -64,6 +80,7 @@ class Stand:
     encoder: float = 0.0
     readings: float = 0.0
     jitter: float = 0.0
+    step: float = 0.0
     azimuth: float | None = None
     drift: tuple[float, float] = (0.0, 0.0)
     ramp: bool = False
@@ -79,6 +96,8 @@ class Part:
         begin: s.
         seconds: How long it takes.
         rate: Of a turn about the outer axis, rad/s.
+        whole: Of a turn: how long it takes from rest to rest, s, and how long it is on the rate.
+        turned: Of a turn: whole turns from rest to rest, rad.
         ends: Of a move: the rests between which it lies, among the parts.
 
     """
@@ -88,6 +107,8 @@ class Part:
     begin: float
     seconds: float
     rate: float = 0.0
+    whole: tuple[float, float] = (0.0, 0.0)
+    turned: float = 0.0
     ends: tuple[int, int] = (0, 0)
 
 
@@ -99,11 +120,13 @@ class Course:
         parts: In the order of `bound.read`.
         leans: (e, p, 3) by one radian of each of e errors, about the unit's axes, in a turn in the
             mean, by the field of `Stand`.
+        ends: (e, p) what each error of `positioning` adds to a turn from rest to rest, about up.
 
     """
 
     parts: list[Part]
     leans: dict[str, Floats]
+    ends: Floats
 
 
 def bound_of(
@@ -127,21 +150,32 @@ def bound_of(
     jacobian, arms = _jacobian(plan, model, site, table)
     covariance = np.diag(_own(spec, course.parts))
     leaning = _by_leaning(course.parts, model, site)
+    shared = _drifting(course.parts, jacobian, stand)
+    arriving = np.zeros((len(covariance), 0))
     for name, leans in course.leans.items():
         columns = leaning @ leans.reshape(len(leans), -1).T * getattr(stand, name)
-        covariance += columns @ columns.T
-    for k, part in enumerate(course.parts):
-        reading = float(np.hypot(stand.readings, stand.jitter * part.rate))
-        if part.kind == 'turn' and reading:
-            # A line through all readings of a turn.
-            slope = reading * np.sqrt(12 / (_READINGS * part.seconds)) / part.seconds
-            column = np.zeros(len(covariance))
-            first = _rows(course.parts, k).start
-            column[first : first + 3] = model.gyro.response @ _turned(part.angles)[2] * slope
-            covariance += np.outer(column, column)
-    covariance += _drifting(course.parts, jacobian, stand)
+        if name == 'positioning':
+            arriving = columns
+        else:
+            shared += columns @ columns.T
     if stand.ramp:
         jacobian = np.hstack([jacobian, _ramp(course.parts, jacobian)])
+    if stand.readings or stand.jitter or stand.step:
+        # What is turned from rest to rest, beside what is turned on the rate.
+        beside = _Ways.of(course, spec, model)
+        jacobian = np.vstack([jacobian, beside.scaled @ jacobian + beside.resting(jacobian)])
+        both = np.vstack([np.eye(len(covariance)), beside.scaled])
+        shared = both @ shared @ both.T
+        arriving = np.vstack([arriving, beside.scaled @ arriving + beside.ends * stand.positioning])
+        covariance = np.block([[covariance, beside.common.T], [beside.common, beside.own]])
+        for k, part in enumerate(course.parts):
+            if part.kind == 'turn':
+                column = np.zeros(len(covariance))
+                first = _rows(course.parts, k).start
+                slope = _slope_error(part.rate, part.whole[1], stand)
+                column[first : first + 3] = model.gyro.response @ _turned(part.angles)[2] * slope
+                covariance += np.outer(column, column)
+    covariance += shared + arriving @ arriving.T
     white = np.linalg.solve(np.linalg.cholesky(covariance), jacobian)
     information = white.T @ white
     north = 0.0 if stand.azimuth is None else stand.azimuth**-2
@@ -150,6 +184,98 @@ def bound_of(
     scale = 1 / np.sqrt(np.diag(information))
     found = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
     return np.asarray(np.sqrt(np.diag(found))[:24])
+
+
+@dataclass(frozen=True)
+class _Ways:
+    """What the gyros turn in motions with a turn, from rest to rest: three outputs of each, rad.
+
+    Attributes:
+        scaled: (3 w, m) what of them is as in the turn on the rate, by the outputs of that.
+        lasting: (3 w, m) likewise, how long a bias counts besides, s.
+        ends: (3 w, e) by one radian of each positioning error.
+        own: (3 w, 3 w) their noise.
+        common: (3 w, m) what of it is in the turn on the rate.
+
+    """
+
+    scaled: Floats
+    lasting: Floats
+    ends: Floats
+    own: Floats
+    common: Floats
+
+    @classmethod
+    def of(cls, course: Course, spec: ImuSpec, model: SensorModel) -> _Ways:
+        parts = course.parts
+        turns = [k for k, part in enumerate(parts) if part.kind == 'turn']
+        size = _rows(parts, len(parts) - 1).stop
+        scaled, lasting, common = (np.zeros((3 * len(turns), size)) for _ in range(3))
+        ends = np.zeros((3 * len(turns), len(course.ends)))
+        noise = []
+        walk = spec.gyro.random_walk**2
+        for n, k in enumerate(turns):
+            part, first = parts[k], _rows(parts, k).start
+            on_rate = part.turned / abs(part.rate)
+            for axis in range(3):
+                scaled[3 * n + axis, first + axis] = on_rate
+                lasting[3 * n + axis, first + axis] = part.whole[0] - on_rate
+                common[3 * n + axis, first + axis] = walk
+            about = model.gyro.response @ _turned(part.angles)[2]
+            ends[3 * n : 3 * n + 3] = np.outer(about, course.ends[:, k])
+            noise += 3 * [walk * part.whole[0] + _own_of_pulses(spec)]
+        return cls(scaled, lasting, ends, np.diag(noise), common)
+
+    def resting(self, jacobian: Floats) -> Floats:
+        """Return what biases do beside the rate, by the derivatives of all outputs (m, n)."""
+        found = np.zeros((len(self.lasting), jacobian.shape[1]))
+        found[:, 9:12] = self.lasting @ jacobian[:, 9:12]
+        return found
+
+
+def _own_of_pulses(spec: ImuSpec) -> float:
+    """Return the variance of an angle by what a counter holds back at both ends, rad^2."""
+    return spec.gyro.scale_factor**2 / 6 if spec.units.name == 'PULSES' else 0.0
+
+
+def _slope_error(rate: float, seconds: float, stand: Stand) -> float:
+    """Return how far off the slope of all readings on the rate is, a deviation, rad/s."""
+    reading = float(np.hypot(stand.readings, stand.jitter * rate))
+    line = reading * np.sqrt(12 / (_READINGS * seconds)) / seconds
+    return float(np.hypot(line, slope_by_steps(abs(rate), seconds, stand.step)))
+
+
+@cache
+def slope_by_steps(rate: float, seconds: float, step: float) -> float:
+    """Return the deviation of a slope of which readings in steps are all that is known, rad/s.
+
+    The root of the mean, over where the steps lie, of the variance over all slopes with an offset
+    by which each reading comes out.
+
+    Args:
+        rate: Of the table, rad/s.
+        seconds: For how long it is read.
+        step: rad; 0 for none.
+
+    """
+    if not step:
+        return 0.0
+    times_ = np.arange(int(seconds * _READINGS)) / _READINGS
+    off = np.linspace(-1.5, 1.5, 601) * step / seconds
+    found = []
+    for part in (np.arange(_OFFSETS) + 0.5) / _OFFSETS:
+        angle = rate * times_ + part * step
+        missed = np.round(angle / step) * step - angle
+        # How many offsets each slope has: as long as no reading is further off than half a step.
+        room = np.array([step - np.ptp(missed - slope * times_) for slope in off])
+        room = np.maximum(room, 0.0)
+        if not room.any():
+            # Known finer than slopes are tried.
+            found.append(0.0)
+            continue
+        mean = float(room @ off) / room.sum()
+        found.append(float(room @ (off - mean) ** 2) / room.sum())
+    return float(np.sqrt(np.mean(found)))
 
 
 _memo: dict[tuple[object, ...], tuple[Floats, int]] = {}
@@ -182,7 +308,12 @@ def _course_of(plan: Plan, table: Table) -> Course:
         rate = float(step.rates[0])
         if rate:
             seconds = TURN / abs(rate)
-            turns[-1].append(Part('turn', start, now + seconds / 2, seconds, rate))
+            ramp = abs(rate) / table.joints[0].max_acceleration
+            turned = TURN * (step.turns + 1)
+            whole = turned / abs(rate) + ramp, turned / abs(rate) - ramp
+            turns[-1].append(
+                Part('turn', start, now + seconds / 2, seconds, rate, whole=whole, turned=turned)
+            )
             now += seconds * (step.turns + 1)
             continue
         seconds = travel(start, step.angles, table)[0]
@@ -203,7 +334,8 @@ def _course_of(plan: Plan, table: Table) -> Course:
     stops = np.zeros((3 * len(numbers), len(parts), 3))
     for n, k in enumerate(numbers):
         stops[3 * n : 3 * n + 3, k] = np.eye(3)
-    return Course(parts, {'stops': stops, 'positioning': _arriving(parts), **_erring(parts)})
+    arriving, ends = _arriving(parts)
+    return Course(parts, {'stops': stops, 'positioning': arriving, **_erring(parts)}, ends)
 
 
 def _rows(parts: list[Part], k: int) -> slice:
@@ -279,9 +411,18 @@ def _erring(parts: list[Part]) -> dict[str, Floats]:
     return {name: np.array(leans) for name, leans in found.items()}
 
 
-def _arriving(parts: list[Part]) -> Floats:
-    """How the error of each joint turns the unit, from when it stops until it moves: (e, p, 3)."""
+def _arriving(parts: list[Part]) -> tuple[Floats, Floats]:
+    """How the error of each joint turns the unit, from when it stops until it moves: (e, p, 3).
+
+    And (e, p) by how much it turns further, about the axis, in a turn that ends or begins there.
+    """
     found: list[Floats] = []
+    longer: list[Floats] = []
+
+    def stops() -> None:
+        found.append(np.zeros((len(parts), 3)))
+        longer.append(np.zeros(len(parts)))
+
     still = [k for k, part in enumerate(parts) if part.kind != 'move']
     order = sorted(still, key=lambda k: parts[k].begin)
     for joint in range(3):
@@ -290,14 +431,16 @@ def _arriving(parts: list[Part]) -> Floats:
         last = None
         for k in order:
             part = parts[k]
-            if part.kind == 'turn' and joint == 0:
-                last = None
-                continue
             if last is None or abs(part.angles[joint] - last) > _STEP:
-                found.append(np.zeros((len(parts), 3)))
-            found[-1][k] = _lean(part, tuple(flaws))
+                stops()
             last = float(part.angles[joint])
-    return np.array(found)
+            if part.kind == 'turn' and joint == 0:
+                longer[-1][k] = -1.0
+                stops()
+                longer[-1][k] = 1.0
+                continue
+            found[-1][k] = _lean(part, tuple(flaws))
+    return np.array(found), np.array(longer)
 
 
 def _by_leaning(parts: list[Part], model: SensorModel, site: Site) -> Floats:

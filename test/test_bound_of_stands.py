@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from bound import bound
-from bound_of_stands import Stand, bound_of
+from bound_of_stands import Stand, bound_of, slope_by_steps
 from sessions import SITE, paper_imu, quick_plan, truth
 
 from imu_calib.model import PARAMETER_NAMES
 from imu_calib.stream import Floats
 from imu_calib.turntable import load_table
-from imu_calib.units import ARCSEC
+from imu_calib.units import ARCSEC, DEG
 
 SPEC, PLAN, TABLE = paper_imu(), quick_plan('twelve_position', 40.0), load_table('three_axis')
 DRIFTING = 1e-6
@@ -37,3 +37,21 @@ def test_each_error_reaches_the_parameters_that_it_must() -> None:
     assert (drifting > DRIFTING * np.sqrt(2 / (2 + 1.2))).all()
     # Scale factors that drift evenly by a free rate are known where turns come thrice.
     assert (of(Stand(ramp=True))[:3] > of(Stand())[:3]).all()
+
+
+def test_steps_that_come_in_time_with_readings_hide_a_slope_and_others_do_not() -> None:
+    step, seconds = 0.05 * DEG, 30.0
+    # All readings err alike: what is left is a triangle of half width q / T.
+    in_time = slope_by_steps(10 * DEG, seconds, step)
+    assert in_time == pytest.approx(step / seconds / np.sqrt(6), rel=0.01)
+    assert slope_by_steps(10.37 * DEG, seconds, step) < in_time / 10
+
+
+def test_where_steps_hide_rates_the_way_from_rest_to_rest_tells_them() -> None:
+    step = 0.05 * DEG
+    known, lost = (
+        of(Stand(step=step, positioning=error))[:3] for error in (2 * ARCSEC, 60 * ARCSEC)
+    )
+    assert (known < 1.1 * of(Stand())[:3]).all()
+    # Six turns, each known to 29 ppm by its readings; gravity tells some moves besides.
+    assert (lost > 3 * known).all() and (lost < 29e-6 / np.sqrt(6)).all()

@@ -35,7 +35,7 @@ LAYOUT = OutputLayout(2, 3, 0, (0, 2), ())
 
 def session(**changed: Any) -> Any:
     turns = [
-        SimpleNamespace(up=up, rate_error=error, level=level)
+        SimpleNamespace(up=up, rate_std=error, level=level)
         for up, error, level in zip(UPS, RATE_ERRORS, LEVELS, strict=True)
     ]
     held = {
@@ -70,7 +70,7 @@ def test_an_encoders_rate_is_wrong_in_all_that_a_turn_shows() -> None:
         wanted += np.outer(error, error)
     found = encoder_rates(session(), RATES, RESPONSE, pulled)
     np.testing.assert_allclose(covariance(*found), wanted, atol=1e-20)
-    alone, both = encoder_rate_errors(session(), RATES, RESPONSE, pulled)
+    alone, both = encoder_rate_errors(session(), RATE_ERRORS, RATES, RESPONSE, pulled)
     assert alone[0].tolist() == [1]
     assert list(both[0]) == [0, 2]
     # A line through sixteen blocks.

@@ -117,6 +117,7 @@ class CommonTable:
         ]
         kinds = [
             (Source.POSITIONING_STATED, self._joints.names, joints),
+            (Source.POSITIONING_STATED, (), 0.0),
             (Source.TABLE, (), 0.0),
             (Source.LATITUDE, (), 0.0),
             (Source.ENCODER_RATE, (), 0.0),
@@ -150,6 +151,8 @@ class CommonTable:
         table = unit.by_attitude_errors(state, *self._leaning[k])
         latitude = unit.latitude_slope(state)[:, None] * evidence.site.latitude_std
         rates = _summed(unit.by_encoder_rates(state), self._turns[k], _count(self._turns))
+        by_way = [n for n, t in zip(self._turns[k], evidence.turns, strict=True) if t.whole_way]
+        ways = _summed(unit.by_ways(state), np.array(by_way, dtype=np.intp), _count(self._turns))
         # About the axes that the table mounts, which all units have in common.
         inward = evidence.table.mount.T
         stops = self._leans(k, np.full(len(evidence.segments), self.positioning.stops), inward)
@@ -163,6 +166,7 @@ class CommonTable:
         )
         return [
             stopping * joints,
+            ways * joints,
             table,
             latitude,
             rates,

@@ -99,19 +99,21 @@ def encoder_rates(
 
     """
     found = []
-    for _, rows, seen in encoder_rate_errors(evidence, rates, response, pulled):
+    relative = np.array([t.rate_std for t in evidence.turns])
+    for _, rows, seen in encoder_rate_errors(evidence, relative, rates, response, pulled):
         blocks = Blocks(rows, seen[:, :, None] * seen[:, None, :])
         found.append(Component(Source.ENCODER_RATE, blocks, ENCODER_FREEDOM))
     return found
 
 
 def encoder_rate_errors(
-    evidence: Evidence, rates: Floats, response: Floats, pulled: Floats
+    evidence: Evidence, relative: Floats, rates: Floats, response: Floats, pulled: Floats
 ) -> list[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
-    """Return what one standard deviation of the encoder's rate does to the outputs of each turn.
+    """Return what an error of the table's rate does to the outputs of each turn.
 
     Args:
         evidence: The session.
+        relative: (t,) the error.
         rates: As in `encoder_rates`.
         response: Likewise.
         pulled: Likewise.
@@ -123,17 +125,15 @@ def encoder_rate_errors(
     """
     turns = evidence.turns
     ups = np.array([t.up for t in turns]).reshape(-1, 3)
-    errors = np.array([t.rate_error for t in turns]) * rates
-    seen = errors[:, None] * (ups @ response.T)
+    seen = (relative * rates)[:, None] * (ups @ response.T)
     layout, both = evidence.layout, evidence.arms.turns
     alone = np.delete(np.arange(len(turns)), both)
-    relative = np.array([turns[k].rate_error for k in both]).reshape(-1, 1)
     return [
         (alone, layout.turn[alone], seen[alone]),
         (
             both,
             np.hstack([layout.turn[both], layout.turn_accels]),
-            np.hstack([seen[both], 2 * relative * pulled]),
+            np.hstack([seen[both], 2 * relative[both][:, None] * pulled]),
         ),
     ]
 

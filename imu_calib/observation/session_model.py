@@ -348,10 +348,22 @@ class SessionModel:
 
     def by_encoder_rates(self, state: Floats) -> Floats:
         """Return what the error of the encoder's rate in each turn does, (m, t): one deviation."""
+        return self._by_rates(state, np.array([t.rate_std for t in self.evidence.turns]))
+
+    def by_ways(self, state: Floats) -> Floats:
+        """Return what stops beside the mark do by the way of whole motions, (m, w) per rad.
+
+        Either end of a motion is off, and the next may begin with the error of this one's end.
+        """
+        ways = [t.whole_way for t in self.evidence.turns]
+        each = self._by_rates(state, np.array([2 / w.way if w else 0.0 for w in ways]))
+        return each[:, [w is not None for w in ways]]
+
+    def _by_rates(self, state: Floats, relative: Floats) -> Floats:
         evidence, response = self.evidence, self.model(state).gyro.response
         result = np.zeros((len(self.layout), len(evidence.turns)))
         rates, pulled = self._turning[1], self._pulled(state)
-        for turns, rows, seen in encoder_rate_errors(evidence, rates, response, pulled):
+        for turns, rows, seen in encoder_rate_errors(evidence, relative, rates, response, pulled):
             result[rows, turns[:, None]] = seen
         return result
 
@@ -376,7 +388,7 @@ class SessionModel:
             self._leaning(state, leaning.at_rest, leaning.turning)
             for leaning in self.evidence.positioning_leans
         )
-        return joints, stops
+        return np.hstack([joints, self.by_ways(state)]), stops
 
     def _leaning(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
         """Return what attitudes that lean do to the outputs, (m, e).

@@ -134,6 +134,21 @@ class Segment:
         return np.append(np.zeros(3), across)
 
 
+@dataclass(frozen=True)
+class WholeWay:
+    """A turn beside the whole motion that it is a part of, from rest to rest.
+
+    Attributes:
+        turned: Angle about up between the cuts, rad, signed: the part of the way that the gyros saw
+            there.
+        way: Angle from rest to rest, whole turns, rad, without sign.
+
+    """
+
+    turned: float
+    way: float
+
+
 @dataclass(frozen=True, eq=False)
 class Turn:
     """Whole turns about the vertical.
@@ -156,6 +171,8 @@ class Turn:
         angles: (k,) mean joint angles, rad; None without joint states.
         joint: Which of them turns.
         step: Of its encoder, rad, by its angles; 0 where they show none.
+        whole_way: What the gyros say of it beside all of the motion; None where the encoder's line
+            says it better.
 
     """
 
@@ -174,6 +191,7 @@ class Turn:
     angles: Floats | None = None
     joint: int | None = None
     step: float = 0.0
+    whole_way: WholeWay | None = None
 
     def encoder_variance(self) -> Floats:
         """Return what the encoders' noise adds to the variances of the gyros' means, (3,)."""
@@ -194,6 +212,13 @@ class Turn:
             each=None if self.each is None else self.each * slower,
         )
 
+    @property
+    def rate_std(self) -> float:
+        """Standard deviation of the rate by the encoder's line, relative; 0 without that line."""
+        return self.rate_error if self.whole_way is None else 0.0
+
     def rate(self) -> float:
         """Return the rate about up, rad/s, by the table's clock; by the IMU's without a table."""
+        if self.whole_way is not None:
+            return self.whole_way.turned / self.statistics.duration
         return self.angle / (self.statistics.duration if self.seconds is None else self.seconds)

@@ -9,12 +9,12 @@ import numpy as np
 
 from ..stream import Floats, Stamps
 from ..turntable import TURN, Table
-from ..units import DEG
+from ..units import ARCSEC, DEG
 from .bridging import bridged, steadily
 from .motion import Motion, averaged
 from .plateau import WholeTurns, find_turns, why_none
 from .repeated_samples import repeating_samples
-from .segment import Statistics, Turn
+from .segment import Statistics, Turn, WholeWay
 from .segmented import FreeMotion, Rejected
 from .sensor import Sensor
 from .statistics import Samples, gap_free, statistics_between
@@ -33,6 +33,24 @@ _ENDS = 20
 """Of the samples: a twentieth is an end."""
 _LEAST_TURNED = TURN / 72
 """rad: 5 degrees; less tells nothing of a scale factor."""
+
+
+_BESIDE = 0.5
+"""Of the rests beside a motion that show what gyros read there, s: half of what is looked at."""
+
+_RESTING = 0.05 * DEG
+"""By which gyros may read otherwise after a motion than before, rad/s: a table at rest."""
+
+_ARRIVED = 0.01 * DEG
+"""rad: a motion that ends further from whole turns, by encoders without steps, goes elsewhere."""
+
+_SURER = 2.0
+"""Times: a way that is so much better known than the line is used in its place. A judgement: what
+the ways of several motions have in common is overestimated."""
+
+_LEAST_POSITIONING = 1 * ARCSEC
+"""What ends of motions are taken to be off at least, rad: a table that is stated exact has encoders
+that show its rates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +85,9 @@ def read_turns(seen: Around, motion: Motion, table: Table, offset_ns: int) -> li
     if not found and np.ptp(motion.position, axis=0).max() > _TURN_AND_RUN_UP:
         start, end = motion.start + offset_ns, motion.end + offset_ns
         return [Rejected(start, end, why_none(motion), turn=True)]
-    return [_read_turn(seen, turns, motion, table, offset_ns) for turns in found]
+    return [
+        _read_turn(seen, turns, motion, table, offset_ns, alone=len(found) == 1) for turns in found
+    ]
 
 
 def read_free_motion(seen: Around, motion: Motion) -> list[FreeMotion | Rejected]:
@@ -97,7 +117,7 @@ def _mean_phase(samples: Samples, turned: Floats) -> complex:
 
 
 def _read_turn(
-    seen: Around, turns: WholeTurns, motion: Motion, table: Table, offset_ns: int
+    seen: Around, turns: WholeTurns, motion: Motion, table: Table, offset_ns: int, *, alone: bool
 ) -> Turn | Rejected:
     angles, up_error = _held(motion, turns)
     up = table.attitude(angles).T @ np.array([0.0, 0.0, 1.0])
@@ -124,6 +144,15 @@ def _read_turn(
     skewed = _skewed_between(seen, start, turns, count)
     if skewed is not None:
         each = np.hstack([each[:, :3], skewed[1][:, :1]])
+    way = _whole_way(motion, turns) if alone else 0.0
+    limit = _SURER * 2 * max(table.positioning, _LEAST_POSITIONING)
+    whole_way = None
+    if seen.sensor.counted and way and turns.rate_error * way > limit:
+        rests = np.array([motion.start, motion.end]) + offset_ns
+        turned = _turned(seen, rests, statistics.mean[:3] @ up * turns.seconds, up, turns.seconds)
+        if turned is not None:
+            angle = turned * way * float(np.sign(turns.angle * sense))
+            whole_way = WholeWay(angle, way)
     return Turn(
         int(start),
         int(end),
@@ -139,7 +168,53 @@ def _read_turn(
         angles=angles,
         joint=turns.joint,
         step=turns.step,
+        whole_way=whole_way,
     )
+
+
+def _whole_way(motion: Motion, turns: WholeTurns) -> float:
+    """Return the whole turns from rest to rest, rad; 0 where a motion does not end where it began.
+
+    So a table arrives that was sent there, within its positioning errors, and readings agree.
+    """
+    angle = motion.position[:, turns.joint]
+    apart = abs(float(angle[-1] - angle[0]))
+    way = float(np.rint(apart / TURN)) * TURN
+    return way if abs(apart - way) < max(turns.step, _ARRIVED) else 0.0
+
+
+def _turned(seen: Around, rests: Floats, cut: float, up: Floats, seconds: float) -> float | None:
+    """Return what share of the motion between two rests (ns) is that between the cuts.
+
+    Of what the gyros turned about up, less what they read at rest beside the motion. None where
+    they did not see all of it.
+
+    Args:
+        seen: What the sensors delivered.
+        rests: (2,) end of the rest before, begin of the one after, ns.
+        cut: What they turned between the cuts, rad.
+        up: (3,) in body axes.
+        seconds: Between the cuts.
+
+    Source: docs/mathematics.md, 'Rate test'.
+    """
+    samples, period = seen.samples, seen.samples.period
+    beside = np.array([-_BESIDE, 0.0, 0.0, _BESIDE]) * 1e9
+    edges = np.searchsorted(samples.stamp, np.repeat(rests, 2) + beside).tolist()
+    first, begin, end, last = edges
+    all_of_it = slice(first, last)
+    filled = samples.filled is not None and samples.filled[all_of_it].any()
+    if not 0 < first < begin < end < last < len(samples.stamp):
+        return None
+    if filled or _unreadable(seen, all_of_it):
+        return None
+    gained = samples.increments[:, :3] @ up
+    before, after = float(gained[first:begin].mean()), float(gained[end:last].mean())
+    if abs(after - before) > _RESTING * period:
+        return None
+    resting = (before + after) / 2
+    turned = float(gained[begin:end].sum()) - resting * (end - begin)
+    return float((cut - resting * seconds / period) / turned)
 
 
 def _held(motion: Motion, turns: WholeTurns) -> tuple[Floats, float]:
