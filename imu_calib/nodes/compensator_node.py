@@ -374,6 +374,7 @@ class CompensatorNode(ros.ManagedNode):
             figures['irregular intervals between stamps'] = str(compensator.odd_steps)
             figures['waiting'] = str(compensator.waiting)
             figures['left out'] = str(compensator.dropped)
+            figures['received twice'] = str(compensator.repeats)
         if second.work:
             work = np.array(second.work) * 1e6
             figures['latency in the node'] = (
