@@ -100,26 +100,26 @@ def test_while_no_temperature_comes_the_oldest_make_room(monkeypatch: pytest.Mon
     assert (compensator.dropped, compensator.waiting) == (70, 0)
 
 
-def test_stamps_that_stand_still_are_dropped_and_the_rest_goes_on() -> None:
+def test_what_comes_again_and_again_is_dropped_and_the_rest_goes_on() -> None:
     compensator = Compensator(point(20.0))
     still = replace(samples(0, 33), stamp=np.full(33, START))
     assert compensator.take(still) == []
-    assert (compensator.dropped, compensator.waiting) == (33, 0)
+    assert (compensator.repeats, compensator.dropped, compensator.waiting) == (32, 0, 1)
+    # The first of these is the one of before.
     assert compensator.take(samples(0, 20)) == []
-    assert compensator.waiting == 20
-    assert [len(out) for out in compensator.take(samples(20, 60))] == [20, 40]
-    assert compensator.odd_steps == 0
+    assert (compensator.repeats, compensator.waiting) == (33, 20)
+    assert [len(out) for out in compensator.take(samples(20, 60))] == [1, 19, 40]
+    assert (compensator.odd_steps, compensator.dropped) == (0, 0)
 
 
-def test_of_a_block_some_are_dropped_and_the_rest_waits() -> None:
+def test_stamps_that_stand_still_wait_for_a_second_at_most() -> None:
+    # No repeats: the values go on.
     compensator = Compensator(point(20.0))
-    assert compensator.take(replace(samples(0, 40), stamp=np.full(40, START))) == []
-    assert (compensator.dropped, compensator.waiting) == (33, 7)
-    # With 60 more there are steps to learn from, among them six that stand still.
-    out = compensator.take(samples(1, 61))
-    assert [len(one) for one in out] == [7, 60]
-    assert out[1].stamp.tolist() == samples(1, 61).stamp.tolist()
-    assert compensator.odd_steps == 6
+    values = np.arange(5000.0)[:, None] * np.ones(3)
+    compensator.take(ImuBlock(np.full(5000, START), values, values, 'imu'))
+    assert compensator.repeats == 0
+    assert compensator.dropped + compensator.waiting == 5000
+    assert 4000 < compensator.waiting < 4200
 
 
 def skewed(*milliseconds: float) -> SkewBlock:
@@ -127,7 +127,10 @@ def skewed(*milliseconds: float) -> SkewBlock:
 
 
 def test_a_sample_waits_fifty_milliseconds_for_its_skewed_gyro() -> None:
-    compensator = Compensator(known(model=with_skew()))
+    calibration = known(model=with_skew())
+    # Samples that come ten times as fast as stated would wait for others.
+    calibration = replace(calibration, imu=replace(calibration.imu, sample_rate=1000.0))
+    compensator = Compensator(calibration)
     assert compensator.take(samples(0, 40)) == []
     # What came says that those before it have none.
     (out,) = compensator.take(skewed(3.0, 5.0, 6.0))
@@ -190,15 +193,24 @@ def plainly(stamps: Any) -> tuple[list[float], int, int]:
     out: list[float] = []
     lost = odd = 0
     rest = [int(s) for s in stamps]
-    while len(rest) >= 33 and np.median(np.diff(rest[:33])) <= 0:
-        lost, rest = lost + 33, rest[33:]
+    until = 33
+
+    def many_at_a_time() -> bool:
+        """A quarter of the steps below half of what they are over half of the samples."""
+        steps, half = np.diff(rest[:until]), -(-(until - 1) // 2)
+        over = np.array(rest[half:until]) - np.array(rest[: until - half])
+        short = np.mean(steps < 0.5 * np.median(over) / half)
+        return bool(short >= 0.25 or np.median(steps) <= 0)
+
+    while many_at_a_time():
+        until += 33
 
     def learn(steps: list[int]) -> tuple[float, float, list[tuple[int, bool]]]:
         middle = float(np.median(steps))
         wide = 0.5 * middle + 6 * 1.4826 * float(np.median(np.abs(np.array(steps) - middle)))
         return middle, wide, [(s, abs(s - middle) <= wide) for s in steps]
 
-    first = [b - a for a, b in pairwise(rest[:33])]
+    first = [b - a for a, b in pairwise(rest[:until])]
     middle, wide, known_ones = learn(first)
     odd += sum(not good for _, good in known_ones)
     run: list[int] = []
@@ -207,8 +219,8 @@ def plainly(stamps: Any) -> tuple[list[float], int, int]:
         good = [s for s, regular in known_ones[-1024:] if regular]
         return sum(good) / len(good) * 1e-9
 
-    out += [mean()] * 33
-    for before, now in pairwise(rest[32:]):
+    out += [mean()] * until
+    for before, now in pairwise(rest[until - 1 :]):
         step = now - before
         regular = abs(step - middle) <= wide
         run = [] if regular else [*run, step]
@@ -242,8 +254,8 @@ def test_intervals_are_those_of_the_rules(size: int) -> None:
     if size == 1:
         stamps = stamps[:1300]
     clock = SampleClock()
-    parts = [clock.take(stamps[k : k + size]) for k in range(0, len(stamps), size)]
-    found = np.concatenate([*parts, clock.finish()])
+    parts = [clock.take(stamps[k : k + size]).interval for k in range(0, len(stamps), size)]
+    found = np.concatenate([*parts, clock.finish().interval])
     wanted, odd, lost = plainly(stamps)
     assert found == pytest.approx(np.array(wanted), rel=1e-12)
     assert (clock.odd, clock.lost) == (odd, lost)
@@ -261,16 +273,16 @@ def test_a_step_is_odd_that_is_half_an_interval_longer(late: float, odd: int) ->
 
 def test_few_samples_are_timed_at_the_end_by_all_of_their_steps() -> None:
     clock = SampleClock()
-    assert len(clock.take(at(0.0, 1.0, 2.1))) == 0
+    assert len(clock.take(at(0.0, 1.0, 2.1)).interval) == 0
     assert clock.waiting == 3
     # Steps of 1.0 and 1.1 ms; of two stamps alike, or of one, nothing is told.
-    assert clock.finish() == pytest.approx([1.05e-3] * 3)
+    assert clock.finish().interval == pytest.approx([1.05e-3] * 3)
     for stamps in ((0.0,), (1.0, 1.0), (2.0, 1.0)):
         clock = SampleClock()
         clock.take(at(*stamps))
-        assert len(clock.finish()) == 0
+        assert len(clock.finish().interval) == 0
         assert clock.lost == len(stamps)
     # Thirty-three are enough, and thirty-two are not.
     clock = SampleClock()
-    assert len(clock.take(at(*range(32)))) == 0
-    assert len(clock.take(at(32.0))) == 33
+    assert len(clock.take(at(*range(32))).interval) == 0
+    assert len(clock.take(at(32.0)).interval) == 33

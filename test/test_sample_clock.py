@@ -16,8 +16,8 @@ START = 1_700_000_000 * NS
 def timed(stamps, cuts=()):
     clock = SampleClock()
     edges = [0, *sorted(cuts), len(stamps)]
-    parts = [clock.take(stamps[a:b]) for a, b in pairwise(edges)]
-    return np.concatenate([*parts, clock.finish()]), clock
+    parts = [clock.take(stamps[a:b]).interval for a, b in pairwise(edges)]
+    return np.concatenate([*parts, clock.finish().interval]), clock
 
 
 def regular(count, period_ns):

@@ -13,6 +13,7 @@ import tty
 from dataclasses import replace
 
 import pytest
+import yaml
 from loopback import CHECKOUT, until
 from test_devices import NS, frame
 
@@ -23,6 +24,7 @@ from imu_calib.devices import Reception, Severity, Source, choose_baud, load_for
 from imu_calib.devices.commands import Command, Commands
 from imu_calib.devices.source import Chunk, SourceState
 from imu_calib.imu import load_imu
+from imu_calib.share import named_file
 
 SIMULATED = load_format('simulated')
 FOG = load_imu('fog_medium')
@@ -148,6 +150,34 @@ def test_info_of_a_session_that_determines_nothing_loads_nothing_that_solves(tmp
     modules = loaded('\n'.join(code), bag)
     assert 'imu_calib.calibrator.on_table' in modules
     assert not among(modules, (*SLOW, *RUNTIME, *NEEDLESS, 'imu_calib.calibrator.by_hand'))
+
+
+UNUSED = (
+    'scipy.optimize',
+    'scipy.stats',
+    'scipy.ndimage',
+    'scipy.sparse',
+    'matplotlib',
+    'rich.progress',
+    'sqlite3',
+    'asyncio',
+    'jsonschema',
+    'rich._emoji_codes',
+)
+"""What a solved session with turns and moves does without. scipy.special and scipy.linalg are used
+by its estimate, and load numpy.testing, numpy.f2py and importlib.metadata."""
+
+
+def test_info_of_a_session_with_motions_loads_no_more_than_its_estimate(tmp_path):
+    plan = yaml.safe_load(named_file('plans', 'twelve_position').read_text())
+    plan['dwell'], plan['rate_test']['rates'] = '3 s', ['120 deg/s', '-120 deg/s']
+    (tmp_path / 'plan.yaml').write_text(yaml.safe_dump(plan))
+    bag = tmp_path / 'bag'
+    assert main.main(['simulate', str(tmp_path / 'plan.yaml'), '-o', str(bag)]) == 0
+    modules = loaded('\n'.join(LOOKED.splitlines()[:-1]), bag)
+    assert {'imu_calib.calibrator.on_table', 'imu_calib.estimation.estimate'} <= modules
+    others = 'calibrator.by_hand', 'prediction', 'verification', 'simulation'
+    assert not among(modules, (*UNUSED, *RUNTIME, *(f'imu_calib.{name}' for name in others)))
 
 
 def test_the_estimators_load_what_they_use():

@@ -21,6 +21,7 @@ from ..compensation.thermal import (
     check_unit,
     first_of,
 )
+from ..compensation.whole_stream import WholeStream
 from ..errors import InputError
 from ..imu import ImuSpec, compensated_imu
 from ..metadata import COMPENSATED, described_anew
@@ -111,7 +112,8 @@ def compensate(
         stated = Stated(imu=imu, serial=serial)
         spec = _check_unit(loaded, name, stated, recording, topic)
         target = _target(output_topic, recording, topic)
-        compensator = Compensator(loaded)
+        whole = _all_stamps(recording, topic, first_of(loaded).imu.sample_rate, progress)
+        compensator = Compensator(loaded, whole.instants())
         beside = _take_aside(compensator, recording, topic, progress)
         meant = described_anew(
             recording.custom_data,
@@ -143,7 +145,7 @@ def compensate(
             stream.taken,
             stream.given,
             {mark: compensator.counts[mark] for mark in Mark if compensator.counts[mark]},
-            (*_findings(stream), *recording.losses),
+            (*_findings(stream), *whole.words(), *recording.losses),
         )
 
 
@@ -166,9 +168,16 @@ class _Stream:
         if self.malformed.count > before:
             log_time = log_time[_sound(messages)]
         self.taken += len(messages)
-        self._times.append(log_time)
+        repeats, kept = self.compensator.repeats, []
+        readings = []
         for block in blocks:
-            self._put(writer, self.compensator.take(block))
+            readings += self.compensator.take(block)
+            mask = self.compensator.kept
+            kept.append(np.ones(len(block), np.bool_) if mask is None else mask)
+        if self.compensator.repeats > repeats:
+            log_time = log_time[np.concatenate(kept)]
+        self._times.append(log_time)
+        self._put(writer, readings)
 
     def finish(self, writer: RecordingWriter) -> None:
         """Write what waited for the end."""
@@ -248,6 +257,18 @@ def _target(wanted: str | None, recording: Recording, topic: Topic) -> str:
     return target
 
 
+def _all_stamps(
+    recording: Recording, topic: Topic, rate: float | None, progress: Progress
+) -> WholeStream:
+    """Read the stamps of all samples, which tell when each of them was made."""
+    whole = WholeStream(rate)
+    with progress('reading') as show:
+        for _, block in recording.read({topic.name: Kind.IMU}, show):
+            if isinstance(block, ImuBlock):
+                whole.take(block)
+    return whole
+
+
 def _take_aside(
     compensator: Compensator, recording: Recording, topic: Topic, progress: Progress
 ) -> list[str]:
@@ -278,6 +299,8 @@ def _findings(stream: _Stream) -> list[str]:
     ]
     if compensator.alone:
         known.append(f"{compensator.alone} samples went without the skewed gyro's value.")
+    if compensator.repeats:
+        known.append(f'{compensator.repeats} samples came twice and are written once.')
     if compensator.dropped:
         known.append(f'{compensator.dropped} samples could not be timed and are left out.')
     if stream.malformed.count:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..calibration import Calibration
+from ..segmentation.shared_stamps import SharedStamps
 from ..stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
 from .apply import Compensation
 from .in_motion import Applied, InMotion
-from .sample_clock import SampleClock
+from .sample_clock import SampleClock, Times
 from .samples import CompensatedSamples, Mark, concatenated
 from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_range
 
@@ -34,7 +35,8 @@ class Reading:
     """Consecutive samples with one frame, compensated.
 
     Attributes:
-        stamp: (n,) header stamps, ns, as they came in.
+        stamp: (n,) ns: header stamps as they came in, but of samples that came many at a time, and
+            in bulk of those that came late, when they were made.
         values: What they mean.
         frame_id: As it came in.
 
@@ -59,12 +61,13 @@ class _Timed:
 
     block: ImuBlock
     interval: Floats
+    instant: Stamps
 
     def cut(self, start: int, stop: int) -> _Timed:
         part = slice(start, stop)
         b = self.block
         block = ImuBlock(b.stamp[part], b.gyro[part], b.accel[part], b.frame_id)
-        return _Timed(block, self.interval[part])
+        return _Timed(block, self.interval[part], self.instant[part])
 
 
 class Compensator:
@@ -75,11 +78,13 @@ class Compensator:
     live, too; the first counts for all before. Where a calibration depends on the temperature,
     samples wait for the first one. A skewed gyro's value belongs to the sample of the same stamp;
     a sample without one after 50 ms goes without. A recording's other topics are therefore taken
-    in before its samples. Where accelerometers are known to be apart or late a sample waits for the
-    next one (`in_motion`).
+    in before its samples. Samples that came twice are dropped. Where accelerometers are known to be
+    apart or late a sample waits for the next one (`in_motion`).
 
     Args:
         calibration: Single or combined.
+        instants: When the samples were made that will come, (n,) ns without repeats, where they are
+            known beforehand (`whole_stream`); None: by their stamps as they come.
 
     Raises:
         NotObservable: It cannot be inverted.
@@ -89,15 +94,21 @@ class Compensator:
         counts: How often each `Mark` was put.
         dropped: Samples that waited too long for the first temperature, or could not be timed.
         alone: Samples that went without a skewed gyro's value that was due.
+        repeats: Samples that came twice.
+        kept: Which samples of the last block are no repeats, (n,); None if all.
 
     """
 
-    def __init__(self, calibration: AnyCalibration) -> None:
+    def __init__(self, calibration: AnyCalibration, instants: Stamps | None = None) -> None:
         self.celsius = float('nan')
         self.counts: Counter[Mark] = Counter()
-        self.alone = 0
+        self.alone = self.repeats = 0
+        self.kept: NDArray[np.bool_] | None = None
+        self._instants, self._used_instants = instants, 0
         self._dropped = 0
-        self._clock = SampleClock()
+        rate = first_of(calibration).imu.sample_rate
+        self._clock = SampleClock(rate)
+        self._shared, self._skew_shared = SharedStamps(rate), SharedStamps(rate)
         self._untimed: list[ImuBlock] = []
         self._timed: list[_Timed] = []
         self._skewed: list[SkewBlock] = []
@@ -153,24 +164,44 @@ class Compensator:
             self._take_temperature(block)
         elif isinstance(block, SkewBlock):
             if self._takes_skewed and len(block):
-                self._skewed.append(block)
+                stamp, gyro, _ = self._skew_shared.take(block.stamp, block.gyro[:, None])
+                self._skewed.append(SkewBlock(stamp, gyro[:, 0]))
                 del self._skewed[:-_MOST_WAITING]
         elif isinstance(block, ImuBlock) and len(block):
+            block = self._without_repeats(block)
             lost = self._clock.lost
-            intervals = self._clock.take(block.stamp)
-            if len(intervals) == len(block) and self._nothing_waits:
-                values = self._compensated(block, intervals)
-                return [Reading(block.stamp, values, block.frame_id)]
+            times = self._clock.take(self._made(block.stamp))
+            if len(times.interval) == len(block) and self._nothing_waits:
+                values = self._compensated(block, times.interval)
+                return [Reading(times.instant, values, block.frame_id)] if len(block) else []
             self._untimed.append(block)
-            self._time(intervals, self._clock.lost - lost)
+            self._time(times, self._clock.lost - lost)
         return self._release(last=False)
 
     def finish(self) -> list[Reading]:
         """End of all topics: return what waits."""
         lost = self._clock.lost
-        intervals = self._clock.finish()
-        self._time(intervals, self._clock.lost - lost)
+        times = self._clock.finish()
+        self._time(times, self._clock.lost - lost)
         return self._release(last=True)
+
+    def _without_repeats(self, block: ImuBlock) -> ImuBlock:
+        """Set samples that share a stamp apart; leave out those that came twice."""
+        values = np.concatenate([block.gyro, block.accel], axis=1)
+        stamp, self.kept = self._shared.set_apart(block.stamp, values)
+        if self.kept is None:
+            return block if stamp is block.stamp else replace(block, stamp=stamp)
+        kept = self.kept
+        self.repeats += int(np.count_nonzero(~kept))
+        return ImuBlock(stamp[kept], block.gyro[kept], block.accel[kept], block.frame_id)
+
+    def _made(self, stamp: Stamps) -> Stamps:
+        """Return when samples were made as far as it is known beforehand, (n,) ns."""
+        if self._instants is None:
+            return stamp
+        first = self._used_instants
+        self._used_instants += len(stamp)
+        return self._instants[first : self._used_instants]
 
     @property
     def _nothing_waits(self) -> bool:
@@ -220,16 +251,18 @@ class Compensator:
             self.celsius = celsius
             self._temperatures.append((stamp + _LAG, celsius))
 
-    def _time(self, intervals: Floats, lost: int) -> None:
-        """Give the oldest samples their intervals, those lost in front of them left out."""
+    def _time(self, times: Times, lost: int) -> None:
+        """Give the oldest samples their times, those lost in front of them left out."""
+        intervals, instants = times
         while self._untimed and (lost or len(intervals)):
             block = self._untimed.pop(0)
             skip = min(lost, len(block))
             count = min(len(intervals), len(block) - skip)
             lost -= skip
             if count:
-                self._timed.append(_Timed(_rows(block, skip, skip + count), intervals[:count]))
-                intervals = intervals[count:]
+                rows = _rows(block, skip, skip + count)
+                self._timed.append(_Timed(rows, intervals[:count], instants[:count]))
+                intervals, instants = intervals[count:], instants[count:]
             if skip + count < len(block):
                 self._untimed.insert(0, _rows(block, skip + count, len(block)))
 
@@ -288,7 +321,7 @@ class Compensator:
     def _applied(self, timed: _Timed) -> Applied:
         block, interval = timed.block, timed.interval
         values = self._compensated(block, interval)
-        return Applied(block.stamp, values, block.frame_id, interval, self._ready[False])
+        return Applied(timed.instant, values, block.frame_id, interval, self._ready[False])
 
     def _compensated(self, block: ImuBlock, interval: Floats) -> CompensatedSamples:
         if not self._takes_skewed or not len(block):

@@ -1,10 +1,14 @@
-"""How long each sample interval was, by the stamps of the samples."""
+"""How long each sample interval was, and when each sample was made, by the stamps as they come."""
 
 from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..segmentation.bunches import MANY, SHORT, pattern, spread, usual_interval
 from ..stream import Floats, Stamps
 
 _LEARNT = 32
@@ -14,9 +18,33 @@ _WINDOW = 1024
 _FEW = 4
 """Samples up to which one at a time is faster than arrays."""
 _TYPICAL = 0.5
-"""Of the usual interval: a step that is longer by more has lost samples."""
+"""Of the usual interval: a step that is longer by more has lost samples, or they are late."""
 _JITTER = 6 * 1.4826
 """Times the median absolute deviation: six standard deviations of a Gaussian one (1.4826)."""
+_GAINS = 0.05
+"""Of the interval: a step after a long one that is shorter by more gains on the clock. A judgement:
+of a queue that gains less the interval is wrong by less."""
+_LONGEST = 5_000_000_000
+"""ns: more than a line is held up (`segmentation/bunches`); what comes then may be another rate."""
+_FASTEST = 1000.0
+"""ns: no IMU samples at a megahertz; samples that share a stamp are set apart by less."""
+_PACKETS = 240
+"""Samples among which there are several packets (`segmentation/bunches`)."""
+_MOST_HELD = 4096
+"""Samples that wait for the interval at most: a transfer of a second at 4 kHz."""
+_SLACK_PACKETS, _SLACK_POLLED = 0.5, 1.5
+"""Intervals by which a bunch that lacks nothing may be off: one that is polled has one more or
+less by turns (`segmentation/bunches`)."""
+
+
+class Times(NamedTuple):
+    """What is known of samples: intervals, (n,) s, and when they were made, (n,) ns."""
+
+    interval: Floats
+    instant: Stamps
+
+
+_NONE = Times(np.empty(0), np.empty(0, np.int64))
 
 
 class SampleClock:
@@ -30,23 +58,53 @@ class SampleClock:
     first 32 intervals teach what one is, and the samples wait until then; so do 32 odd ones in a
     row, as after a change of the rate.
 
+    After a long step samples that come sooner than at equal intervals were held up, as long as no
+    more have come than were made in the meantime: their steps teach no other rate. All of them
+    together are whole intervals again when they have made up for the silence.
+
+    Samples that come many at a time wait until three whole bunches have shown the interval. From
+    then on each is made an interval after the one before, counted from the bunch before: what a
+    bunch will still bring is not known when its first sample goes out. Samples of a queue that
+    comes by chance have the stamps with which they came: of the first of them nothing tells
+    whether it is late or those before it were lost, and it does not wait for the next.
+
+    Source: docs/mathematics.md, 'Stamps and lost samples'.
+
+    Args:
+        rate: Samples per second as stated; None where nothing is. Samples that come twice as fast
+            wait for others: they may be those of one packet.
+
     Attributes:
-        odd: Steps that were passed over so far.
         lost: Samples that could not be timed.
 
     """
 
-    def __init__(self) -> None:
-        self.odd = 0
+    def __init__(self, rate: float | None = None) -> None:
         self.lost = 0
+        self._least = SHORT * 1e9 / rate if rate else _FASTEST
+        self._odd = 0
         self._held: Stamps = np.empty(0, np.int64)
+        self._looked = 0
         self._last = 0
         self._typical = 0.0
         self._tolerance = 0.0
+        self._gains = 0.0
+        self._slack = _SLACK_PACKETS
+        self._interval = 0.0
         self._run = 0
-        self._recent: Stamps = np.empty(0, np.int64)
+        self._recent: deque[int] = deque(maxlen=_WINDOW)
         self._sums: Stamps = np.zeros((2 * _WINDOW, 2), np.int64)
         self._known = 1
+        self._behind = 0
+        """Samples that came after a silence and were held up, if they make up for it."""
+        self._passed = 0
+        """ns from the sample before them to the last of them."""
+        self._bunch: _Bunch | None = None
+
+    @property
+    def odd(self) -> int:
+        """Steps that were passed over so far."""
+        return self._odd
 
     @property
     def waiting(self) -> int:
@@ -58,8 +116,8 @@ class SampleClock:
         """Sample interval, s; 0 before it is known."""
         return self._typical * 1e-9
 
-    def take(self, stamp: Stamps) -> Floats:
-        """Take (n,) stamps in, ns; return the intervals in s of those that are timed now.
+    def take(self, stamp: Stamps) -> Times:
+        """Take (n,) stamps in, ns; return what is known of those that are timed now.
 
         These are the oldest that were not timed before; `lost` counts those passed over at the
         front of them.
@@ -69,86 +127,185 @@ class SampleClock:
         self._held = np.concatenate([self._held, stamp])
         return self._learn()
 
-    def finish(self) -> Floats:
-        """End of the stream: intervals (n,) in s of what waits; a single sample tells none."""
+    def finish(self) -> Times:
+        """End of the stream: what is known of what waits; a single sample tells no interval."""
         held, self._held = self._held, self._held[:0]
-        if self._typical or len(held) < 2 or not np.median(np.diff(held)) > 0:
+        if self._typical or len(held) < 2 or not self._begins(held, last=True):
             self.lost += len(held)
-            return np.empty(0)
+            return _NONE
         return self._begin(held)
 
-    def _learn(self) -> Floats:
-        """Learn from the first samples whose stamps do not stand still."""
-        held = self._held
-        while len(held) > _LEARNT:
-            first, held = held[: _LEARNT + 1], held[_LEARNT + 1 :]
-            if np.median(np.diff(first)) > 0:
-                self._held = held[:0]
-                return np.concatenate([self._begin(first), self._follow(held)])
-            self.lost += len(first)
-        self._held = held.copy()
-        return np.empty(0)
+    def _learn(self) -> Times:
+        """Learn from the first samples whose stamps show an interval."""
+        while len(self._held) - self._looked > _LEARNT:
+            self._looked += _LEARNT + 1
+            first = self._held[: self._looked]
+            if self._begins(first):
+                rest, self._held = self._held[self._looked :], self._held[:0]
+                begun, then = self._begin(first), self._follow(rest)
+                return Times(*(np.concatenate(both) for both in zip(begun, then, strict=True)))
+            if self._looked > _MOST_HELD:
+                self.lost += _LEARNT + 1
+                self._looked -= _LEARNT + 1
+                self._held = self._held[_LEARNT + 1 :]
+        return _NONE
 
-    def _begin(self, first: Stamps) -> Floats:
-        mean = self._set_typical(np.diff(first))
+    def _begins(self, stamp: Stamps, *, last: bool = False) -> bool:
+        """Take the interval from stamps (n,), if they tell one."""
+        steps = np.diff(stamp)
+        interval, short = usual_interval(stamp)
+        least = _FASTEST if last or len(stamp) > _PACKETS else self._least
+        if short < MANY and np.median(steps) > least:
+            self._set_typical(steps)
+            return True
+        bunches = pattern(stamp) if steps.min() >= 0 else None
+        if bunches is not None:
+            self._set_pace(bunches.interval, 0.0)
+            self._slack = _SLACK_POLLED if bunches.size is None else _SLACK_PACKETS
+            self._bunch = _Bunch(bunches.size or 0)
+        elif interval > _FASTEST and (last or len(stamp) >= _WINDOW):
+            # As of a queue, whose steps are short.
+            self._set_pace(min(interval, float(steps.mean())), 0.0)
+        else:
+            return False
+        self._last = int(stamp[0])
+        for one in stamp[1:].tolist():
+            self._follow_one(one)
+        return True
+
+    def _begin(self, first: Stamps) -> Times:
         self._last = int(first[-1])
-        return np.full(len(first), mean)
+        instants = spread(first) if np.diff(first).min() > 0 else first
+        if self._bunch is not None:
+            self._bunch.follow(int(instants[-1]))
+        return Times(np.full(len(first), self._interval), instants)
 
-    def _set_typical(self, steps: Stamps) -> float:
-        """Take steps for what is usual; return their mean, s."""
+    def _set_pace(self, typical: float, jitter: float) -> None:
+        self._typical, self._tolerance = typical, _TYPICAL * typical + _JITTER * jitter
+        # Jitter must not look as if samples gained on the clock.
+        self._gains = typical - min(_TYPICAL * typical, max(_GAINS * typical, _JITTER * jitter))
+        self._slack = _SLACK_PACKETS
+        self._bunch, self._behind, self._run = None, 0, 0
+        self._recent.clear()
+        self._sums[0], self._known = 0, 1
+        self._interval = typical * 1e-9
+
+    def _set_typical(self, steps: Stamps) -> None:
+        """Take steps for what is usual."""
         middle = float(np.median(steps))
-        jitter = float(np.median(np.abs(steps - middle)))
-        self._typical, self._tolerance = middle, _TYPICAL * middle + _JITTER * jitter
+        self._set_pace(middle, float(np.median(np.abs(steps - middle))))
         regular = self._is_regular(steps)
-        self.odd += int((~regular).sum())
+        self._odd += int((~regular).sum())
         sums = _sums(steps, regular)
-        self._sums[1 : len(sums) + 1], self._sums[0], self._known = sums, 0, len(sums) + 1
-        self._run, self._recent = 0, self._recent[:0]
-        return float(sums[-1, 0]) / float(sums[-1, 1]) * 1e-9
+        self._interval = float(sums[-1, 0]) / float(sums[-1, 1]) * 1e-9
+        latest = np.vstack([self._sums[:1], sums])[-_WINDOW - 1 :]
+        self._sums[: len(latest)], self._known = latest, len(latest)
 
     def _is_regular(self, steps: Stamps) -> NDArray[np.bool_]:
         return np.asarray(np.abs(steps - self._typical) <= self._tolerance)
 
-    def _follow(self, stamp: Stamps) -> Floats:
-        if len(stamp) <= _FEW:
-            return np.array([self._follow_one(one) for one in stamp.tolist()], dtype=float)
-        parts = []
-        while len(stamp):
-            done, intervals = self._follow_part(stamp[:_WINDOW])
-            parts.append(intervals)
-            stamp = stamp[done:]
-        return np.concatenate(parts)
+    def _follow(self, stamp: Stamps) -> Times:
+        intervals, instants = np.empty(len(stamp)), stamp.copy()
+        done = 0
+        while done < len(stamp):
+            # Where one step is irregular the next ones often are.
+            count = len(stamp) if len(stamp) <= _FEW or self._apart else 0
+            part = stamp[done : done + min(count, _LEARNT)].tolist()
+            for k, one in enumerate(part, start=done):
+                instants[k] = self._follow_one(one)
+                intervals[k] = self._interval
+            done += len(part)
+            if not count:
+                part = stamp[done : done + _WINDOW]
+                steps = np.diff(part, prepend=self._last)
+                odd = np.flatnonzero(~self._is_regular(steps))
+                plain = int(odd[0]) if len(odd) else len(part)
+                if plain:
+                    intervals[done : done + plain] = self._follow_plain(part[:plain], steps[:plain])
+                done += plain
+                if plain < len(part):
+                    instants[done] = self._follow_one(int(part[plain]))
+                    intervals[done] = self._interval
+                    done += 1
+        return Times(intervals, instants)
 
-    def _follow_one(self, stamp: int) -> float:
+    @property
+    def _apart(self) -> bool:
+        """Whether more than the step since the last stamp counts."""
+        return bool(self._behind or self._run or self._bunch is not None)
+
+    def _follow_one(self, stamp: int) -> int:
         """Time one sample: the way of a live stream, in plain numbers, with the same outcome."""
-        step, self._last = stamp - self._last, stamp
-        regular = abs(step - self._typical) <= self._tolerance
-        if regular:
-            self._run = 0
-        else:
-            self._recent = np.append(self._recent[len(self._recent) - self._run :], step)
-            self._run += 1
-            self.odd += 1
+        step, before, self._last = stamp - self._last, self._last, stamp
+        elapsed, count = self._caught_up(step)
+        if not self._behind:
+            if abs(step - self._typical) <= self._tolerance:
+                self._run = 0
+                self._recent.clear()
+                elapsed, count = elapsed + step, count + 1
+            else:
+                self._recent.append(step)
+                self._run += 1
+                self._odd += 1
+                if self._typical < step <= _LONGEST:
+                    self._behind, self._passed = 1, step
+        self._add(elapsed, count)
+        instant = stamp
+        if self._bunch is not None:
+            short = step < SHORT * self._typical
+            instant = self._bunch.place(stamp, before, self._typical, within=short)
+        if self._run == _LEARNT:
+            self._learn_anew()
+        return instant
+
+    def _caught_up(self, step: int) -> tuple[int, int]:
+        """Take a step of samples that were held up; return what they are of regular ones, ns.
+
+        When more have come than were made, or come at equal intervals again, they are no queue.
+        """
+        if not self._behind:
+            return 0, 0
+        if 0 <= step < self._gains:
+            passed, behind = self._passed + step, self._behind + 1
+            if passed / self._typical - behind >= -self._slack:
+                self._passed, self._behind = passed, behind
+                self._recent.append(step)
+                return 0, 0
+        passed, behind, self._behind = self._passed, self._behind, 0
+        if behind == 1 or passed / self._typical - behind > self._slack:
+            return 0, 0
+        self._run = 0
+        self._recent.clear()
+        self._odd -= 1
+        return passed, behind
+
+    def _add(self, elapsed: int, count: int) -> None:
+        """Add a sample to the window of the interval: what it adds of regular steps."""
         place = self._make_room(1)
         sums = self._sums
-        elapsed, count = sums.item(place - 1, 0), sums.item(place - 1, 1)
-        if regular:
-            elapsed, count = elapsed + step, count + 1
+        elapsed, count = sums.item(place - 1, 0) + elapsed, sums.item(place - 1, 1) + count
         sums[place, 0], sums[place, 1] = elapsed, count
         self._known += 1
         first = max(place - _WINDOW, 0)
-        before, known = sums.item(first, 0), sums.item(first, 1)
-        # All below 2^53: the same quotient as that of arrays.
-        interval = (elapsed - before) / (count - known) * 1e-9
-        if self._run == _LEARNT:
-            self._learn_anew()
-        return float(interval)
+        known = count - sums.item(first, 1)
+        if known:
+            # All below 2^53: the same quotient as that of arrays.
+            self._interval = (elapsed - sums.item(first, 0)) / known * 1e-9
 
     def _learn_anew(self) -> None:
         """Take the odd steps for the new interval, if they are any."""
-        recent, self._run, self._recent = self._recent, 0, self._recent[:0]
-        if np.median(recent) > 0:
-            self._set_typical(recent)
+        self._run, recent = 0, np.array(self._recent)
+        latest = recent[-_LEARNT:]
+        interval = self._interval
+        _, short = usual_interval(np.cumsum(latest))
+        if short < MANY and np.median(latest) > _FASTEST:
+            self._set_typical(latest)
+        elif recent.min() >= 0 and (found := pattern(np.cumsum(recent))) is not None:
+            size = found.size
+            self._set_pace(found.interval, 0.0)
+            self._slack = _SLACK_POLLED if size is None else _SLACK_PACKETS
+            self._bunch = _Bunch(size or 0)
+        self._interval = interval if self._known > 1 else self._interval
 
     def _make_room(self, count: int) -> int:
         """Return where the next sums go, the last window of them before that."""
@@ -157,37 +314,65 @@ class SampleClock:
             self._sums[:_WINDOW], self._known = kept, _WINDOW
         return self._known
 
-    def _follow_part(self, stamp: Stamps) -> tuple[int, Floats]:
-        """Time samples up to where the interval is to be learnt anew, or all."""
-        steps = np.diff(stamp, prepend=self._last)
-        regular = self._is_regular(steps)
-        done = len(stamp)
-        anew = False
-        if not regular.all() or self._run:
-            runs = self._runs(regular)
-            full = np.flatnonzero(runs == _LEARNT)
-            if len(full):
-                done, anew = int(full[0]) + 1, True
-                steps, regular = steps[:done], regular[:done]
-            self._run = int(runs[done - 1])
-            recent = np.concatenate([self._recent, steps])
-            self._recent = recent[len(recent) - self._run :]
-            self.odd += int((~regular).sum())
-        self._last = int(stamp[done - 1])
-        place = self._make_room(done)
-        self._sums[place : place + done] = self._sums[place - 1] + _sums(steps, regular)
-        self._known += done
-        bases = np.maximum(np.arange(place, place + done) - _WINDOW, 0)
-        spans = self._sums[place : place + done] - self._sums[bases]
-        if anew:
-            self._learn_anew()
-        return done, spans[:, 0] / spans[:, 1] * 1e-9
+    def _follow_plain(self, stamp: Stamps, steps: Stamps) -> Floats:
+        """Return the intervals, (n,) s, of samples whose steps are all regular."""
+        count = len(stamp)
+        self._last = int(stamp[-1])
+        place = self._make_room(count)
+        self._sums[place : place + count, 0] = self._sums[place - 1, 0] + np.cumsum(steps)
+        self._sums[place : place + count, 1] = self._sums[place - 1, 1] + np.arange(1, count + 1)
+        self._known += count
+        bases = np.maximum(np.arange(place, place + count) - _WINDOW, 0)
+        spans = self._sums[place : place + count] - self._sums[bases]
+        intervals = np.asarray(spans[:, 0] / spans[:, 1] * 1e-9)
+        self._interval = float(intervals[-1])
+        return intervals
 
-    def _runs(self, regular: NDArray[np.bool_]) -> Stamps:
-        """Return how many odd steps in a row there have been at each."""
-        place = np.arange(1, len(regular) + 1)
-        last = np.maximum.accumulate(np.where(regular, place, 0))
-        return np.asarray(np.where(last > 0, place - last, place + self._run))
+
+class _Bunch:
+    """Spreads samples that come many at a time over the time since the bunch before.
+
+    Args:
+        size: Samples of a whole packet; 0 where a reader takes what has come.
+
+    """
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._begins = self._came = self._instant = 0
+        self._number = 0
+
+    def place(self, stamp: int, before: int, interval: float, *, within: bool) -> int:
+        """Return when a sample was made, ns.
+
+        Args:
+            stamp: Of it, ns.
+            before: That of the sample before, ns.
+            interval: Between samples, ns.
+            within: Whether it came with the one before.
+
+        """
+        if within:
+            self._number += 1
+        else:
+            self._begins = self._came or before
+            self._came, self._number = stamp, 1
+        passed, size = self._came - self._begins, self._size
+        if not 0 < passed <= _LONGEST:
+            made = self._came - (max(size, self._number) - self._number) * interval
+            self._instant = self._instant if within else round(made) - 1
+        else:
+            # What lacks of packets that were lost is before this one (`segmentation/bunches`).
+            slots = round(passed / interval)
+            slots = size * max(1, round(slots / size)) if size else max(1, slots)
+            number = max(slots - size, 0) + self._number if size else self._number
+            made = self._begins + number * passed / slots
+        self._instant = max(min(round(made), self._came), self._instant + 1)
+        return self._instant
+
+    def follow(self, instant: int) -> None:
+        """Go on after a sample that was made then, ns."""
+        self._instant = max(self._instant, instant)
 
 
 def _sums(steps: Stamps, regular: NDArray[np.bool_]) -> Stamps:

@@ -215,6 +215,111 @@ class CompensatorNode(ros.ManagedNode):
             f'{topic} is published best effort: messages can be lost on the way.',
         )
 
+<<<<<<< HEAD
+=======
+    def _report_calibration(self) -> None:
+        if self._compensator is None:
+            topic = self.resolve_topic_name('calibration')
+            sources = [str(self._file)] if self._file is not None else []
+            where = ' or '.join([*sources, topic] if self._follows else sources)
+            self._diagnostics.report(
+                'calibration',
+                Level.WARN,
+                f'No calibration: nothing is published until there is one in {where}.',
+            )
+            return
+        calibration = self._compensator.calibration
+        single = first_of(calibration)
+        age = time.time() - self._made_at
+        self._diagnostics.report(
+            'calibration',
+            Level.OK,
+            f'{self._source} is applied.',
+            imu=single.imu.id,
+            serial_number=single.serial_number or 'not stated',
+            source=self._source,
+            age=f'{age / 3600:.1f} h',
+            temperatures=_degrees(calibration),
+            method=str(single.provenance.get('method', 'not stated')),
+        )
+
+    def _report_stream(self) -> None:
+        second, topic = self._second, self.resolve_topic_name('imu/pulses')
+        span = max(time.monotonic() - second.since, 1e-3)
+        figures = {
+            'in': f'{second.taken / span:.1f} Hz',
+            'out': f'{second.given / span:.1f} Hz',
+            'without calibration': str(self._unused),
+            'malformed': str(self._malformed.count),
+        }
+        level, text = Level.OK, f'{topic} is received and compensated.'
+        compensator = self._compensator
+        if compensator is not None:
+            figures['sample interval'] = f'{compensator.period * 1e3:.6f} ms'
+            figures['irregular intervals between stamps'] = str(compensator.odd_steps)
+            figures['waiting'] = str(compensator.waiting)
+            figures['left out'] = str(compensator.dropped)
+            figures['received twice'] = str(compensator.repeats)
+        if second.work:
+            work = np.array(second.work) * 1e6
+            figures['latency in the node'] = (
+                f'{np.median(work):.0f} us, at most {work.max():.0f} us'
+            )
+            age = self.get_clock().now().nanoseconds - second.newest
+            figures['age of the latest sample'] = f'{age * 1e-6:.3f} ms'
+        if self._mixed:
+            level, text = Level.ERROR, f'Two publishers on {topic}: stop one of them.'
+        elif self._malformed.count:
+            level, text = Level.ERROR, f'{topic}: {self._malformed.reason}'
+        elif not second.taken:
+            level, text = Level.WARN, f'There are no messages on {topic}.'
+        elif compensator is not None and not second.given:
+            level, text = Level.WARN, f'{topic} is received, but nothing is published.'
+        self._diagnostics.report('stream', level, text, **figures)
+
+    def _report_range(self) -> None:
+        """Say what was marked in the last second, and how much of it there was in all."""
+        if self._compensator is None:
+            return
+        counts = self._compensator.counts
+        fresh = [m for m in Mark if counts[m] > self._counted[m]]
+        self._counted = {mark: counts[mark] for mark in Mark}
+        level, text = Level.OK, 'All samples are within the range of the calibration.'
+        if fresh:
+            level = Level.WARN
+            text = f'In the last second: {", ".join(_WORDS[mark] for mark in fresh)}.'
+        figures = {_WORDS[mark]: str(counts[mark]) for mark in Mark}
+        if self._compensator.alone:
+            figures["without the skewed gyro's value"] = str(self._compensator.alone)
+        self._diagnostics.report('range', level, text, **figures)
+
+    def _report_temperature(self) -> None:
+        compensator = self._compensator
+        if compensator is None or not isinstance(compensator.calibration, ThermalCalibration):
+            return
+        topic = self.resolve_topic_name('imu/temperature')
+        figures = {'temperature': f'{compensator.celsius:.2f} degC'}
+        level, text = Level.OK, f'{topic} is received.'
+        if compensator.waits_for_temperature:
+            level, text = (
+                Level.ERROR,
+                f'The calibration needs {topic}, which has no messages: nothing is published.',
+            )
+        elif time.monotonic() - self._heard_temperature > _STALE:
+            level, text = (
+                Level.WARN,
+                f'There are no new messages on {topic}: its last value is used.',
+            )
+        self._diagnostics.report('temperature', level, text, **figures)
+
+
+def _degrees(calibration: AnyCalibration) -> str:
+    if isinstance(calibration, ThermalCalibration):
+        return ', '.join(f'{celsius:.2f}' for celsius in calibration.temperatures) + ' degC'
+    seen = calibration.provenance.get('temperature')
+    return 'not measured' if seen is None else f'{float(seen["mean"]):.2f} degC'
+
+>>>>>>> clock
 
 def main() -> int:
     """Run the node; return the exit code."""

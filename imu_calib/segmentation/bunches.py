@@ -8,6 +8,8 @@ known (docs/mathematics.md, 'Stamps and lost samples').
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -22,7 +24,7 @@ SHORT = 0.5
 """Of the mean step: shorter ones are within a bunch. A judgement: jitter of a fifth of an interval
 makes one step in ten so short, and packets nearly all."""
 
-_MANY = 0.25
+MANY = 0.25
 """Share of steps that are short where samples come in bunches: half of them do in pairs."""
 
 _FEWEST = 3
@@ -58,6 +60,47 @@ _LARGEST = 0.9
 """Quantile of the sizes that is the size of whole packets: a few are two that came together."""
 
 
+@dataclass(frozen=True)
+class Pattern:
+    """How samples come many at a time.
+
+    Attributes:
+        interval: Sample interval, ns.
+        size: Samples of a whole packet; None where a reader takes what has come.
+
+    """
+
+    interval: float
+    size: int | None
+
+
+def pattern(stamp: Stamps) -> Pattern | None:
+    """Return how samples come many at a time; None where they do not, or too few show it.
+
+    Args:
+        stamp: (n,) ns, increasing.
+
+    """
+    starts = _bunches(stamp)
+    return None if starts is None else _pattern(stamp, starts)
+
+
+def usual_interval(stamp: Stamps) -> tuple[float, float]:
+    """Return the sample interval within a percent or so, ns, and which share of steps is short.
+
+    By the median of the steps that are not short, of which a queue has few.
+
+    Args:
+        stamp: (n,) ns, at least 2.
+
+    """
+    steps = np.diff(stamp)
+    lag = min(_LAG, -(-len(steps) // 2))
+    short = steps < SHORT * float(np.median(stamp[lag:] - stamp[:-lag])) / lag
+    apart = steps[~short]
+    return (float(np.median(apart)) if len(apart) else 0.0), float(short.mean())
+
+
 def spread(stamp: Stamps) -> Stamps:
     """Return when samples were made, (n,) ns, increasing; `stamp` where they come one by one.
 
@@ -90,17 +133,15 @@ def sampling_times(stamp: Stamps) -> tuple[Stamps, Stamps]:
 
 def _out_of_bunches(stamp: Stamps, starts: NDArray[np.intp]) -> Stamps:
     """Return when samples were made of bunches that begin with some of them, (n,) ns."""
+    found = _pattern(stamp, starts)
+    interval, size = found.interval, found.size
     counts = np.diff(starts, append=len(stamp))
     came = (stamp[starts] - stamp[0]).astype(float)
     whole, passed = counts[1:-1], np.diff(came)[:-1]
-    size = int(np.quantile(whole, _LARGEST, method='nearest'))
-    fixed = _are_packets(whole, size)
-    full = whole == size
-    interval = float(np.median(passed[full] / size)) if fixed else float(np.median(passed / whole))
     slots = counts.copy()
     # An edge of the segment cuts the last bunch: the others of it are beyond, and not missing.
-    slots[-1] = max(int(slots[-1]), size if fixed else round(float(np.median(whole))))
-    if fixed:
+    slots[-1] = max(int(slots[-1]), round(float(np.median(whole))) if size is None else size)
+    if size is not None:
         packets = np.maximum(np.rint(passed / (size * interval)), 1).astype(int)
         slots[1:-1] = np.maximum(size * packets, whole)
     begins = np.append(came[0] - slots[0] * interval, came[:-1])
@@ -108,6 +149,16 @@ def _out_of_bunches(stamp: Stamps, starts: NDArray[np.intp]) -> Stamps:
     each = np.repeat((came - begins) / slots, counts)
     instants = np.rint(np.repeat(begins, counts) + number * each).astype(np.int64)
     return np.asarray(stamp[0] + instants)
+
+
+def _pattern(stamp: Stamps, starts: NDArray[np.intp]) -> Pattern:
+    """Return the interval and the size of bunches that begin with some samples."""
+    whole = np.diff(starts)[1:]
+    passed = np.diff(stamp[starts])[:-1].astype(float)
+    size = int(np.quantile(whole, _LARGEST, method='nearest'))
+    if not _are_packets(whole, size):
+        return Pattern(float(np.median(passed / whole)), None)
+    return Pattern(float(np.median(passed[whole == size] / size)), size)
 
 
 def _out_of_queue(stamp: Stamps) -> Stamps:
@@ -122,6 +173,10 @@ def _out_of_queue(stamp: Stamps) -> Stamps:
     line = np.arange(len(stamp)) * interval
     late = (stamp - stamp[0]) - line
     earliest = scipy.ndimage.minimum_filter1d(late, _AHEAD, mode='nearest', origin=-(_AHEAD // 2))
+    # Of a queue that is longer samples gain on the clock until its end.
+    falls = np.flatnonzero(late[: 1 - _AHEAD] - late[_AHEAD - 1 :] > _AHEAD / 2 * interval)
+    for k in falls[::-1].tolist():
+        earliest[k] = min(earliest[k], earliest[k + _AHEAD - 1])
     # Of a queue that ends beyond what is looked at no sample is in time: those before it tell.
     in_time = np.flatnonzero(late - earliest <= _DRIFT * interval)
     level = late[in_time]
@@ -158,7 +213,7 @@ def _bunches(stamp: Stamps) -> NDArray[np.intp] | None:
     if not lag:
         return None
     short = steps < SHORT * float(np.median(stamp[lag:] - stamp[:-lag])) / lag
-    if short.mean() < _MANY:
+    if short.mean() < MANY:
         return None
     starts = np.concatenate([[0], np.flatnonzero(~short) + 1])
     counts = np.diff(starts)[1:]

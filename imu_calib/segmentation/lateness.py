@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..instants import at
 from ..stream import Stamps
@@ -16,6 +17,18 @@ moment costs nothing, as others tell when they were made."""
 
 _LONG = 1.0
 """s: one so late is said even by itself. It looks like an interruption (`interruptions`)."""
+
+
+def surely_late(late: Stamps, period: float) -> NDArray[np.bool_]:
+    """Say which samples are stamped after the next one was made, and beyond jitter, (n,).
+
+    Args:
+        late: (n,) by how much later they are stamped than made, ns.
+        period: Sample interval, s.
+
+    """
+    scatter = float(np.median(np.abs(late - np.median(late)))) if len(late) else 0.0
+    return np.asarray(late > max(period * 1e9, _JITTER * scatter))
 
 
 class Lateness:
@@ -35,8 +48,7 @@ class Lateness:
             period: Sample interval, s.
 
         """
-        scatter = float(np.median(np.abs(late - np.median(late)))) if len(late) else 0.0
-        beyond = late > max(period * 1e9, _JITTER * scatter)
+        beyond = surely_late(late, period)
         if not beyond.any():
             return
         self.count += int(np.count_nonzero(beyond))

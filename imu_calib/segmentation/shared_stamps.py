@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..instants import at
 from ..stream import Floats, Stamps
@@ -51,9 +52,26 @@ class SharedStamps:
 
     def take(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats, Stamps]:
         """Take (n,) stamps, ns, and (n, columns) values; return those that count, and repeats'."""
+        apart, kept = self.set_apart(stamp, values)
+        if kept is None:
+            return apart, values, stamp[:0]
+        return apart[kept], values[kept], stamp[~kept]
+
+    def set_apart(self, stamp: Stamps, values: Floats) -> tuple[Stamps, NDArray[np.bool_] | None]:
+        """Take (n,) stamps, ns, and (n, columns) values in.
+
+        Returns:
+            Stamps (n,), ns, set apart; and which samples are no repeats, (n,), None if all.
+
+        """
         if not len(stamp):
-            return stamp, values, stamp
+            return stamp, None
         last = (stamp[:1] - 1, values[:1]) if self._last is None else self._last
+        if len(stamp) == 1 and self._stamps and not self._within and stamp[0] != last[0][0]:
+            # The way of a live stream, to the same outcome.
+            self._last = stamp.copy(), values.copy()
+            self._next_alone(int(stamp[0]))
+            return stamp, None
         self._last = stamp[-1:].copy(), values[-1:].copy()
         same = stamp == np.append(last[0], stamp[:-1])
         within = np.append(self._within, same[:-1])
@@ -61,7 +79,7 @@ class SharedStamps:
         rows = np.flatnonzero(same | within)
         if not len(rows):
             self._alone(stamp)
-            return stamp, values, stamp[:0]
+            return stamp, None
         before = np.concatenate([last[1], values[:-1]])[rows]
         alike = (values[rows] == before).all(axis=1)
         apart, kept, done = stamp.copy(), np.ones(len(stamp), dtype=bool), 0
@@ -79,7 +97,7 @@ class SharedStamps:
             self._add(int(stamp[k]))
             apart[k] += self._place
         self._alone(stamp[done:])
-        return apart[kept], values[kept], stamp[~kept]
+        return apart, kept
 
     def words(self, of: str = '') -> list[str]:
         """Say how many samples were set apart."""
@@ -109,6 +127,13 @@ class SharedStamps:
         self._passed += len(stamp) - (not self._stamps)
         recent = [(one, 1) for one in stamp[-_STAMPS - 1 :].tolist()]
         self._stamps = (self._stamps + recent)[-_STAMPS - 1 :]
+        self._place = 0
+
+    def _next_alone(self, stamp: int) -> None:
+        """Take a sample with a stamp of its own, ns, that is not the first."""
+        self._elapsed += min(max(stamp - self._stamps[-1][0], 0), INTERRUPTION)
+        self._passed += 1
+        self._stamps = [*self._stamps, (stamp, 1)][-_STAMPS - 1 :]
         self._place = 0
 
     def _add(self, stamp: int) -> None:

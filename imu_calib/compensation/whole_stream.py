@@ -1,0 +1,91 @@
+"""When the samples of a recording were made: by those that came after them, too.
+
+What comes live is timed by what has come (`sample_clock`). Of a recording all stamps are there:
+samples that came many at a time, late or in a queue go back to when they were made, by the rules of
+the segmentation (docs/mathematics.md, 'Stamps and lost samples'). Others keep their stamps.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..segmentation.bunches import SHORT, sampling_times
+from ..segmentation.grid import read_grid
+from ..segmentation.lateness import surely_late
+from ..segmentation.shared_stamps import SharedStamps
+from ..stream import ImuBlock, Stamps
+
+_LONG = 1.5
+"""Of the median step: a longer one comes before a sample that is late, or after lost ones."""
+_AROUND = 512
+"""Samples on either side of irregular steps that tell the interval (`bunches`, `_AHEAD`)."""
+_APART = 5_000_000_000
+"""ns: more than a line is held up; what comes after such a silence stands by itself."""
+_FEWEST = 32
+"""Samples that tell an interval (`sample_clock`)."""
+
+
+class WholeStream:
+    """Gathers the stamps of a recording's samples, repeats left out; 8 bytes each.
+
+    Args:
+        rate: Samples per second as stated; None where nothing is.
+
+    """
+
+    def __init__(self, rate: float | None) -> None:
+        self._shared = SharedStamps(rate)
+        self._stamps: list[Stamps] = []
+
+    def take(self, block: ImuBlock) -> None:
+        """Take samples in."""
+        values = np.concatenate([block.gyro, block.accel], axis=1)
+        stamp, kept = self._shared.set_apart(block.stamp, values)
+        self._stamps.append(stamp.copy() if kept is None else stamp[kept])
+
+    def instants(self) -> Stamps:
+        """Return when the samples were made, (n,) ns."""
+        if not self._stamps:
+            return np.empty(0, np.int64)
+        return made_at(np.concatenate(self._stamps))
+
+    def words(self) -> list[str]:
+        """Say which samples shared a stamp."""
+        return self._shared.words()
+
+
+def made_at(stamp: Stamps) -> Stamps:
+    """Return when samples were made, (n,) ns, by their stamps as they came."""
+    steps = np.diff(stamp)
+    pieces = np.split(stamp, np.flatnonzero((steps <= 0) | (steps > _APART)) + 1)
+    return np.concatenate([_made(piece) for piece in pieces])
+
+
+def _made(stamp: Stamps) -> Stamps:
+    """Return when samples were made whose stamps increase, without a long silence, (n,) ns."""
+    steps = np.diff(stamp)
+    if len(steps) < _FEWEST:
+        return stamp
+    middle = float(np.median(steps))
+    irregular = np.flatnonzero((steps < SHORT * middle) | (steps > _LONG * middle))
+    if not len(irregular):
+        return stamp
+    made = stamp.copy()
+    for part in np.split(irregular, np.flatnonzero(np.diff(irregular) > _AROUND) + 1):
+        first, end = max(0, int(part[0]) - _AROUND), int(part[-1]) + 2 + _AROUND
+        last = len(stamp) if end >= len(stamp) else int(part[-1]) + 2
+        own = slice(int(part[0]) + 1 if first else 0, last)
+        made[own] = _around(stamp[first:end])[own.start - first : own.stop - first]
+    # Jitter of those that keep their stamps must not turn the order round.
+    numbers = np.arange(len(made))
+    return np.asarray(np.maximum.accumulate(made - numbers) + numbers)
+
+
+def _around(stamp: Stamps) -> Stamps:
+    """Return when samples were made, of which some came otherwise than one by one, (n,) ns."""
+    made, _ = sampling_times(stamp)
+    if not np.array_equal(made, stamp):
+        return made
+    grid = read_grid(stamp)
+    line = grid.stamps(stamp)
+    return np.asarray(np.where(surely_late(stamp - line, grid.period), line, stamp))
