@@ -16,6 +16,8 @@ from hypothesis import settings
 # A shell that puts the tests in the background has them ignore Ctrl-C, and all that they start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+# Until all is collected, which is kept: there is no garbage, and each search goes through it all.
+gc.disable()
 # Before numpy comes: threads gain small matrices nothing, and hold each other up.
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 # ROS reads this when it first loads a message: fields are then checked on every assignment.
@@ -118,6 +120,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_collection_finish() -> None:
     """Have thousands of tests and their modules not searched for garbage over and over."""
     gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -11,7 +11,7 @@ import math
 import random
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import product
 
 EARTH_RATE = 7.292115e-5
@@ -34,6 +34,9 @@ Matrix = tuple[Vector, Vector, Vector]
 NOTHING: Vector = (0.0, 0.0, 0.0)
 IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO: Matrix = (NOTHING, NOTHING, NOTHING)
+
+Given = tuple[Matrix, Vector, Vector]
+"""An attitude, and Earth rate and specific force in its body axes."""
 
 
 FAST = 60 * DEG
@@ -124,6 +127,7 @@ Course = tuple[float, float, float, float]
 """An error of an angle a: c1 cos(a) + s1 sin(a) + c2 cos(2 a) + s2 sin(2 a), rad."""
 
 FLAT: Course = (0.0, 0.0, 0.0, 0.0)
+STEADY = (FLAT, FLAT)
 
 
 @dataclass(frozen=True)
@@ -141,7 +145,7 @@ class Flaw:
 
     zero: float = 0.0
     lean: tuple[float, float] = (0.0, 0.0)
-    wobble: tuple[Course, Course] = (FLAT, FLAT)
+    wobble: tuple[Course, Course] = STEADY
     encoder: Course = FLAT
 
 
@@ -234,9 +238,12 @@ class Recording:
 
 # Spelled out: called for every sample, they are half of what a session costs.
 def times(a: Matrix, b: Matrix) -> Matrix:
+    (c, d, e), (f, g, h), (i, j, k) = a
     (p, q, r), (s, t, u), (v, w, x) = b
-    return tuple(  # type: ignore[return-value]
-        [(i * p + j * s + k * v, i * q + j * t + k * w, i * r + j * u + k * x) for i, j, k in a]
+    return (
+        (c * p + d * s + e * v, c * q + d * t + e * w, c * r + d * u + e * x),
+        (f * p + g * s + h * v, f * q + g * t + h * w, f * r + g * u + h * x),
+        (i * p + j * s + k * v, i * q + j * t + k * w, i * r + j * u + k * x),
     )
 
 
@@ -254,7 +261,8 @@ def seen(a: Matrix, v: Vector) -> Vector:
 
 
 def transposed(a: Matrix) -> Matrix:
-    return tuple(zip(*a, strict=True))  # type: ignore[return-value]
+    (c, d, e), (f, g, h), (i, j, k) = a
+    return (c, f, i), (d, g, j), (e, h, k)
 
 
 def about(axis: int, angle: float) -> Matrix:
@@ -328,19 +336,30 @@ def joints_of(axes: str) -> Vector:
 def attitude(angles: Vector, world: World) -> Matrix:
     """Body to east, north, up."""
     if world.flaws is not NO_FLAWS:
-        result = times(leaning(world), about(2, world.azimuth))
+        result = times(leaning(world.tilt), about(2, world.azimuth))
         for axis, angle, flaw in zip((2, 0, 2), angles, world.flaws, strict=True):
             result = times(result, joint_turned(axis, angle, flaw))
         return result
-    table = times(
-        times(about(2, world.azimuth + angles[0]), about(0, angles[1])), about(2, angles[2])
+    table = on_level(world.azimuth + angles[0], angles[1], angles[2])
+    return table if world.tilt == LEVEL else times(leaning(world.tilt), table)
+
+
+def on_level(outer: float, middle: float, inner: float) -> Matrix:
+    """Rz(outer) Rx(middle) Rz(inner), multiplied out."""
+    co, so = math.cos(outer), math.sin(outer)
+    cm, sm = math.cos(middle), math.sin(middle)
+    ci, si = math.cos(inner), math.sin(inner)
+    return (
+        (co * ci - so * cm * si, -co * si - so * cm * ci, so * sm),
+        (so * ci + co * cm * si, -so * si + co * cm * ci, -co * sm),
+        (sm * si, sm * ci, cm),
     )
-    return table if world.tilt == LEVEL else times(leaning(world), table)
 
 
-def leaning(world: World) -> Matrix:
+@cache
+def leaning(tilt: tuple[float, float]) -> Matrix:
     """The table's base to east, north, up."""
-    return times(about(0, world.tilt[0]), about(1, world.tilt[1]))
+    return times(about(0, tilt[0]), about(1, tilt[1]))
 
 
 def place(angles: Vector, world: World, arm: Vector) -> Vector:
@@ -348,21 +367,28 @@ def place(angles: Vector, world: World, arm: Vector) -> Vector:
     p = applied(about(2, angles[2]), arm)
     p = applied(about(0, angles[1]), _sum(world.misses[1], p))
     p = applied(about(2, world.azimuth + angles[0]), _sum(world.misses[0], p))
-    return applied(leaning(world), p)
+    return applied(leaning(world.tilt), p)
 
 
+@lru_cache(maxsize=8)
 def joint_turned(axis: int, reads: float, flaw: Flaw) -> Matrix:
     """How a joint with its flaws stands when its encoder reads an angle."""
     first, second = (axis + 1) % 3, (axis + 2) % 3
+    turned = about(axis, reads - course(flaw.encoder, reads) + flaw.zero)
+    if flaw.lean != LEVEL:
+        lean = times(about(second, flaw.lean[1]), about(first, flaw.lean[0]))
+        turned = times(lean, times(turned, transposed(lean)))
+    if flaw.wobble == STEADY:
+        return turned
     wobble = times(
         about(first, course(flaw.wobble[0], reads)), about(second, course(flaw.wobble[1], reads))
     )
-    lean = times(about(second, flaw.lean[1]), about(first, flaw.lean[0]))
-    turned = about(axis, reads - course(flaw.encoder, reads) + flaw.zero)
-    return times(wobble, times(lean, times(turned, transposed(lean))))
+    return times(wobble, turned)
 
 
 def course(errors: Course, angle: float) -> float:
+    if errors is FLAT:
+        return 0.0
     c1, s1, c2, s2 = errors
     return (
         c1 * math.cos(angle)
@@ -425,9 +451,18 @@ def record(world: World, unit: Unit, seed: int) -> Recording:
     motions = schedule(world)
     duration = motions[-1].end + 1.5 + world.dwell
     recording = Recording()
-    _record_joints(recording, world, motions, duration, draw)
-    _record_imu(recording, world, unit, draw)
+    noise = normals(draw)
+    _record_joints(recording, world, motions, duration, noise)
+    _record_imu(recording, world, unit, noise)
     return recording if world.damage is None else damaged(recording, world.damage, draw)
+
+
+def normals(draw: random.Random) -> Iterator[float]:
+    """Yield normal deviates: by Box and Muller, two at a time."""
+    while True:
+        angle, length = 2 * math.pi * draw.random(), math.sqrt(-2 * math.log(1 - draw.random()))
+        yield math.cos(angle) * length
+        yield math.sin(angle) * length
 
 
 def damaged(recording: Recording, damage: Damage, draw: random.Random) -> Recording:
@@ -457,17 +492,21 @@ def damaged(recording: Recording, damage: Damage, draw: random.Random) -> Record
 
 
 def _record_joints(
-    recording: Recording, world: World, motions: list[Motion], duration: float, draw: random.Random
+    recording: Recording,
+    world: World,
+    motions: list[Motion],
+    duration: float,
+    noise: Iterator[float],
 ) -> None:
     count = int(duration * world.joint_rate)
     instants = [k / world.joint_rate for k in range(count)]
     for time, (angles, _) in zip(instants, angles_at(motions, iter(instants)), strict=True):
         recording.joint_stamps.append(time)
-        noisy = tuple(a + world.encoder_noise * draw.gauss(0, 1) for a in angles)
+        noisy = tuple([a + world.encoder_noise * next(noise) for a in angles])
         recording.angles.append(noisy)  # type: ignore[arg-type]
 
 
-def _record_imu(recording: Recording, world: World, unit: Unit, draw: random.Random) -> None:
+def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[float]) -> None:
     dt = 1.0 / unit.rate
     motions = schedule(world)
     moved = Moved(world, unit, motions[0])
@@ -496,12 +535,14 @@ def _record_imu(recording: Recording, world: World, unit: Unit, draw: random.Ran
                 ]
             else:
                 answers += _answer(unit.accel_m, unit.accel_d, pushed, dt)
-            added = [0.0] * 6 if unit.terms is None else _added(unit.terms, turned, pushed, dt)
+            if unit.terms is not None:
+                added = _added(unit.terms, turned, pushed, dt)
         outputs = _changed(answers, unit, (k + 0.5) * dt, dt) if changes else answers
-        outputs = [a + b for a, b in zip(outputs, added, strict=True)]
+        if unit.terms is not None:
+            outputs = [a + b for a, b in zip(outputs, added, strict=True)]
         counted = []
         for c in range(6):
-            sums[c] += outputs[c] + walks[c] * draw.gauss(0, 1)
+            sums[c] += outputs[c] + walks[c] * next(noise)
             total = math.floor(sums[c] / pulses[c])
             if unit.counts:
                 total = math.floor(sums[c] / dt / pulses[c] + 0.5)
@@ -509,7 +550,7 @@ def _record_imu(recording: Recording, world: World, unit: Unit, draw: random.Ran
             counted.append(float(total - told[c]))
             told[c] = 0 if unit.counts else total
         time = (k + 1) * dt
-        stamp = time * (1 + world.clock) + world.offset + world.stamp_jitter * draw.gauss(0, 1)
+        stamp = time * (1 + world.clock) + world.offset + world.stamp_jitter * next(noise)
         recording.imu_stamps.append(stamp)
         recording.gyro.append(tuple(counted[:3]))  # type: ignore[arg-type]
         recording.accel.append(tuple(counted[3:]))  # type: ignore[arg-type]
@@ -578,9 +619,14 @@ def felt(
     dt = 1.0 / rate
     count = int(duration * rate)
     halves = angles_at(motions, (0.5 * dt * k - late for k in range(2 * count + 1)))
-    before, _ = next(halves)
-    r_before = attitude(before, world)
     earth = earth_of(world)
+
+    def given_at(angles: Vector) -> Given:
+        r = attitude(angles, world)
+        return r, seen(r, earth), seen(r, (0.0, 0.0, world.gravity))
+
+    before, _ = next(halves)
+    first = given_at(before)
     still: tuple[Vector, Vector, Vector] | None = None
     given: list[tuple[Vector, Vector, Matrix | None, Motion]] = []
     for _ in range(count):
@@ -589,31 +635,31 @@ def felt(
         if after == before and still is not None and still[0] == after:
             turned, pushed = still[1], still[2]
         else:
-            r_middle, r_after = attitude(middle, world), attitude(after, world)
-            turned, pushed = _felt(world, (r_before, r_middle, r_after), earth, dt)
+            half_way, last = given_at(middle), given_at(after)
+            turned, pushed = _felt(first, half_way, last, dt)
             still = (after, turned, pushed) if after == before else None
-            r_before = r_after
+            r_middle, first = half_way[0], last
         before = after
         given.append((turned, pushed, r_middle, motion))
     return given
 
 
-def _felt(
-    world: World, attitudes: tuple[Matrix, Matrix, Matrix], earth: Vector, dt: float
-) -> tuple[Vector, Vector]:
+def _felt(first: Given, middle: Given, last: Given, dt: float) -> tuple[Vector, Vector]:
     """Integrals of angular rate and specific force over a sample, body axes."""
-    first, _, last = attitudes
-    table = rotation_vector(times(transposed(first), last))
+    table = rotation_vector(times(transposed(first[0]), last[0]))
     # The Earth turns the east-north-up frame: Simpson's rule of its rate in body axes.
-    up = (0.0, 0.0, world.gravity)
-    rates = [seen(r, earth) for r in attitudes]
-    forces = [seen(r, up) for r in attitudes]
-    turned, pushed = (
-        [a / 6 * dt + 4 / 6 * b * dt + c / 6 * dt for a, b, c in zip(*three, strict=True)]
-        for three in (rates, forces)
+    earth = simpson(first[1], middle[1], last[1], dt)
+    return _sum(earth, table), simpson(first[2], middle[2], last[2], dt)
+
+
+def simpson(first: Vector, middle: Vector, last: Vector, dt: float) -> Vector:
+    """The integral of what is known at the ends and half way."""
+    (a, b, c), (d, e, f), (g, h, i) = first, middle, last
+    return (
+        a / 6 * dt + 4 / 6 * d * dt + g / 6 * dt,
+        b / 6 * dt + 4 / 6 * e * dt + h / 6 * dt,
+        c / 6 * dt + 4 / 6 * f * dt + i / 6 * dt,
     )
-    turned = [t + by_table for t, by_table in zip(turned, table, strict=True)]
-    return tuple(turned), tuple(pushed)  # type: ignore[return-value]
 
 
 def _cross(a: Vector, b: Vector) -> Vector:

@@ -14,6 +14,7 @@ import yaml
 from sessions import (
     LATITUDE,
     SITE,
+    at_one_rate,
     calibrate,
     fed,
     paper_imu,
@@ -42,7 +43,7 @@ from imu_calib.units import PPM
 from imu_calib.verification import Verdict, observe, verify
 
 LUOYANG_520 = Site.at(LATITUDE, 520.0)
-PLAN = quick_plan('twelve_position', 20.0)
+PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 K_A = np.array([p.triad == 'a' and p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in PARAMETERS])
 OF_FORCE = np.array([p.triad == 'a' and p.kind is not ParameterKind.BIAS for p in PARAMETERS])
 
@@ -114,11 +115,16 @@ def test_a_height_that_is_stated_leaves_normal_gravity_in_doubt_alone() -> None:
 
 
 def test_the_deviations_follow_what_another_gravity_makes_of_the_same_session() -> None:
-    step = 200 * PPM
-    changed = made_with(replace(SITE, gravity=LUOYANG_520.gravity * (1 + step)))
-    slope = (changed.values - made_with(replace(SITE, gravity=LUOYANG_520.gravity)).values) / step
+    plan, step = quick_plan('twelve_position', 20.0), 200 * PPM
+    blocks = list(session(plan, stand(azimuth=0.3), 4, site=LUOYANG_520))
+
+    def at(site: Site) -> Calibration:
+        return calibrate(blocks, plan, site=site).calibration
+
+    changed = at(replace(SITE, gravity=LUOYANG_520.gravity * (1 + step)))
+    slope = (changed.values - at(replace(SITE, gravity=LUOYANG_520.gravity)).values) / step
     one = replace(LUOYANG_520, gravity_std=LUOYANG_520.gravity)
-    share = made_with(one).covariance - made_with(replace(one, gravity_std=0.0)).covariance
+    share = at(one).covariance - at(replace(one, gravity_std=0.0)).covariance
     # Second order, and what the step leaves of the digits.
     assert share == pytest.approx(np.outer(slope, slope), abs=2e-3)
     assert np.abs(slope[~OF_FORCE]).max() < 1e-6
@@ -217,7 +223,7 @@ def test_verify_asks_less_of_k_a_where_gravity_differs_and_no_less_where_it_is_t
 
     def verdict(calibration: Calibration, site: Site) -> Verdict:
         table = load_table('three_axis')
-        plan = quick_plan('six_position', 20.0)
+        plan = at_one_rate(quick_plan('six_position', 20.0))
         blocks = session(plan, stand(azimuth=0.7), 3)
         calibrator = fed(blocks, Setup(paper_imu(), plan, table, site))
         seen = observe(calibrator._segmenter.finish(), paper_imu(), site, plan, table)

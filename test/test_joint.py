@@ -248,7 +248,7 @@ def on_a_tilted_table(tilt: tuple[float, float], plan: str = 'twelve_position') 
     spec = replace(spec, gyro=gyro, accel=replace(spec.accel, bias_instability=0.0))
     table = replace(load_table('three_axis'), azimuth=0.0 if plan != 'twelve_position' else None)
     options = stand(azimuth=0.5 if plan == 'twelve_position' else 0.0, tilt=tilt)
-    return simulated(quick_plan(plan, DWELL), options, 1, table=table, spec=spec)
+    return simulated(at_one_rate(quick_plan(plan, DWELL)), options, 1, table=table, spec=spec)
 
 
 @pytest.mark.parametrize('tilt', [(0.1, 0.0), (0.07, -0.07)])

@@ -7,6 +7,7 @@ import ast
 import inspect
 import re
 from collections.abc import Iterator
+from functools import cache
 
 import pytest
 from loopback import CHECKOUT
@@ -35,8 +36,10 @@ OTHERS = {
 NO_KEYWORDS = {'reach': 'the function itself', 'network': 'of a stand alone'}
 
 
-def literals(folder: str) -> Iterator[tuple[str, str]]:
-    """Yield (file, text) of what is written in the modules of a folder, without docstrings."""
+@cache
+def literals(folder: str) -> list[tuple[str, str]]:
+    """Return (file, text) of what is written in the modules of a folder, without docstrings."""
+    found = []
     for path in sorted((PACKAGE / folder).rglob('*.py')):
         tree = ast.parse(path.read_text('utf-8'))
         documents = {
@@ -44,9 +47,12 @@ def literals(folder: str) -> Iterator[tuple[str, str]]:
             for node in ast.walk(tree)
             if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
         }
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and id(node) not in documents:
-                yield str(path.relative_to(PACKAGE)), str(node.value)
+        found += [
+            (str(path.relative_to(PACKAGE)), str(node.value))
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Constant) and id(node) not in documents
+        ]
+    return found
 
 
 def options(parser: argparse.ArgumentParser) -> Iterator[str]:

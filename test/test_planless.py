@@ -43,6 +43,7 @@ from imu_calib.units import DEG
 
 TABLE = load_table('three_axis')
 RATES = RateTest((20 * DEG, -20 * DEG, 60 * DEG, -60 * DEG), 1)
+FASTEST = RateTest(RATES.rates[-2:], 1)
 UPRIGHT = {'X': (90, 90), 'Y': (90, 0), 'Z': (0, 0)}
 """Middle and inner joint, degrees, that bring an axis up."""
 
@@ -51,11 +52,13 @@ def at(outer: float, middle: float, inner: float) -> Floats:
     return TABLE.attitude(np.array([outer, middle, inner]) * DEG)
 
 
-def program(angles: Sequence[tuple[float, float, float]], turned: Iterable[int]) -> Plan:
+def program(
+    angles: Sequence[tuple[float, float, float]], turned: Iterable[int], rates: RateTest = FASTEST
+) -> Plan:
     """What a motion program of joint angles, degrees, is to the simulator; turns at some."""
     turned = set(turned)
     positions = tuple(
-        Position(f'p{k}', at(*a), 30.0, RATES if k in turned else None)
+        Position(f'p{k}', at(*a), 30.0, rates if k in turned else None)
         for k, a in enumerate(angles)
     )
     return Plan('program', 'program', 'test', 'joint', positions)
@@ -81,7 +84,7 @@ def y_at_other_headings() -> Plan:
             p,
             attitude=quarter @ p.attitude if abs(p.up[1]) > 0.5 else p.attitude,
             dwell=30.0,
-            rate_test=RATES if p.rate_test else None,
+            rate_test=FASTEST if p.rate_test else None,
         )
         for p in plan.positions
     )
@@ -103,7 +106,7 @@ def random_angles() -> list[tuple[float, float, float]]:
 
 @cache
 def without_plan() -> Result:
-    return calibrate(recorded(program(random_angles(), (0, 1, 2)), seed=2), UNPLANNED)
+    return calibrate(recorded(program(random_angles(), (0, 1, 2), RATES), seed=2), UNPLANNED)
 
 
 def test_a_program_of_any_attitudes_is_calibrated_without_a_plan() -> None:
@@ -212,7 +215,7 @@ def test_turns_about_oblique_axes_do_if_there_are_three() -> None:
 
 def test_a_rest_out_of_the_mount_is_left_out() -> None:
     """While one rest lasts the unit lies beside the table: its accelerometers say so."""
-    plan = program(random_angles(), (0, 1, 2))
+    plan = program(random_angles(), (0, 1, 2), RATES)
     spans = [(s.start, s.end) for s in without_plan().session.segments]
     first, last = spans[7]
 
@@ -360,7 +363,7 @@ def test_names_that_come_again_are_numbered() -> None:
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The random program as any recorder writes it, and a calibration of it."""
     folder = tmp_path_factory.mktemp('planless')
-    write(folder / 'bag', recorded(program(random_angles(), (0, 1, 2)), seed=2))
+    write(folder / 'bag', recorded(program(random_angles(), (0, 1, 2), RATES), seed=2))
     given = [*SAID, '-o', str(folder / 'calibration.yaml')]
     assert main(['calibrate', str(folder / 'bag'), *given]) == 0
     return folder / 'bag'

@@ -10,7 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sessions import SITE, calibrate, fed, gathered, paper_imu, quick_plan, session, stand, truth
+from sessions import (
+    SITE,
+    at_one_rate,
+    calibrate,
+    fed,
+    gathered,
+    paper_imu,
+    quick_plan,
+    session,
+    stand,
+    truth,
+)
 from test_information import evidence_of
 
 from imu_calib.alignment import free_of_frame
@@ -138,6 +149,7 @@ def test_an_axis_that_leans_turns_the_body_as_the_table_would(joint_number, dire
 
 
 PLAN = quick_plan('twelve_position', 20.0)
+BRIEF = at_one_rate(PLAN)
 
 
 def true_table(sizes: Mapping[str, float], seed: int) -> TrueTable:
@@ -151,8 +163,8 @@ def recorded(seed: int) -> Evidence:
     """A session on a table with all of it; its description says how large."""
     options = replace(stand(), true=true_table(SIZES, seed))
     told = replace(TABLE, errors=TableErrors(**SIZES))
-    blocks = session(PLAN, options, seed=seed)
-    return gathered(fed(blocks, Setup(paper_imu(), PLAN, told, SITE, None)))
+    blocks = session(BRIEF, options, seed=seed)
+    return gathered(fed(blocks, Setup(paper_imu(), BRIEF, told, SITE, None)))
 
 
 SILENT = """
@@ -178,7 +190,7 @@ def unstated() -> Result:
         positioning_error=np.sqrt(3) * ASSUMED['positioning'],
         tilt=(ASSUMED['level'], -ASSUMED['level']),
     )
-    return calibrate(session(PLAN, options, seed=3), PLAN, table=described())
+    return calibrate(session(BRIEF, options, seed=3), BRIEF, table=described())
 
 
 @pytest.mark.parametrize('seed', [1, 2])
@@ -285,7 +297,7 @@ def test_nothing_is_assumed_of_a_table_that_states_all_nor_without_one() -> None
         assert (table.assumed, table.assumption, table.positioning) == ((), '', 0.0)
         assert table.errors.exact
         assert table.level == LEVELLED == 20 * ARCSEC
-    alone = calibrate(session(PLAN, seed=1), PLAN, imu_only=True).calibration
+    alone = calibrate(session(BRIEF, seed=1), BRIEF, imu_only=True).calibration
     assert not any('assumed' in finding for finding in alone.findings)
     assert Source.TABLE not in {line.source for line in alone.budget.lines}
     hand = Evidence((), (), PLAN, SITE, fit_clock([]), None, np.ones(6))

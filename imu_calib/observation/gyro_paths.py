@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..model import SensorModel
 from ..rotations import product, rotations_last
@@ -135,13 +136,24 @@ def chained(vectors: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
     """
     ends = np.cumsum(counts)
     follow = np.repeat(ends, counts) - np.arange(len(vectors)) - 1
-    # Products of all that follow, by doubling: after pass k each holds 2^k steps.
     passed = rotations_last(-vectors)
-    reach = 1
-    while reach < max(counts):
-        here = np.flatnonzero(follow >= reach)
-        passed[..., here] = product(passed[..., here + reach], passed[..., here])
-        reach *= 2
+    _follow(passed, follow)
     after = np.concatenate([passed[..., 1:], np.eye(3)[..., None]], axis=-1)
     after[..., ends - 1] = np.eye(3)[..., None]
     return np.moveaxis(passed[..., ends - counts], -1, 0), after
+
+
+def _follow(steps: Floats, follow: NDArray[np.intp]) -> None:
+    """Multiply each of (3, 3, n) steps, in place, by all that follow it: how many these are, (n,).
+
+    Pairs of neighbours are followed first, then what is between them: two products for each step,
+    however many follow (Brent and Kung 1982, IEEE Trans. Comput. C-31, 260).
+    """
+    odd = np.flatnonzero(follow % 2)
+    if not len(odd):
+        return
+    pairs = product(steps[..., odd + 1], steps[..., odd])
+    _follow(pairs, follow[odd] // 2)
+    steps[..., odd] = pairs
+    between = np.flatnonzero((follow % 2 == 0) & (follow > 0))
+    steps[..., between] = product(steps[..., between + 1], steps[..., between])
