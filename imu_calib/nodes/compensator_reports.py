@@ -112,6 +112,7 @@ class CompensatorReports:
             figures['irregular intervals between stamps'] = str(compensator.odd_steps)
             figures['waiting'] = str(compensator.waiting)
             figures['left out'] = str(compensator.dropped)
+            figures['received twice'] = str(compensator.repeats)
         if self._second.work:
             work = np.array(self._second.work) * 1e6
             figures['latency in the node'] = (
