@@ -367,7 +367,7 @@ def dealt(holds: int, seed: int, *, threes: bool) -> list[list[int]]:
     return [every[half[of_three] == k].tolist() for k in (0, 1)]
 
 
-def one(read: Callable[[Path], Recording], folder: Path, threes: bool, seed: int) -> Dealing | None:  # noqa: FBT001 (by `partial`)
+def one(read: Callable[[Path], Recording], folder: Path, threes: bool, seed: int) -> Dealing | None:
     """Score a dealing; None where imu_calib refuses a part."""
     session = Session.of(read(folder))
     every = range(len(session.holds))

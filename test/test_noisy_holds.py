@@ -37,13 +37,13 @@ def calibrator(held: Shaky, pieces: int = 1) -> HandCalibrator:
 
 
 @cache
-def session(swaying: bool, seed: int = 0) -> Shaky:  # noqa: FBT001
+def session(swaying: bool, seed: int = 0) -> Shaky:
     sway = (SWAYS, LEAN) if swaying else None
     return shaky(UNIT, rate=100, noise=(0.3 * DEG, NOISE), swaying=sway, seed=seed)
 
 
 @cache
-def result(swaying: bool, seed: int = 0) -> Result:  # noqa: FBT001
+def result(swaying: bool, seed: int = 0) -> Result:
     return calibrator(session(swaying, seed)).finish()
 
 

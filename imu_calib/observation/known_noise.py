@@ -81,12 +81,12 @@ def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
     freedom = (counts[where, :1] - 1) * np.array([1.0, 2.0])
     usual = np.ones(squares.shape, dtype=bool)
     pool = np.zeros(2)
-    for k in range(2):
+    for k in (0, 1):
         usual[:, k] = _alike(squares[:, k], freedom[:, k], _BY_CHANCE / squares.size)
         share = freedom[:, k] * usual[:, k]
         pool[k] = share @ squares[:, k] / share.sum()
     found = list(segments)
-    for k in np.flatnonzero(~usual.all(axis=1)):
+    for k in np.flatnonzero(~usual.all(axis=1)).tolist():
         along, across = np.where(usual[k], 0.0, squares[k] - pool)
         up = np.outer(ups[k], ups[k])
         old = statistics[where[k]]
