@@ -41,6 +41,7 @@ def shaky(
     jitter: float = 0.0,
     lost: float = 0.0,
     limit: float = np.inf,
+    swaying: tuple[int, float] | None = None,
     seed: int = 0,
 ) -> Shaky:
     """Record a session that begins in the middle of a turn.
@@ -55,6 +56,7 @@ def shaky(
         jitter: Of a stamp, s: it comes late by anything up to this, in order.
         lost: Share of the samples that never come, one at a time.
         limit: End of the gyros' range, rad/s.
+        swaying: A hold that leans to and fro slowly, and by how much, rad.
         seed: Of attitudes, lengths, tremble and noise.
 
     """
@@ -72,6 +74,11 @@ def shaky(
     path = u**3 * (10 - 15 * u + 6 * u**2)
     body = attitudes[:-1][after] * Rotation.from_rotvec(steps[after] * path[:, None])
     body = body * Rotation.from_rotvec(_tremble(times, tremble, rng))
+    if swaying is not None:
+        hold, lean = swaying
+        share = np.clip((times - begins[hold]) / still[hold], 0.0, 1.0)
+        cycles = 2 * np.pi * share[:, None] * np.array([1.0, 0.5, 1.0])
+        body = body * Rotation.from_rotvec(lean * np.sin(cycles))
     angles = (body[:-1].inv() * body[1:]).as_rotvec()
     angles += body.inv().apply(EARTH)[1:] / (rate * _FINER)
     gyro = angles.reshape(-1, _FINER, 3).sum(axis=1) * rate

@@ -409,7 +409,7 @@ def test_guidance_asks_for_what_is_missing() -> None:
     found = free.evidence(free.review().session)
     told = guide(found)
     assert told.stage is Stage.TURN
-    assert told.holds == 6
+    assert told.holds == 5
     assert 'Z down' in told.candidates[0].words
     assert told.candidates[0].words in told.text
     gains = [c.gain for c in told.candidates]

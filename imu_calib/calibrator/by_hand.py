@@ -27,7 +27,7 @@ from ..methods.free_positions import (
 from ..methods.solution import Residual, Solution
 from ..model import PARAMETERS, SensorModel
 from ..observation.evidence import Evidence
-from ..observation.known_noise import known_noise
+from ..observation.known_noise import known_noise, with_own_noise
 from ..segmentation.clock import NO_CLOCK
 from ..segmentation.labelling import Labelled
 from ..segmentation.segment import Segment
@@ -213,6 +213,7 @@ class HandCalibrator:
             )
             for k, s in enumerate(segments)
         )
+        holds = with_own_noise(holds)
         walk, freedom = known_noise(holds, setup.imu) if holds else (np.zeros(6), np.full(6, 1.0))
         evidence = Evidence(
             holds,
@@ -250,7 +251,7 @@ class HandCalibrator:
         if fit.rejected_moves:
             names = ', '.join(f'{k + 1} to {k + 2}' for k in fit.rejected_moves)
             findings.append(f'Outliers, left out: turns from hold {names}.')
-        findings += [f'{loss}.' for loss in session.losses]
+        findings += [*_noisy_holds(evidence), *(f'{loss}.' for loss in session.losses)]
         solution = Solution(
             fit.model,
             fit.covariance,
@@ -285,3 +286,18 @@ class HandCalibrator:
         )
         calibration = with_gravity(calibration, setup.site)
         return Result(calibration, solution, session, Labelled(segments, (), session.rejected))
+
+
+def _noisy_holds(evidence: Evidence) -> list[str]:
+    """Say at which holds the accelerometers are noisier than at the others, and by how much."""
+    found = []
+    for hold in evidence.segments:
+        if hold.unrest is None:
+            continue
+        usual = float((evidence.walk[3:] ** 2 * hold.statistics.walk_gain[3:]).mean())
+        times = np.sqrt(1 + float(np.linalg.eigvalsh(hold.unrest)[-1]) / usual)
+        found.append(
+            f'The noise of the accelerometers at hold {hold.position} is {times:.2g} times that at '
+            'the others (the unit swayed): this hold counts by its own.'
+        )
+    return found

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import scipy
+from numpy.typing import NDArray
 
 from ..errors import NotObservable
 from ..imu import ImuSpec
-from ..segmentation.segment import Segment
+from ..segmentation.segment import Segment, Statistics
 from ..segmentation.statistics import pooled_walk
 from ..stream import Floats
 
+_SMALLEST = 1e-24
+"""Variance below which nothing is told of noise, (m/s^2)^2: rounding of 64-bit numbers."""
 _STATED_FREEDOM = 10.0
 """Degrees of freedom that a data sheet's random walk counts for: of ten a standard deviation is
 known to 1 / sqrt(20) = 22 %. A judgement of how far units of a type differ."""
+_BY_CHANCE = 1e-3
+"""Probability that chance alone lets any static dwell of a session count by its own noise. A
+judgement, as of groups that scatter (`methods/free_positions.py`)."""
 _ENOUGH_FREEDOM = 20.0
 """Degrees of freedom from which on a random walk needs no allowance for its own doubt, where no
 data sheet stands beside it: it is known to 1 / sqrt(40) = 16 % there."""
@@ -42,3 +51,78 @@ def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, F
     walk = np.sqrt(np.where(stated > 0, blended, square + doubt))
     freedom = freedom + np.where(stated > 0, weight, 0.0)
     return np.asarray(walk), np.asarray(np.maximum(freedom, 1.0))
+
+
+def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
+    """Let dwells at which accelerometers are noisier than chance makes them count by that noise.
+
+    A unit that leans to and fro turns gravity and keeps its length: noise along gravity and across
+    it is told apart. Each is held against that of the other dwells by the F test, the largest
+    first, and what is larger beyond chance is taken out of theirs before the next is looked at.
+
+    Source: docs/mathematics.md, 'Free positions'.
+
+    Args:
+        segments: Static dwells.
+
+    Returns:
+        The same; those found have `unrest`, and the blocks of their accelerometers are left out.
+
+    """
+    statistics = [s.statistics for s in segments]
+    counts = np.array([[len(b) for b in s.blocks[3:]] for s in statistics]).reshape(-1, 3)
+    told = (counts.min(axis=1) == counts.max(axis=1)) & (counts[:, 0] > 1)
+    where = np.flatnonzero(told)
+    if len(where) < 3:
+        return segments
+    ups = np.array([statistics[k].mean[3:] for k in where])
+    ups /= np.linalg.norm(ups, axis=1)[:, None]
+    squares = np.array([_squares(statistics[k], u) for k, u in zip(where, ups, strict=True)])
+    freedom = (counts[where, :1] - 1) * np.array([1.0, 2.0])
+    usual = np.ones(squares.shape, dtype=bool)
+    pool = np.zeros(2)
+    for k in (0, 1):
+        usual[:, k] = _alike(squares[:, k], freedom[:, k], _BY_CHANCE / squares.size)
+        share = freedom[:, k] * usual[:, k]
+        pool[k] = share @ squares[:, k] / share.sum()
+    found = list(segments)
+    for k in np.flatnonzero(~usual.all(axis=1)).tolist():
+        along, across = np.where(usual[k], 0.0, squares[k] - pool)
+        up = np.outer(ups[k], ups[k])
+        old = statistics[where[k]]
+        gain = float(old.walk_gain[3:].mean())
+        blocks = (*old.blocks[:3], *(b[:0] for b in old.blocks[3:]))
+        found[where[k]] = replace(
+            segments[where[k]],
+            statistics=replace(old, blocks=blocks),
+            unrest=gain * (along * up + across * (np.eye(3) - up)),
+        )
+    return tuple(found)
+
+
+def _squares(statistics: Statistics, up: Floats) -> Floats:
+    """Return the squared random walks (2,) of accelerometers along gravity and across it.
+
+    With what quantisation leaves.
+    """
+    blocks = np.array(statistics.blocks[3:])
+    seen = np.cov(blocks[:, :, 0])
+    along = float(up @ seen @ up)
+    both = np.array([along, (np.trace(seen) - along) / 2])
+    # What codes leave of no noise at all tells none from another.
+    least = max(_SMALLEST, float(blocks[:, :, 2].mean()))
+    return np.asarray(np.maximum(both, least) / blocks[:, :, 1].mean())
+
+
+def _alike(squares: Floats, freedom: Floats, chance: float) -> NDArray[np.bool_]:
+    """Say which of variances (n,) are alike; no more than half of them are not."""
+    alike = np.ones(len(squares), dtype=bool)
+    for _ in range(len(squares) // 2):
+        sums = np.where(alike, freedom * squares, 0.0)
+        others = (sums.sum() - sums) / (np.where(alike, freedom, 0.0).sum() - freedom)
+        odds = scipy.special.fdtrc(freedom, (alike @ freedom) - freedom, squares / others)
+        worst = int(np.argmin(np.where(alike, odds, 1.0)))
+        if not odds[worst] < chance:
+            break
+        alike[worst] = False
+    return alike

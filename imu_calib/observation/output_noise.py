@@ -15,6 +15,9 @@ from .evidence import SMALLEST_VARIANCE, Evidence
 ENCODER_FREEDOM = 14.0
 """Degrees of freedom of an encoder's rate, the least: sixteen blocks less a line's two unknowns
 (`segmentation/plateau.py`)."""
+UNREST_FREEDOM = 3.0
+"""Degrees of freedom of the noise that a dwell has for itself, the least: four blocks less their
+mean (`segmentation/statistics.py`)."""
 
 _ANGLES, _VELOCITIES = np.repeat(np.eye(2), 3, axis=1)
 """Which outputs of a move are which."""
@@ -76,6 +79,11 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
         across = led.held_back[list(held)] * (1 - np.eye(3))
         rows = np.array(evidence.layout.velocity)
         parts.append(Component(Source.QUANTISATION, Blocks(rows, across)))
+    for k, segment in enumerate(segments):
+        if segment.unrest is not None:
+            rows = evidence.layout.dwell[k : k + 1, 3:]
+            blocks = Blocks(rows, segment.unrest[None])
+            parts.append(Component(Source.NOISE, blocks, UNREST_FREEDOM))
     if inflation is not None:
         more = np.maximum(total, SMALLEST_VARIANCE) * (inflation - 1)
         for c in range(6):

@@ -104,6 +104,8 @@ class Segment:
         notes: What was cut away and why, for a person.
         attitude_error: Standard deviation of the attitude about any axis by the encoders' noise,
             rad.
+        unrest: (3, 3) covariance of the mean of the accelerometers beyond their usual noise,
+            (m/s^2)^2; None where it is as usual.
 
     """
 
@@ -115,6 +117,7 @@ class Segment:
     angles: Floats | None = None
     notes: tuple[str, ...] = ()
     attitude_error: float = 0.0
+    unrest: Floats | None = None
 
     def variance(self, walk: Floats, gravity: float) -> Floats:
         """Return the variances of the mean outputs, (6,), SI: noise, and gravity where it leans.
@@ -124,7 +127,10 @@ class Segment:
             gravity: m/s^2; what the gyros see lean of the Earth rate is below all noise.
 
         """
-        return self.statistics.variance(walk) + self.encoder_variance(gravity)
+        found = self.statistics.variance(walk) + self.encoder_variance(gravity)
+        if self.unrest is not None:
+            found[3:] += np.diag(self.unrest)
+        return found
 
     def encoder_variance(self, gravity: float) -> Floats:
         """Return what the encoders' noise adds to the variances of the mean outputs, (6,)."""

@@ -109,6 +109,7 @@ class Segmenter:
         self._frozen = 0, 0
         self._unlike = False
         self._off_grid: set[int] = set()
+        self._ended: Segmented | None = None
 
     @property
     def segments(self) -> tuple[Segment, ...]:
@@ -134,7 +135,9 @@ class Segmenter:
         return tracker.rest_since, tracker.known_until
 
     def feed(self, block: Block) -> None:
-        """Take a block in."""
+        """Take a block in; after the end nothing more counts."""
+        if self._ended is not None:
+            return
         if isinstance(block, ImuBlock):
             self._interruptions.feed(block.stamp)
             self._intake.take_imu(block)
@@ -154,7 +157,12 @@ class Segmenter:
         return copy.deepcopy(self, {id(value): value for value in values})
 
     def finish(self) -> Segmented:
-        """End of all streams."""
+        """End of all streams: return what they contain, the same however often it is asked."""
+        if self._ended is None:
+            self._ended = self._end()
+        return self._ended
+
+    def _end(self) -> Segmented:
         self._follow_joints(self._intake.finish())
         if self._joints is None:
             self._watch_stillness(last=True)

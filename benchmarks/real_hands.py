@@ -1,0 +1,491 @@
+"""Sessions in the hand that others recorded: imu_calib against their authors' tool.
+
+Each recording is calibrated from some of its holds and scored on the others, which it never saw:
+the root mean square of |a| - g over them, and of the angle between gravity as the gyros carry it
+from hold to hold and as the accelerometers see it there. The authors' tool is that of imu_tk, which
+four of the five groups use, written anew from its description (`tool`).
+
+    python benchmarks/real_hands.py DIRECTORY [--only NAME ...] [--dealings 12] [--threes]
+
+Holds are dealt in threes of neighbours to two halves (or three at a time are left out, `--threes`):
+in turn, and then anew by a seed. DIRECTORY has the files that docs/real_recordings.md names; what
+is not there is passed over.
+
+Sources: Tedaldi, Pretto and Menegatti 2014, ICRA.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from imu_calib.calibrator import Setup
+from imu_calib.calibrator.by_hand import HandCalibrator
+from imu_calib.earth import Site
+from imu_calib.engine import run_all
+from imu_calib.errors import NotObservable
+from imu_calib.imu import ImuSpec, TriadSpec
+from imu_calib.model import SensorModel
+from imu_calib.plan import load_plan
+from imu_calib.segmentation.segment import Segment
+from imu_calib.stream import Floats, ImuBlock, Stamps, Units
+from imu_calib.units import DEG, STANDARD_GRAVITY
+
+Corrected = Callable[[Floats, Floats], tuple[Floats, Floats]]
+"""Outputs of gyros and accelerometers (n, 3) in SI -> what they mean."""
+
+_EPOCH = 1_600_000_000_000_000_000
+"""ns: where recordings begin whose stamps do not say."""
+
+
+class Recording(NamedTuple):
+    """What somebody recorded: stamps (n,) ns, values (n, 6) as delivered, what they are, where."""
+
+    stamp: Stamps
+    values: Floats
+    imu: ImuSpec
+    site: Site
+
+    def some(self, rows: NDArray[np.bool_]) -> Recording:
+        """Return it with some of its samples."""
+        return self._replace(stamp=self.stamp[rows], values=self.values[rows])
+
+    def outputs(self, start: int, end: int) -> Floats:
+        """Return the outputs between two instants, ns, (n, 6) SI by nominal scale factors."""
+        inside = slice(*np.searchsorted(self.stamp, [start, end + 1]).tolist())
+        scale = np.repeat([self.imu.gyro.scale_factor, self.imu.accel.scale_factor], 3)
+        return self.values[inside] * scale
+
+    def calibrator(self) -> HandCalibrator:
+        """Return a calibrator that has got all of it."""
+        found = HandCalibrator(Setup(self.imu, load_plan('free_positions'), None, self.site))
+        gyro, accel = self.values[:, :3], self.values[:, 3:]
+        found.feed(ImuBlock(self.stamp, gyro, accel, 'imu'))
+        return found
+
+
+def _stamped(seconds: Floats) -> Stamps:
+    return np.asarray(_EPOCH + np.rint((seconds - seconds[0]) * 1e9).astype(np.int64))
+
+
+def _evenly(count: int, rate: float) -> Stamps:
+    return _stamped(np.arange(count) / rate)
+
+
+def _imu(name: str, units: Units, gyro: float, accel: float, limit: float = np.inf) -> ImuSpec:
+    """Return an IMU: rad/s and m/s^2 per count, and the end of the gyros' range, rad/s."""
+    return ImuSpec(name, units, None, TriadSpec(gyro, range=limit), TriadSpec(accel))
+
+
+def _site(latitude: float) -> Site:
+    return Site.at(latitude * DEG)
+
+
+def _xsens(folder: Path) -> Recording:
+    accel, gyro = (np.loadtxt(folder / f'xsens_{kind}.mat') for kind in ('acc', 'gyro'))
+    values = np.hstack([gyro[:, 1:], accel[:, 1:]]) - 32768
+    # imu_tk starts from 1 / 6258 rad/s; counts at rest are 3719 long.
+    imu = _imu('xsens_mti', Units.COUNTS, 1 / 6258, STANDARD_GRAVITY / 3719)
+    return Recording(_stamped(accel[:, 0]), values, imu, Site.at(45.41 * DEG, gravity=9.80655))
+
+
+def _mpu_9150(unit: int, folder: Path) -> Recording:
+    values = np.loadtxt(folder / f'imu{unit}.log')
+    imu = _imu('mpu_9150', Units.SI, 1.0, 1.0)
+    return Recording(_evenly(len(values), 100), values[:, [3, 4, 5, 0, 1, 2]], imu, _site(59.9))
+
+
+def _matlab(name: str, key: str, gyro: float, accel: float, folder: Path) -> Recording:
+    data = np.asarray(scipy.io.loadmat(folder / f'{name}.mat')[key])
+    imu = _imu(name, Units.COUNTS, gyro, accel)
+    values = data[:, [4, 5, 6, 1, 2, 3]]
+    return Recording(_stamped(data[:, 0]), values, imu, _site(31.2))
+
+
+def _good(which: int, folder: Path) -> Recording:
+    data = np.loadtxt(folder / f'imu_good{which}.txt')
+    # Seconds since 1970 in 64-bit numbers are whole microseconds.
+    imu = _imu('ahrs', Units.SI, 1.0, 1.0)
+    kept = np.append(True, np.diff(data[:, 0]) > 0)
+    values = data[:, [4, 5, 6, 1, 2, 3]]
+    return Recording(_stamped(data[:, 0][kept]), values[kept], imu, _site(37.5))
+
+
+def _mpu_6050(name: str, folder: Path) -> Recording:
+    values = np.loadtxt(folder / f'{name}.csv', delimiter=',', skiprows=5)
+    imu = _imu('mpu_6050', Units.COUNTS, DEG / 131, STANDARD_GRAVITY / 16384, 250 * DEG)
+    # Their parameters are of standard gravity.
+    site = Site.at(-32.9 * DEG, gravity=STANDARD_GRAVITY)
+    return Recording(_evenly(len(values), 100), values[:, [3, 4, 5, 0, 1, 2]], imu, site)
+
+
+DEALT: dict[str, Callable[[Path], Recording]] = {
+    'xsens': _xsens,
+    **{f'mpu9150_{k}': partial(_mpu_9150, k) for k in range(5)},
+    'gesture': partial(_matlab, 'caldata', 'cal_data', DEG / 16.4, STANDARD_GRAVITY / 3276.8),
+    'position': partial(_matlab, 'Data', 'data', DEG / 16.4, STANDARD_GRAVITY / 2048),
+}
+"""Long enough to be dealt."""
+
+ACROSS: dict[str, tuple[Callable[[Path], Recording], Callable[[Path], Recording]]] = {
+    **{
+        f'good {a}, good {b}': (partial(_good, a), partial(_good, b))
+        for a in (1, 2, 3)
+        for b in (1, 2, 3)
+        if a != b
+    },
+    'MPU-6050, its turns of 90 deg': (
+        partial(_mpu_6050, 'example_data_calibration'),
+        partial(_mpu_6050, 'imu_90_x_rot'),
+    ),
+}
+"""Too short for that: calibrated on the first, scored on the second."""
+
+
+def tool(
+    at_rest: Floats, turns: Sequence[tuple[int, int, Floats, Floats]], gravity: float
+) -> Triads:
+    """Calibrate as imu_tk does: the accelerometers by lengths, then the gyros by gravity carried.
+
+    The mean outputs of all holds count alike. Its bias of the gyros is their mean at rest: imu_tk
+    takes that of a quiet start, which most of these recordings lack. It is given the holds that
+    imu_calib finds, which its own thresholds on the variance would have to.
+
+    Source: Tedaldi, Pretto and Menegatti 2014, eqs. (9) to (15), and (17) to (19) for the
+    Runge-Kutta steps.
+
+    Args:
+        at_rest: (k, 6) mean outputs, SI.
+        turns: From which hold to which, the outputs between (n, 3) of the gyros, rad/s, and the
+            lengths of the n - 1 steps, s.
+        gravity: m/s^2.
+
+    """
+    accel = _lengths(at_rest[:, 3:], gravity)
+    if not turns:
+        return Triads(np.eye(3), np.zeros(3), *accel)
+    bias = at_rest[:, :3].mean(axis=0)
+    seen = (at_rest[:, 3:] - accel[1]) @ accel[0].T
+    ups = seen / np.linalg.norm(seen, axis=1)[:, None]
+    first, second = (ups[[turn[k] for turn in turns]] for k in (0, 1))
+    rates, steps = _padded([turn[2] - bias for turn in turns], [turn[3] for turn in turns])
+
+    def missed(values: Floats) -> Floats:
+        gain = np.diag(values[:3])
+        gain[~np.eye(3, dtype=bool)] = values[3:]
+        carried = _turned(_carried(rates @ gain.T, steps), first)
+        return np.asarray((carried - second).ravel())
+
+    start = np.array([1.0, 1, 1, 0, 0, 0, 0, 0, 0])
+    found = scipy.optimize.least_squares(missed, start, method='lm', xtol=1e-7, ftol=1e-7).x
+    gain = np.diag(found[:3])
+    gain[~np.eye(3, dtype=bool)] = found[3:]
+    return Triads(gain, bias, *accel)
+
+
+class Triads(NamedTuple):
+    """Gains (3, 3) and biases (3,) of both triads: inputs are gain (outputs - bias)."""
+
+    gyro: Floats
+    gyro_bias: Floats
+    accel: Floats
+    accel_bias: Floats
+
+    def __call__(self, gyro: Floats, accel: Floats) -> tuple[Floats, Floats]:
+        """Return what outputs (n, 3) mean."""
+        return (gyro - self.gyro_bias) @ self.gyro.T, (accel - self.accel_bias) @ self.accel.T
+
+
+def _lengths(outputs: Floats, gravity: float) -> tuple[Floats, Floats]:
+    """Fit nine parameters of the accelerometers to |a|^2 = g^2 at rest; return gain and bias."""
+
+    def parts(values: Floats) -> tuple[Floats, Floats]:
+        misaligned = np.eye(3)
+        misaligned[np.triu_indices(3, 1)] = values[3:6]
+        return misaligned @ np.diag(values[:3]), values[6:] * gravity
+
+    def wrong(values: Floats) -> Floats:
+        gain, bias = parts(values)
+        return np.asarray((((outputs - bias) @ gain.T) ** 2).sum(axis=1) / gravity**2 - 1)
+
+    start = np.array([1.0, 1, 1, 0, 0, 0, 0, 0, 0])
+    return parts(scipy.optimize.least_squares(wrong, start, xtol=1e-12, ftol=1e-12).x)
+
+
+def _padded(rates: list[Floats], steps: list[Floats]) -> tuple[Floats, Floats]:
+    """Return runs of equal length, (k, n, 3) and (k, n - 1): the last steps take no time."""
+    longest = 1 + (1 << (max(len(s) for s in steps) - 1).bit_length())
+    all_rates = np.zeros((len(rates), longest, 3))
+    all_steps = np.zeros((len(rates), longest - 1))
+    for k, (rate, step) in enumerate(zip(rates, steps, strict=True)):
+        all_rates[k, : len(rate)], all_steps[k, : len(step)] = rate, step
+    return all_rates, all_steps
+
+
+def _carried(rates: Floats, steps: Floats) -> Floats:
+    """Integrate rates (k, n, 3) over steps (k, n - 1), n - 1 a power of two: quaternions (k, 4).
+
+    A Runge-Kutta step of q' = q (0, w) / 2 is linear in q: a quaternion by which q is multiplied.
+    """
+    half = np.zeros((*rates.shape[:2], 4))
+    half[..., 1:] = rates / 2
+    before, after = half[:, :-1], half[:, 1:]
+    between, h = (before + after) / 2, steps[..., None]
+    one = np.array([1.0, 0, 0, 0])
+    k1 = before
+    k2 = _product(one + h / 2 * k1, between)
+    k3 = _product(one + h / 2 * k2, between)
+    k4 = _product(one + h * k3, after)
+    found = one + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    while found.shape[1] > 1:
+        found = _product(found[:, ::2], found[:, 1::2])
+    return np.asarray(found[:, 0] / np.linalg.norm(found[:, 0], axis=1)[:, None])
+
+
+def _product(a: Floats, b: Floats) -> Floats:
+    u, v = a[..., 1:], b[..., 1:]
+    scalar = a[..., :1] * b[..., :1] - (u * v).sum(axis=-1, keepdims=True)
+    return np.concatenate([scalar, a[..., :1] * v + b[..., :1] * u + np.cross(u, v)], axis=-1)
+
+
+def _turned(quaternions: Floats, vectors: Floats) -> Floats:
+    """Return vectors (k, 3) of the world as the axes that turned by quaternions see them."""
+    u, w = -quaternions[:, 1:], quaternions[:, :1]
+    once = np.cross(u, vectors) + w * vectors
+    return np.asarray(vectors + 2 * np.cross(u, once))
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A recording, and the holds that imu_calib finds in all of it."""
+
+    recording: Recording
+    holds: tuple[Segment, ...]
+
+    @classmethod
+    def of(cls, recording: Recording) -> Session:
+        """Find the holds."""
+        return cls(recording, recording.calibrator().segmented().segments)
+
+    def blocks(self) -> Floats:
+        """Return to which hold each sample belongs, (n,): turns are cut in their middle."""
+        cuts = [
+            (a.end + b.start) // 2 for a, b in zip(self.holds[:-1], self.holds[1:], strict=True)
+        ]
+        return np.searchsorted(np.array(cuts), self.recording.stamp, side='right')
+
+    def only(self, chosen: Sequence[int]) -> Recording:
+        """Return the samples of some of the holds, and of the turns between neighbours."""
+        return self.recording.some(np.isin(self.blocks(), chosen))
+
+    def turns(self, chosen: Sequence[int]) -> list[tuple[int, int, Floats, Floats, Floats]]:
+        """Return the turns between neighbours among some holds.
+
+        Returns:
+            Which of the chosen, (n, 3) outputs of both triads between them, and the lengths of the
+            n - 1 steps, s.
+
+        """
+        found, place = [], {hold: k for k, hold in enumerate(sorted(chosen))}
+        stamp = self.recording.stamp
+        for hold, k in place.items():
+            if hold + 1 not in place:
+                continue
+            start, end = self.holds[hold].end, self.holds[hold + 1].start
+            outputs = self.recording.outputs(start, end)
+            inside = slice(*np.searchsorted(stamp, [start, end + 1]).tolist())
+            steps = np.diff(stamp[inside]) * 1e-9
+            found.append((k, place[hold + 1], outputs[:, :3], outputs[:, 3:], steps))
+        return found
+
+    def at_rest(self, chosen: Sequence[int]) -> Floats:
+        """Return the plain means of the outputs at some holds, (k, 6) SI."""
+        holds = [self.holds[k] for k in sorted(chosen)]
+        return np.array([self.recording.outputs(h.start, h.end).mean(axis=0) for h in holds])
+
+    def score(self, corrected: Corrected, chosen: Sequence[int]) -> Score:
+        """Score sensors on some holds and the turns between them."""
+        means = self.at_rest(chosen)
+        forces = corrected(means[:, :3], means[:, 3:])[1]
+        size = np.linalg.norm(forces, axis=1)
+        turns, angles = self.turns(chosen), np.zeros(0)
+        if turns:
+            first, second = ([turn[k] for turn in turns] for k in (0, 1))
+            ups = forces / size[:, None]
+            rates = [corrected(gyro, accel)[0] for _, _, gyro, accel, _ in turns]
+            carried = _turned(_carried(*_padded(rates, [t[4] for t in turns])), ups[first])
+            sines = np.linalg.norm(np.cross(carried, ups[second]), axis=1)
+            angles = np.arctan2(sines, (carried * ups[second]).sum(axis=1))
+        return Score(size - self.recording.site.gravity, angles)
+
+
+class Score(NamedTuple):
+    """What is left on holds that were held out: m/s^2 of each, and rad of each turn between."""
+
+    lengths: Floats
+    angles: Floats
+
+
+def calibrated(recording: Recording) -> SensorModel | None:
+    """Calibrate by imu_calib; None where it refuses."""
+    try:
+        return recording.calibrator().finish().calibration.model
+    except NotObservable:
+        return None
+
+
+def of_authors(session: Session, chosen: Sequence[int], *, gyros: bool = True) -> Triads:
+    """Calibrate by the authors' tool from some of the holds."""
+    turns = [(a, b, gyro, steps) for a, b, gyro, _, steps in session.turns(chosen)]
+    at_rest = session.at_rest(chosen)
+    return tool(at_rest, turns if gyros else [], session.recording.site.gravity)
+
+
+def dealt(holds: int, seed: int, *, threes: bool) -> list[list[int]]:
+    """Deal holds to parts, each of which is held out in turn.
+
+    Seed 0 deals threes of neighbours in turn. Others deal, by halves, threes of neighbours that
+    begin at the first, second or third hold, at random; by threes, any holds.
+    """
+    rng = np.random.default_rng(seed)
+    every = np.arange(holds)
+    if threes:
+        order = every if not seed else rng.permutation(holds)
+        return [order[k : k + 3].tolist() for k in range(0, holds, 3)]
+    of_three = (every + (int(rng.integers(3)) if seed else 0)) // 3
+    groups = np.arange(of_three.max() + 1)
+    half = groups % 2 if not seed else rng.permutation(groups % 2)
+    return [every[half[of_three] == k].tolist() for k in (0, 1)]
+
+
+def one(read: Callable[[Path], Recording], folder: Path, threes: bool, seed: int) -> Dealing | None:
+    """Score a dealing; None where imu_calib refuses a part."""
+    session = Session.of(read(folder))
+    every = range(len(session.holds))
+    ours, theirs = [], []
+    for out in dealt(len(every), seed, threes=threes):
+        kept = [k for k in every if k not in out]
+        model = calibrated(session.only(kept))
+        if model is None:
+            return None
+        ours.append(session.score(model.compensate, out))
+        theirs.append(
+            session.score(of_authors(session, kept, gyros=bool(len(ours[-1].angles))), out)
+        )
+    return Dealing(len(every), _joined(ours), _joined(theirs))
+
+
+class Dealing(NamedTuple):
+    """How many holds there are, and root mean squares, m/s^2 and rad, of both."""
+
+    holds: int
+    ours: tuple[float, float]
+    theirs: tuple[float, float]
+
+
+def _joined(scores: Sequence[Score]) -> tuple[float, float]:
+    parts = (np.concatenate([s[k] for s in scores]) for k in (0, 1))
+    lengths, angles = (float(np.sqrt(np.mean(p**2))) if len(p) else np.nan for p in parts)
+    return lengths, angles
+
+
+def across(
+    pair: tuple[Callable[[Path], Recording], Callable[[Path], Recording]], folder: Path
+) -> Dealing:
+    """Score a recording by another of the same unit."""
+    of, on = (Session.of(read(folder)) for read in pair)
+    every = range(len(on.holds))
+    model = calibrated(of.recording)
+    assert model is not None, 'a whole recording is refused'
+    published = folder / 'params_acc.csv'
+    if of.recording.imu.id == 'mpu_6050' and published.exists():
+        theirs: Corrected = _published(folder, of.recording)
+    else:
+        theirs = of_authors(of, range(len(of.holds)))
+    ours = on.score(model.compensate, every)
+    return Dealing(len(every), _joined([ours]), _joined([on.score(theirs, every)]))
+
+
+def _published(folder: Path, recording: Recording) -> Triads:
+    """Read the parameters that the authors of the MPU-6050 publish, for outputs in SI."""
+    a, g = (np.loadtxt(folder / f'params_{kind}.csv') for kind in ('acc', 'gyro'))
+    accel = np.array([[1, -a[0], a[1]], [0, 1, -a[2]], [0, 0, 1]]) @ np.diag(a[3:6])
+    gyro = np.array([[1, -g[0], g[1]], [g[2], 1, -g[3]], [-g[4], g[5], 1]]) @ np.diag(g[6:9])
+    by_gyro, by_accel = recording.imu.gyro.scale_factor, recording.imu.accel.scale_factor
+    return Triads(gyro / by_gyro, g[9:] * by_gyro, accel / by_accel, -a[6:] * by_accel)
+
+
+def _row(name: str, first: str, found: Sequence[Dealing]) -> str:
+    """Write medians over the dealings, and in how many imu_calib is ahead."""
+    cells = []
+    for which, unit in ((0, 1e-3), (1, DEG)):
+        ours, theirs = (np.array([d[k][which] for d in found]) / unit for k in (1, 2))
+        if np.isfinite(ours).all():
+            ahead = int(np.count_nonzero(ours < theirs))
+            cells.append(f'{np.median(ours):.3g}, {np.median(theirs):.3g} | {ahead}')
+        else:
+            cells.append(' | ')
+    return f'| {name} | {first} | {" | ".join(cells)} |'
+
+
+def _plain(found: Dealing) -> str:
+    """Write a dealing: lengths of both, mm/s^2, and angles of both, deg."""
+    (length, angle), (their_length, their_angle) = found.ours, found.theirs
+    lengths = f'{length * 1e3:.4f} {their_length * 1e3:.4f}'
+    return f'{lengths} {angle / DEG:.5f} {their_angle / DEG:.5f}'
+
+
+def main() -> int:
+    """Score what is there."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('directory', type=Path)
+    parser.add_argument('--only', nargs='+', default=[*DEALT, 'across'], metavar='NAME')
+    parser.add_argument('--dealings', type=int, default=0, help='by seeds, after that in turn')
+    parser.add_argument('--threes', action='store_true', help='leave three out at a time')
+    parser.add_argument('--each', action='store_true', help='print every dealing besides')
+    parser.add_argument('--jobs', type=int)
+    asked = parser.parse_args()
+    print('| recording | dealings | abs(a) - g, mm/s^2 | ahead | gravity carried, deg | ahead |')
+    print('|---|---|---|---|---|---|')
+    seeds = range(1, asked.dealings + 1) if asked.dealings else (0,)
+    for name, read in DEALT.items():
+        if name not in asked.only or not _there(read, asked.directory):
+            continue
+        work = partial(one, read, asked.directory, asked.threes)
+        found = run_all(work, seeds, jobs=asked.jobs)
+        kept = [d for d in found if d is not None]
+        if asked.each:
+            for seed, dealing in zip(seeds, found, strict=True):
+                print(f'{name} {seed}:', 'refused' if dealing is None else _plain(dealing))
+        refused = '' if len(kept) == len(found) else f' ({len(found) - len(kept)} refused)'
+        print(_row(name, f'{len(kept)}{refused}', kept), flush=True)
+    for name, pair in ACROSS.items():
+        if 'across' in asked.only and all(_there(read, asked.directory) for read in pair):
+            found_one = across(pair, asked.directory)
+            print(_row(name, f'{found_one.holds} holds', [found_one]), flush=True)
+    return 0
+
+
+def _there(read: Callable[[Path], Recording], folder: Path) -> bool:
+    """Say whether the files of a recording are there."""
+    try:
+        read(folder)
+    except OSError:
+        return False
+    return True
+
+
+if __name__ == '__main__':
+    # Workers know what they run by the name of this module.
+    import real_hands
+
+    sys.exit(real_hands.main())

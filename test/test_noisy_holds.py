@@ -1,0 +1,113 @@
+"""A hold at which the unit sways counts by its own noise, and leaves that of the others alone."""
+
+from functools import cache
+
+import numpy as np
+from scipy.stats import chi2
+from shaky import GRAVITY, LATITUDE, Shaky, shaky
+
+from imu_calib.calibrator import Result, Setup
+from imu_calib.calibrator.by_hand import HandCalibrator
+from imu_calib.earth import Site
+from imu_calib.imu import ImuSpec, TriadSpec
+from imu_calib.methods.free_positions import FREE, in_frame_of_accelerometers
+from imu_calib.model import SensorModel, Triad
+from imu_calib.observation.known_noise import with_own_noise
+from imu_calib.plan import load_plan
+from imu_calib.stream import ImuBlock, Units
+from imu_calib.units import DEG
+
+SITE = Site.at(LATITUDE, gravity=GRAVITY)
+IMU = ImuSpec('mpu', Units.SI, None, TriadSpec(), TriadSpec())
+UNIT = SensorModel(
+    Triad(np.diag([4e-3, -6e-3, 5e-3]), np.array([0.02, -0.01, 0.03])),
+    Triad(np.diag([-5e-3, 3e-3, 6e-3]), np.array([0.1, -0.2, 0.15])),
+)
+SWAYS, LEAN = 5, 0.1 * DEG
+NOISE = 0.02
+"""m/s^2, of a sample at 100 Hz: a random walk of 2e-3 (m/s)/sqrt(s)."""
+
+
+def calibrator(held: Shaky, pieces: int = 1) -> HandCalibrator:
+    found = HandCalibrator(Setup(IMU, load_plan('free_positions'), None, SITE))
+    for rows in np.array_split(np.arange(len(held.block.stamp)), pieces):
+        block = held.block
+        found.feed(ImuBlock(block.stamp[rows], block.gyro[rows], block.accel[rows], 'imu'))
+    return found
+
+
+@cache
+def session(swaying: bool, seed: int = 0) -> Shaky:
+    sway = (SWAYS, LEAN) if swaying else None
+    return shaky(UNIT, rate=100, noise=(0.3 * DEG, NOISE), swaying=sway, seed=seed)
+
+
+@cache
+def result(swaying: bool, seed: int = 0) -> Result:
+    return calibrator(session(swaying, seed)).finish()
+
+
+def noisy(found: Result) -> list[str]:
+    return [text for text in found.calibration.findings if 'The noise of the accel' in text]
+
+
+def test_a_hold_that_sways_leaves_the_noise_of_the_others_alone() -> None:
+    found = result(True)
+    walk = np.array(found.calibration.provenance['random_walk'])[3:]
+    # 23 holds of four blocks each.
+    low, high = np.sqrt(chi2.ppf([1e-5, 1 - 1e-5], 23 * 3) / (23 * 3)) * NOISE / 10
+    assert (walk > low).all()
+    assert (walk < high).all()
+    (text,) = noisy(found)
+    assert f'at hold {SWAYS + 1} is ' in text
+
+
+def test_it_is_known_along_gravity_as_the_others_are_and_across_by_its_sway() -> None:
+    holds = calibrator(session(True)).segmented().segments
+    (hold,) = (s for s in with_own_noise(holds) if s.unrest is not None)
+    up = hold.statistics.mean[3:] / np.linalg.norm(hold.statistics.mean[3:])
+    across = hold.unrest @ np.cross(up, [1.0, 0.0, 0.0])
+    assert np.abs(up @ hold.unrest @ up) < 1e-6 * np.linalg.norm(across)
+    # Four blocks of a quarter of a sine have means of 2 / pi of its size.
+    lean = GRAVITY * LEAN * 2 / np.pi / 2
+    spread = np.sqrt(np.trace(hold.unrest) / 2)
+    assert lean / 3 < spread < lean * 3
+
+
+def test_what_it_costs_is_little() -> None:
+    calm, swaying = (result(which).calibration for which in (False, True))
+    assert (swaying.std[FREE] < 1.3 * calm.std[FREE]).all()
+    wrong = swaying.values - in_frame_of_accelerometers(UNIT).vector()
+    assert np.sum((wrong[FREE] / swaying.std[FREE]) ** 2) < chi2.isf(1e-4, FREE.sum())
+
+
+def test_holds_that_are_alike_stay_as_they_are() -> None:
+    # A thousandth of such sessions is found by chance.
+    for seed in range(3):
+        holds = calibrator(session(False, seed)).segmented().segments
+        assert with_own_noise(holds) == holds
+        assert not noisy(result(False, seed))
+
+
+def test_numbers_without_noise_are_alike() -> None:
+    held = shaky(UNIT, rate=100)
+    holds = calibrator(held).segmented().segments
+    assert with_own_noise(holds) == holds
+
+
+def test_blocks_of_any_length_give_the_same_bits() -> None:
+    whole, pieces = result(True), calibrator(session(True), 37).finish()
+    assert np.array_equal(whole.calibration.values, pieces.calibration.values)
+    assert np.array_equal(whole.calibration.covariance, pieces.calibration.covariance)
+    assert noisy(whole) == noisy(pieces)
+
+
+def test_a_session_that_has_ended_says_the_same_again() -> None:
+    # It ends at rest: what goes on there was found anew each time.
+    ended = calibrator(session(False))
+    first, again = ended.finish(), ended.finish()
+    assert np.array_equal(first.calibration.values, again.calibration.values)
+    assert np.array_equal(first.calibration.covariance, again.calibration.covariance)
+    assert ended.segmented() is ended.segmented()
+    ended.feed(session(False).block)
+    assert len(ended.segmented().segments) == len(first.session.segments)
