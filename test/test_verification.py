@@ -31,6 +31,7 @@ from imu_calib.table_errors import TableErrors
 from imu_calib.turntable import Table, load_table
 from imu_calib.units import ARCMIN, ARCSEC, DEG, DEG_H, PPM, STANDARD_GRAVITY
 from imu_calib.verification import Observed, Quantity, Verdict, Verification, observe, verify
+from imu_calib.verification.judgement import _Trial
 
 PLAN = quick_plan('six_position', 20.0)
 HEADING = 0.7
@@ -115,6 +116,16 @@ def test_moves_between_rests_alone_tell_scale_factors_of_gyros() -> None:
     resting = replace(seen, evidence=replace(seen.evidence, moves=()))
     unseen = verify(gyro(g().error_matrix + 300 * PPM * np.eye(3)), resting)
     assert unseen.triads[0].verdict is Verdict.PASS
+
+
+def test_a_search_that_does_not_converge_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    trial = _Trial.of(gyro(g().error_matrix + 2000 * PPM * np.eye(3)), observed(), gyros=True)
+    monkeypatch.setattr('imu_calib.verification.system._ROUNDS', 1)
+    begun = trial.system.fit(trial.values, trial.factor)
+    assert trial.findings() == []
+    (finding,) = replace(trial, fit=begun).findings()
+    assert 'No errors of the gyros were found' in finding
+    assert begun.chi_square > trial.fit.chi_square > 2 * trial.fit.freedom
 
 
 def test_what_is_compared_scatters_as_stated() -> None:

@@ -142,9 +142,8 @@ def least_squares(
         f'The least squares did not converge in {rounds} steps (the last would still move the '
         f'outputs by {change / np.sqrt(len(left)):.2g} of their standard deviations): no '
         'parameter can be stated. The data contradicts the model, or starts too far from it: '
-        'check scale factors and units of '
-        "the IMU's description, the attitudes of the plan and the axes, and look at the residuals "
-        "of a calibration by the plan's own method."
+        "check scale factors and units of the IMU's description, the attitudes of the plan and the "
+        'axes, and where the plan has a closed form look at the residuals of a calibration by it.'
     )
 
 

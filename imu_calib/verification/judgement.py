@@ -140,7 +140,7 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
         limits,
         (
             *_not_seen(calibration, observed),
-            *(f for t in trials for f in t.excess()),
+            *(f for t in trials for f in t.findings()),
             *observed.notes,
         ),
     )
@@ -202,9 +202,9 @@ class _Trial:
     def name(self) -> str:
         return 'gyros' if self.system.gyros else 'accelerometers'
 
-    def excess(self) -> list[str]:
-        """Say by how much more the session scatters than its noise."""
-        return [
+    def findings(self) -> list[str]:
+        """Say by how much more the session scatters than its noise, and what was not found."""
+        found = [
             f'Between {what} the {self.name} scatter {factor:.1f} times more than within them, '
             'whatever the parameters (positioning errors, bias drift): the limits are widened.'
             + (' So much makes the verdict MARGINAL by itself.' if factor > _TOO_WIDE else '')
@@ -213,6 +213,12 @@ class _Trial:
             )
             if factor > 1
         ]
+        if not self.fit.converged:
+            found.append(
+                f'No errors of the {self.name} were found that explain the session best (the '
+                'search did not converge): chi-square is that of its beginning, which is no less.'
+            )
+        return found
 
     def judge(self, compared: list[ComparedQuantity], limits: tuple[float, float]) -> Judged:
         """Give the verdict and, for anything but acceptance, the symptom."""

@@ -9,7 +9,6 @@ its nuisances. Source: docs/mathematics.md, 'Verification'.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import cast
@@ -58,6 +57,8 @@ class Fit:
             rotation in the mount, rad; nothing without attitudes.
         ratios: Squared residual over its expectation: of dwells, of turns, of moves (1 without).
         spare: How many residuals at rest are left to tell by, beyond what was estimated.
+        converged: Whether the errors that explain the session best were found; else chi-square is
+            that of where the search began, which is larger.
 
     """
 
@@ -68,6 +69,7 @@ class Fit:
     unknown: Floats
     ratios: tuple[float, ...]
     spare: float
+    converged: bool = True
 
     @property
     def chance(self) -> float:
@@ -275,10 +277,13 @@ class TriadSystem:
 
     def _fitted(self, point: Floats, values: Floats, factor: Floats) -> Fit:
         system = self._allowing(values, factor)
-        # Where nothing fits nearby, chi-square where it began rejects it.
-        with suppress(NotObservable):
-            point = least_squares(point, system, np.add, _ROUNDS)
-        return self._concluded(*system(point), point, factor)
+        try:
+            point, converged = least_squares(point, system, np.add, _ROUNDS), True
+        except NotObservable:
+            # Where nothing fits nearby, chi-square where it began rejects it.
+            converged = False
+        found = self._concluded(*system(point), point, factor)
+        return replace(found, converged=converged)
 
     def _allowing(
         self, values: Floats, factor: Floats
