@@ -150,8 +150,8 @@ def test_a_way_that_leads_uphill_whatever_the_damping_is_refused() -> None:
         'The least squares did not converge in 50 steps (the last would still move the outputs by '
         '1e+03 of their standard deviations): no parameter can be stated. The data contradicts the '
         'model, or starts too far from it: check scale factors and units of '
-        "the IMU's description, the attitudes of the plan and the axes, and look at the residuals "
-        "of a calibration by the plan's own method."
+        "the IMU's description, the attitudes of the plan and the axes, and where the plan has a "
+        'closed form look at the residuals of a calibration by it.'
     )
 
 
