@@ -44,6 +44,9 @@ def spoken():
     for taken in ('controller.py', 'calibrator_progress.py'):
         told = first_texts(words.with_name(taken), 'report')
         parts |= {('turntable_node', part) for part in told}
+    for taken in ('applied_calibration.py', 'compensator_reports.py'):
+        said = first_texts(words.with_name(taken), 'report')
+        parts |= {('compensator_node', part) for part in said}
     for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*_node.py'):
         parts |= {(path.stem, part) for part in first_texts(path, 'report')}
         if 'Commands(' in path.read_text():

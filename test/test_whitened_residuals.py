@@ -267,6 +267,7 @@ def test_what_may_be_an_outlier_is_named_with_its_rows() -> None:
     moves = [SimpleNamespace(first=0, second=1), SimpleNamespace(first=1, second=0)]
     turn = SimpleNamespace(position='b', rate=lambda: np.radians(-30.0))
     evidence: Any = SimpleNamespace(
+        plan=SimpleNamespace(by_hand=False),
         segments=rests,
         turns=[turn],
         links=SimpleNamespace(links=moves),

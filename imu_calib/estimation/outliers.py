@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..budget import effective_freedom
+from ..budget import Source, effective_freedom
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.information import Information
@@ -279,11 +279,13 @@ def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[
     """Return by how much chi-square falls when some outputs get offsets of their own, and how many.
 
     And the degrees of freedom by which the variances of these outputs' residuals are known, the
-    fewest of them. The mean-shift test of Cook and Weisberg 1982, section 2.2.2, for correlated
-    outputs; docs/mathematics.md, 'Outliers'.
+    fewest of them; what an outlier got before is no knowledge of noise. The mean-shift test of Cook
+    and Weisberg 1982, section 2.2.2, for correlated outputs; docs/mathematics.md, 'Positioning
+    errors'.
     """
     prepared = _cleaned(equations, state)
-    shares = equations.shares(state, prepared[1][rows]).values()
+    found = equations.shares(state, prepared[1][rows])
+    shares = [share for source, share in found.items() if source is not Source.SCATTER]
     variances = np.array([np.diag(share.covariance) for share in shares])
     freedom = effective_freedom(variances, np.array([share.freedom for share in shares]))
     return *_drop(prepared, rows), float(freedom.min(initial=_EXACT))
