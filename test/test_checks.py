@@ -124,8 +124,8 @@ def test_turns_and_clocks_have_their_sentences() -> None:
     known.turns_clock_std = 7.2e-6
     (sentence,) = clock_finding(known)
     assert 'known to 7 ppm only' in sentence
-    turns = [SimpleNamespace(step=0.05 * DEG, rate_std=e) for e in (4.9e-6, 2.3e-5)]
-    coarse: Any = SimpleNamespace(turns=turns, encoder_step=0.05 * DEG)
+    turns = [SimpleNamespace(step=0.05 * DEG, rate_std=lambda _, e=e: e) for e in (4.9e-6, 2.3e-5)]
+    coarse: Any = SimpleNamespace(turns=turns, walk=None, encoder_step=0.05 * DEG)
     (sentence,) = encoder_finding(coarse)
     assert 'steps of 0.05 deg: the rates of turns are known to 23 ppm at worst' in sentence
     # Of turns that are known well enough, and of fine encoders, nothing is said.

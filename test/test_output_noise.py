@@ -35,12 +35,13 @@ LAYOUT = OutputLayout(2, 3, 0, (0, 2), ())
 
 def session(**changed: Any) -> Any:
     turns = [
-        SimpleNamespace(up=up, rate_std=error, level=level)
+        SimpleNamespace(up=up, rate_std=lambda _, error=error: error, level=level)
         for up, error, level in zip(UPS, RATE_ERRORS, LEVELS, strict=True)
     ]
     held = {
         'segments': [object()] * 2,
         'turns': turns,
+        'walk': None,
         'layout': LAYOUT,
         'arms': SimpleNamespace(turns=[0, 2]),
         'plan': SimpleNamespace(by_hand=False),

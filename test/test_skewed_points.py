@@ -46,7 +46,7 @@ def turn(axis: int, rate: float, each: Any = None, error: float = 0.0) -> Any:
     return SimpleNamespace(
         up=up,
         rate=lambda: rate,
-        rate_std=error,
+        rate_std=lambda _: error,
         each=each,
         statistics=SimpleNamespace(
             mean=np.append(mean[:3], np.full(3, 9.8)),

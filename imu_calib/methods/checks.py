@@ -69,7 +69,7 @@ def encoder_finding(evidence: Evidence) -> list[str]:
         One sentence, or none.
 
     """
-    by_steps = [turn.rate_std for turn in evidence.turns if turn.step >= _COARSE_STEP]
+    by_steps = [t.rate_std(evidence.walk) for t in evidence.turns if t.step >= _COARSE_STEP]
     worst = max(by_steps, default=0.0)
     if evidence.encoder_step < _COARSE_STEP or worst < _WELL_KNOWN_CLOCKS:
         return []

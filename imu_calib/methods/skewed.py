@@ -107,7 +107,7 @@ class RatePoints:
             np.array(spread),
             np.array(freedom, dtype=float),
             rates,
-            np.array([t.rate_std for t in turns]),
+            np.array([t.rate_std(evidence.walk) for t in turns]),
         )
 
     def weights(self, variances: Floats | None = None) -> tuple[Floats, float]:

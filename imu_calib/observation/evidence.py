@@ -116,7 +116,7 @@ class Evidence:
         walk, freedom = known_noise(labelled.segments, imu)
         return cls(
             labelled.segments,
-            labelled.turns,
+            tuple(turn.by_the_surer(walk) for turn in labelled.turns),
             plan,
             site,
             session.clock,

@@ -107,7 +107,7 @@ def encoder_rates(
 
     """
     found = []
-    relative = np.array([t.rate_std for t in evidence.turns])
+    relative = np.array([t.rate_std(evidence.walk) for t in evidence.turns])
     for _, rows, seen in encoder_rate_errors(evidence, relative, rates, response, pulled):
         blocks = Blocks(rows, seen[:, :, None] * seen[:, None, :])
         found.append(Component(Source.ENCODER_RATE, blocks, ENCODER_FREEDOM))

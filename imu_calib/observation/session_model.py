@@ -348,7 +348,8 @@ class SessionModel:
 
     def by_encoder_rates(self, state: Floats) -> Floats:
         """Return what the error of the encoder's rate in each turn does, (m, t): one deviation."""
-        return self._by_rates(state, np.array([t.rate_std for t in self.evidence.turns]))
+        walk = self.evidence.walk
+        return self._by_rates(state, np.array([t.rate_std(walk) for t in self.evidence.turns]))
 
     def by_ways(self, state: Floats) -> Floats:
         """Return what stops beside the mark do by the way of whole motions, (m, w) per rad.

@@ -148,11 +148,16 @@ class WholeWay:
         turned: Angle about up between the cuts, rad, signed: the part of the way that the gyros saw
             there.
         way: Angle from rest to rest, whole turns, rad, without sign.
+        by_noise: Standard deviation of the rate, relative, by a random walk of one about up: what
+            the gyros read at rest is known from so long as was looked at.
+        by_pulses: The same by quantisation.
 
     """
 
     turned: float
     way: float
+    by_noise: float
+    by_pulses: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,10 +223,26 @@ class Turn:
             each=None if self.each is None else self.each * slower,
         )
 
-    @property
-    def rate_std(self) -> float:
-        """Standard deviation of the rate by the encoder's line, relative; 0 without that line."""
-        return self.rate_error if self.whole_way is None else 0.0
+    def rate_std(self, walk: Floats) -> float:
+        """Return the relative standard deviation of the rate: by the line, or by the way.
+
+        Args:
+            walk: (6,) random-walk coefficients, SI.
+
+        """
+        if self.whole_way is None:
+            return self.rate_error
+        about_up = float(np.linalg.norm(walk[:3] * self.up))
+        return math.hypot(self.whole_way.by_noise * about_up, self.whole_way.by_pulses)
+
+    def by_the_surer(self, walk: Floats) -> Turn:
+        """Return the turn by the encoder's line where its rate is known better by that.
+
+        What gyros of a random walk (6,) read at rest beside a short turn with long ramps may tell
+        less than coarse readings do.
+        """
+        surer = self.rate_std(walk) < self.rate_error
+        return self if surer or self.whole_way is None else replace(self, whole_way=None)
 
     def rate(self) -> float:
         """Return the rate about up, rad/s, by the table's clock; by the IMU's without a table."""

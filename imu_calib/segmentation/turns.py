@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from ..stream import Floats, Stamps
 from ..turntable import TURN, Table
 from ..units import ARCSEC, DEG
 from .bridging import bridged, steadily
+from .counter import END_POINT_VARIANCE
 from .motion import Motion, averaged
 from .plateau import WholeTurns, find_turns, why_none
 from .repeated_samples import repeating_samples
@@ -149,10 +152,11 @@ def _read_turn(
     whole_way = None
     if seen.sensor.counted and way and turns.rate_error * way > limit:
         rests = np.array([motion.start, motion.end]) + offset_ns
-        turned = _turned(seen, rests, statistics.mean[:3] @ up * turns.seconds, up, turns.seconds)
-        if turned is not None:
-            angle = turned * way * float(np.sign(turns.angle * sense))
-            whole_way = WholeWay(angle, way)
+        cut = float(statistics.mean[:3] @ up) * turns.seconds
+        share = _share_between_cuts(seen, rests, cut, up, turns.seconds)
+        if share is not None:
+            angle = share.turned * way * float(np.sign(turns.angle * sense))
+            whole_way = WholeWay(angle, way, share.by_noise, share.by_pulses)
     return Turn(
         int(start),
         int(end),
@@ -183,7 +187,17 @@ def _whole_way(motion: Motion, turns: WholeTurns) -> float:
     return way if abs(apart - way) < max(turns.step, _ARRIVED) else 0.0
 
 
-def _turned(seen: Around, rests: Floats, cut: float, up: Floats, seconds: float) -> float | None:
+class _Share(NamedTuple):
+    """What share of a motion is that between the cuts, and how well gyros tell: see `WholeWay`."""
+
+    turned: float
+    by_noise: float
+    by_pulses: float
+
+
+def _share_between_cuts(
+    seen: Around, rests: Floats, cut: float, up: Floats, seconds: float
+) -> _Share | None:
     """Return what share of the motion between two rests (ns) is that between the cuts.
 
     Of what the gyros turned about up, less what they read at rest beside the motion. None where
@@ -212,9 +226,18 @@ def _turned(seen: Around, rests: Floats, cut: float, up: Floats, seconds: float)
     before, after = float(gained[first:begin].mean()), float(gained[end:last].mean())
     if abs(after - before) > _RESTING * period:
         return None
-    resting = (before + after) / 2
-    turned = float(gained[begin:end].sum()) - resting * (end - begin)
-    return float((cut - resting * seconds / period) / turned)
+    resting = (before + after) / (2 * period)
+    turned, lasted = float(gained[begin:end].sum()), (end - begin) * period
+    within, whole = cut - resting * seconds, turned - resting * lasted
+    # By how much the share changes with what is read at rest, relative.
+    lever = lasted / whole - seconds / within
+    looked = np.array([begin - first, last - end]) * period
+    pulse = float(np.linalg.norm(samples.pulse[:3] * up)) * math.sqrt(END_POINT_VARIANCE)
+    return _Share(
+        within / whole,
+        abs(lever) * math.sqrt((1 / looked).sum()) / 2,
+        pulse * math.hypot(lever * math.sqrt((1 / looked**2).sum()) / 2, 1 / whole),
+    )
 
 
 def _held(motion: Motion, turns: WholeTurns) -> tuple[Floats, float]:
