@@ -19,7 +19,7 @@ from imu_calib.segmentation.statistics import Samples, statistics_between
 from imu_calib.segmentation.turns import Around, _around, read_free_motion, read_turns
 from imu_calib.stream import Floats, Units
 from imu_calib.turntable import Joint, Table
-from imu_calib.units import DEG
+from imu_calib.units import ARCSEC, DEG
 
 START = 1_700_000_000 * 10**9
 PERIOD = 0.01
@@ -263,3 +263,67 @@ def test_a_motion_that_is_not_sound_is_left_out() -> None:
     # Two samples are the least.
     assert free(900.0, (1.0, 1.995)) == []
     assert len(free(900.0, (1.0, 1.985))) == 1
+
+
+PULSE = 0.5 * ARCSEC
+COUNTERS = Sensor.of(
+    ImuSpec('any', Units.PULSES, None, TriadSpec(PULSE, range=8.0), TriadSpec(1e-5))
+)
+
+
+def whole_way(seed: int, walk: float, bias: float) -> Turn:
+    """Whole turns at 20 deg/s between ramps of 9 s, two from rest to rest, by steps of 0.05 deg.
+
+    The gyro about up is scaled by 1.001, has a bias, and a random walk in rad/s^0.5.
+    """
+    rng = np.random.default_rng(seed)
+    edges = np.arange(0.0, 64.0, PERIOD)
+    rate = 20 * DEG * np.interp(edges, [5.0, 14.0, 41.0, 50.0], [0, 1, 1, 0])
+    angle = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2) * PERIOD])
+    steps = np.rint((angle + rng.uniform() * DEG) / (0.05 * DEG)) * 0.05 * DEG
+    moving = slice(490, 5010)
+    stamp = START + np.rint(edges * 1e9).astype(np.int64)
+    motion = Motion(
+        int(stamp[490]),
+        int(stamp[5009]),
+        stamp[moving],
+        np.column_stack([np.zeros(len(edges)), steps])[moving],
+    )
+    seen = np.diff(angle) * 1.001 + bias * PERIOD
+    seen += walk * sqrt(PERIOD) * rng.standard_normal(len(seen))
+    counted = np.floor(np.cumsum(seen) / PULSE + rng.uniform())
+    increments = np.zeros((len(seen), 6))
+    increments[:, 2] = np.diff(counted, prepend=0.0) * PULSE
+    increments[:, [0, 1]] = PULSE * (np.arange(len(seen)) % 2)[:, None]
+    pulses = np.array([PULSE] * 3 + [1e-5] * 3)
+    increments[:, 3:] = 1e-5 * (np.arange(len(seen)) % 2)[:, None]
+    samples = Samples(stamp[1:], increments, pulses, PERIOD, pulses)
+    (turn,) = read_turns(around(samples, COUNTERS), motion, TABLE, 0)
+    assert isinstance(turn, Turn)
+    return turn
+
+
+@pytest.mark.parametrize('walk', [0.0, 3 * ARCSEC])
+def test_the_rate_of_a_whole_way_is_as_sure_as_what_the_gyros_read_at_rest(walk: float) -> None:
+    # Of many a size, so that pulses fall anywhere.
+    biases = np.random.default_rng(5).uniform(0.01, 0.03, 60) * DEG
+    turns = [whole_way(seed, walk, bias) for seed, bias in enumerate(biases)]
+    assert all(turn.whole_way is not None for turn in turns)
+    # What the outputs say of the scale factor: their noise and that of the rate are one.
+    means = np.array([t.statistics.mean[2] for t in turns])
+    scales = (means - biases) / np.array([t.rate() for t in turns])
+    noises = np.zeros(6)
+    noises[2] = walk
+    (turn, *_) = turns
+    own = walk**2 * turn.statistics.walk_gain[2] + turn.statistics.quantisation_variance[2]
+    rate = turn.rate_std(noises)
+    stated = sqrt(own / turn.rate() ** 2 + rate**2)
+    off = scales / 1.001 - 1
+    # Of 60 draws the scatter is known to 9 %, and chance passes 4 of these once in 10^4.
+    assert 0.5 * stated < off.std() < 1.37 * stated
+    assert abs(off.mean()) < 4 * stated / sqrt(60)
+    # Without it the stated deviation would be too small.
+    assert off.std() > 1.1 * sqrt(own) / turn.rate()
+    # It is the line that is surer where gyros are noisy: 0.05 deg of 360 are 140 ppm at most.
+    assert turn.by_the_surer(noises).whole_way is turn.whole_way
+    assert turn.by_the_surer(np.full(6, 300 * ARCSEC)).whole_way is None
