@@ -22,6 +22,10 @@ known to 1 / sqrt(20) = 22 %. A judgement of how far units of a type differ."""
 _BY_CHANCE = 1e-3
 """Probability that chance alone lets any static dwell of a session count by its own noise. A
 judgement, as of groups that scatter (`methods/free_positions.py`)."""
+_NEAR, _NEAR_FREEDOM = 3.6, 8.0
+"""Ratio of variances up to which one of so many degrees of freedom is no larger than by chance:
+chi-square of eight is 28.8 once in 2900 times, that of fewer oftener, and three dwells or more ask
+for once in 6000."""
 _ENOUGH_FREEDOM = 20.0
 """Degrees of freedom from which on a random walk needs no allowance for its own doubt, where no
 data sheet stands beside it: it is known to 1 / sqrt(40) = 16 % there."""
@@ -120,7 +124,11 @@ def _alike(squares: Floats, freedom: Floats, chance: float) -> NDArray[np.bool_]
     for _ in range(len(squares) // 2):
         sums = np.where(alike, freedom * squares, 0.0)
         others = (sums.sum() - sums) / (np.where(alike, freedom, 0.0).sum() - freedom)
-        odds = scipy.special.fdtrc(freedom, (alike @ freedom) - freedom, squares / others)
+        ratios = squares / others
+        if not (alike & ((ratios > _NEAR) | (freedom > _NEAR_FREEDOM))).any():
+            # Without `scipy.special`, which takes longer to load than all of this takes.
+            break
+        odds = scipy.special.fdtrc(freedom, (alike @ freedom) - freedom, ratios)
         worst = int(np.argmin(np.where(alike, odds, 1.0)))
         if not odds[worst] < chance:
             break
