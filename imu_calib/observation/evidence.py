@@ -226,12 +226,19 @@ class Evidence:
         if self.table is None or self.table.errors.exact or any(a is None for a in known):
             return np.zeros((len(self.segments), 3, 0)), np.zeros((len(self.turns), 3, 0))
         angles = np.array(known).reshape(-1, len(self.table.joints))
-        at_rest = self.table.leaning(angles[: len(self.segments)])
-        turning = []
-        for turn, held in zip(self.turns, angles[len(self.segments) :], strict=True):
-            turned = held[None] if turn.joint is None else around(held, turn.joint)
-            turning.append(self.table.leaning(turned).mean(axis=0))
-        return at_rest, np.array(turning).reshape(len(self.turns), *at_rest.shape[1:])
+        dwells = len(self.segments)
+        turned = [
+            held[None] if turn.joint is None else around(held, turn.joint)
+            for turn, held in zip(self.turns, angles[dwells:], strict=True)
+        ]
+        # All at once: a call takes longer than the numbers of one turn.
+        leaning = self.table.leaning(np.concatenate([angles[:dwells], *turned]))
+        ends = dwells + np.cumsum([len(one) for one in turned], dtype=int)
+        turning = [
+            leaning[end - len(one) : end].mean(axis=0)
+            for one, end in zip(turned, ends.tolist(), strict=True)
+        ]
+        return leaning[:dwells], np.array(turning).reshape(len(self.turns), *leaning.shape[1:])
 
     @cached_property
     def positioning_leans(self) -> tuple[Leaning, Leaning]:
