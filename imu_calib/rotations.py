@@ -107,18 +107,19 @@ def product(first: Floats, second: Floats) -> Floats:
 
 
 def _twice_sine(matrix: Floats) -> Floats:
-    """Return the axis of a rotation (3, 3) times twice the sine of its angle, (3,)."""
-    return np.array(
-        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
-    )
+    """Return the axes of rotations (..., 3, 3) times twice the sine of their angles, (..., 3)."""
+    back = np.swapaxes(matrix, -1, -2)
+    return np.asarray((matrix - back)[..., (2, 0, 1), (1, 2, 0)])
 
 
 def rotation_vector(matrix: Floats) -> Floats:
-    """Return the rotation vector (3,) of a rotation below half a turn, (3, 3)."""
+    """Return the rotation vectors (..., 3) of rotations below half a turn, (..., 3, 3)."""
     axis = _twice_sine(matrix)
-    sine, cosine = np.linalg.norm(axis) / 2, (np.trace(matrix) - 1) / 2
-    angle = np.arctan2(sine, cosine)
-    return np.asarray(axis * (angle / (2 * sine) if sine > 0 else 0.5))
+    sine = np.linalg.norm(axis, axis=-1) / 2
+    cosine = (np.trace(matrix, axis1=-2, axis2=-1) - 1) / 2
+    turned = sine > 0
+    ratio = np.where(turned, np.arctan2(sine, cosine) / np.where(turned, 2 * sine, 1.0), 0.5)
+    return np.asarray(axis * ratio[..., None])
 
 
 def rotation_vectors(matrices: Floats) -> Floats:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import NotObservable
 from ..stream import Floats
-from .inversion import inverted
+from .inversion import inverted, times_transpose
 from .parameters import (
     AXES,
     MOST_SKEWED,
@@ -356,13 +356,11 @@ class SensorModel:
         Source: Luo 2018, eqs. (2-190) to (2-193); docs/mathematics.md, 'Terms', for the others.
         """
         try:
-            force = np.linalg.solve(self.accel.response, (accel - self.accel.bias)[..., None])[
-                ..., 0
-            ]
+            force = _solved(self.accel.response, accel - self.accel.bias)
             free = gyro - self.gyro.bias - force @ self.g_sensitivity.T
-            rate = np.linalg.solve(self.gyro.response, free[..., None])[..., 0]
+            rate = _solved(self.gyro.response, free)
             if self.linear:
-                return np.asarray(rate), np.asarray(force)
+                return rate, force
             linear = replace(self, terms={}).slopes(np.zeros(3), np.zeros(3))
             gain = np.asarray(np.linalg.inv(linear))
         except np.linalg.LinAlgError:
@@ -376,3 +374,9 @@ class SensorModel:
             )
         found = found.reshape(both.shape)
         return found[..., :3], found[..., 3:]
+
+
+def _solved(matrix: Floats, vectors: Floats) -> Floats:
+    """Return what a (3, 3) matrix makes vectors (..., 3) of: each has the bits it has alone."""
+    inverse = np.asarray(np.linalg.inv(matrix))
+    return times_transpose(vectors.reshape(-1, 3), inverse).reshape(vectors.shape)

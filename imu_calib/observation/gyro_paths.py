@@ -74,33 +74,42 @@ class GyroPath:
         seconds = [seconds for _, seconds, _ in motions]
         outputs = np.concatenate([turned / each[:, None] for turned, each, _ in motions])
         forces = [np.zeros_like(turned) for turned, *_ in motions]
-        led = _led(outputs, seconds, model, forces)
+        rates, middles, wholes = _led(outputs, seconds, model, forces)
+        ends = np.cumsum([len(each) for each in seconds])[:-1]
         if any(force is not None for *_, force in motions):
             forces = [
-                found if force is None else np.einsum('nji,j->ni', middle, force)
-                for found, (_, middle, _), (*_, force) in zip(forces, led, motions, strict=True)
+                found if force is None else np.einsum('jin,j->ni', middle, force)
+                for found, middle, (*_, force) in zip(
+                    forces, np.split(middles, ends, axis=-1), motions, strict=True
+                )
             ]
             if model.gyros_feel_force:
-                led = _led(outputs, seconds, model, forces)
-        answer = np.linalg.inv(model.gyro.response)
+                rates, middles, wholes = _led(outputs, seconds, model, forces)
         # An error over an interval counts as one in its middle, to the second order of its angle.
+        transfer = product(middles, np.asarray(np.linalg.inv(model.gyro.response))[..., None])
+        first = (np.ascontiguousarray(np.moveaxis(each, -1, 0)) for each in (middles, transfer))
+        parts = (np.split(each, ends) for each in (rates, *first))
         return tuple(
-            cls(rates, felt, each, whole, middle, middle @ answer)
-            for (rates, middle, whole), felt, each in zip(led, forces, seconds, strict=True)
+            cls(rate, felt, each, whole, axes, error)
+            for rate, axes, error, felt, each, whole in zip(
+                *parts, forces, seconds, wholes, strict=True
+            )
         )
 
-    def rotation_derivatives(self, derivatives: Floats) -> Floats:
-        """Return the derivatives of log(`rotation` S^T) by parameters, (3, p) rad, for S near it.
+    def rotation_derivatives(self, products: Floats) -> Floats:
+        """Return the derivatives of log(`rotation` S^T) by what is added to outputs, for S near it.
 
         What a parameter adds to the outputs is taken off them: the path turns by so much less, and
         components of what stands still by so much more.
 
         Args:
-            derivatives: (n, 3, p) of the gyros' outputs at `rates`.
+            products: (n, q) courses of what is added to an output of the gyros, rad/s.
+
+        Returns:
+            (3, 3, q) rad: of each channel, the second index, to which it may be added.
 
         """
-        timed = np.moveaxis(self.error_transfer * self.seconds[:, None, None], 1, 0)
-        return np.asarray(timed.reshape(3, -1) @ derivatives.reshape(timed[0].size, -1))
+        return summed(self.error_transfer * self.seconds[:, None, None], products)
 
     def spread(self, walk: Floats) -> Floats:
         """Return the covariance of the rotation at the end by (3,) random walks, (3, 3) rad^2."""
@@ -108,18 +117,23 @@ class GyroPath:
         return np.asarray(np.einsum('nij,nkj,n->ik', scaled, scaled, self.seconds))
 
 
+def summed(matrices: Floats, products: Floats) -> Floats:
+    """Return the sums of (n, 3, 3) matrices times (n, q) courses over the steps, (3, 3, q)."""
+    return np.asarray((matrices.reshape(-1, 9).T @ products).reshape(3, 3, -1))
+
+
 def _led(
     outputs: Floats, seconds: list[Floats], model: SensorModel, forces: list[Floats]
-) -> list[tuple[Floats, Floats, Floats]]:
-    """Return of motions (n, 3) rates, rotations from the middle of each interval, the whole one."""
-    _, accel = model.predict(np.zeros(3), np.concatenate(forces))
+) -> tuple[Floats, Floats, Floats]:
+    """Return rates (n, 3), rotations (3, 3, n) from the middle of each interval, the whole ones."""
+    # What is felt matters to gyros that feel it; terms are inverted of all outputs together.
+    felt = np.zeros((1, 3)) if model.linear and not model.gyros_feel_force else np.vstack(forces)
+    _, accel = model.predict(np.zeros(3), felt)
     rates, _ = model.compensate(outputs, accel)
     counts = [len(each) for each in seconds]
-    steps = rates * np.concatenate(seconds)[:, None]
-    wholes, after = chained(steps, counts)
-    middles = np.moveaxis(product(after, rotations_last(-steps / 2)), -1, 0)
-    ends = np.cumsum(counts)[:-1]
-    return list(zip(np.split(rates, ends), np.split(middles, ends), wholes, strict=True))
+    halves = rotations_last(rates * (np.concatenate(seconds) / -2)[:, None])
+    wholes, after = followed(product(halves, halves), counts)
+    return rates, product(after, halves), wholes
 
 
 def chained(vectors: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
@@ -134,9 +148,13 @@ def chained(vectors: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
         (3, 3, n) from the end of each interval to the end of its motion.
 
     """
+    return followed(rotations_last(-vectors), counts)
+
+
+def followed(passed: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
+    """Return `chained` of rotations (3, 3, n) from the start of each interval to its end."""
     ends = np.cumsum(counts)
-    follow = np.repeat(ends, counts) - np.arange(len(vectors)) - 1
-    passed = rotations_last(-vectors)
+    follow = np.repeat(ends, counts) - np.arange(passed.shape[-1]) - 1
     _follow(passed, follow)
     after = np.concatenate([passed[..., 1:], np.eye(3)[..., None]], axis=-1)
     after[..., ends - 1] = np.eye(3)[..., None]

@@ -22,14 +22,12 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from ..directions import cross
-from ..model import PARAMETERS, Parameter, SensorModel, term
+from ..model import SensorModel, term
 from ..model.motion import delay, places
 from ..rotations import GENERATORS, rotations
 from ..segmentation.segmented import VelocitySteps
 from ..stream import Floats
-from .gyro_paths import GyroPath
-
-_LINEAR = frozenset(p for p in PARAMETERS if p.triad == 'a' and p.column is not None)
+from .gyro_paths import GyroPath, summed
 
 _EACH = np.eye(3)[:, :, None] * np.eye(3)[:, None, :]
 """Of each channel what a triad keeps of a vector: (3, 3, 3)."""
@@ -126,7 +124,7 @@ class VelocityIncrement:
         """V_i, (n, 3) m/s."""
         return np.asarray(np.cumsum(self.steps, axis=0) - self.steps / 2)
 
-    def velocity_derivatives(self, derivatives: Floats) -> Floats:
+    def velocity_derivatives(self, products: Floats) -> Floats:
         """Return the derivatives of v, less half of what the rotation at the end makes of it.
 
         A rotation of the axes at step i turns what was gained before; one of half of all by half of
@@ -134,13 +132,13 @@ class VelocityIncrement:
         show.
 
         Args:
-            derivatives: (n, 3, p) of the gyros' outputs at the path's rates.
+            products: (n, q) courses of what is added to an output of the gyros, rad/s.
 
         Returns:
-            (3, p) m/s.
+            (3, 3, q) m/s: of each channel, the second index, to which it may be added.
 
         """
-        return _summed(self._turning, derivatives)
+        return summed(self._turning, products)
 
     @cached_property
     def _turning(self) -> Floats:
@@ -154,21 +152,14 @@ class VelocityIncrement:
         answer = self.path.axes @ np.linalg.inv(self.model.accel.response)
         return np.asarray(answer * self.path.seconds[:, None, None])
 
-    def by_parameters(self, parameters: tuple[Parameter, ...], answers: Floats) -> Floats:
-        """Return the derivatives of the same by parameters of the sensors, (3, p) SI units.
+    def pushed(self, products: Floats) -> Floats:
+        """Return what is gained by courses (n, q) added to each accelerometer, (3, 3, q) m/s."""
+        return summed(self._pushing, products)
 
-        Args:
-            parameters: By which.
-            answers: (n, 6, p) derivatives of the outputs at the path's rates and forces.
-
-        """
-        pushed = self._pushed(answers[:, 3:])
-        # Scale factors and misalignments answer to all that is felt.
-        felt = np.tensordot(self._pushing, self.felt, axes=(0, 0))
-        for k, parameter in enumerate(parameters):
-            if parameter in _LINEAR:
-                pushed[:, k] = felt[:, parameter.row, parameter.column]
-        return self.velocity_derivatives(answers[:, :3]) - pushed
+    @cached_property
+    def pushed_by_felt(self) -> Floats:
+        """The same by all that is felt: scale factors and misalignments answer to it."""
+        return self.pushed(self.felt)
 
     @cached_property
     def by_seconds(self) -> Floats:
@@ -176,11 +167,7 @@ class VelocityIncrement:
 
         The pulses stay, and what biases and terms take off them grows.
         """
-        return -self._pushed(self.beside[:, :, None])[:, 0]
-
-    def _pushed(self, outputs: Floats) -> Floats:
-        """Return what (n, 3, p) outputs of the accelerometers gain, (3, p) m/s."""
-        return _summed(self._pushing, outputs)
+        return -np.asarray(np.trace(self.pushed(self.beside), axis1=1, axis2=2))
 
     @cached_property
     def by_delay(self) -> Floats:
@@ -235,12 +222,6 @@ def _kept(model: SensorModel) -> Floats:
     """Return P_i = (I + M)^-1 e_i e_i' (I + M): what accelerometer i alone makes of a force."""
     response = model.accel.response
     return np.asarray(np.linalg.inv(response) @ _EACH @ response)
-
-
-def _summed(matrices: Floats, columns: Floats) -> Floats:
-    """Return the sum of (n, 3, 3) matrices times (n, 3, p) columns, (3, p)."""
-    rows = np.moveaxis(matrices, 1, 0).reshape(3, -1)
-    return np.asarray(rows @ columns.reshape(rows.shape[1], -1))
 
 
 def _change(rates: Floats, seconds: Floats) -> Floats:
