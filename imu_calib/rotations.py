@@ -24,6 +24,8 @@ GENERATORS = np.array(
 )
 """Derivatives of rotations about x, y and z at none."""
 _IDENTITY = np.eye(3)
+_NONE = 1e-20
+"""rad: stands for no angle where it is divided by, and its sine is as large."""
 
 
 def cross_matrix(vector: Floats) -> Floats:
@@ -84,8 +86,9 @@ def rotations_last(vectors: Floats) -> Floats:
     """Return `rotations` with the index of the vector last, (3, 3, n), as `product` takes them."""
     x, y, z = vectors.T
     angle = np.linalg.norm(vectors, axis=-1)
-    sine = np.sinc(angle / np.pi)
-    versine = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    half = np.where(angle > 0, angle, _NONE) / 2
+    ratio = np.sin(half) / half
+    sine, versine = ratio * np.cos(half), 0.5 * ratio**2
     zero = np.zeros_like(x)
     cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
     # The square of a cross product's matrix is v v' - v'v.
