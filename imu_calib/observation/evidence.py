@@ -34,8 +34,10 @@ UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
 """By how much the cosine of an axis that counts as vertical may be below one: 18 deg, beyond any
 error of a table and less than half of the 45 deg to the next attitude of any plan."""
-_REMEMBERED = 21
-"""Seven at each of three states: the last step, and two from which the next fits start."""
+_REMEMBERED = 24
+"""Eight at each of three states: the last step, and two from which the next fits start."""
+_WEIGHED = 6
+"""Covariance, and equations by it, of two solutions looked at by turns and of the last step."""
 _OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms'}
 """What of a session follows from its dwells and turns alone."""
 
@@ -165,6 +167,11 @@ class Evidence:
     def state_cache(self) -> deque[tuple[Any, ...]]:
         """What was worked out of it at the last few states (`Equations`)."""
         return deque(maxlen=_REMEMBERED)
+
+    @cached_property
+    def weighed(self) -> deque[tuple[Any, ...]]:
+        """What was worked out of it at the last states with the last weights (`Equations`)."""
+        return deque(maxlen=_WEIGHED)
 
     @cached_property
     def cache(self) -> dict[Any, Any]:

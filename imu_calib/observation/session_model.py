@@ -10,7 +10,7 @@ docs/mathematics.md, 'Joint estimate', for what goes into the state.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -153,7 +153,7 @@ class SessionModel:
     def _headings(self) -> Floats:
         return self.evidence.headings
 
-    def _once(self, what: str, state: Floats, worked_out: Callable[[Floats], Value]) -> Value:
+    def _once(self, what: Hashable, state: Floats, worked_out: Callable[[Floats], Value]) -> Value:
         """Return what is the same whatever the weights: it is worked out once at each state."""
         key = (what, state.tobytes(), self.time_constant)
         for known, parameters, changes, value in self.evidence.state_cache:
@@ -333,7 +333,10 @@ class SessionModel:
         at_rest, turning = self.evidence.leaning
         if not at_rest.shape[2]:
             return np.zeros((len(self.layout), 0))
-        return self._leaning(state, at_rest, turning)
+        assert self.evidence.table is not None
+        # Trials with other errors of the table share what was worked out of the session.
+        what = 'table', self.evidence.table.errors
+        return self._once(what, state, lambda there: self._leaning(there, at_rest, turning))
 
     def by_attitude_errors(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
         """Return what e errors of attitudes do to the outputs, (m, e).
@@ -385,10 +388,13 @@ class SessionModel:
         return self._once('positioning', state, self._positioning_columns)
 
     def _positioning_columns(self, state: Floats) -> tuple[Floats, Floats]:
-        joints, stops = (
-            self._leaning(state, leaning.at_rest, leaning.turning)
-            for leaning in self.evidence.positioning_leans
+        both = self.evidence.positioning_leans
+        at_rest, turning = (
+            np.concatenate(parts, axis=2)
+            for parts in zip(*((one.at_rest, one.turning) for one in both), strict=True)
         )
+        leaning = self._leaning(state, at_rest, turning)
+        joints, stops = np.split(leaning, [both[0].at_rest.shape[2]], axis=1)
         return np.hstack([joints, self.by_ways(state)]), stops
 
     def _leaning(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
