@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +110,12 @@ class GyroPath:
             (3, 3, q) rad: of each channel, the second index, to which it may be added.
 
         """
-        return summed(self.error_transfer * self.seconds[:, None, None], products)
+        return summed(self.timed_transfer, products)
+
+    @cached_property
+    def timed_transfer(self) -> Floats:
+        """`error_transfer` times the seconds: of errors that are rates."""
+        return np.asarray(self.error_transfer * self.seconds[:, None, None])
 
     def spread(self, walk: Floats) -> Floats:
         """Return the covariance of the rotation at the end by (3,) random walks, (3, 3) rad^2."""

@@ -43,7 +43,7 @@ from ..stream import Floats
 from .arms import APART, LONGEST
 from .gyro_paths import GyroPath
 from .remainders import RoughAnswers, remainder_covariance
-from .velocity_increments import VelocityIncrement, by_places
+from .velocity_increments import VelocityIncrement, by_delay, by_places
 
 _EDGES = 1 / 6
 """Square of a pulse that the counter's remainders at both ends of a move leave: 2 / 12. What those
@@ -282,7 +282,7 @@ class Moves:
             if parameter in _LINEAR:
                 slopes[..., k] = -felt[:, :, parameter.row, parameter.column]
         if own:
-            places, delay = by_places(pushes), np.array([push.by_delay for push in pushes])
+            places, delay = by_places(pushes), by_delay(pushes)
             for k, p in zip(indices_of(own, parameters), own, strict=True):
                 at_place = p.kind is ParameterKind.PLACE
                 slopes[..., k] = places[..., 3 * p.row + (p.column or 0)] if at_place else delay
@@ -387,8 +387,7 @@ class Moves:
         away = reached - self.attitudes[self._ends[0][mine]]
         arms[mine, 3:, :3] = -2 * LONGEST * cross_matrix(earth_rate) @ away
         if late:
-            delay = np.array([push.by_delay for push in pushes])
-            delays[mine, 3:, 0] = _LATE * _times(reached, delay)
+            delays[mine, 3:, 0] = _LATE * _times(reached, by_delay(pushes))
         if apart:
             arms[mine, 3:, 3:] = APART * reached @ by_places(pushes)
         return arms, delays

@@ -20,6 +20,7 @@ from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..directions import cross
 from ..model import SensorModel, term
@@ -34,6 +35,9 @@ _EACH = np.eye(3)[:, :, None] * np.eye(3)[:, None, :]
 
 _CROSS = np.ascontiguousarray(np.moveaxis(GENERATORS, 0, -1))
 """[v] = _CROSS @ v, the cross product by a vector from the left: (3, 3, 3)."""
+
+_ONE = np.zeros(1, dtype=np.intp)
+"""Where one motion begins."""
 
 _SQUARES = tuple(combinations_with_replacement(range(3), 2))
 """Products of rates, each once."""
@@ -108,7 +112,8 @@ class VelocityIncrement:
             found += by_places([self])[0] @ apart.ravel()
         if seconds := delay(self.model):
             # The axes as long before, by the rate half way back.
-            back = self.path.rates - self._change * (seconds / 2)
+            change = _change(self.path.rates, self.path.seconds)
+            back = self.path.rates - change * (seconds / 2)
             turned = rotations(-back * seconds) - np.eye(3)
             felt = np.einsum('nij,nj->ni', turned, self.felt) * self.path.seconds[:, None]
             found += np.einsum('nij,nj->i', self.path.axes, felt)
@@ -144,7 +149,7 @@ class VelocityIncrement:
     def _turning(self) -> Floats:
         """What `velocity_derivatives` makes of an output of the gyros during a step, (n, 3, 3)."""
         beyond = np.einsum('ijk,nk->nij', _CROSS, self.velocity / 2 - self._so_far)
-        return np.asarray(beyond @ self.path.error_transfer * self.path.seconds[:, None, None])
+        return np.asarray(beyond @ self.path.timed_transfer)
 
     @cached_property
     def _pushing(self) -> Floats:
@@ -169,33 +174,25 @@ class VelocityIncrement:
         """
         return -np.asarray(np.trace(self.pushed(self.beside), axis1=1, axis2=2))
 
-    @cached_property
+    @property
     def by_delay(self) -> Floats:
-        """What taking a delay s of the accelerometers off adds to v, per s, (3,) m/s^2.
+        """What taking a delay of the accelerometers off adds to v, (3,): see `by_delay`."""
+        return by_delay([self])[0]
 
-        They give f(t - s) for f(t), which is s times the sum of C (w x f) t over a move from rest
-        to rest; this is minus that.
-        """
-        crossed = cross(self.path.rates, self.felt) * self.path.seconds[:, None]
-        return -np.asarray(np.einsum('nij,nj->i', self.path.axes, crossed))
 
-    @cached_property
-    def _change(self) -> Floats:
-        return _change(self.path.rates, self.path.seconds)
+def by_delay(thrusts: Sequence[VelocityIncrement]) -> Floats:
+    """Return what taking a delay s of the accelerometers off adds to v, per s, (m, 3) m/s^2.
 
-    @cached_property
-    def moments(self) -> Floats:
-        """Sums of C w_p w_q t over the steps, (3, 3 * 6): of each product once.
+    They give f(t - s) for f(t), which is s times the sum of C (w x f) t over a move from rest
+    to rest; this is minus that.
 
-        A rate that changes by d within a step has a mean square of w^2 + d^2 / 12.
-        """
-        path = self.path
-        change = self._change * path.seconds[:, None] / np.sqrt(12)
-        first, second = np.array(_SQUARES).T
-        squares = path.rates[:, first] * path.rates[:, second]
-        squares += change[:, first] * change[:, second]
-        timed = squares * path.seconds[:, None]
-        return np.asarray((path.axes.reshape(-1, 9).T @ timed).reshape(3, -1))
+    Args:
+        thrusts: m of one model.
+
+    """
+    rates, axes, seconds, starts = _joined(thrusts)
+    crossed = cross(rates, np.concatenate([t.felt for t in thrusts])) * seconds[:, None]
+    return -np.asarray(np.add.reduceat(np.einsum('nij,nj->ni', axes, crossed), starts))
 
 
 def by_places(thrusts: Sequence[VelocityIncrement]) -> Floats:
@@ -215,7 +212,33 @@ def by_places(thrusts: Sequence[VelocityIncrement]) -> Floats:
     # Products of rates are the same either way round.
     folded = [apart[:, p, q] + (apart[:, q, p] if p != q else 0.0) for p, q in _SQUARES]
     matrix = np.stack(folded, axis=1).reshape(-1, 9)
-    return np.asarray(np.stack([thrust.moments for thrust in thrusts]) @ matrix)
+    return np.asarray(_moments(thrusts) @ matrix)
+
+
+def _moments(thrusts: Sequence[VelocityIncrement]) -> Floats:
+    """Return sums of C w_p w_q t over the steps, (m, 3, 3 * 6): of each product once.
+
+    A rate that changes by d within a step has a mean square of w^2 + d^2 / 12.
+    """
+    rates, axes, seconds, starts = _joined(thrusts)
+    change = _change(rates, seconds, starts) * seconds[:, None] / np.sqrt(12)
+    first, second = np.array(_SQUARES).T
+    squares = rates[:, first] * rates[:, second]
+    squares += change[:, first] * change[:, second]
+    timed = squares * seconds[:, None]
+    parts = zip(np.split(axes, starts[1:]), np.split(timed, starts[1:]), strict=True)
+    return np.array([summed(axis, square) for axis, square in parts]).reshape(len(starts), 3, -1)
+
+
+def _joined(
+    thrusts: Sequence[VelocityIncrement],
+) -> tuple[Floats, Floats, Floats, NDArray[np.intp]]:
+    """Return rates, axes and seconds of the steps of all, and where each begins."""
+    rates, axes, seconds = (
+        np.concatenate([getattr(thrust.path, name) for thrust in thrusts])
+        for name in ('rates', 'axes', 'seconds')
+    )
+    return rates, axes, seconds, np.cumsum([0, *(len(t.path.seconds) for t in thrusts[:-1])])
 
 
 def _kept(model: SensorModel) -> Floats:
@@ -224,9 +247,19 @@ def _kept(model: SensorModel) -> Floats:
     return np.asarray(np.linalg.inv(response) @ _EACH @ response)
 
 
-def _change(rates: Floats, seconds: Floats) -> Floats:
-    """Return by how much rates (n, 3) change, rad/s^2; before and after the unit stands."""
-    ends = np.cumsum(seconds)
-    middles = np.concatenate([[0.0], ends - seconds / 2, ends[-1:]])
-    known = np.vstack([np.zeros(3), rates, np.zeros(3)])
-    return np.asarray((known[2:] - known[:-2]) / (middles[2:] - middles[:-2])[:, None])
+def _change(rates: Floats, seconds: Floats, starts: NDArray[np.intp] = _ONE) -> Floats:
+    """Return by how much rates (n, 3) change, rad/s^2; before and after the unit stands.
+
+    Args:
+        rates: Of the steps, rad/s.
+        seconds: (n,) their lengths.
+        starts: Where motions begin, each from rest to rest.
+
+    """
+    ends, last = np.cumsum(seconds), np.append(starts[1:], len(seconds)) - 1
+    middles = ends - seconds / 2
+    before, after = np.roll(middles, 1), np.roll(middles, -1)
+    before[starts], after[last] = (ends - seconds)[starts], ends[last]
+    slower, faster = np.roll(rates, 1, axis=0), np.roll(rates, -1, axis=0)
+    slower[starts] = faster[last] = 0.0
+    return np.asarray((faster - slower) / (after - before)[:, None])
