@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -177,7 +177,7 @@ class VelocityIncrement:
     @property
     def by_delay(self) -> Floats:
         """What taking a delay of the accelerometers off adds to v, (3,): see `by_delay`."""
-        return by_delay([self])[0]
+        return np.asarray(by_delay([self])[0])
 
 
 def by_delay(thrusts: Sequence[VelocityIncrement]) -> Floats:
@@ -206,13 +206,18 @@ def by_places(thrusts: Sequence[VelocityIncrement]) -> Floats:
         thrusts: m of one model.
 
     """
-    kept = _kept(thrusts[0].model)
-    apart = np.einsum('mjp,klq,ijk->mpqil', _CROSS, _CROSS, kept, optimize=True)
-    apart -= np.einsum('kap,alq,ijk->jpqil', _CROSS, _CROSS, kept, optimize=True)
+    matrix = np.reshape(_kept(thrusts[0].model).reshape(3, 9) @ _by_kept(), (3, 18, 3))
+    return np.asarray(_moments(thrusts) @ np.swapaxes(matrix, 0, 1).reshape(18, 9))
+
+
+@lru_cache(maxsize=1)
+def _by_kept() -> Floats:
+    """Return what P [w] - [w] P, times [w], is by P and products of w, once each, (9, 18 * 3)."""
+    apart = np.einsum('mjp,klq->jkmpql', _CROSS, _CROSS)
+    apart -= np.einsum('kap,alq,jm->jkmpql', _CROSS, _CROSS, np.eye(3))
     # Products of rates are the same either way round.
-    folded = [apart[:, p, q] + (apart[:, q, p] if p != q else 0.0) for p, q in _SQUARES]
-    matrix = np.stack(folded, axis=1).reshape(-1, 9)
-    return np.asarray(_moments(thrusts) @ matrix)
+    folded = [apart[..., p, q, :] + (apart[..., q, p, :] if p != q else 0.0) for p, q in _SQUARES]
+    return np.stack(folded, axis=3).reshape(9, -1)
 
 
 def _moments(thrusts: Sequence[VelocityIncrement]) -> Floats:
