@@ -96,13 +96,7 @@ class Equations(SessionModel):
     @cached_property
     def own(self) -> tuple[Component, ...]:
         """The parts of the covariance that each output has for itself, whatever the state."""
-        if self.inflation is not None:
-            return own_parts(self.evidence, self.inflation)
-        # Most equations of a session differ in what comes on top of this.
-        known = self.evidence.cache
-        if 'own' not in known:
-            known['own'] = own_parts(self.evidence, None)
-        return cast(tuple[Component, ...], known['own'])
+        return own_parts(self.evidence, self.inflation)
 
     @cached_property
     def own_variances(self) -> Floats:

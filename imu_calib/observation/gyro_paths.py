@@ -78,12 +78,10 @@ class GyroPath:
         rates, middles, wholes = _led(outputs, seconds, model, forces)
         ends = np.cumsum([len(each) for each in seconds])[:-1]
         if any(force is not None for *_, force in motions):
-            forces = [
-                found if force is None else np.einsum('jin,j->ni', middle, force)
-                for found, middle, (*_, force) in zip(
-                    forces, np.split(middles, ends, axis=-1), motions, strict=True
-                )
-            ]
+            known = np.array([np.zeros(3) if force is None else force for *_, force in motions])
+            each = np.repeat(known, [len(one) for one in seconds], axis=0).T
+            felt = each[0] * middles[0] + each[1] * middles[1] + each[2] * middles[2]
+            forces = np.split(np.ascontiguousarray(felt.T), ends)
             if model.gyros_feel_force:
                 rates, middles, wholes = _led(outputs, seconds, model, forces)
         # An error over an interval counts as one in its middle, to the second order of its angle.
