@@ -305,9 +305,16 @@ def _window_error(window: Floats, step: float, growth: float) -> float:
     width = math.isqrt(len(alike) - 1) + 1
     lags = np.zeros(width * width)
     lags[1 : len(alike)] = 2 * alike[1:]
-    coarse, fine = (np.exp(np.outer(turns, by * np.arange(width))) for by in (width, 1))
+    coarse, fine = (_powers(np.exp(by * turns), width) for by in (width, 1))
     together = ((coarse @ lags.reshape(width, width)) * fine).sum(axis=1).real
     return float(power @ together) + _READING_VARIANCE * float(alike[0])
+
+
+def _powers(numbers: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
+    """Return the powers 0 to `count` - 1 of (n,) numbers, (n, count)."""
+    found = np.ones((len(numbers), count), dtype=complex)
+    found[:, 1:] = numbers[:, None]
+    return np.cumprod(found, axis=1)
 
 
 def block_rates(
