@@ -306,13 +306,12 @@ class Moves:
                 gained = _times(self._reached, np.array([push.by_seconds for push in pushes]))
                 found[mine, 3:] = force * self._seconds[mine, None] - gained
             return found
-        answer = model.gyro.response.T
-        paths = self.paths(model)
-        for k, path in enumerate(paths):
-            found[k, :3] = _traced(path.rotation_derivatives(path.rates @ answer))
+        answers = [path.rates @ model.gyro.response.T for path in self.paths(model)]
+        for k, path in enumerate(self.paths(model)):
+            found[k, :3] = np.einsum('nij,nj->i', path.timed_transfer, answers[k])
         if pushes:
             leant = [
-                _traced(push.velocity_derivatives(paths[k].rates @ answer))
+                np.einsum('nij,nj->i', push.turning, answers[k])
                 for k, push in zip(mine, pushes, strict=True)
             ]
             found[mine, 3:] = _times(self._reached, np.array(leant))
@@ -480,11 +479,6 @@ def _times(matrices: Floats, vectors: Floats) -> Floats:
 
 def _transposed(matrices: Floats) -> Floats:
     return np.swapaxes(matrices, -1, -2)
-
-
-def _traced(slopes: Floats) -> Floats:
-    """Return the sum over channels (3, 3, 3), each of which has its own course, (3,)."""
-    return np.asarray(np.trace(slopes, axis1=1, axis2=2))
 
 
 def _telling(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> Move:

@@ -143,23 +143,23 @@ class VelocityIncrement:
             (3, 3, q) m/s: of each channel, the second index, to which it may be added.
 
         """
-        return summed(self._turning, products)
+        return summed(self.turning, products)
 
     @cached_property
-    def _turning(self) -> Floats:
+    def turning(self) -> Floats:
         """What `velocity_derivatives` makes of an output of the gyros during a step, (n, 3, 3)."""
         beyond = np.einsum('ijk,nk->nij', _CROSS, self.velocity / 2 - self._so_far)
         return np.asarray(beyond @ self.path.timed_transfer)
 
     @cached_property
-    def _pushing(self) -> Floats:
-        """What v makes of an output of the accelerometers during a step, (n, 3, 3)."""
-        answer = self.path.axes @ np.linalg.inv(self.model.accel.response)
-        return np.asarray(answer * self.path.seconds[:, None, None])
+    def _timed_axes(self) -> Floats:
+        """What v makes of a specific force during a step, (n, 3, 3) s."""
+        return np.asarray(self.path.axes * self.path.seconds[:, None, None])
 
     def pushed(self, products: Floats) -> Floats:
         """Return what is gained by courses (n, q) added to each accelerometer, (3, 3, q) m/s."""
-        return summed(self._pushing, products)
+        answer = np.linalg.inv(self.model.accel.response)
+        return np.asarray(answer.T @ summed(self._timed_axes, products))
 
     @cached_property
     def pushed_by_felt(self) -> Floats:
@@ -172,7 +172,8 @@ class VelocityIncrement:
 
         The pulses stay, and what biases and terms take off them grows.
         """
-        return -np.asarray(np.trace(self.pushed(self.beside), axis1=1, axis2=2))
+        felt = self.beside @ np.linalg.inv(self.model.accel.response).T
+        return -np.asarray(np.einsum('nij,nj->i', self._timed_axes, felt))
 
     @property
     def by_delay(self) -> Floats:

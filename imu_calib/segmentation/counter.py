@@ -314,7 +314,7 @@ def _powers(numbers: NDArray[np.complex128], count: int) -> NDArray[np.complex12
     """Return the powers 0 to `count` - 1 of (n,) numbers, (n, count)."""
     found = np.ones((len(numbers), count), dtype=complex)
     found[:, 1:] = numbers[:, None]
-    return np.cumprod(found, axis=1)
+    return np.asarray(np.cumprod(found, axis=1), dtype=complex)
 
 
 def block_rates(
