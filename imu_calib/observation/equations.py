@@ -253,7 +253,7 @@ class Equations(SessionModel):
         A fit ends where what follows begins, often with equations that are made anew.
         """
         key, latest = (what, type(self), state.tobytes(), self._weights), self.evidence.weighed
-        for known, inflation, value in latest:
+        for known, inflation, value in reversed(latest):
             if known == key and inflation is self.inflation:
                 return cast(Value, value)
         found = worked_out(state)

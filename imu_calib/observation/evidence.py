@@ -38,7 +38,7 @@ _REMEMBERED = 27
 """Nine at each of three states: the last step, and two from which the next fits start."""
 _WEIGHED = 6
 """Covariance, and equations by it, of two solutions looked at by turns and of the last step."""
-_OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms'}
+_OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms', 'whole_ways'}
 """What of a session follows from its dwells and turns alone."""
 
 _QUARTZ = 50e-6
@@ -189,6 +189,16 @@ class Evidence:
         ups = np.array([t.up for t in self.turns]).reshape(-1, 3)
         timed = np.array([t.seconds is not None for t in self.turns], dtype=bool)
         return ups, np.array([t.rate() for t in self.turns]), timed
+
+    @cached_property
+    def whole_ways(self) -> tuple[Floats, NDArray[np.bool_]]:
+        """What one rad at either end does to the rate of a whole motion, relative, (t,).
+
+        Zero where a turn has no way from rest to rest; and whether it has one.
+        """
+        ways = [t.whole_way for t in self.turns]
+        some = np.array([way is not None for way in ways], dtype=bool)
+        return np.array([2 / way.way if way else 0.0 for way in ways]), some
 
     @cached_property
     def headings(self) -> Floats:

@@ -156,7 +156,8 @@ class SessionModel:
     def _once(self, what: Hashable, state: Floats, worked_out: Callable[[Floats], Value]) -> Value:
         """Return what is the same whatever the weights: it is worked out once at each state."""
         key = (what, state.tobytes(), self.time_constant)
-        for known, parameters, changes, value in self.evidence.state_cache:
+        # Most of what is asked for is of the last state.
+        for known, parameters, changes, value in reversed(self.evidence.state_cache):
             if known == key and parameters is self.parameters and changes is self.changes:
                 return cast(Value, value)
         found = worked_out(state)
@@ -360,9 +361,8 @@ class SessionModel:
 
         Either end of a motion is off, and the next may begin with the error of this one's end.
         """
-        ways = [t.whole_way for t in self.evidence.turns]
-        each = self._by_rates(state, np.array([2 / w.way if w else 0.0 for w in ways]))
-        return each[:, [w is not None for w in ways]]
+        relative, some = self.evidence.whole_ways
+        return self._by_rates(state, relative)[:, some]
 
     def _by_rates(self, state: Floats, relative: Floats) -> Floats:
         evidence, response = self.evidence, self.model(state).gyro.response
