@@ -84,17 +84,19 @@ def rotations(vectors: Floats) -> Floats:
 
 def rotations_last(vectors: Floats) -> Floats:
     """Return `rotations` with the index of the vector last, (3, 3, n), as `product` takes them."""
-    x, y, z = vectors.T
-    angle = np.linalg.norm(vectors, axis=-1)
-    half = np.where(angle > 0, angle, _NONE) / 2
+    along = np.ascontiguousarray(vectors.T)
+    square = (along**2).sum(axis=0)
+    half = np.sqrt(square) / 2
+    half[half == 0] = _NONE
     ratio = np.sin(half) / half
-    sine, versine = ratio * np.cos(half), 0.5 * ratio**2
-    zero = np.zeros_like(x)
-    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+    versine = 0.5 * ratio**2
     # The square of a cross product's matrix is v v' - v'v.
-    outer = vectors.T[:, None] * vectors.T
-    result = sine * cross + versine * outer
-    result[range(3), range(3)] += 1 - versine * angle**2
+    result = along[:, None] * (versine * along)
+    result[range(3), range(3)] += 1 - versine * square
+    crossed = ratio * np.cos(half) * along
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        result[i, j] -= crossed[k]
+        result[j, i] += crossed[k]
     return np.asarray(result)
 
 
