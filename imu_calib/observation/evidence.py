@@ -34,8 +34,8 @@ UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
 """By how much the cosine of an axis that counts as vertical may be below one: 18 deg, beyond any
 error of a table and less than half of the 45 deg to the next attitude of any plan."""
-_REMEMBERED = 27
-"""Nine at each of three states: the last step, and two from which the next fits start."""
+_REMEMBERED = 30
+"""Ten at each of three states: the last step, and two from which the next fits start."""
 _WEIGHED = 6
 """Covariance, and equations by it, of two solutions looked at by turns and of the last step."""
 _OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms', 'whole_ways'}

@@ -19,9 +19,9 @@ from typing import TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..directions import cross
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..model.session_terms import Change
+from ..rotations import GENERATORS
 from ..stream import Floats, Units
 from .evidence import Evidence
 from .headings import mean_over_turn
@@ -407,17 +407,21 @@ class SessionModel:
             turned: (t, 3, e) of the turns.
 
         """
+        s, by_each = len(at_rest), self._once('leaning', state, self._by_leaning)
+        led = self.evidence.links.by_attitudes(self.model(state), at_rest)
+        return self.layout.joined(by_each[:s] @ at_rest, by_each[s:] @ turned, led)
+
+    def _by_leaning(self, state: Floats) -> Floats:
+        """Return the derivatives by rotations about the body axes, (s + t, 6, 3): not of moves."""
         _, rate, force, turning, felt = self._inputs(state)
-        model, s = self.model(state), len(rate)
         rates, forces = (
             np.vstack([rate, mean_over_turn(turning)]),
             np.vstack([force, mean_over_turn(felt)]),
         )
-        about = np.swapaxes(np.concatenate([at_rest, turned]), 1, 2)
-        moved = [np.swapaxes(cross(v[:, None], about), 1, 2) for v in (rates, forces)]
-        changed = model.slopes(rates, forces) @ np.concatenate(moved, axis=1)
-        led = self.evidence.links.by_attitudes(model, at_rest)
-        return self.layout.joined(changed[:s], changed[s:], led)
+        # What is seen is crossed with a rotation of the axes.
+        crossed = [np.tensordot(seen, GENERATORS, axes=1) for seen in (rates, forces)]
+        slopes = self.model(state).slopes(rates, forces)
+        return np.asarray(slopes @ np.concatenate(crossed, axis=1))
 
 
 def _both(rotations: Floats) -> Floats:
