@@ -201,7 +201,7 @@ class SessionModel:
         at_rest, turned = self.answers(state)
         led = self.evidence.links.misclosures(model, self.earth(state), around.force)
         if state[self.clock]:
-            led = led + self._led_by_clock(state) * state[self.clock]
+            led = led + self._once('clock', state, self._by_clock) * state[self.clock]
         predicted = self.layout.joined(at_rest, turned, led)
         predicted[self._divided] /= 1 + state[self.clock]
         return predicted
@@ -229,7 +229,7 @@ class SessionModel:
         )
         arms, by_force = self.evidence.arms, model.slopes(turning, felt)[..., 3:]
         turned[arms.turns, :, self.arms] = mean_over_turn(by_force)[arms.turns] @ arms.slopes
-        led[:, :, self.clock] = self._led_by_clock(state)
+        led[:, :, self.clock] = self._once('clock', state, self._by_clock)
         result = self.layout.joined(at_rest, turned, led)
         faster, divided = 1 + state[self.clock], self._divided
         result[divided] /= faster
@@ -271,13 +271,15 @@ class SessionModel:
             return np.setdiff1d(np.arange(len(self.layout)), self.layout.moving)
         return self.layout.turn[self._turning[2]].ravel()
 
-    def _led_by_clock(self, state: Floats) -> Floats:
+    def _by_clock(self, state: Floats) -> Floats:
+        return self._led_by_clock(self.model(state), self.surroundings(state))
+
+    def _led_by_clock(self, model: SensorModel, around: Surroundings) -> Floats:
         """Return the derivatives of the moves by the rate between the clocks, (m, 6)."""
-        counted, moves = self.evidence.units is Units.PULSES, self.evidence.links
+        counted = self.evidence.units is Units.PULSES
         if counted and not self.evidence.clocks_compared:
-            return np.zeros((len(moves), 6))
-        model, force = self.model(state), self.surroundings(state).force
-        return self._once('clock', state, lambda _: moves.by_clock(model, force, counted=counted))
+            return np.zeros((len(self.evidence.links), 6))
+        return self.evidence.links.by_clock(model, around.force, counted=counted)
 
     def columns(self, changes: Sequence[Change], derivatives: Floats) -> Floats:
         """Return the derivatives by coefficients of a session's terms, on or off, (m, k).
