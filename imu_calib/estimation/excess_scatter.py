@@ -72,6 +72,10 @@ not there, would hide it. A judgement."""
 _UNLIKELY = 1e-3
 """Weight below which a hypothesis is dropped: it changes variances far less than their spread."""
 
+_ALIKE = 1e-10
+"""Of the longest column, all scaled to one: what is left of a column beside others that counts as
+nothing, as in `information`."""
+
 _BLOCKS_FOR_A_SLOPE = 4
 """Fewest blocks of 10 s that a slope is taken from: a line has two unknowns, and two degrees of
 freedom are left for its standard deviation."""
@@ -550,8 +554,12 @@ def _restricted(
     columns = np.column_stack([jacobian, left])
     columns = scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False)
     columns = np.vstack([columns, prior])
-    full, triangle = np.linalg.qr(columns[:, :-1], mode='complete')
-    free = full[:, triangle.shape[1] :]
+    # A few velocities tell some of the accelerometers' parameters alike: what then is left of a
+    # column is rounding, and takes no direction up.
+    norms = np.linalg.norm(columns[:, :-1], axis=0)
+    full, triangle, _ = scipy.linalg.qr(columns[:, :-1] / norms, pivoting=True)
+    sizes = np.abs(np.diag(triangle))
+    free = full[:, np.count_nonzero(sizes > _ALIKE * sizes.max(initial=0.0)) :]
     project = scipy.linalg.solve_triangular(
         factor, free[: len(left)], lower=True, trans='T', check_finite=False
     )
