@@ -41,7 +41,7 @@ def one(setup: Setup, truth: SensorModel, seed: int) -> np.ndarray:
     options = ImuOptions(bias_instability=False)
     for block in session(setup, seed).blocks(setup.imu, truth, setup.site, options, seed):
         calibrator.feed(block)
-    return calibrator.finish().calibration.values - truth.vector()
+    return calibrator.finish().calibration.model.vector() - truth.vector()
 
 
 def session(setup: Setup, seed: int) -> HandSession:

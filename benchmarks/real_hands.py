@@ -359,22 +359,34 @@ class Session:
         means = self.at_rest(chosen)
         forces = corrected(means[:, :3], means[:, 3:])[1]
         size = np.linalg.norm(forces, axis=1)
-        turns, angles = self.turns(chosen), np.zeros(0)
+        turns = self.turns(chosen)
+        lengths, angles = np.full((2, len(self.holds)), np.nan)
+        lengths[sorted(chosen)] = size - self.recording.site.gravity
         if turns:
             first, second = ([turn[k] for turn in turns] for k in (0, 1))
             ups = forces / size[:, None]
             rates = [corrected(gyro, accel)[0] for _, _, gyro, accel, _ in turns]
             carried = _turned(_carried(*_padded(rates, [t[4] for t in turns])), ups[first])
             sines = np.linalg.norm(np.cross(carried, ups[second]), axis=1)
-            angles = np.arctan2(sines, (carried * ups[second]).sum(axis=1))
-        return Score(size - self.recording.site.gravity, angles)
+            after = np.array(sorted(chosen))[first]
+            angles[after] = np.arctan2(sines, (carried * ups[second]).sum(axis=1))
+        return Score(lengths, angles)
 
 
 class Score(NamedTuple):
-    """What is left on holds that were held out: m/s^2 of each, and rad of each turn between."""
+    """What is left where nothing was calibrated, of all holds: m/s^2, and rad of each turn after.
+
+    NaN where a hold, or the next one, was not scored.
+    """
 
     lengths: Floats
     angles: Floats
+
+    def rms(self) -> tuple[float, float]:
+        """Return the root mean squares; NaN without any."""
+        parts = (p[np.isfinite(p)] for p in self)
+        lengths, angles = (float(np.sqrt(np.mean(p**2))) if len(p) else np.nan for p in parts)
+        return lengths, angles
 
 
 def calibrated(recording: Recording) -> SensorModel | None:
@@ -406,17 +418,28 @@ def one(read: Callable[[Path], Recording], folder: Path, threes: bool, seed: int
     """Score a dealing; None where imu_calib refuses a part."""
     session = Session.of(read(folder))
     every = range(len(session.holds))
-    ours, theirs, best = [], [], []
+    found: list[list[Score]] = []
     for out in dealt(len(every), seed, threes=threes):
         kept = [k for k in every if k not in out]
         model = calibrated(session.only(kept))
         if model is None:
             return None
-        ours.append(session.score(model.compensate, out))
-        for tool, scores in ((_tool_of(session), theirs), (AVERAGED, best)):
-            found = tool.calibrate(session, kept, gyros=bool(len(ours[-1].angles)))
-            scores.append(session.score(found, out))
-    return Dealing(len(every), _joined(ours), _joined(theirs), _joined(best))
+        ours = session.score(model.compensate, out)
+        tools = [
+            tool.calibrate(session, kept, gyros=bool(np.isfinite(ours.angles).any()))
+            for tool in (_tool_of(session), AVERAGED)
+        ]
+        found.append([ours, *(session.score(tool, out) for tool in tools)])
+    return Dealing(*map(_joined, zip(*found, strict=True)))
+
+
+def _joined(scores: Sequence[Score]) -> Score:
+    """Return the scores of parts, each of which has its own holds, as one."""
+    result = Score(*np.array(scores[0]))
+    for score in scores[1:]:
+        for whole, part in zip(result, score, strict=True):
+            np.copyto(whole, part, where=np.isfinite(part))
+    return result
 
 
 def _tool_of(session: Session) -> Tool:
@@ -427,21 +450,11 @@ def _tool_of(session: Session) -> Tool:
 
 
 class Dealing(NamedTuple):
-    """How many holds there are, and root mean squares, m/s^2 and rad.
+    """Scores of imu_calib, of the authors' own tool, and of it with the bias that does best."""
 
-    Of imu_calib, of the authors' own tool, and of it with the bias that does best.
-    """
-
-    holds: int
-    ours: tuple[float, float]
-    theirs: tuple[float, float]
-    best: tuple[float, float]
-
-
-def _joined(scores: Sequence[Score]) -> tuple[float, float]:
-    parts = (np.concatenate([s[k] for s in scores]) for k in (0, 1))
-    lengths, angles = (float(np.sqrt(np.mean(p**2))) if len(p) else np.nan for p in parts)
-    return lengths, angles
+    ours: Score
+    theirs: Score
+    best: Score
 
 
 def across(
@@ -459,7 +472,7 @@ def across(
     else:
         theirs = _tool_of(of).calibrate(of, range(len(of.holds)))
     scores = [on.score(each, every) for each in (model.compensate, theirs, best)]
-    return Dealing(len(every), *(_joined([score]) for score in scores))
+    return Dealing(*scores)
 
 
 def _published(folder: Path, recording: Recording) -> Triads:
@@ -472,23 +485,36 @@ def _published(folder: Path, recording: Recording) -> Triads:
 
 
 def _row(name: str, first: str, found: Sequence[Dealing]) -> str:
-    """Write medians over the dealings, and in how many imu_calib is ahead of either tool."""
+    """Write medians over the dealings, in how many imu_calib is ahead, and by what for each hold.
+
+    The last: the mean of squares less those of either tool, each averaged over the dealings, in
+    standard deviations of that mean over the holds. Below zero imu_calib is ahead.
+    """
     cells = []
     for which, unit in ((0, 1e-3), (1, DEG)):
-        ours, theirs, best = (np.array([d[k][which] for d in found]) / unit for k in (1, 2, 3))
-        if np.isfinite(ours).all():
-            ahead = [int(np.count_nonzero(ours < other)) for other in (theirs, best)]
-            medians = ', '.join(f'{np.median(each):.3g}' for each in (ours, theirs, best))
-            cells.append(f'{medians} | {ahead[0]}, {ahead[1]}')
-        else:
-            cells.append(' | ')
+        rms = np.array([[score.rms()[which] for score in d] for d in found]) / unit
+        squares = np.array([[score[which] ** 2 for score in d] for d in found])
+        seen = np.isfinite(squares).all(axis=1)
+        if not np.isfinite(rms).all():
+            cells.append(' | | ')
+            continue
+        each = np.where(seen[:, None], squares, 0).sum(axis=0)[:, seen.any(axis=0)]
+        each /= seen.sum(axis=0)[seen.any(axis=0)]
+        less = each[0] - each[1:]
+        sigma = less.mean(axis=1) / (less.std(axis=1, ddof=1) / np.sqrt(less.shape[1]))
+        ahead = (rms[:, :1] < rms[:, 1:]).sum(axis=0)
+        cells.append(
+            f'{", ".join(f"{median:.3g}" for median in np.median(rms, axis=0))} | '
+            f'{ahead[0]}, {ahead[1]} | {sigma[0]:+.1f}, {sigma[1]:+.1f}'
+        )
     return f'| {name} | {first} | {" | ".join(cells)} |'
 
 
 def _plain(found: Dealing) -> str:
     """Write a dealing: lengths of all three, mm/s^2, and angles, deg."""
-    lengths = ' '.join(f'{each[0] * 1e3:.4f}' for each in found[1:])
-    return f'{lengths} {" ".join(f"{each[1] / DEG:.5f}" for each in found[1:])}'
+    lengths, angles = zip(*(score.rms() for score in found), strict=True)
+    parts = (np.array(lengths) / 1e-3, np.array(angles) / DEG)
+    return ' '.join(f'{number:.5g}' for part in parts for number in part)
 
 
 def main() -> int:
@@ -501,8 +527,11 @@ def main() -> int:
     parser.add_argument('--each', action='store_true', help='print every dealing besides')
     parser.add_argument('--jobs', type=int)
     asked = parser.parse_args()
-    print('| recording | dealings | abs(a) - g, mm/s^2 | ahead | gravity carried, deg | ahead |')
-    print('|---|---|---|---|---|---|')
+    print(
+        '| recording | dealings | abs(a) - g, mm/s^2 | ahead | sigma '
+        '| gravity carried, deg | ahead | sigma |'
+    )
+    print('|---|---|---|---|---|---|---|---|')
     seeds = range(1, asked.dealings + 1) if asked.dealings else (0,)
     for name, read in DEALT.items():
         if name not in asked.only or not _there(read, asked.directory):
@@ -518,7 +547,7 @@ def main() -> int:
     for name, pair in ACROSS.items():
         if 'across' in asked.only and all(_there(read, asked.directory) for read in pair):
             found_one = across(pair, asked.directory)
-            print(_row(name, f'{found_one.holds} holds', [found_one]), flush=True)
+            print(_row(name, '1', [found_one]), flush=True)
     return 0
 
 
