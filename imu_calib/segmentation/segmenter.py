@@ -29,7 +29,7 @@ from .apart import FARTHEST, offset_by_pattern
 from .bridging import LONGEST, Bridged, bridged
 from .buffer import RowBuffer
 from .bunches import sampling_times
-from .clock import ClockFit, ClockSample, ShareSeen, clock_sample, fit_clock, seen_by_gyros
+from .clock import ClockFit, ClockSample, ShareSeen, cells, clock_sample, fit_clock, seen_by_gyros
 from .dwells import read_dwell
 from .grid import clock_steps
 from .intake import StreamBuffer
@@ -368,8 +368,10 @@ class Segmenter:
             return
         self._compare_clocks(motion, samples, self._table)
         if not self._sensor.saturated(values, samples).any():
-            attitudes = self._table.attitude(motion.position)
-            seen = seen_by_gyros(samples, motion.stamp + self._offset_ns, attitudes)
+            shown = motion.stamp + self._offset_ns
+            some = cells(shown)
+            attitudes = self._table.attitude(motion.position[some])
+            seen = seen_by_gyros(samples, shown[some], attitudes)
             if seen is not None:
                 middle = (motion.start + motion.end) / 2 + self._offset_ns
                 self._seen_motions.append((middle, seen))

@@ -134,7 +134,9 @@ def gap_free(stamp: Stamps, period: float) -> list[tuple[int, int]]:
 
     """
     steps = np.diff(stamp) * 1e-9
-    jitter = 1.4826 * float(np.median(np.abs(steps - np.median(steps)))) if len(steps) else 0.0
+    if float(steps.max(initial=0.0)) <= 1.5 * period:
+        return [(0, len(stamp))]
+    jitter = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
     # Of a few steps half may be a gap: stamps that jitter by more than an interval have no order.
     cuts = np.flatnonzero(steps > 1.5 * period + 6 * min(jitter, period)) + 1
     edges = [0, *cuts.tolist(), len(stamp)]
