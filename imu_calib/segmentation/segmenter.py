@@ -292,7 +292,7 @@ class Segmenter:
     def _split_long_rest(self) -> None:
         """Close a dwell after so many samples, that memory stays bounded however long it lasts."""
         tracker = self._tracker
-        if tracker is None or self._pending:
+        if tracker is None or self._pending or len(self._intake.imu) <= _LONGEST_REST:
             return
         while (since := tracker.rest_since) is not None:
             stamp = self._intake.imu.stamp
