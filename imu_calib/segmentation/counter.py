@@ -167,7 +167,7 @@ def passages(pulses: Floats, period: float, walk: float) -> Passages | None:
     if abs(drift) * math.sqrt(len(pulses)) < _DRIFT_SIGNIFICANCE * walk * math.sqrt(period):
         return None
     record = np.maximum.accumulate(count * math.copysign(1.0, drift))
-    index = np.flatnonzero(np.diff(record, prepend=0.0) > 0)
+    index = np.flatnonzero(np.append(record[:1] > 0, record[1:] > record[:-1]))
     return Passages(index, record[index], drift) if len(index) >= _PASSAGES_NEEDED else None
 
 

@@ -277,9 +277,10 @@ def _laid(time: Floats, index: NDArray[np.int64], period: float) -> SampleGrid:
         return SampleGrid(index, 0.0, step, float('inf'), 0.0, everything)
     kept = _near(time - index * period)
     for _ in range(_ROUNDS):
-        middle, mean = float(index[kept].mean()), float(time[kept].mean())
-        centred = index[kept] - middle
-        slope = float(centred @ time[kept] / (centred @ centred))
+        some, instants = (index, time) if kept.all() else (index[kept], time[kept])
+        middle, mean = float(some.mean()), float(instants.mean())
+        centred = some - middle
+        slope = float(centred @ instants / (centred @ centred))
         left = time - mean - slope * (index - middle)
         near = _near(left)
         if np.array_equal(near, kept):

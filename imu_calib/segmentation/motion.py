@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,11 @@ class Motion:
     end: int
     stamp: Stamps
     position: Floats
+
+    @cached_property
+    def travel(self) -> Floats:
+        """By how much each joint moved, (k,) rad; needs joint states."""
+        return np.asarray(np.ptp(self.position, axis=0))
 
 
 class JointTracker:

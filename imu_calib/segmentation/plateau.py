@@ -225,7 +225,7 @@ def find_plateaus(motion: Motion) -> list[Plateau]:
 
 
 def _turning(motion: Motion) -> int:
-    return int(np.argmax(np.ptp(motion.position, axis=0)))
+    return int(np.argmax(motion.travel))
 
 
 def _seeds(time: Floats, angle: Floats) -> list[tuple[int, int]]:

@@ -384,7 +384,7 @@ class Segmenter:
         self._lost += int(np.count_nonzero(whole.rows[inside] < 0))
 
     def _compare_clocks(self, motion: Motion, samples: Samples, table: Table) -> None:
-        travel = np.ptp(motion.position, axis=0)
+        travel = motion.travel
         joint = int(np.argmax(travel))
         if np.any(np.delete(travel, joint) > 0.01 * travel[joint]):
             return
