@@ -107,7 +107,7 @@ def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> S
         carried = np.repeat([spec.gyro.pulse, spec.accel.pulse], 3)
         grid = np.where(carried > 0, 0.0, grid)
         return Samples(stamp, increments, np.zeros(6), period, grid, carried)
-    whole = np.all(values == np.rint(values), axis=0)
+    whole = [bool(channel.all()) for channel in (values == np.rint(values)).T]
     return Samples(stamp, values * scale, np.where(whole, scale, 0.0), period, np.zeros(6))
 
 
