@@ -2,8 +2,9 @@
 
 Each recording is calibrated from some of its holds and scored on the others, which it never saw:
 the root mean square of |a| - g over them, and of the angle between gravity as the gyros carry it
-from hold to hold and as the accelerometers see it there. The authors' tool is that of imu_tk, which
-four of the five groups use, written anew from its description (`tool`).
+from hold to hold and as the accelerometers see it there. The authors' tools are written anew from
+their descriptions (`Tool`), and get the holds that imu_calib finds. Beside each stands imu_tk's
+with the bias of the gyros that does best, the mean of all holds.
 
     python benchmarks/real_hands.py DIRECTORY [--only NAME ...] [--dealings 12] [--threes]
 
@@ -11,12 +12,13 @@ Holds are dealt in threes of neighbours to two halves (or three at a time are le
 in turn, and then anew by a seed. DIRECTORY has the files that docs/real_recordings.md names; what
 is not there is passed over.
 
-Sources: Tedaldi, Pretto and Menegatti 2014, ICRA.
+Sources: Tedaldi, Pretto and Menegatti 2014, ICRA; Mikov, Reginya and Moschevikin 2020, ICINS.
 """
 
 from __future__ import annotations
 
 import argparse
+import enum
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -151,45 +153,85 @@ ACROSS: dict[str, tuple[Callable[[Path], Recording], Callable[[Path], Recording]
 """Too short for that: calibrated on the first, scored on the second."""
 
 
-def tool(
-    at_rest: Floats, turns: Sequence[tuple[int, int, Floats, Floats]], gravity: float
-) -> Triads:
-    """Calibrate as imu_tk does: the accelerometers by lengths, then the gyros by gravity carried.
+class Bias(enum.Enum):
+    """What a tool takes for the bias of the gyros."""
 
-    The mean outputs of all holds count alike. Its bias of the gyros is their mean at rest: imu_tk
-    takes that of a quiet start, which most of these recordings lack. It is given the holds that
-    imu_calib finds, which its own thresholds on the variance would have to.
+    START = enum.auto()
+    """Their mean at the first hold."""
+    MEAN = enum.auto()
+    """Their mean over all holds."""
+    FREE = enum.auto()
+    """What lets the turns lead gravity best."""
 
-    Source: Tedaldi, Pretto and Menegatti 2014, eqs. (9) to (15), and (17) to (19) for the
-    Runge-Kutta steps.
 
-    Args:
-        at_rest: (k, 6) mean outputs, SI.
-        turns: From which hold to which, the outputs between (n, 3) of the gyros, rad/s, and the
-            lengths of the n - 1 steps, s.
-        gravity: m/s^2.
+class Tool(NamedTuple):
+    """A tool of two steps: the accelerometers by lengths, then the gyros by gravity carried.
+
+    It is given the holds that imu_calib finds, which its own thresholds on the variance would have
+    to.
+
+    Attributes:
+        bias: Of the gyros.
+        by_samples: Lengths count by samples; else the mean outputs of all holds count alike.
 
     """
-    accel = _lengths(at_rest[:, 3:], gravity)
-    if not turns:
-        return Triads(np.eye(3), np.zeros(3), *accel)
-    bias = at_rest[:, :3].mean(axis=0)
-    seen = (at_rest[:, 3:] - accel[1]) @ accel[0].T
-    ups = seen / np.linalg.norm(seen, axis=1)[:, None]
+
+    bias: Bias
+    by_samples: bool = False
+
+    def calibrate(self, session: Session, chosen: Sequence[int], *, gyros: bool = True) -> Triads:
+        """Calibrate from some of the holds, and the gyros from the turns between neighbours."""
+        holds = [session.holds[k] for k in sorted(chosen)]
+        at_rest = session.at_rest(chosen)
+        outputs = at_rest
+        if self.by_samples:
+            outputs = np.vstack([session.recording.outputs(h.start, h.end) for h in holds])
+        accel = _lengths(outputs[:, 3:], session.recording.site.gravity)
+        turns = session.turns(chosen) if gyros else []
+        if not turns:
+            return Triads(np.eye(3), np.zeros(3), *accel)
+        seen = (at_rest[:, 3:] - accel[1]) @ accel[0].T
+        ups = seen / np.linalg.norm(seen, axis=1)[:, None]
+        bias = at_rest[0, :3] if self.bias is Bias.START else at_rest[:, :3].mean(axis=0)
+        return Triads(*_led(turns, ups, bias, seeks_bias=self.bias is Bias.FREE), *accel)
+
+
+IMU_TK = Tool(Bias.START)
+"""As Tedaldi, Pretto and Menegatti 2014 have it, eqs. (9) to (15)."""
+MIKOV = Tool(Bias.FREE, by_samples=True)
+"""As Mikov, Reginya and Moschevikin 2020 have it, eqs. (10) and (16)."""
+AVERAGED = Tool(Bias.MEAN)
+"""imu_tk's with the bias that shenshikexmu take: the one that does best."""
+
+
+def _led(
+    turns: Sequence[tuple[int, int, Floats, Floats, Floats]],
+    ups: Floats,
+    bias: Floats,
+    *,
+    seeks_bias: bool,
+) -> tuple[Floats, Floats]:
+    """Fit nine gains of the gyros, and their bias if asked, to ups that turns lead from and to.
+
+    Source: Tedaldi, Pretto and Menegatti 2014, eqs. (14) and (15), and (17) to (19) for the
+    Runge-Kutta steps.
+
+    """
     first, second = (ups[[turn[k] for turn in turns]] for k in (0, 1))
-    rates, steps = _padded([turn[2] - bias for turn in turns], [turn[3] for turn in turns])
+    rates, steps = _padded([turn[2] for turn in turns], [turn[4] for turn in turns])
+
+    def parts(values: Floats) -> tuple[Floats, Floats]:
+        gain = np.diag(values[:3])
+        gain[~np.eye(3, dtype=bool)] = values[3:9]
+        return gain, values[9:] if seeks_bias else bias
 
     def missed(values: Floats) -> Floats:
-        gain = np.diag(values[:3])
-        gain[~np.eye(3, dtype=bool)] = values[3:]
-        carried = _turned(_carried(rates @ gain.T, steps), first)
+        gain, zero = parts(values)
+        carried = _turned(_carried((rates - zero) @ gain.T, steps), first)
         return np.asarray((carried - second).ravel())
 
-    start = np.array([1.0, 1, 1, 0, 0, 0, 0, 0, 0])
-    found = scipy.optimize.least_squares(missed, start, method='lm', xtol=1e-7, ftol=1e-7).x
-    gain = np.diag(found[:3])
-    gain[~np.eye(3, dtype=bool)] = found[3:]
-    return Triads(gain, bias, *accel)
+    start = np.concatenate([[1.0, 1, 1, 0, 0, 0, 0, 0, 0], bias if seeks_bias else []])
+    return parts(scipy.optimize.least_squares(missed, start, method='lm', xtol=1e-7, ftol=1e-7).x)
 
 
 class Triads(NamedTuple):
@@ -343,13 +385,6 @@ def calibrated(recording: Recording) -> SensorModel | None:
         return None
 
 
-def of_authors(session: Session, chosen: Sequence[int], *, gyros: bool = True) -> Triads:
-    """Calibrate by the authors' tool from some of the holds."""
-    turns = [(a, b, gyro, steps) for a, b, gyro, _, steps in session.turns(chosen)]
-    at_rest = session.at_rest(chosen)
-    return tool(at_rest, turns if gyros else [], session.recording.site.gravity)
-
-
 def dealt(holds: int, seed: int, *, threes: bool) -> list[list[int]]:
     """Deal holds to parts, each of which is held out in turn.
 
@@ -371,25 +406,36 @@ def one(read: Callable[[Path], Recording], folder: Path, threes: bool, seed: int
     """Score a dealing; None where imu_calib refuses a part."""
     session = Session.of(read(folder))
     every = range(len(session.holds))
-    ours, theirs = [], []
+    ours, theirs, best = [], [], []
     for out in dealt(len(every), seed, threes=threes):
         kept = [k for k in every if k not in out]
         model = calibrated(session.only(kept))
         if model is None:
             return None
         ours.append(session.score(model.compensate, out))
-        theirs.append(
-            session.score(of_authors(session, kept, gyros=bool(len(ours[-1].angles))), out)
-        )
-    return Dealing(len(every), _joined(ours), _joined(theirs))
+        for tool, scores in ((_tool_of(session), theirs), (AVERAGED, best)):
+            found = tool.calibrate(session, kept, gyros=bool(len(ours[-1].angles)))
+            scores.append(session.score(found, out))
+    return Dealing(len(every), _joined(ours), _joined(theirs), _joined(best))
+
+
+def _tool_of(session: Session) -> Tool:
+    """Return the tool of those who recorded a session."""
+    return {'mpu_9150': MIKOV, 'caldata': AVERAGED, 'Data': AVERAGED}.get(
+        session.recording.imu.id, IMU_TK
+    )
 
 
 class Dealing(NamedTuple):
-    """How many holds there are, and root mean squares, m/s^2 and rad, of both."""
+    """How many holds there are, and root mean squares, m/s^2 and rad.
+
+    Of imu_calib, of the authors' own tool, and of it with the bias that does best.
+    """
 
     holds: int
     ours: tuple[float, float]
     theirs: tuple[float, float]
+    best: tuple[float, float]
 
 
 def _joined(scores: Sequence[Score]) -> tuple[float, float]:
@@ -407,12 +453,13 @@ def across(
     model = calibrated(of.recording)
     assert model is not None, 'a whole recording is refused'
     published = folder / 'params_acc.csv'
+    best = AVERAGED.calibrate(of, range(len(of.holds)))
     if of.recording.imu.id == 'mpu_6050' and published.exists():
-        theirs: Corrected = _published(folder, of.recording)
+        theirs = _published(folder, of.recording)
     else:
-        theirs = of_authors(of, range(len(of.holds)))
-    ours = on.score(model.compensate, every)
-    return Dealing(len(every), _joined([ours]), _joined([on.score(theirs, every)]))
+        theirs = _tool_of(of).calibrate(of, range(len(of.holds)))
+    scores = [on.score(each, every) for each in (model.compensate, theirs, best)]
+    return Dealing(len(every), *(_joined([score]) for score in scores))
 
 
 def _published(folder: Path, recording: Recording) -> Triads:
@@ -425,23 +472,23 @@ def _published(folder: Path, recording: Recording) -> Triads:
 
 
 def _row(name: str, first: str, found: Sequence[Dealing]) -> str:
-    """Write medians over the dealings, and in how many imu_calib is ahead."""
+    """Write medians over the dealings, and in how many imu_calib is ahead of either tool."""
     cells = []
     for which, unit in ((0, 1e-3), (1, DEG)):
-        ours, theirs = (np.array([d[k][which] for d in found]) / unit for k in (1, 2))
+        ours, theirs, best = (np.array([d[k][which] for d in found]) / unit for k in (1, 2, 3))
         if np.isfinite(ours).all():
-            ahead = int(np.count_nonzero(ours < theirs))
-            cells.append(f'{np.median(ours):.3g}, {np.median(theirs):.3g} | {ahead}')
+            ahead = [int(np.count_nonzero(ours < other)) for other in (theirs, best)]
+            medians = ', '.join(f'{np.median(each):.3g}' for each in (ours, theirs, best))
+            cells.append(f'{medians} | {ahead[0]}, {ahead[1]}')
         else:
             cells.append(' | ')
     return f'| {name} | {first} | {" | ".join(cells)} |'
 
 
 def _plain(found: Dealing) -> str:
-    """Write a dealing: lengths of both, mm/s^2, and angles of both, deg."""
-    (length, angle), (their_length, their_angle) = found.ours, found.theirs
-    lengths = f'{length * 1e3:.4f} {their_length * 1e3:.4f}'
-    return f'{lengths} {angle / DEG:.5f} {their_angle / DEG:.5f}'
+    """Write a dealing: lengths of all three, mm/s^2, and angles, deg."""
+    lengths = ' '.join(f'{each[0] * 1e3:.4f}' for each in found[1:])
+    return f'{lengths} {" ".join(f"{each[1] / DEG:.5f}" for each in found[1:])}'
 
 
 def main() -> int:

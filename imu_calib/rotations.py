@@ -24,6 +24,8 @@ GENERATORS = np.array(
 )
 """Derivatives of rotations about x, y and z at none."""
 _IDENTITY = np.eye(3)
+_NONE = 1e-20
+"""rad: stands for no angle where it is divided by, and its sine is as large."""
 
 
 def cross_matrix(vector: Floats) -> Floats:
@@ -82,16 +84,19 @@ def rotations(vectors: Floats) -> Floats:
 
 def rotations_last(vectors: Floats) -> Floats:
     """Return `rotations` with the index of the vector last, (3, 3, n), as `product` takes them."""
-    x, y, z = vectors.T
-    angle = np.linalg.norm(vectors, axis=-1)
-    sine = np.sinc(angle / np.pi)
-    versine = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
-    zero = np.zeros_like(x)
-    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+    along = np.ascontiguousarray(vectors.T)
+    square = (along**2).sum(axis=0)
+    half = np.sqrt(square) / 2
+    half[half == 0] = _NONE
+    ratio = np.sin(half) / half
+    versine = 0.5 * ratio**2
     # The square of a cross product's matrix is v v' - v'v.
-    outer = vectors.T[:, None] * vectors.T
-    result = sine * cross + versine * outer
-    result[range(3), range(3)] += 1 - versine * angle**2
+    result = along[:, None] * (versine * along)
+    result[range(3), range(3)] += 1 - versine * square
+    crossed = ratio * np.cos(half) * along
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        result[i, j] -= crossed[k]
+        result[j, i] += crossed[k]
     return np.asarray(result)
 
 
@@ -107,18 +112,19 @@ def product(first: Floats, second: Floats) -> Floats:
 
 
 def _twice_sine(matrix: Floats) -> Floats:
-    """Return the axis of a rotation (3, 3) times twice the sine of its angle, (3,)."""
-    return np.array(
-        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
-    )
+    """Return the axes of rotations (..., 3, 3) times twice the sine of their angles, (..., 3)."""
+    back = np.swapaxes(matrix, -1, -2)
+    return np.asarray((matrix - back)[..., (2, 0, 1), (1, 2, 0)])
 
 
 def rotation_vector(matrix: Floats) -> Floats:
-    """Return the rotation vector (3,) of a rotation below half a turn, (3, 3)."""
+    """Return the rotation vectors (..., 3) of rotations below half a turn, (..., 3, 3)."""
     axis = _twice_sine(matrix)
-    sine, cosine = np.linalg.norm(axis) / 2, (np.trace(matrix) - 1) / 2
-    angle = np.arctan2(sine, cosine)
-    return np.asarray(axis * (angle / (2 * sine) if sine > 0 else 0.5))
+    sine = np.linalg.norm(axis, axis=-1) / 2
+    cosine = (np.trace(matrix, axis1=-2, axis2=-1) - 1) / 2
+    turned = sine > 0
+    ratio = np.where(turned, np.arctan2(sine, cosine) / np.where(turned, 2 * sine, 1.0), 0.5)
+    return np.asarray(axis * ratio[..., None])
 
 
 def rotation_vectors(matrices: Floats) -> Floats:

@@ -359,6 +359,19 @@ def test_what_is_left_has_the_restricted_likelihood_of_the_outputs() -> None:
     assert gained == pytest.approx(restricted(noise + more) - restricted(noise))
 
 
+@pytest.mark.parametrize('rounding', [0.0, 1e-16, -3e-16])
+def test_columns_that_say_the_same_take_up_one_direction(rounding: float) -> None:
+    rng = np.random.default_rng(1)
+    jacobian, left = rng.standard_normal((9, 3)), rng.standard_normal(9)
+    prior = np.zeros((2, 4))
+    project, z = _restricted(jacobian, left, np.eye(9), prior)
+    twice = np.column_stack([jacobian, 1e-6 * (jacobian[:, 0] + rounding)])
+    same, rest = _restricted(twice, left, np.eye(9), np.zeros((2, 5)))
+    assert same.shape == project.shape
+    assert same @ same.T == pytest.approx(project @ project.T, abs=1e-9)
+    assert rest @ rest == pytest.approx(z @ z)
+
+
 def test_a_slope_varies_as_the_line_through_its_blocks() -> None:
     # Blocks at 10, 20 and 30 s: their line rises by half of the last less the first, over 10 s.
     blocks = np.array([[0.0, 0.1, 5.0, 10.0], [0.0, 0.2, 6.0, 20.0], [0.0, 0.3, 7.0, 30.0]])

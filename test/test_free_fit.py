@@ -18,15 +18,18 @@ from imu_calib.methods.free_positions import (
     FREE,
     _chance,
     _check_observable,
+    _doubt,
     _largest,
     _outstanding_turn,
     _scatter,
     _State,
+    _weighed,
     ellipsoid,
     in_frame_of_accelerometers,
     initial_equations,
     is_clear,
     refuse,
+    scatter_words,
     solve,
     term_words,
 )
@@ -102,18 +105,67 @@ def test_a_group_scatters_by_its_chi_square_over_what_no_unknown_took() -> None:
     left[[4, 5, 9]] = 4.0
     left[[0, 1]] = 0.5
     left[[18, 19, 20]] = 10.0
-    found = _scatter(state(left, columns))
+    found, freedom, chances = _scatter(state(left, columns))
     assert found == pytest.approx([np.sqrt(48 / 5), 1.0, np.sqrt(300 / 7)])
+    assert freedom == pytest.approx([5, np.inf, 7])
+    assert chances == pytest.approx(chi2.sf([48, 0.5, 300], [5, 6, 7]))
     # As it is without the factors that were found before.
     again = state(left, columns).scattering(np.array([9.0, 3.0, 2.0]))
-    assert _scatter(again) == pytest.approx(found)
+    assert _scatter(again)[0] == pytest.approx(found)
 
 
-@pytest.mark.parametrize(('chance', 'scatters'), [(1.1e-3, False), (0.9e-3, True)])
-def test_it_scatters_where_chance_does_so_once_in_a_thousand(chance: float, scatters: bool) -> None:
+def test_scatter_that_few_degrees_of_freedom_tell_may_be_larger() -> None:
+    # Variances that may have left X (inverse chi-square, of the prior 1 / variance).
+    rng = np.random.default_rng(0)
+    likely = 6 / rng.chisquare(6, 400_000)
+    found = _doubt(np.array([6.0, np.inf, 1e6, 0.6]))
+    assert found[0] ** 2 == pytest.approx(likely.mean(), rel=0.02)
+    assert found[1:] == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
+
+
+def test_what_another_group_lends_by_wrong_weights_is_no_scatter() -> None:
+    """The mean of six gyros of noise 50 and of nine turns of noise 1, all said to have noise 1."""
+    left = np.zeros(21)
+    left[[0, 1, 2, 6, 7, 8]] = [70, -20, 50, 80, 30, -10]
+    left[12:] = [1, -1, 0.5, -0.5, 1, -1, 0.5, -0.5, 0]
+    columns = np.zeros((21, 1))
+    columns[[0, 1, 2, 6, 7, 8]] = columns[12:] = 1.0
+    first = state(left, columns).settled()
+    assert _scatter(first)[0][2] > 5
+    found = _weighed(first)
+    assert found.scatter[[0, 2]].tolist() == [1.0, 1.0]
+    # 15100 / 6 about nearly nothing, and 6 / 4 of it: six degrees of freedom.
+    assert found.scatter[1] ** 2 == pytest.approx(15200 / 6 * 6 / 4, rel=0.01)
+
+
+@pytest.mark.parametrize(('chance', 'scatters'), [(0.011, False), (0.009, True)])
+def test_it_widens_where_chance_leaves_as_much_once_in_a_hundred(
+    chance: float, scatters: bool
+) -> None:
     left = np.zeros(21)
     left[0] = np.sqrt(chi2.isf(chance, 6))
-    assert (_scatter(state(left)) > 1).tolist() == [False, scatters, False]
+    assert (_scatter(state(left))[0] > 1).tolist() == [False, scatters, False]
+
+
+@pytest.mark.parametrize(('chance', 'named'), [(1.1e-3, []), (0.9e-3, ['the gyros at rest'])])
+def test_it_is_named_where_chance_does_so_once_in_a_thousand(
+    chance: float, named: list[str]
+) -> None:
+    fit: Any = SimpleNamespace(
+        scatter=np.array([1.0, 2.0, 1.0]), scatter_chances=np.array([0.5, chance, 2e-3])
+    )
+    words = scatter_words(fit)
+    assert len(words) == len(named)
+    assert all(name in word for name, word in zip(named, words, strict=True))
+
+
+def test_one_degree_of_freedom_widens_by_all_that_is_left() -> None:
+    columns = np.zeros((21, 5))
+    columns[[0, 1, 2, 6, 7], range(5)] = 1.0
+    left = np.zeros(21)
+    left[8] = 50.0
+    found, freedom, _ = _scatter(state(left, columns))
+    assert found * _doubt(freedom) == pytest.approx([1.0, 50.0, 1.0])
 
 
 def test_a_group_without_freedom_does_not_scatter() -> None:
@@ -121,8 +173,8 @@ def test_a_group_without_freedom_does_not_scatter() -> None:
     columns[[0, 1, 2, 6, 7], range(5)] = 1.0
     left = np.zeros(21)
     left[8] = 50.0
-    assert _scatter(state(left, columns)).tolist() == [1.0, 1.0, 1.0]
-    assert _scatter(state(left, columns[:, :4]))[1] > 1
+    columns = np.column_stack([columns, np.eye(21)[8]])
+    assert _scatter(state(left, columns))[0].tolist() == [1.0, 1.0, 1.0]
 
 
 def test_scatter_inflates_the_variances_of_its_group() -> None:
@@ -347,7 +399,7 @@ def test_deviations_are_those_that_scatter_may_leave() -> None:
     rows = [r for k in range(9) for r in range(6 * k + 3, 6 * k + 6)]
     seen = [r for r in range(90) if r not in (57, 58, 59, 87, 88, 89)]
     taken = sum(1 / sum(1 for other in seen if other % 26 == r % 26) for r in rows)
-    scatter = 3 * 4.0**2 / (30 - taken)
+    scatter = 3 * 4.0**2 / (30 - taken - 2)
     limit = 0.005 / np.sqrt(scatter)
     assert scatter > 2
     assert clear(std=limit * 0.99, at_rest=4.0)

@@ -245,7 +245,7 @@ class HandCalibrator:
             Residual(str(s.position), s.start, value, deviation)
             for s, value, deviation in zip(segments, fit.residuals, std, strict=True)
         )
-        findings = [_FRAME, *far_scales(fit.model), *term_words(fit), *scatter_words(fit.scatter)]
+        findings = [_FRAME, *far_scales(fit.model), *term_words(fit), *scatter_words(fit)]
         if turns < len(segments) - 1:
             findings.append(f'{len(segments) - 1 - turns} turns are lost (gaps, saturation).')
         if fit.rejected_moves:

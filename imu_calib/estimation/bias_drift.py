@@ -5,7 +5,7 @@ Source: docs/mathematics.md, 'Joint estimate'.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,6 @@ class BiasDrift:
     of: NDArray[np.intp]
     weights: Floats
     answers: Floats
-    _memo: dict[float, Floats] = field(default_factory=dict, repr=False)
 
     @classmethod
     def over(
@@ -69,9 +68,14 @@ class BiasDrift:
         """Length of the session, s."""
         return max(float(np.ptp(self.nodes)), 1.0)
 
+    @property
+    def stated_time(self) -> float:
+        """`STATED_TIME` as a fraction of the session."""
+        return STATED_TIME / self.span
+
     def stated_kernel(self) -> Floats:
         """Return `kernel` of the drift that a data sheet states."""
-        return self.kernel(STATED_TIME / self.span)
+        return self.kernel(self.stated_time)
 
     def kernel(self, time: float) -> Floats:
         """Return the covariance of means and slopes of three channels for unit variance, (3k, 3k).
@@ -80,10 +84,41 @@ class BiasDrift:
             time: Correlation time as a fraction of the session.
 
         """
-        if time not in self._memo:
-            alone, rows = self.of_one(time * self.span), self.answers.reshape(-1, 3)
-            self._memo[time] = np.kron(alone, np.ones((3, 3))) * (rows @ rows.T)
-        return self._memo[time]
+        alone, rows = self.of_one(time * self.span), self.answers.reshape(-1, 3)
+        return np.asarray(np.kron(alone, np.ones((3, 3))) * (rows @ rows.T))
+
+    def entering(self, project: Floats) -> Floats:
+        """Return by what the biases of the segments enter what is seen of means, (3, r, n).
+
+        Args:
+            project: (3n, r) by which means of three channels enter it.
+
+        """
+        parts = project.T.reshape(project.shape[1], -1, 3)
+        answers = self.answers[: parts.shape[1]]
+        return np.asarray(np.einsum('rni,nic->crn', parts, answers))
+
+    def seen(self, time: float, entering: Floats, slopes: Floats) -> Floats:
+        """Return `kernel` as it is seen by means and slopes, (r + 3s, r + 3s).
+
+        Channels drift for themselves, and slopes are those of the biases: of the kernel only that
+        of one channel is needed.
+
+        Args:
+            time: As in `kernel`.
+            entering: (3, r, n) of the means.
+            slopes: (3s,) factors on the slopes.
+
+        """
+        alone, (_, seen, count) = self.of_one(time * self.span), entering.shape
+        drifting = entering @ alone[:count]
+        found = np.empty((seen + len(slopes),) * 2)
+        found[:seen, :seen] = _beside(drifting[..., :count]) @ _beside(entering).T
+        crossed = np.moveaxis(drifting[..., count:], 0, -1).reshape(seen, -1) * slopes
+        found[:seen, seen:], found[seen:, :seen] = crossed, crossed.T
+        found[seen:, seen:] = np.kron(alone[count:, count:], np.eye(3))
+        found[seen:, seen:] *= np.outer(slopes, slopes)
+        return found
 
     def of_one(self, time: float) -> Floats:
         """Return the covariance of one channel, (k, k), for a correlation time in s.
@@ -106,3 +141,8 @@ class BiasDrift:
             'ki,kij,kj->k', weights[one], np.exp(-apart / time), weights[other]
         )
         return np.asarray(found)
+
+
+def _beside(each: Floats) -> Floats:
+    """Return the (r, n) of three channels side by side, (r, 3n)."""
+    return np.hstack(list(each))

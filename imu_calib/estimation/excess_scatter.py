@@ -72,6 +72,10 @@ not there, would hide it. A judgement."""
 _UNLIKELY = 1e-3
 """Weight below which a hypothesis is dropped: it changes variances far less than their spread."""
 
+_ALIKE = 1e-10
+"""Of the longest column, all scaled to one: what is left of a column beside others that counts as
+nothing, as in `information`."""
+
 _BLOCKS_FOR_A_SLOPE = 4
 """Fewest blocks of 10 s that a slope is taken from: a line has two unknowns, and two degrees of
 freedom are left for its standard deviation."""
@@ -220,9 +224,8 @@ def excess(
     plain = replace(equations, extra=(), positioning=NO_POSITIONING_ERRORS)
     if not plain.evidence.segments or plain.own_variances.max() <= SMALLEST_VARIANCE:
         return ExcessScatter(NO_POSITIONING_ERRORS, np.zeros(6))
-    triads = _triads(plain, state, _ODDS_BESIDE_OUTLIERS if suspecting else _ODDS)
-    if not doubted:
-        triads = [replace(triad, noise=()) for triad in triads]
+    odds = _ODDS_BESIDE_OUTLIERS if suspecting else _ODDS
+    triads = _triads(plain, state, odds, doubted=doubted)
     still = [_Drift.of(triad) for triad in triads]
     share, joints, stops = _positioning(triads, still, _variances(plain))
     found = [[(1 - share, drift)] for drift in still]
@@ -417,8 +420,9 @@ def _spread_out(
     stated = triad.stated * triad.bias_drift.stated_kernel()[:means, :means]
     found = np.zeros_like(stated)
     for k, time in enumerate(_TIMES):
-        kernel = triad.bias_drift.kernel(time)[:means, :means]
-        found += float(by_ratio[k] @ _RATIOS) * triad.typical * kernel
+        if by_ratio[k].any():
+            kernel = triad.bias_drift.kernel(time)[:means, :means]
+            found += float(by_ratio[k] @ _RATIOS) * triad.typical * kernel
     total = calm * triad.stated + float((by_ratio @ _RATIOS).sum()) * triad.typical
     parts = []
     if calm * triad.stated:
@@ -432,13 +436,13 @@ def _spread_out(
     return math.sqrt(total), tuple(parts), (spared,) if triad.stated else (), swift
 
 
-def _triads(plain: Equations, state: Floats, odds: float) -> list[_Triad]:
+def _triads(plain: Equations, state: Floats, odds: float, *, doubted: bool = True) -> list[_Triad]:
     """Return gyros and accelerometers, either with turns and moves, by odds for the data sheet."""
     log_odds = np.log([*[1 / 3] * (len(_SHARES) - 1), odds]) - math.log(1 + odds)
     jacobian, left = plain.jacobian(state), plain.outputs - plain.predict(state)
     rising = plain.slopes(state)
     parts = (jacobian, left, rising, plain.covariance(state), plain.by_positioning(state))
-    return [_triad(plain, first, parts, state, log_odds) for first in (0, 3)]
+    return [_triad(plain, first, parts, state, log_odds, doubted=doubted) for first in (0, 3)]
 
 
 def _triad(
@@ -447,6 +451,8 @@ def _triad(
     parts: tuple[Floats, Floats, Floats, Floats, tuple[Floats, ...]],
     state: Floats,
     log_odds: Floats,
+    *,
+    doubted: bool,
 ) -> _Triad:
     """Cut out gyros (first = 0) or accelerometers (first = 3)."""
     evidence = equations.evidence
@@ -494,30 +500,32 @@ def _triad(
         prior[:, np.append(seen, equations.size)],
     )
     slopes = 1 / np.sqrt(slope_variances)
-    both = scipy.linalg.block_diag(project, np.diag(slopes))
+    entering = drift.entering(project)
     typical = float(
         np.median(equations.own_variances[equations.layout.dwell[:, first : first + 3]])
     )
     stated = float(evidence.instability[first] ** 2)
 
-    def seen_by(kernel: Floats, variance: float) -> Floats:
-        return np.asarray(both.T @ (variance * kernel) @ both)
+    def seen_by(time: float, variance: float) -> Floats:
+        return variance * drift.seen(time, entering, slopes)
 
     moved = [
         np.vstack([project.T @ p[rows], np.zeros((len(slopes), p.shape[1]))]) for p in positioning
     ]
     noise = []
-    for c, own in enumerate(equations.own[first : first + 3]):
+    # The size of the noise is in doubt at the end alone.
+    for c, own in enumerate(equations.own[first : first + 3] if doubted else ()):
         assert isinstance(own.part, Diagonal)
         walk = np.zeros_like(of_slopes[..., 0])
         walk[:, c] = of_slopes[:, c, 0]
         deviations = np.sqrt(np.concatenate([own.part.variances[rows], walk.ravel()]))
+        both = scipy.linalg.block_diag(project, np.diag(slopes))
         noise.append((both.T[:, deviations > 0] * deviations[deviations > 0], own.freedom))
     return _Triad(
         rows,
         np.concatenate([z, slope_left * slopes]),
-        seen_by(drift.stated_kernel(), stated),
-        tuple(seen_by(drift.kernel(time), typical) for time in _TIMES),
+        seen_by(drift.stated_time, stated),
+        tuple(seen_by(time, typical) for time in _TIMES),
         (moved[0], moved[1]),
         tuple(noise),
         drift,
@@ -546,8 +554,12 @@ def _restricted(
     columns = np.column_stack([jacobian, left])
     columns = scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False)
     columns = np.vstack([columns, prior])
-    full, triangle = np.linalg.qr(columns[:, :-1], mode='complete')
-    free = full[:, triangle.shape[1] :]
+    # A few velocities tell some of the accelerometers' parameters alike: what then is left of a
+    # column is rounding, and takes no direction up.
+    norms = np.linalg.norm(columns[:, :-1], axis=0)
+    full, triangle, _ = scipy.linalg.qr(columns[:, :-1] / norms, pivoting=True)
+    sizes = np.abs(np.diag(triangle))
+    free = full[:, np.count_nonzero(sizes > _ALIKE * sizes.max(initial=0.0)) :]
     project = scipy.linalg.solve_triangular(
         factor, free[: len(left)], lower=True, trans='T', check_finite=False
     )

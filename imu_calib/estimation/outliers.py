@@ -259,7 +259,7 @@ def find_outlier(
     worst = set()
     for equations, solved in views:
         prepared = _cleaned(equations, solved)
-        squares = np.array([_drop(prepared, rows)[0] for _, rows in candidates])
+        squares, _ = _drop(prepared, np.array([rows for _, rows in candidates]))
         if squares.max() > scipy.special.chdtri(3, _SUSPECT):
             worst.add(int(np.argmax(squares)))
     best: Outlier | None = None
@@ -288,7 +288,8 @@ def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[
     shares = [share for source, share in found.items() if source is not Source.SCATTER]
     variances = np.array([np.diag(share.covariance) for share in shares])
     freedom = effective_freedom(variances, np.array([share.freedom for share in shares]))
-    return *_drop(prepared, rows), float(freedom.min(initial=_EXACT))
+    square, rank = _drop(prepared, rows)
+    return float(square), int(rank), float(freedom.min(initial=_EXACT))
 
 
 def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
@@ -301,13 +302,17 @@ def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
     return root.T @ left[: len(factor)], root.T @ root - weighed @ taken @ weighed.T
 
 
-def _drop(prepared: tuple[Floats, Floats], rows: NDArray[np.intp]) -> tuple[float, int]:
-    pull, information = prepared[0][rows], prepared[1][np.ix_(rows, rows)]
+def _drop(
+    prepared: tuple[Floats, Floats], rows: NDArray[np.intp]
+) -> tuple[Floats, NDArray[np.intp]]:
+    """Return by how much chi-square falls without outputs (..., k), and of how many directions."""
+    pull, information = prepared[0][rows], prepared[1][rows[..., None], rows[..., None, :]]
     # Without noise the state takes up all of an output but for rounding, and nothing is left.
-    own = np.diag(information)
-    least = np.finfo(float).eps * np.abs(information).max(initial=np.finfo(float).tiny)
+    own = np.diagonal(information, axis1=-2, axis2=-1)
+    largest = np.abs(information).max(axis=(-2, -1), initial=np.finfo(float).tiny)
+    least = np.finfo(float).eps * largest[..., None]
     scale = np.where(own > least, 1 / np.sqrt(np.maximum(own, least)), 0.0)
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(information * (scale[..., None] * scale[..., None, :]))
     sound = values > _RANK
-    parts = (vectors.T @ (pull * scale))[sound]
-    return float(parts**2 @ (1 / values[sound])), int(sound.sum())
+    parts = np.einsum('...ij,...i->...j', vectors, pull * scale) ** 2
+    return (parts / np.where(sound, values, np.inf)).sum(axis=-1), sound.sum(axis=-1)

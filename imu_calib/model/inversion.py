@@ -66,7 +66,11 @@ def times_transpose(columns: Floats, matrix: Floats) -> Floats:
 
     A BLAS product of many rows may round otherwise than that of one.
     """
-    return np.asarray((columns.T[:, :, None] * matrix.T[:, None, :]).sum(axis=0))
+    first, *others = np.ascontiguousarray(columns.T)
+    found = matrix[:, :1] * first
+    for k, column in enumerate(others, start=1):
+        found += matrix[:, k, None] * column
+    return np.ascontiguousarray(found.T)
 
 
 def _solved(matrices: Floats, right: Floats) -> Floats:

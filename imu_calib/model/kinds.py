@@ -113,6 +113,9 @@ class ParameterKind(Enum):
         """Return the name alone, not the row."""
         return self.name
 
+    # Each is there once: parameters are looked up often enough for the hash of a name to count.
+    __hash__ = object.__hash__
+
     SCALE_FACTOR_ERROR = Kind(
         'K', 'scale-factor error', 'scale_factor_error', 0, {'g': _RATIO, 'a': _RATIO}, _EVERYWHERE
     )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import NotObservable
 from ..stream import Floats
-from .inversion import inverted
+from .inversion import inverted, times_transpose
 from .parameters import (
     AXES,
     MOST_SKEWED,
@@ -24,7 +24,8 @@ from .parameters import (
 from .terms import G_SENSITIVITIES, G_SENSITIVITY, TERMS, Term, term
 
 _IDENTITY = np.eye(3)
-_OFF_DIAGONAL = ~np.eye(3, dtype=bool)
+_ENTRIES = np.array([0, 4, 8, 1, 2, 3, 5, 6, 7])
+"""Of an error matrix row by row, in the order of `PARAMETERS`: first the diagonal."""
 _BASE = len(PARAMETERS)
 _G = slice(_BASE, _BASE + len(G_SENSITIVITIES))
 _UNSKEWED = (*PARAMETERS, *(p for one in TERMS for p in one.parameters))
@@ -132,16 +133,14 @@ class Triad:
 
     def vector(self) -> Floats:
         """Return the 12 parameters in the order of `PARAMETERS`."""
-        off = self.error_matrix[_OFF_DIAGONAL]
-        return np.concatenate([np.diag(self.error_matrix), off, self.bias])
+        return np.concatenate([self.error_matrix.ravel()[_ENTRIES], self.bias])
 
     @classmethod
     def from_vector(cls, vector: Floats) -> Triad:
         """Build a triad from 12 parameters in the order of `PARAMETERS`."""
-        matrix = np.zeros((3, 3))
-        matrix[_OFF_DIAGONAL] = vector[3:9]
-        matrix[np.diag_indices(3)] = vector[:3]
-        return cls(matrix, np.array(vector[9:12], dtype=float))
+        entries = np.zeros(9)
+        entries[_ENTRIES] = vector[:9]
+        return cls(entries.reshape(3, 3), np.array(vector[9:12], dtype=float))
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,9 +299,9 @@ class SensorModel:
 
     def slopes(self, rate: Floats, force: Floats) -> Floats:
         """Return the derivatives of the six outputs by the six inputs, (..., 6, 6)."""
-        linear = np.block(
-            [[self.gyro.response, self.g_sensitivity], [np.zeros((3, 3)), self.accel.response]]
-        )
+        linear = np.zeros((6, 6))
+        linear[:3, :3], linear[:3, 3:] = self.gyro.response, self.g_sensitivity
+        linear[3:, 3:] = self.accel.response
         return linear + self.extra_slopes(np.concatenate([rate, force], axis=-1))
 
     @property
@@ -356,13 +355,11 @@ class SensorModel:
         Source: Luo 2018, eqs. (2-190) to (2-193); docs/mathematics.md, 'Terms', for the others.
         """
         try:
-            force = np.linalg.solve(self.accel.response, (accel - self.accel.bias)[..., None])[
-                ..., 0
-            ]
+            force = _solved(self.accel.response, accel - self.accel.bias)
             free = gyro - self.gyro.bias - force @ self.g_sensitivity.T
-            rate = np.linalg.solve(self.gyro.response, free[..., None])[..., 0]
+            rate = _solved(self.gyro.response, free)
             if self.linear:
-                return np.asarray(rate), np.asarray(force)
+                return rate, force
             linear = replace(self, terms={}).slopes(np.zeros(3), np.zeros(3))
             gain = np.asarray(np.linalg.inv(linear))
         except np.linalg.LinAlgError:
@@ -376,3 +373,9 @@ class SensorModel:
             )
         found = found.reshape(both.shape)
         return found[..., :3], found[..., 3:]
+
+
+def _solved(matrix: Floats, vectors: Floats) -> Floats:
+    """Return what a (3, 3) matrix makes vectors (..., 3) of: each has the bits it has alone."""
+    inverse = np.asarray(np.linalg.inv(matrix))
+    return times_transpose(vectors.reshape(-1, 3), inverse).reshape(vectors.shape)

@@ -130,6 +130,18 @@ class Component:
     freedom: float = np.inf
 
 
+def add_all(components: Iterable[Component], matrix: Floats) -> None:
+    """Add components to a covariance (m, m): all that enters several outputs at once."""
+    columns = []
+    for component in components:
+        if isinstance(component.part, Factor):
+            columns.append(component.part.columns)
+        else:
+            component.part.add_to(matrix)
+    if columns:
+        Factor(np.hstack(columns)).add_to(matrix)
+
+
 def parts(
     components: Iterable[Component], gain: Floats
 ) -> defaultdict[Source, list[tuple[Floats, float]]]:

@@ -5,6 +5,7 @@ Source: docs/mathematics.md, 'Joint estimate'.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import cast
@@ -16,12 +17,12 @@ from ..budget import Share, Source
 from ..model import BIASES, Parameter, ParameterKind
 from ..stream import Floats
 from ..units import ARCMIN, DEG
-from .components import Component, Diagonal, Factor, shares
+from .components import Component, Diagonal, Factor, add_all, shares
 from .evidence import SMALLEST_VARIANCE
 from .modulation import stated_changes
 from .output_noise import encoder_rates, level_gravity, own_parts, unknown_north
 from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
-from .session_model import Nuisance, SessionModel
+from .session_model import Nuisance, SessionModel, Value
 
 ANY_AZIMUTH = 180 * DEG / np.sqrt(3)
 """Standard deviation of a heading that may be any."""
@@ -95,13 +96,7 @@ class Equations(SessionModel):
     @cached_property
     def own(self) -> tuple[Component, ...]:
         """The parts of the covariance that each output has for itself, whatever the state."""
-        if self.inflation is not None:
-            return own_parts(self.evidence, self.inflation)
-        # Most equations of a session differ in what comes on top of this.
-        known = self.evidence.cache
-        if 'own' not in known:
-            known['own'] = own_parts(self.evidence, None)
-        return cast(tuple[Component, ...], known['own'])
+        return own_parts(self.evidence, self.inflation)
 
     @cached_property
     def own_variances(self) -> Floats:
@@ -167,11 +162,14 @@ class Equations(SessionModel):
 
     def covariance(self, state: Floats) -> Floats:
         """Return the covariance of the outputs, (m,) square."""
+        return self._once_weighed('covariance', state, self._covariance)
+
+    def _covariance(self, state: Floats) -> Floats:
         result = np.diag(self.own_variances)
-        for component in self.shared(state):
-            component.part.add_to(result)
+        add_all(self.shared(state), result)
         # Without noise what outputs share leaves no more of them than rounding, and no root.
         result[np.diag_indices(len(result))] *= 1 + _ROUNDING * len(result)
+        result.flags.writeable = False
         return result
 
     def shares(self, state: Floats, gain: Floats) -> dict[Source, Share]:
@@ -241,17 +239,41 @@ class Equations(SessionModel):
 
     def _weighed(self, state: Floats) -> tuple[Floats, Floats]:
         """Return the root of the covariance, and the columns that are whitened by it."""
-        # A fit ends where what follows begins.
-        key = state.tobytes()
-        if key not in self._latest:
-            self._latest.clear()
-            factor = np.asarray(np.linalg.cholesky(self.covariance(state)), dtype=float)
-            self._latest[key] = factor, self.whitened_by(factor, state)
-        return self._latest[key]
+        return self._once_weighed('weighed', state, self._worked_out)
 
-    @cached_property
-    def _latest(self) -> dict[bytes, tuple[Floats, Floats]]:
-        return {}
+    def _worked_out(self, state: Floats) -> tuple[Floats, Floats]:
+        factor = np.asarray(np.linalg.cholesky(self.covariance(state)), dtype=float)
+        return factor, self.whitened_by(factor, state)
+
+    def _once_weighed(
+        self, what: str, state: Floats, worked_out: Callable[[Floats], Value]
+    ) -> Value:
+        """Return what is the same of the same weights: it is worked out once at the last states.
+
+        A fit ends where what follows begins, often with equations that are made anew.
+        """
+        key, latest = (what, type(self), state.tobytes(), self._weights), self.evidence.weighed
+        for known, inflation, value in reversed(latest):
+            if known == key and inflation is self.inflation:
+                return cast(Value, value)
+        found = worked_out(state)
+        latest.append((key, self.inflation, found))
+        return found
+
+    @property
+    def _weights(self) -> tuple[object, ...]:
+        """All but session, state and `inflation` that the equations depend on."""
+        return (
+            self.parameters,
+            self.changes,
+            self.time_constant,
+            self.levelled,
+            self.any_heading,
+            self.positioning,
+            self.extra,
+            self.doubts,
+            self.held,
+        )
 
     def whitened_by(self, factor: Floats, state: Floats) -> Floats:
         """Return derivatives and residuals, (m + k, n + 1), by a root (m, m) of a covariance."""

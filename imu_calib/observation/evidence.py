@@ -34,9 +34,11 @@ UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
 """By how much the cosine of an axis that counts as vertical may be below one: 18 deg, beyond any
 error of a table and less than half of the 45 deg to the next attitude of any plan."""
-_REMEMBERED = 21
-"""Seven at each of three states: the last step, and two from which the next fits start."""
-_OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms'}
+_REMEMBERED = 30
+"""Ten at each of three states: the last step, and two from which the next fits start."""
+_WEIGHED = 6
+"""Covariance, and equations by it, of two solutions looked at by turns and of the last step."""
+_OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms', 'whole_ways'}
 """What of a session follows from its dwells and turns alone."""
 
 _QUARTZ = 50e-6
@@ -167,6 +169,11 @@ class Evidence:
         return deque(maxlen=_REMEMBERED)
 
     @cached_property
+    def weighed(self) -> deque[tuple[Any, ...]]:
+        """What was worked out of it at the last states with the last weights (`Equations`)."""
+        return deque(maxlen=_WEIGHED)
+
+    @cached_property
     def cache(self) -> dict[Any, Any]:
         """What was worked out of it whatever the state (`Equations`)."""
         return {}
@@ -182,6 +189,16 @@ class Evidence:
         ups = np.array([t.up for t in self.turns]).reshape(-1, 3)
         timed = np.array([t.seconds is not None for t in self.turns], dtype=bool)
         return ups, np.array([t.rate() for t in self.turns]), timed
+
+    @cached_property
+    def whole_ways(self) -> tuple[Floats, NDArray[np.bool_]]:
+        """What one rad at either end does to the rate of a whole motion, relative, (t,).
+
+        Zero where a turn has no way from rest to rest; and whether it has one.
+        """
+        ways = [t.whole_way for t in self.turns]
+        some = np.array([way is not None for way in ways], dtype=bool)
+        return np.array([2 / way.way if way else 0.0 for way in ways]), some
 
     @cached_property
     def headings(self) -> Floats:
@@ -226,12 +243,19 @@ class Evidence:
         if self.table is None or self.table.errors.exact or any(a is None for a in known):
             return np.zeros((len(self.segments), 3, 0)), np.zeros((len(self.turns), 3, 0))
         angles = np.array(known).reshape(-1, len(self.table.joints))
-        at_rest = self.table.leaning(angles[: len(self.segments)])
-        turning = []
-        for turn, held in zip(self.turns, angles[len(self.segments) :], strict=True):
-            turned = held[None] if turn.joint is None else around(held, turn.joint)
-            turning.append(self.table.leaning(turned).mean(axis=0))
-        return at_rest, np.array(turning).reshape(len(self.turns), *at_rest.shape[1:])
+        dwells = len(self.segments)
+        turned = [
+            held[None] if turn.joint is None else around(held, turn.joint)
+            for turn, held in zip(self.turns, angles[dwells:], strict=True)
+        ]
+        # All at once: a call takes longer than the numbers of one turn.
+        leaning = self.table.leaning(np.concatenate([angles[:dwells], *turned]))
+        ends = dwells + np.cumsum([len(one) for one in turned], dtype=int)
+        turning = [
+            leaning[end - len(one) : end].mean(axis=0)
+            for one, end in zip(turned, ends.tolist(), strict=True)
+        ]
+        return leaning[:dwells], np.array(turning).reshape(len(self.turns), *leaning.shape[1:])
 
     @cached_property
     def positioning_leans(self) -> tuple[Leaning, Leaning]:

@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from ..earth import EARTH_RATE, Site
 from ..model import AXES, Parameter, SensorModel
@@ -129,16 +128,15 @@ def compare_lengths(
     noise = propagated(by_outputs, noise)
     jacobian = np.einsum('mi,mip->mp', 2 * seen, by_parameters)
     square, spread = squares(seen, noise)
-    covariance = np.diag(spread)
     if not sensors.gyros:
-        return jacobian, site.gravity**2 - square, covariance
-    ups = up.forces / site.gravity
-    along = np.einsum('mi,minj,nj->mn', seen, up.covariance, seen)
-    along += np.diag(np.einsum('mi,mij,mj->m', ups, noise, ups))
+        return jacobian, site.gravity**2 - square, np.diag(spread)
+    ups, count = up.forces / site.gravity, len(seen)
+    covariance = np.diag(np.append(spread, np.einsum('mi,mij,mj->m', ups, noise, ups)))
+    covariance[count:, count:] += np.einsum('mi,minj,nj->mn', seen, up.covariance, seen)
     return (
         np.vstack([jacobian, np.einsum('mi,mip->mp', ups, by_parameters)]),
         np.append(EARTH_RATE**2 - square, site.up_rate - (seen * ups).sum(axis=1)),
-        scipy.linalg.block_diag(covariance, along),
+        covariance,
     )
 
 

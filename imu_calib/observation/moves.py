@@ -23,8 +23,18 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..model import Parameter, ParameterKind, SensorModel, indices_of
+from ..directions import cross
+from ..model import (
+    AXES,
+    PARAMETERS,
+    Parameter,
+    ParameterKind,
+    SensorModel,
+    indices_of,
+    regressors,
+)
 from ..model.motion import motion_parameters
 from ..rotations import cross_matrix, rotation_vector, rotations
 from ..segmentation.segment import Segment, Turn
@@ -33,7 +43,7 @@ from ..stream import Floats
 from .arms import APART, LONGEST
 from .gyro_paths import GyroPath
 from .remainders import RoughAnswers, remainder_covariance
-from .velocity_increments import VelocityIncrement, by_places
+from .velocity_increments import VelocityIncrement, by_delay, by_places
 
 _EDGES = 1 / 6
 """Square of a pulse that the counter's remainders at both ends of a move leave: 2 / 12. What those
@@ -57,6 +67,9 @@ _LEVEL = np.array([1.0, 1.0, 0.0])
 _REMEMBERED = 4
 """Models by which the moves are led on and kept: a search looks at two solutions by turns, and at
 the step to the next from either."""
+
+_LINEAR = frozenset(p for p in PARAMETERS if p.triad == 'a' and p.column is not None)
+"""Scale factors and misalignments of the accelerometers."""
 
 Led = TypeVar('Led')
 
@@ -189,17 +202,25 @@ class Moves:
         felt = iter(VelocityIncrement.of_each(known, [paths[k] for k in self.with_accels], model))
         return tuple(None if one is None else next(felt) for one in gained)
 
-    def _pushes(
-        self, model: SensorModel
-    ) -> list[tuple[int, LinkedMove, Floats, VelocityIncrement]]:
-        """Return of moves whose accelerometers count index, link, attitude at the end, thrust."""
-        return [
-            (k, link, self.attitudes[link.second], thrust)
-            for k, (link, thrust) in enumerate(
-                zip(self.links, self.velocity_increments(model), strict=True)
-            )
-            if thrust is not None
-        ]
+    def _pushes(self, model: SensorModel) -> list[VelocityIncrement]:
+        """Return what was gained on the moves whose accelerometers count, `_pushed` of them."""
+        return [one for one in self.velocity_increments(model) if one is not None]
+
+    @cached_property
+    def _pushed(self) -> NDArray[np.intp]:
+        """`with_accels`, as indices."""
+        return np.array(self.with_accels, dtype=np.intp)
+
+    @cached_property
+    def _ends(self) -> NDArray[np.intp]:
+        """Indices of the segments that moves lead from and to, (2, m)."""
+        ends = [(link.first, link.second) for link in self.links]
+        return np.array(ends, dtype=np.intp).reshape(-1, 2).T
+
+    @property
+    def _reached(self) -> Floats:
+        """Attitudes at the end of the moves whose accelerometers count, (v, 3, 3)."""
+        return np.asarray(self.attitudes[self._ends[1][self._pushed]])
 
     def misclosures(self, model: SensorModel, earth_rate: Floats, force: Floats) -> Floats:
         """Return e and z, (m, 6) rad and m/s; z is zero where accelerometers do not count.
@@ -213,46 +234,59 @@ class Moves:
         found = np.zeros((len(self), 6))
         if not self.links:
             return found
-        rates = np.broadcast_to(earth_rate, (len(self.attitudes), 3))
-        ends = [link.second for link in self.links]
-        meanwhile = rotations(-rates[ends] * np.array(self._seconds)[:, None])
-        for k, (link, path) in enumerate(zip(self.links, self.paths(model), strict=True)):
-            shown = self.attitudes[link.second].T @ meanwhile[k] @ self.attitudes[link.first]
-            found[k, :3] = rotation_vector(path.rotation @ shown.T)
-        half_way = rotations(-np.einsum('mij,mj->mi', self.attitudes[ends], found[:, :3]) / 2)
-        for k, link, attitude, thrust in self._pushes(model):
+        first, second = self._ends
+        rates = np.broadcast_to(earth_rate, (len(self.attitudes), 3))[second]
+        seconds, ends = self._seconds[:, None], self.attitudes[second]
+        # What encoders show, the other way round.
+        back = _transposed(self.attitudes[first]) @ rotations(rates * seconds) @ ends
+        led = np.array([path.rotation for path in self.paths(model)])
+        found[:, :3] = rotation_vector(led @ back)
+        if pushes := self._pushes(model):
+            mine = self._pushed
+            half_way = rotations(_times(ends[mine], found[mine, :3]) / -2)
+            gained = _times(ends[mine], np.array([p.velocity + p.moved for p in pushes]))
             # The Earth turns the frame meanwhile.
-            lasting = cross_matrix(rates[link.second]) @ attitude @ thrust.displacement
-            gained = attitude @ (thrust.velocity + thrust.moved) + lasting
-            found[k, 3:] = half_way[k] @ gained - force * link.move.duration
+            displaced = _times(ends[mine], np.array([p.displacement for p in pushes]))
+            gained += cross(rates[mine], displaced)
+            found[mine, 3:] = _times(half_way, gained) - force * seconds[mine]
         return found
 
     def by_parameters(self, model: SensorModel, parameters: tuple[Parameter, ...]) -> Floats:
         """Return the derivatives of `misclosures` by parameters of the sensors, (m, 6, p)."""
-        paths = self.paths(model)
+        paths, by = self.paths(model), regressors(parameters)
         result = np.zeros((len(self), 6, len(parameters)))
         if not paths:
             return result
         rates = np.concatenate([path.rates for path in paths])
         forces = np.concatenate([path.forces for path in paths])
-        answers = model.derivatives(rates, forces, parameters)
-        each = np.split(answers, np.cumsum([len(path.rates) for path in paths])[:-1])
-        for k, (path, one) in enumerate(zip(paths, each, strict=True)):
-            result[k, :3] = path.rotation_derivatives(one[:, :3])
+        ends = np.cumsum([len(path.rates) for path in paths])[:-1]
+        courses = np.split(by.at(rates, forces), ends)
+        gyros = np.flatnonzero(by.channels < len(AXES))
+        accels = np.flatnonzero((by.channels >= len(AXES)) & (by.channels < 2 * len(AXES)))
+        # Of each channel, the last index but one, and course.
+        turned = np.array([p.rotation_derivatives(c) for p, c in zip(paths, courses, strict=True)])
+        result[:, :3, gyros] = turned[:, :, by.channels[gyros], by.index[gyros]]
         pushes, own = self._pushes(model), motion_parameters(parameters)
-        for k, _, attitude, thrust in pushes:
-            result[k, 3:] = attitude @ thrust.by_parameters(parameters, each[k])
-        if pushes and own:
-            where = indices_of(own, parameters)
-            apart = by_places([thrust for *_, thrust in pushes])
-            for (k, _, attitude, thrust), places in zip(pushes, apart, strict=True):
-                columns = [
-                    places[:, 3 * p.row + (p.column or 0)]
-                    if p.kind is ParameterKind.PLACE
-                    else thrust.by_delay
-                    for p in own
-                ]
-                result[k, 3:, where] = np.array(columns) @ attitude.T
+        if not pushes:
+            return result
+        mine = [courses[k] for k in self._pushed]
+        leant, pushed = (
+            np.array([of(push, course) for push, course in zip(pushes, mine, strict=True)])
+            for of in (VelocityIncrement.velocity_derivatives, VelocityIncrement.pushed)
+        )
+        slopes = np.zeros((len(pushes), 3, len(parameters)))
+        slopes[..., gyros] = leant[:, :, by.channels[gyros], by.index[gyros]]
+        slopes[..., accels] = -pushed[:, :, by.channels[accels] - len(AXES), by.index[accels]]
+        felt = np.array([push.pushed_by_felt for push in pushes])
+        for k, parameter in enumerate(parameters):
+            if parameter in _LINEAR:
+                slopes[..., k] = -felt[:, :, parameter.row, parameter.column]
+        if own:
+            places, delay = by_places(pushes), by_delay(pushes)
+            for k, p in zip(indices_of(own, parameters), own, strict=True):
+                at_place = p.kind is ParameterKind.PLACE
+                slopes[..., k] = places[..., 3 * p.row + (p.column or 0)] if at_place else delay
+        result[self._pushed, 3:] = self._reached @ slopes
         return result
 
     def by_clock(self, model: SensorModel, force: Floats, *, counted: bool) -> Floats:
@@ -266,15 +300,21 @@ class Moves:
 
         """
         found = np.zeros((len(self), 6))
-        answers = [(p.rates @ model.gyro.response.T)[:, :, None] for p in self.paths(model)]
-        if not counted:
-            for k, path in enumerate(self.paths(model)):
-                found[k, :3] = path.rotation_derivatives(answers[k])[:, 0]
-        for k, link, attitude, thrust in self._pushes(model):
-            if counted:
-                found[k, 3:] = force * link.move.duration - attitude @ thrust.by_seconds
-            else:
-                found[k, 3:] = attitude @ thrust.velocity_derivatives(answers[k])[:, 0]
+        pushes, mine = self._pushes(model), self._pushed
+        if counted:
+            if pushes:
+                gained = _times(self._reached, np.array([push.by_seconds for push in pushes]))
+                found[mine, 3:] = force * self._seconds[mine, None] - gained
+            return found
+        answers = [path.rates @ model.gyro.response.T for path in self.paths(model)]
+        for k, path in enumerate(self.paths(model)):
+            found[k, :3] = np.einsum('nij,nj->i', path.timed_transfer, answers[k])
+        if pushes:
+            leant = [
+                np.einsum('nij,nj->i', push.turning, answers[k])
+                for k, push in zip(mine, pushes, strict=True)
+            ]
+            found[mine, 3:] = _times(self._reached, np.array(leant))
         return found
 
     def by_rate(self) -> Floats:
@@ -283,14 +323,13 @@ class Moves:
         Half way between both ends the turning of the frame moves no velocity.
         """
         found = np.zeros((len(self), 6, 3))
-        for k, link in enumerate(self.links):
-            found[k, :3] = self.attitudes[link.second].T * link.move.duration
+        found[:, :3] = _transposed(self.attitudes[self._ends[1]]) * self._seconds[:, None, None]
         return found
 
     def by_force(self) -> Floats:
         """Return the derivatives of `misclosures` by the specific force at rest, (m, 6, 3) s."""
         found = np.zeros((len(self), 6, 3))
-        found[:, 3:] = -np.array(self._seconds).reshape(-1, 1, 1) * np.eye(3)
+        found[:, 3:] = -self._seconds[:, None, None] * np.eye(3)
         return found
 
     def by_attitudes(self, model: SensorModel, leaning: Floats) -> Floats:
@@ -305,13 +344,17 @@ class Moves:
 
         """
         found = np.zeros((len(self), 6, leaning.shape[2]))
-        for k, (link, path) in enumerate(zip(self.links, self.paths(model), strict=True)):
-            found[k, :3] = leaning[link.second] - path.rotation @ leaning[link.first]
-            if link.move.velocity_steps is not None:
-                both = [self.attitudes[end] @ leaning[end] for end in (link.first, link.second)]
-                # Half of either, crossed with what gravity gives.
-                east, north, _ = sum(both) * (self.gravity * link.move.duration / 2)
-                found[k, 3:5] = north, -east
+        if not self.links:
+            return found
+        first, second = self._ends
+        led = np.array([path.rotation for path in self.paths(model)])
+        found[:, :3] = leaning[second] - led @ leaning[first]
+        mine = self._pushed
+        # Half of either, crossed with what gravity gives.
+        about = self.attitudes[:, :2] @ leaning
+        half = (self.gravity / 2 * self._seconds[mine])[:, None, None]
+        both = (about[first[mine]] + about[second[mine]]) * half
+        found[mine, 3], found[mine, 4] = both[:, 1], -both[:, 0]
         return found
 
     def shared_velocity_errors(
@@ -338,16 +381,14 @@ class Moves:
         pushes = self._pushes(model)
         if not pushes:
             return arms, delays
-        coriolis = -2 * LONGEST * cross_matrix(earth_rate)
-        for k, link, attitude, thrust in pushes:
-            # The unit ends elsewhere than it began.
-            arms[k, 3:, :3] = coriolis @ (attitude - self.attitudes[link.first])
-            if late:
-                delays[k, 3:, 0] = _LATE * attitude @ thrust.by_delay
+        mine, reached = self._pushed, self._reached
+        # The unit ends elsewhere than it began.
+        away = reached - self.attitudes[self._ends[0][mine]]
+        arms[mine, 3:, :3] = -2 * LONGEST * cross_matrix(earth_rate) @ away
+        if late:
+            delays[mine, 3:, 0] = _LATE * _times(reached, by_delay(pushes))
         if apart:
-            columns = by_places([thrust for *_, thrust in pushes])
-            for (k, _, attitude, _), places in zip(pushes, columns, strict=True):
-                arms[k, 3:, 3:] = APART * attitude @ places
+            arms[mine, 3:, 3:] = APART * reached @ by_places(pushes)
         return arms, delays
 
     def noise(self, walk: Floats) -> tuple[Floats, Floats]:
@@ -358,7 +399,7 @@ class Moves:
         rotation at the end would do to it over the whole time.
         """
         gyro, accel = (float(np.mean(part**2)) for part in (walk[:3], walk[3:]))
-        seconds = np.array(self._seconds).reshape(-1, 1)
+        seconds = self._seconds[:, None]
         turning = gyro * seconds * self._turning
         turning[:, 3:] /= 12
         return turning, accel * seconds * np.repeat([0.0, 1.0], 3)
@@ -407,15 +448,16 @@ class Moves:
         """Return the sum of all three, (m, 6)."""
         return np.asarray(sum(self.noise(walk)) + self.quantisation() + self.encoders())
 
-    @property
-    def _seconds(self) -> list[float]:
-        return [link.move.duration for link in self.links]
+    @cached_property
+    def _seconds(self) -> Floats:
+        """How long they last, (m,)."""
+        return np.array([link.move.duration for link in self.links], dtype=float)
 
     @property
     def _turning(self) -> Floats:
         """Squares of what a rotation of the axes at the end makes of e and of R_b v, (m, 6)."""
-        along = [_LEVEL * (self.gravity * seconds) ** 2 for seconds in self._seconds]
-        return np.hstack([np.ones((len(self), 3)), np.array(along).reshape(-1, 3)])
+        along = _LEVEL * (self.gravity * self._seconds[:, None]) ** 2
+        return np.hstack([np.ones((len(self), 3)), along])
 
 
 def _remembered(memo: dict[bytes, Led], key: bytes, worked_out: Callable[[], Led]) -> Led:
@@ -428,6 +470,15 @@ def _remembered(memo: dict[bytes, Led], key: bytes, worked_out: Callable[[], Led
             del memo[next(iter(memo))]
         memo[key] = worked_out()
     return memo[key]
+
+
+def _times(matrices: Floats, vectors: Floats) -> Floats:
+    """Return (n, 3, 3) matrices times (n, 3) vectors."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
+
+
+def _transposed(matrices: Floats) -> Floats:
+    return np.swapaxes(matrices, -1, -2)
 
 
 def _telling(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> Move:

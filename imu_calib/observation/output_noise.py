@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,24 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
         inflation: (m,) factors on these variances, or None.
 
     """
+    # Most equations of a session differ in what comes on top of this.
+    if 'own' not in evidence.cache:
+        evidence.cache['own'] = _without_inflation(evidence)
+    parts = cast(tuple[Component, ...], evidence.cache['own'])
+    if inflation is None:
+        return parts
+    total = np.sum([c.part.variances for c in parts if isinstance(c.part, Diagonal)], axis=0)
+    more = total * (inflation - 1)
+    inflated = []
+    for c in range(6):
+        own = np.where(evidence.layout.channels == c, more, 0.0)
+        # What scatters, less the two unknowns of a line.
+        freedom = max(1.0, np.count_nonzero(own) - 2.0)
+        inflated.append(Component(Source.SCATTER, Diagonal(own), freedom))
+    return (*parts, *inflated)
+
+
+def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
     segments, turns, walk = evidence.segments, evidence.turns, evidence.walk
     led = evidence.links
     statistics = [s.statistics for s in segments]
@@ -84,13 +103,6 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
             rows = evidence.layout.dwell[k : k + 1, 3:]
             blocks = Blocks(rows, segment.unrest[None])
             parts.append(Component(Source.NOISE, blocks, UNREST_FREEDOM))
-    if inflation is not None:
-        more = np.maximum(total, SMALLEST_VARIANCE) * (inflation - 1)
-        for c in range(6):
-            own = np.where(channel == c, more, 0.0)
-            # What scatters, less the two unknowns of a line.
-            freedom = max(1.0, np.count_nonzero(own) - 2.0)
-            parts.append(Component(Source.SCATTER, Diagonal(own), freedom))
     return tuple(parts)
 
 

@@ -10,7 +10,7 @@ docs/mathematics.md, 'Joint estimate', for what goes into the state.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -19,9 +19,9 @@ from typing import TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..directions import cross
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..model.session_terms import Change
+from ..rotations import GENERATORS
 from ..stream import Floats, Units
 from .evidence import Evidence
 from .headings import mean_over_turn
@@ -153,10 +153,11 @@ class SessionModel:
     def _headings(self) -> Floats:
         return self.evidence.headings
 
-    def _once(self, what: str, state: Floats, worked_out: Callable[[Floats], Value]) -> Value:
+    def _once(self, what: Hashable, state: Floats, worked_out: Callable[[Floats], Value]) -> Value:
         """Return what is the same whatever the weights: it is worked out once at each state."""
         key = (what, state.tobytes(), self.time_constant)
-        for known, parameters, changes, value in self.evidence.state_cache:
+        # Most of what is asked for is of the last state.
+        for known, parameters, changes, value in reversed(self.evidence.state_cache):
             if known == key and parameters is self.parameters and changes is self.changes:
                 return cast(Value, value)
         found = worked_out(state)
@@ -200,7 +201,7 @@ class SessionModel:
         at_rest, turned = self.answers(state)
         led = self.evidence.links.misclosures(model, self.earth(state), around.force)
         if state[self.clock]:
-            led = led + self._led_by_clock(model, around) * state[self.clock]
+            led = led + self._once('clock', state, self._by_clock) * state[self.clock]
         predicted = self.layout.joined(at_rest, turned, led)
         predicted[self._divided] /= 1 + state[self.clock]
         return predicted
@@ -228,7 +229,7 @@ class SessionModel:
         )
         arms, by_force = self.evidence.arms, model.slopes(turning, felt)[..., 3:]
         turned[arms.turns, :, self.arms] = mean_over_turn(by_force)[arms.turns] @ arms.slopes
-        led[:, :, self.clock] = self._led_by_clock(model, around)
+        led[:, :, self.clock] = self._once('clock', state, self._by_clock)
         result = self.layout.joined(at_rest, turned, led)
         faster, divided = 1 + state[self.clock], self._divided
         result[divided] /= faster
@@ -269,6 +270,9 @@ class SessionModel:
         if self.evidence.clocks_compared:
             return np.setdiff1d(np.arange(len(self.layout)), self.layout.moving)
         return self.layout.turn[self._turning[2]].ravel()
+
+    def _by_clock(self, state: Floats) -> Floats:
+        return self._led_by_clock(self.model(state), self.surroundings(state))
 
     def _led_by_clock(self, model: SensorModel, around: Surroundings) -> Floats:
         """Return the derivatives of the moves by the rate between the clocks, (m, 6)."""
@@ -333,7 +337,10 @@ class SessionModel:
         at_rest, turning = self.evidence.leaning
         if not at_rest.shape[2]:
             return np.zeros((len(self.layout), 0))
-        return self._leaning(state, at_rest, turning)
+        assert self.evidence.table is not None
+        # Trials with other errors of the table share what was worked out of the session.
+        what = 'table', self.evidence.table.errors
+        return self._once(what, state, lambda there: self._leaning(there, at_rest, turning))
 
     def by_attitude_errors(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
         """Return what e errors of attitudes do to the outputs, (m, e).
@@ -356,9 +363,8 @@ class SessionModel:
 
         Either end of a motion is off, and the next may begin with the error of this one's end.
         """
-        ways = [t.whole_way for t in self.evidence.turns]
-        each = self._by_rates(state, np.array([2 / w.way if w else 0.0 for w in ways]))
-        return each[:, [w is not None for w in ways]]
+        relative, some = self.evidence.whole_ways
+        return self._by_rates(state, relative)[:, some]
 
     def _by_rates(self, state: Floats, relative: Floats) -> Floats:
         evidence, response = self.evidence, self.model(state).gyro.response
@@ -385,10 +391,13 @@ class SessionModel:
         return self._once('positioning', state, self._positioning_columns)
 
     def _positioning_columns(self, state: Floats) -> tuple[Floats, Floats]:
-        joints, stops = (
-            self._leaning(state, leaning.at_rest, leaning.turning)
-            for leaning in self.evidence.positioning_leans
+        both = self.evidence.positioning_leans
+        at_rest, turning = (
+            np.concatenate(parts, axis=2)
+            for parts in zip(*((one.at_rest, one.turning) for one in both), strict=True)
         )
+        leaning = self._leaning(state, at_rest, turning)
+        joints, stops = np.split(leaning, [both[0].at_rest.shape[2]], axis=1)
         return np.hstack([joints, self.by_ways(state)]), stops
 
     def _leaning(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
@@ -400,17 +409,21 @@ class SessionModel:
             turned: (t, 3, e) of the turns.
 
         """
+        s, by_each = len(at_rest), self._once('leaning', state, self._by_leaning)
+        led = self.evidence.links.by_attitudes(self.model(state), at_rest)
+        return self.layout.joined(by_each[:s] @ at_rest, by_each[s:] @ turned, led)
+
+    def _by_leaning(self, state: Floats) -> Floats:
+        """Return the derivatives by rotations about the body axes, (s + t, 6, 3): not of moves."""
         _, rate, force, turning, felt = self._inputs(state)
-        model, s = self.model(state), len(rate)
         rates, forces = (
             np.vstack([rate, mean_over_turn(turning)]),
             np.vstack([force, mean_over_turn(felt)]),
         )
-        about = np.swapaxes(np.concatenate([at_rest, turned]), 1, 2)
-        moved = [np.swapaxes(cross(v[:, None], about), 1, 2) for v in (rates, forces)]
-        changed = model.slopes(rates, forces) @ np.concatenate(moved, axis=1)
-        led = self.evidence.links.by_attitudes(model, at_rest)
-        return self.layout.joined(changed[:s], changed[s:], led)
+        # What is seen is crossed with a rotation of the axes.
+        crossed = [np.tensordot(seen, GENERATORS, axes=1) for seen in (rates, forces)]
+        slopes = self.model(state).slopes(rates, forces)
+        return np.asarray(slopes @ np.concatenate(crossed, axis=1))
 
 
 def _both(rotations: Floats) -> Floats:

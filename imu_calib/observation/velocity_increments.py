@@ -16,26 +16,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import combinations_with_replacement
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..directions import cross
-from ..model import PARAMETERS, Parameter, SensorModel, term
+from ..model import SensorModel, term
 from ..model.motion import delay, places
 from ..rotations import GENERATORS, rotations
 from ..segmentation.segmented import VelocitySteps
 from ..stream import Floats
-from .gyro_paths import GyroPath
-
-_LINEAR = frozenset(p for p in PARAMETERS if p.triad == 'a' and p.column is not None)
+from .gyro_paths import GyroPath, summed
 
 _EACH = np.eye(3)[:, :, None] * np.eye(3)[:, None, :]
 """Of each channel what a triad keeps of a vector: (3, 3, 3)."""
 
 _CROSS = np.ascontiguousarray(np.moveaxis(GENERATORS, 0, -1))
 """[v] = _CROSS @ v, the cross product by a vector from the left: (3, 3, 3)."""
+
+_ONE = np.zeros(1, dtype=np.intp)
+"""Where one motion begins."""
 
 _SQUARES = tuple(combinations_with_replacement(range(3), 2))
 """Products of rates, each once."""
@@ -110,7 +112,8 @@ class VelocityIncrement:
             found += by_places([self])[0] @ apart.ravel()
         if seconds := delay(self.model):
             # The axes as long before, by the rate half way back.
-            back = self.path.rates - self._change * (seconds / 2)
+            change = _change(self.path.rates, self.path.seconds)
+            back = self.path.rates - change * (seconds / 2)
             turned = rotations(-back * seconds) - np.eye(3)
             felt = np.einsum('nij,nj->ni', turned, self.felt) * self.path.seconds[:, None]
             found += np.einsum('nij,nj->i', self.path.axes, felt)
@@ -126,7 +129,7 @@ class VelocityIncrement:
         """V_i, (n, 3) m/s."""
         return np.asarray(np.cumsum(self.steps, axis=0) - self.steps / 2)
 
-    def velocity_derivatives(self, derivatives: Floats) -> Floats:
+    def velocity_derivatives(self, products: Floats) -> Floats:
         """Return the derivatives of v, less half of what the rotation at the end makes of it.
 
         A rotation of the axes at step i turns what was gained before; one of half of all by half of
@@ -134,41 +137,34 @@ class VelocityIncrement:
         show.
 
         Args:
-            derivatives: (n, 3, p) of the gyros' outputs at the path's rates.
+            products: (n, q) courses of what is added to an output of the gyros, rad/s.
 
         Returns:
-            (3, p) m/s.
+            (3, 3, q) m/s: of each channel, the second index, to which it may be added.
 
         """
-        return _summed(self._turning, derivatives)
+        return summed(self.turning, products)
 
     @cached_property
-    def _turning(self) -> Floats:
+    def turning(self) -> Floats:
         """What `velocity_derivatives` makes of an output of the gyros during a step, (n, 3, 3)."""
         beyond = np.einsum('ijk,nk->nij', _CROSS, self.velocity / 2 - self._so_far)
-        return np.asarray(beyond @ self.path.error_transfer * self.path.seconds[:, None, None])
+        return np.asarray(beyond @ self.path.timed_transfer)
 
     @cached_property
-    def _pushing(self) -> Floats:
-        """What v makes of an output of the accelerometers during a step, (n, 3, 3)."""
-        answer = self.path.axes @ np.linalg.inv(self.model.accel.response)
-        return np.asarray(answer * self.path.seconds[:, None, None])
+    def _timed_axes(self) -> Floats:
+        """What v makes of a specific force during a step, (n, 3, 3) s."""
+        return np.asarray(self.path.axes * self.path.seconds[:, None, None])
 
-    def by_parameters(self, parameters: tuple[Parameter, ...], answers: Floats) -> Floats:
-        """Return the derivatives of the same by parameters of the sensors, (3, p) SI units.
+    def pushed(self, products: Floats) -> Floats:
+        """Return what is gained by courses (n, q) added to each accelerometer, (3, 3, q) m/s."""
+        answer = np.linalg.inv(self.model.accel.response)
+        return np.asarray(answer.T @ summed(self._timed_axes, products))
 
-        Args:
-            parameters: By which.
-            answers: (n, 6, p) derivatives of the outputs at the path's rates and forces.
-
-        """
-        pushed = self._pushed(answers[:, 3:])
-        # Scale factors and misalignments answer to all that is felt.
-        felt = np.tensordot(self._pushing, self.felt, axes=(0, 0))
-        for k, parameter in enumerate(parameters):
-            if parameter in _LINEAR:
-                pushed[:, k] = felt[:, parameter.row, parameter.column]
-        return self.velocity_derivatives(answers[:, :3]) - pushed
+    @cached_property
+    def pushed_by_felt(self) -> Floats:
+        """The same by all that is felt: scale factors and misalignments answer to it."""
+        return self.pushed(self.felt)
 
     @cached_property
     def by_seconds(self) -> Floats:
@@ -176,39 +172,28 @@ class VelocityIncrement:
 
         The pulses stay, and what biases and terms take off them grows.
         """
-        return -self._pushed(self.beside[:, :, None])[:, 0]
+        felt = self.beside @ np.linalg.inv(self.model.accel.response).T
+        return -np.asarray(np.einsum('nij,nj->i', self._timed_axes, felt))
 
-    def _pushed(self, outputs: Floats) -> Floats:
-        """Return what (n, 3, p) outputs of the accelerometers gain, (3, p) m/s."""
-        return _summed(self._pushing, outputs)
-
-    @cached_property
+    @property
     def by_delay(self) -> Floats:
-        """What taking a delay s of the accelerometers off adds to v, per s, (3,) m/s^2.
+        """What taking a delay of the accelerometers off adds to v, (3,): see `by_delay`."""
+        return np.asarray(by_delay([self])[0])
 
-        They give f(t - s) for f(t), which is s times the sum of C (w x f) t over a move from rest
-        to rest; this is minus that.
-        """
-        crossed = cross(self.path.rates, self.felt) * self.path.seconds[:, None]
-        return -np.asarray(np.einsum('nij,nj->i', self.path.axes, crossed))
 
-    @cached_property
-    def _change(self) -> Floats:
-        return _change(self.path.rates, self.path.seconds)
+def by_delay(thrusts: Sequence[VelocityIncrement]) -> Floats:
+    """Return what taking a delay s of the accelerometers off adds to v, per s, (m, 3) m/s^2.
 
-    @cached_property
-    def moments(self) -> Floats:
-        """Sums of C w_p w_q t over the steps, (3, 3 * 6): of each product once.
+    They give f(t - s) for f(t), which is s times the sum of C (w x f) t over a move from rest
+    to rest; this is minus that.
 
-        A rate that changes by d within a step has a mean square of w^2 + d^2 / 12.
-        """
-        path = self.path
-        change = self._change * path.seconds[:, None] / np.sqrt(12)
-        first, second = np.array(_SQUARES).T
-        squares = path.rates[:, first] * path.rates[:, second]
-        squares += change[:, first] * change[:, second]
-        timed = squares * path.seconds[:, None]
-        return np.asarray((path.axes.reshape(-1, 9).T @ timed).reshape(3, -1))
+    Args:
+        thrusts: m of one model.
+
+    """
+    rates, axes, seconds, starts = _joined(thrusts)
+    crossed = cross(rates, np.concatenate([t.felt for t in thrusts])) * seconds[:, None]
+    return -np.asarray(np.add.reduceat(np.einsum('nij,nj->ni', axes, crossed), starts))
 
 
 def by_places(thrusts: Sequence[VelocityIncrement]) -> Floats:
@@ -222,13 +207,44 @@ def by_places(thrusts: Sequence[VelocityIncrement]) -> Floats:
         thrusts: m of one model.
 
     """
-    kept = _kept(thrusts[0].model)
-    apart = np.einsum('mjp,klq,ijk->mpqil', _CROSS, _CROSS, kept, optimize=True)
-    apart -= np.einsum('kap,alq,ijk->jpqil', _CROSS, _CROSS, kept, optimize=True)
+    matrix = np.reshape(_kept(thrusts[0].model).reshape(3, 9) @ _by_kept(), (3, 18, 3))
+    return np.asarray(_moments(thrusts) @ np.swapaxes(matrix, 0, 1).reshape(18, 9))
+
+
+@lru_cache(maxsize=1)
+def _by_kept() -> Floats:
+    """Return what P [w] - [w] P, times [w], is by P and products of w, once each, (9, 18 * 3)."""
+    apart = np.einsum('mjp,klq->jkmpql', _CROSS, _CROSS)
+    apart -= np.einsum('kap,alq,jm->jkmpql', _CROSS, _CROSS, np.eye(3))
     # Products of rates are the same either way round.
-    folded = [apart[:, p, q] + (apart[:, q, p] if p != q else 0.0) for p, q in _SQUARES]
-    matrix = np.stack(folded, axis=1).reshape(-1, 9)
-    return np.asarray(np.stack([thrust.moments for thrust in thrusts]) @ matrix)
+    folded = [apart[..., p, q, :] + (apart[..., q, p, :] if p != q else 0.0) for p, q in _SQUARES]
+    return np.stack(folded, axis=3).reshape(9, -1)
+
+
+def _moments(thrusts: Sequence[VelocityIncrement]) -> Floats:
+    """Return sums of C w_p w_q t over the steps, (m, 3, 3 * 6): of each product once.
+
+    A rate that changes by d within a step has a mean square of w^2 + d^2 / 12.
+    """
+    rates, axes, seconds, starts = _joined(thrusts)
+    change = _change(rates, seconds, starts) * seconds[:, None] / np.sqrt(12)
+    first, second = np.array(_SQUARES).T
+    squares = rates[:, first] * rates[:, second]
+    squares += change[:, first] * change[:, second]
+    timed = squares * seconds[:, None]
+    parts = zip(np.split(axes, starts[1:]), np.split(timed, starts[1:]), strict=True)
+    return np.array([summed(axis, square) for axis, square in parts]).reshape(len(starts), 3, -1)
+
+
+def _joined(
+    thrusts: Sequence[VelocityIncrement],
+) -> tuple[Floats, Floats, Floats, NDArray[np.intp]]:
+    """Return rates, axes and seconds of the steps of all, and where each begins."""
+    rates, axes, seconds = (
+        np.concatenate([getattr(thrust.path, name) for thrust in thrusts])
+        for name in ('rates', 'axes', 'seconds')
+    )
+    return rates, axes, seconds, np.cumsum([0, *(len(t.path.seconds) for t in thrusts[:-1])])
 
 
 def _kept(model: SensorModel) -> Floats:
@@ -237,15 +253,19 @@ def _kept(model: SensorModel) -> Floats:
     return np.asarray(np.linalg.inv(response) @ _EACH @ response)
 
 
-def _summed(matrices: Floats, columns: Floats) -> Floats:
-    """Return the sum of (n, 3, 3) matrices times (n, 3, p) columns, (3, p)."""
-    rows = np.moveaxis(matrices, 1, 0).reshape(3, -1)
-    return np.asarray(rows @ columns.reshape(rows.shape[1], -1))
+def _change(rates: Floats, seconds: Floats, starts: NDArray[np.intp] = _ONE) -> Floats:
+    """Return by how much rates (n, 3) change, rad/s^2; before and after the unit stands.
 
+    Args:
+        rates: Of the steps, rad/s.
+        seconds: (n,) their lengths.
+        starts: Where motions begin, each from rest to rest.
 
-def _change(rates: Floats, seconds: Floats) -> Floats:
-    """Return by how much rates (n, 3) change, rad/s^2; before and after the unit stands."""
-    ends = np.cumsum(seconds)
-    middles = np.concatenate([[0.0], ends - seconds / 2, ends[-1:]])
-    known = np.vstack([np.zeros(3), rates, np.zeros(3)])
-    return np.asarray((known[2:] - known[:-2]) / (middles[2:] - middles[:-2])[:, None])
+    """
+    ends, last = np.cumsum(seconds), np.append(starts[1:], len(seconds)) - 1
+    middles = ends - seconds / 2
+    before, after = np.roll(middles, 1), np.roll(middles, -1)
+    before[starts], after[last] = (ends - seconds)[starts], ends[last]
+    slower, faster = np.roll(rates, 1, axis=0), np.roll(rates, -1, axis=0)
+    slower[starts] = faster[last] = 0.0
+    return np.asarray((faster - slower) / (after - before)[:, None])

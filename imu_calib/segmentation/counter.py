@@ -347,13 +347,20 @@ def _windows_error(windows: Sequence[Floats], step: float, growth: float) -> flo
         # Powers of z up to n are products of two, each one of sqrt(n).
         width = math.isqrt(len(alike) - 1) + 1
         if width != powers:
-            coarse, fine = (np.exp(np.outer(turns, by * np.arange(width))) for by in (width, 1))
+            coarse, fine = (_powers(np.exp(by * turns), width) for by in (width, 1))
             powers = width
         lags = np.zeros(width * width)
         lags[1 : len(alike)] = 2 * alike[1:]
         together = ((coarse @ lags.reshape(width, width)) * fine).sum(axis=1).real
         error += float(power @ together) + _READING_VARIANCE * float(alike[0])
     return error
+
+
+def _powers(numbers: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
+    """Return the powers 0 to `count` - 1 of (n,) numbers, (n, count)."""
+    found = np.ones((len(numbers), count), dtype=complex)
+    found[:, 1:] = numbers[:, None]
+    return np.asarray(np.cumprod(found, axis=1), dtype=complex)
 
 
 def block_rates(

@@ -210,8 +210,7 @@ class TriadSystem:
 
         """
         if self.up is not None:
-            variances = self.evidence.variances()[:, self.sensors.channels]
-            return noise_at_rest(variances + (self.bias_drift * self.reading) ** 2, self.magnitude)
+            return self._noise_at_rest
         state, deviations = np.append(values, self._known), self.equations.prior[1]
         besides = self.equations.jacobian(state)[:, len(values) :] * deviations
         besides = besides[:, ~self._free[: len(deviations)]]
@@ -219,6 +218,12 @@ class TriadSystem:
         rows = self._mine.reshape(-1, 3)
         found = covariance[rows[:, :, None], rows[:, None, :]]
         return np.asarray(found * self._widened[::3, None, None] ** 2)
+
+    @cached_property
+    def _noise_at_rest(self) -> Floats:
+        """The covariances of what dwells read, (s, 3, 3), whatever the parameters."""
+        variances = self.evidence.variances()[:, self.sensors.channels]
+        return noise_at_rest(variances + (self.bias_drift * self.reading) ** 2, self.magnitude)
 
     def predicted(self, values: Floats) -> Floats:
         """Return the predicted outputs (s + t + m, 3), the table as it is described."""
