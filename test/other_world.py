@@ -518,7 +518,7 @@ def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[
     walks = [w * math.sqrt(dt) for w in [unit.gyro_walk] * 3 + [unit.accel_walk] * 3]
     changes = unit.gyro_growth or unit.accel_growth or any(unit.gyro_drift + unit.accel_drift)
     given: tuple[Vector, Vector] | None = None
-    for k, (turned, _, _, _) in enumerate(felt(world, unit.rate)):
+    for k, (turned, _, _, _) in enumerate(felt(world, unit.rate, 0.0)):
         _, pushed, middle, motion = afterwards[k]
         # Samples at rest are given the same, and answer the same but for what changes with time.
         if middle is not None or given is None or given[0] is not turned or given[1] is not pushed:
@@ -608,7 +608,7 @@ def earth_of(world: World) -> Vector:
 
 @lru_cache(maxsize=3)
 def felt(
-    world: World, rate: float, late: float = 0.0
+    world: World, rate: float, late: float
 ) -> list[tuple[Vector, Vector, Matrix | None, Motion]]:
     """What every sample is given: integrals of rate and specific force in body axes, so much late.
 

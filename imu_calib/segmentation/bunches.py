@@ -196,14 +196,15 @@ def _interval_in_queue(steps: Stamps) -> float | None:
         return None
     mean = float(steps.mean())
     short = steps < SHORT * mean
+    in_row = np.count_nonzero(short[1:] & short[:-1])
+    if short.mean() < _QUEUED or in_row < _IN_ROW * np.count_nonzero(short):
+        return None
     apart = steps[~short]
     interval = float(np.median(apart))
     # Standard deviation of a median, by the median deviation of Gaussian steps.
     error = 1.86 * float(np.median(np.abs(apart - interval))) / len(apart) ** 0.5
-    in_row = np.count_nonzero(short[1:] & short[:-1])
-    queues = short.mean() >= _QUEUED and in_row >= _IN_ROW * np.count_nonzero(short)
     known = abs(interval - mean) <= _NEARLY * mean and error * _AHEAD <= _DRIFT * interval
-    return interval if queues and known else None
+    return interval if known else None
 
 
 def _bunches(stamp: Stamps) -> NDArray[np.intp] | None:
@@ -212,7 +213,11 @@ def _bunches(stamp: Stamps) -> NDArray[np.intp] | None:
     lag = min(_LAG, len(steps) // 2)
     if not lag:
         return None
-    short = steps < SHORT * float(np.median(stamp[lag:] - stamp[:-lag])) / lag
+    spans = stamp[lag:] - stamp[:-lag]
+    # No median is longer than the longest, which is found sooner.
+    if np.count_nonzero(steps < SHORT * float(spans.max()) / lag) < MANY * len(steps):
+        return None
+    short = steps < SHORT * float(np.median(spans)) / lag
     if short.mean() < MANY:
         return None
     starts = np.concatenate([[0], np.flatnonzero(~short) + 1])

@@ -174,6 +174,13 @@ class ShareSeen:
     time: float
 
 
+def cells(joint_stamp: Stamps) -> NDArray[np.intp]:
+    """Return which joint states `seen_by_gyros` looks at: the first of each cell, and the last."""
+    passed = (joint_stamp - float(joint_stamp[0])) * 1e-9
+    _, index = np.unique(np.floor(passed / _CELL_SECONDS), return_index=True)
+    return np.unique(np.append(index, len(passed) - 1))
+
+
 def seen_by_gyros(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> ShareSeen | None:
     """Compare a motion as the gyros and as the encoders saw it, whatever their axes.
 
@@ -193,8 +200,7 @@ def seen_by_gyros(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> S
         return None
     origin = float(joint_stamp[0])
     table = (joint_stamp - origin) * 1e-9
-    _, index = np.unique(np.floor(table / _CELL_SECONDS), return_index=True)
-    index = np.unique(np.append(index, len(table) - 1))
+    index = cells(joint_stamp)
     ways = angle_between(attitudes[index[1:]], attitudes[index[:-1]])
     if ways.sum() < _LEAST_TRAVEL:
         return None

@@ -11,7 +11,9 @@ expected is taken.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -82,11 +84,14 @@ def mean_rate(pulses: Floats, period: float, walk: float) -> MeanRate:
     # fast counter looks like the slow one that its readings drift against.
     whole = float(np.rint(pulses.mean()))
     remainder = pulses - whole
-    best = best_passages(remainder, period, walk) or _by_all_samples(remainder, period, walk)
+    other = _by_all_samples(remainder, period, walk)
+    best = best_passages(remainder, period, walk, other) or other
     return MeanRate(best.rate + whole / period, best.walk_gain, best.quantisation_variance)
 
 
-def best_passages(pulses: Floats, period: float, walk: float) -> MeanRate | None:
+def best_passages(
+    pulses: Floats, period: float, walk: float, other: MeanRate | None = None
+) -> MeanRate | None:
     """Return the estimate from first passages where it is the best at such a rate, else None.
 
     What decides is the rate that they give and what passages leave on average at that rate, not
@@ -97,6 +102,7 @@ def best_passages(pulses: Floats, period: float, walk: float) -> MeanRate | None
         pulses: (n,) pulses per sample.
         period: Sample interval, s.
         walk: Random walk, pulses/sqrt(s).
+        other: The estimate from all samples; worked out if not given.
 
     """
     passed = first_passages(pulses, period, walk)
@@ -114,8 +120,8 @@ def best_passages(pulses: Floats, period: float, walk: float) -> MeanRate | None
     duration = (1 - 1 / levels) * whole
     left = 2 * (passed.rate * period) ** 2 * _READING_VARIANCE / duration**2
     expected = MeanRate(passed.rate, 1 / duration, left).variance(walk)
-    other = _by_all_samples(pulses, period, walk).variance(walk)
-    return passed if expected < other else None
+    other = other or _by_all_samples(pulses, period, walk)
+    return passed if expected < other.variance(walk) else None
 
 
 def _by_all_samples(pulses: Floats, period: float, walk: float) -> MeanRate:
@@ -161,7 +167,7 @@ def passages(pulses: Floats, period: float, walk: float) -> Passages | None:
     if abs(drift) * math.sqrt(len(pulses)) < _DRIFT_SIGNIFICANCE * walk * math.sqrt(period):
         return None
     record = np.maximum.accumulate(count * math.copysign(1.0, drift))
-    index = np.flatnonzero(np.diff(record, prepend=0.0) > 0)
+    index = np.flatnonzero(np.append(record[:1] > 0, record[1:] > record[:-1]))
     return Passages(index, record[index], drift) if len(index) >= _PASSAGES_NEEDED else None
 
 
@@ -273,22 +279,54 @@ def rate_between(pulses: Floats, period: float, first: float, last: float, walk:
     n = len(pulses)
     growth = walk * walk * period
     kappa = math.acosh(1 + growth / _READING_VARIANCE / 2)
+    step = float(pulses[math.floor(first) : math.ceil(last)].mean())
+    read = _both_ends(n, first, last, kappa)
+    error = _windows_error(read.windows, step, growth)
+    seconds = read.samples * period
+    return MeanRate(
+        float(read.on_increments @ pulses) / seconds,
+        period * read.squares / seconds**2,
+        error / seconds**2,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _BothEnds:
+    """How counts at two instants are read from the samples around them.
+
+    Attributes:
+        windows: The weights around either.
+        on_increments: (n,) weights of the samples.
+        samples: Sample intervals between the instants that the weights are centred on.
+        squares: Sum of the squares of `on_increments`.
+
+    """
+
+    windows: tuple[Floats, Floats]
+    on_increments: Floats
+    samples: float
+    squares: float
+
+
+# Channels of a triad follow each other, with one random walk and the same cuts.
+@lru_cache(maxsize=1)
+def _both_ends(n: int, first: float, last: float, kappa: float) -> _BothEnds:
     widest = min(_WIDEST_WINDOW, _FADED_AWAY / kappa) if kappa > 0 else _WIDEST_WINDOW
     reach = max(1.0, min(first, n - last, (last - first) / 4, widest))
-    step = float(pulses[math.floor(first) : math.ceil(last)].mean())
-    weights, error = np.zeros(n + 1), 0.0
+    weights, windows = np.zeros(n + 1), []
     for instant, sign in ((first, -1.0), (last, 1.0)):
         k = np.arange(max(0, math.ceil(instant - reach)), min(n, math.floor(instant + reach)) + 1)
         away = np.abs(k - instant)
         window = np.exp(-kappa * away) * _faded(kappa, reach - away)
         window /= window.sum()
         weights[k] += sign * window
-        error += _window_error(window, step, growth)
-    seconds = float(weights @ np.arange(n + 1)) * period
+        windows.append(window)
     on_increments = -np.cumsum(weights)[:-1]
-    squares = float(on_increments @ on_increments)
-    return MeanRate(
-        float(on_increments @ pulses) / seconds, period * squares / seconds**2, error / seconds**2
+    return _BothEnds(
+        (windows[0], windows[1]),
+        on_increments,
+        float(weights @ np.arange(n + 1)),
+        float(on_increments @ on_increments),
     )
 
 
@@ -297,17 +335,25 @@ def _faded(kappa: float, left: Floats) -> Floats:
     return np.asarray(-np.expm1(-2 * kappa * left) if kappa > 0 else left)
 
 
-def _window_error(window: Floats, step: float, growth: float) -> float:
-    """Return the variance of a reading error averaged over a window (see `_faded_error`)."""
-    alike = np.correlate(window, window, mode='full')[len(window) - 1 :]
+def _windows_error(windows: Sequence[Floats], step: float, growth: float) -> float:
+    """Return the sum of the variances of reading errors, each averaged over a window.
+
+    Source: see `_faded_error`.
+    """
     power, turns = _harmonics(step, growth)
-    # Powers of z up to n are products of two, each one of sqrt(n).
-    width = math.isqrt(len(alike) - 1) + 1
-    lags = np.zeros(width * width)
-    lags[1 : len(alike)] = 2 * alike[1:]
-    coarse, fine = (_powers(np.exp(by * turns), width) for by in (width, 1))
-    together = ((coarse @ lags.reshape(width, width)) * fine).sum(axis=1).real
-    return float(power @ together) + _READING_VARIANCE * float(alike[0])
+    error, powers = 0.0, 0
+    for window in windows:
+        alike = np.correlate(window, window, mode='full')[len(window) - 1 :]
+        # Powers of z up to n are products of two, each one of sqrt(n).
+        width = math.isqrt(len(alike) - 1) + 1
+        if width != powers:
+            coarse, fine = (_powers(np.exp(by * turns), width) for by in (width, 1))
+            powers = width
+        lags = np.zeros(width * width)
+        lags[1 : len(alike)] = 2 * alike[1:]
+        together = ((coarse @ lags.reshape(width, width)) * fine).sum(axis=1).real
+        error += float(power @ together) + _READING_VARIANCE * float(alike[0])
+    return error
 
 
 def _powers(numbers: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:

@@ -178,9 +178,11 @@ def clock_steps(stamp: Stamps, hint: float = 0.0) -> list[int]:
         return []
     steps = np.diff(stamp) * 1e-9
     period = float(np.median(steps))
-    if float(np.quantile(steps, 0.25)) < _HASTE * max(period, hint):
+    if _hasty(steps, max(period, hint)):
         return []
     off = np.abs(steps / period - 1)
+    if float(off.max()) <= _OFF_GRID:
+        return []
     scatter = 1.4826 * float(np.median(off))
     regular = np.append(True, off <= max(_OFF_GRID, _SURELY * scatter))
     if regular.all():
@@ -217,12 +219,18 @@ def _is_tick(step: float, stamp: Stamps, period: float) -> bool:
     return bool(np.mean(np.abs(ticks - np.rint(ticks)) < _ON_TICK) >= _ON_TICKS)
 
 
+def _hasty(steps: Floats, interval: float) -> bool:
+    """Say whether a quarter of the steps, s, is far shorter than an interval, s."""
+    limit = _HASTE * interval
+    return float(steps.min()) < limit and float(np.quantile(steps, 0.25)) < limit
+
+
 def _first_period(time: Floats) -> tuple[float, bool]:
     """Return the sample interval within a percent or so, s, and whether samples come in bunches."""
     steps = np.diff(time)
     few = min(_FEW, len(steps))
     typical, single = float(np.median(time[few:] - time[:-few])) / few, float(np.median(steps))
-    if not float(np.quantile(steps, 0.25)) < _HASTE * typical:
+    if not _hasty(steps, typical):
         return typical if abs(typical - single) < _CLOSE * single else single, False
     waits = np.flatnonzero(steps > _HASTE * typical)
     bunch = max(1, int(np.median(np.diff(waits)))) if len(waits) > 1 else 1
@@ -269,9 +277,10 @@ def _laid(time: Floats, index: NDArray[np.int64], period: float) -> SampleGrid:
         return SampleGrid(index, 0.0, step, float('inf'), 0.0, everything)
     kept = _near(time - index * period)
     for _ in range(_ROUNDS):
-        middle, mean = float(index[kept].mean()), float(time[kept].mean())
-        centred = index[kept] - middle
-        slope = float(centred @ time[kept] / (centred @ centred))
+        some, instants = (index, time) if kept.all() else (index[kept], time[kept])
+        middle, mean = float(some.mean()), float(instants.mean())
+        centred = some - middle
+        slope = float(centred @ instants / (centred @ centred))
         left = time - mean - slope * (index - middle)
         near = _near(left)
         if np.array_equal(near, kept):
@@ -287,6 +296,8 @@ def _laid(time: Floats, index: NDArray[np.int64], period: float) -> SampleGrid:
 
 def _near(left: Floats) -> NDArray[np.bool_]:
     """Say which residuals (n,), s, are no outliers; more than half of them are none."""
+    if float(np.ptp(left)) <= 2 * _ROUNDING:
+        return np.ones(len(left), dtype=bool)
     off = np.abs(left - np.median(left))
     return np.asarray(off <= _OUTLYING * 1.4826 * float(np.median(off)) + 2 * _ROUNDING)
 

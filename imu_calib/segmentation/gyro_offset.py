@@ -63,13 +63,16 @@ class _Level:
 
     ups: list[_Attitude]
     rate: Floats = field(init=False)
+    support: tuple[int, bool] = field(init=False)
 
     def __post_init__(self) -> None:
         self._settle()
 
     def _settle(self) -> None:
         """Take the rate from the ways up: it is asked for ten times as often as one is added."""
-        self.rate = np.median([one.rate for one in self.ups[-_ATTITUDES:]], axis=0)
+        rates = np.sort([one.rate for one in self.ups[-_ATTITUDES:]], axis=0)
+        self.rate = (rates[(len(rates) - 1) // 2] + rates[len(rates) // 2]) / 2
+        self.support = len(self.ups), bool((np.abs(self.rate) < _STEADY_RATE).all())
 
     def holds(self, rate: Floats) -> bool:
         return bool((np.abs(rate - self.rate) < _STEADY_RATE).all())
@@ -93,10 +96,6 @@ class _Level:
         off = np.abs(np.array([one.rate for one in self.ups]) - self.rate).max(axis=1)
         return max(_USUAL_TO_MOST * float(np.median(off)), 2 * EARTH_RATE)
 
-    @property
-    def support(self) -> tuple[int, bool]:
-        return len(self.ups), bool((np.abs(self.rate) < _STEADY_RATE).all())
-
 
 class GyroOffset:
     """Finds the gyros' offset among the steady rates of a session.
@@ -111,6 +110,7 @@ class GyroOffset:
 
     def __init__(self) -> None:
         self._levels: list[_Level] = []
+        self._level: _Level | None = None
         self._sum = np.zeros(6)
         self._windows = 0
         self._last: Floats | None = None
@@ -127,11 +127,6 @@ class GyroOffset:
         level = self._level
         return FELT if level is None else level.spread
 
-    @property
-    def _level(self) -> _Level | None:
-        # The first of the best: levels are listed in the order in which they came.
-        return max(self._levels, key=lambda level: level.support, default=None)
-
     def feed(self, mean: Floats) -> None:
         """Take the mean (6,) of a window of a tenth of a second in, rad/s and m/s^2."""
         self._sum += mean
@@ -146,6 +141,8 @@ class GyroOffset:
         if (apart[:3] < _STEADY_RATE).all() and (apart[3:] < _STEADY_FORCE).all():
             second = (now + before) / 2
             self._add(second[:3], second[3:] / (np.linalg.norm(second[3:]) or 1.0))
+            # The first of the best: levels are listed in the order in which they came.
+            self._level = max(self._levels, key=lambda level: level.support)
 
     def _add(self, rate: Floats, up: Floats) -> None:
         for level in self._levels:

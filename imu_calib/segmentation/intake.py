@@ -68,7 +68,7 @@ class StreamBuffer:
         """Take samples in."""
         stamp = block.stamp
         self.samples += len(stamp)
-        values = np.hstack([block.gyro, block.accel])
+        values = np.concatenate([block.gyro, block.accel], axis=1)
         what = 'values that are not numbers (NaN or infinite)'
         rows = self._imu_stamps.take(*self._finite(what, stamp, values))
         self._note(_TWICE, rows[2])
@@ -114,10 +114,12 @@ class StreamBuffer:
 
     def take_setpoints(self, block: SetpointBlock) -> None:
         """Take setpoints in."""
+        last = _asks(self.setpoints[-1]) if self.setpoints else None
         for setpoint in block.setpoints:
-            last = self.setpoints[-1] if self.setpoints else None
-            if last is None or _asks(last) != _asks(setpoint):
+            asks = _asks(setpoint)
+            if asks != last:
                 self.setpoints.append(setpoint)
+                last = asks
 
     def finish(self) -> Ordered:
         """End of all streams; return the last joint states."""

@@ -57,11 +57,11 @@ class Interruptions:
         if not len(stamp):
             return
         before = self._last[-1] if len(self._last) else stamp[0]
-        begins = np.flatnonzero(np.diff(stamp, prepend=before) > INTERRUPTION)
-        for part in np.split(stamp, begins):
+        silent = steps_since(before, stamp) > INTERRUPTION
+        for part in np.split(stamp, np.flatnonzero(silent)) if silent.any() else [stamp]:
             if len(part):
                 self._follow(part)
-                self._last = np.concatenate([self._last, part])[-_LAST:]
+                self._last = np.concatenate([self._last, part[-_LAST:]])[-_LAST:]
 
     def _follow(self, stamp: Stamps) -> None:
         """Take stamps among which only the first may come after a silence."""
@@ -81,6 +81,17 @@ class Interruptions:
             elif self._count - self._gained_at > _OVER:
                 self._queues = False
                 break
+
+
+def steps_since(before: int | np.int64, stamp: Stamps) -> Stamps:
+    """Return the steps from one stamp to the next, (n,) ns, the first one from another stamp.
+
+    What `np.diff(stamp, prepend=before)` does, for a live stream's blocks of a few samples.
+    """
+    steps = np.empty_like(stamp)
+    np.subtract(stamp[:1], before, out=steps[:1])
+    np.subtract(stamp[1:], stamp[:-1], out=steps[1:])
+    return steps
 
 
 def _interval(stamp: Stamps) -> float:

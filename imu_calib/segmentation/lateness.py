@@ -27,8 +27,11 @@ def surely_late(late: Stamps, period: float) -> NDArray[np.bool_]:
         period: Sample interval, s.
 
     """
-    scatter = float(np.median(np.abs(late - np.median(late)))) if len(late) else 0.0
-    return np.asarray(late > max(period * 1e9, _JITTER * scatter))
+    after_next = late > period * 1e9
+    if not after_next.any():
+        return after_next
+    scatter = float(np.median(np.abs(late - np.median(late))))
+    return np.asarray(after_next & (late > _JITTER * scatter))
 
 
 class Lateness:

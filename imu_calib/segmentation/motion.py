@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from ..stream import Floats, Stamps
 from ..units import DEG
 from .buffer import RowBuffer
+from .rows import any_in_row
 
 _WINDOW_NS = 250_000_000
 """ns over which a rate is looked at: encoders' noise counts little in it."""
@@ -69,6 +71,12 @@ class Motion:
     stamp: Stamps
     position: Floats
 
+    @cached_property
+    def travel(self) -> Floats:
+        """By how much each joint moved, (k,) rad; needs joint states."""
+        # Joint by joint: along so short an axis numpy takes ten times as long.
+        return np.array([np.ptp(angle) for angle in self.position.T])
+
 
 class JointTracker:
     """Follows the joint states of a table and tells dwells from motions.
@@ -117,7 +125,9 @@ class JointTracker:
 
     def _unwrapped(self, position: Floats) -> Floats:
         """Add whole turns: counted, where `np.unwrap` sums what each cut of the stream rounds."""
-        steps = position - np.concatenate([self._delivered[None], position[:-1]])
+        steps = np.empty_like(position)
+        steps[0] = position[0] - self._delivered
+        np.subtract(position[1:], position[:-1], out=steps[1:])
         turns = self._turns - np.cumsum(np.rint(steps / _TURN), axis=0)
         self._delivered, self._turns = position[-1], turns[-1]
         return np.asarray(position + _TURN * turns)
@@ -151,15 +161,18 @@ class JointTracker:
             if len(stamp) < _RECENT + 2 and not ended:
                 return []
             self._start = int(stamp[0])
-        new = np.arange(self._judged, len(stamp))
-        if not len(new):
+        first_new = self._judged
+        if first_new == len(stamp):
             return []
-        before = np.searchsorted(stamp, stamp[new] - _WINDOW_NS, side='right') - 1
-        before = np.maximum(np.minimum(before, new - 1), 0)
-        elapsed = np.asarray((stamp[new] - stamp[before]) * 1e-9)
-        moving = self._moved(position, new, before, elapsed)
+        fresh = stamp[first_new:]
+        before = np.searchsorted(stamp, fresh - _WINDOW_NS, side='right') - 1
+        before = np.maximum(np.minimum(before, np.arange(first_new - 1, len(stamp) - 1)), 0)
+        elapsed = np.asarray((fresh - stamp[before]) * 1e-9)
+        moving = self._moved(position, first_new, before, elapsed)
         done: list[Rest | Motion] = []
-        for k in np.flatnonzero(moving != np.append(self._moving, moving[:-1])).tolist():
+        changes = moving != self._moving
+        changes[1:] = moving[1:] != moving[:-1]
+        for k in np.flatnonzero(changes).tolist():
             # A window that counts as still may hold the last of a move, or the first of the next:
             # a dwell begins at the end of its first still window and ends where its last one began.
             if moving[k]:
@@ -167,7 +180,7 @@ class JointTracker:
                 done.append(self._rest(self._start, last))
                 self._start, self._moving, self._angles = last, True, None
             else:
-                first = int(stamp[new[k]])
+                first = int(fresh[k])
                 done.append(self._motion(first))
                 self._start, self._moving = first, False
         self._judged, self._seen_from = len(stamp), int(stamp[before[-1]])
@@ -175,26 +188,34 @@ class JointTracker:
         return done
 
     def _moved(
-        self, position: Floats, new: NDArray[np.intp], before: NDArray[np.intp], elapsed: Floats
+        self, position: Floats, new: int, before: NDArray[np.intp], elapsed: Floats
     ) -> NDArray[np.bool_]:
-        """Say of new readings, (n,), whether a joint is elsewhere than at those `before`."""
-        apart = np.abs(position[new] - position[before])
+        """Say of readings from `new` on, (n,), whether a joint is elsewhere than at those before.
+
+        Args:
+            position: (m, k) of all, rad.
+            new: The first of the new ones.
+            before: (n,) with which each is compared.
+            elapsed: (n,) since these, s.
+
+        """
+        apart = np.abs(position[new:] - position[before])
         # A table at rest is still at rest after a silence: only joint states show a motion.
         far = apart > (_STILL_RATE * np.minimum(elapsed, _LONGEST_LOOK))[:, None]
-        first = max(int(new[0]), _RECENT + 1)
+        first = max(new, _RECENT + 1)
         if not far.any() or first >= len(position):
-            return np.asarray(far.any(axis=1))
+            return any_in_row(far)
         # The first readings have those after them alone.
         sizes = np.abs(np.diff(position[first - _RECENT - 1 :], n=2, axis=0))
         limits = (_NOISE * _SECOND_DIFFERENCE) * sizes
         # The median of their sizes is the noise of those before, and at most the largest.
-        unsure = np.flatnonzero((far & (apart <= limits.max(axis=0))).any(axis=1))
+        unsure = np.flatnonzero(any_in_row(far & (apart <= limits.max(axis=0))))
         if len(unsure):
             windows = np.lib.stride_tricks.sliding_window_view(limits, _RECENT, axis=0)
             far[unsure] &= apart[unsure] > np.median(
-                windows[np.maximum(new[unsure] - first, 0)], axis=2
+                windows[np.maximum(new + unsure - first, 0)], axis=2
             )
-        return np.asarray(far.any(axis=1))
+        return any_in_row(far)
 
     def _rest(self, start: int, end: int) -> Rest:
         """Close a dwell; its angles are those of its first samples, however it is split."""

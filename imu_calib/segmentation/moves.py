@@ -185,7 +185,9 @@ def _together(parts: Sequence[_Steps]) -> _Steps:
 def joined(samples: Samples) -> _Steps:
     """Join samples to steps of `STEP_ANGLE` or `STEP_SECONDS`, whichever is reached first."""
     angle = samples.increments[:, :3]
-    size = np.maximum(np.linalg.norm(angle, axis=1) / STEP_ANGLE, samples.period / STEP_SECONDS)
+    x, y, z = angle.T
+    length = np.sqrt(x * x + y * y + z * z)
+    size = np.maximum(length / STEP_ANGLE, samples.period / STEP_SECONDS)
     # By the middle of each sample: one that is as long as a step is a step.
     number = np.floor(np.cumsum(size) - size / 2)
     first = np.flatnonzero(np.diff(number, prepend=-1.0))

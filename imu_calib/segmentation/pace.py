@@ -80,6 +80,8 @@ class Pace:
         """First interval found, s: lines are about it, for the sake of rounding."""
         self._pieces = _Line()
         self._knots: list[_Knot] = []
+        self._known: tuple[float, float] | None = None
+        """What `_long` has found since the last segment."""
 
     def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
         """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
@@ -106,6 +108,11 @@ class Pace:
 
     def _long(self) -> tuple[float, float]:
         """Return the interval by the line through all segments, and its std, s; 0 without one."""
+        if self._known is None:
+            self._known = self._through_all()
+        return self._known
+
+    def _through_all(self) -> tuple[float, float]:
         line = self._pieces + _line(self._knots, self._reference)
         freedom = line.freedom - 1
         if freedom < _FEWEST_FREE or not line.xx > 0:
@@ -125,6 +132,7 @@ class Pace:
             self._pieces += _line(self._knots, self._reference)
             self._knots, first = [], 0
         self._knots.append(_Knot(first + middle, time, max(std, _LEAST_STD)))
+        self._known = None
 
     def _number_of_first(self, time: float, middle: float, grid: SampleGrid) -> int | None:
         """Return which sample since the first segment this one begins with; None if unsure."""

@@ -225,7 +225,7 @@ def find_plateaus(motion: Motion) -> list[Plateau]:
 
 
 def _turning(motion: Motion) -> int:
-    return int(np.argmax(np.ptp(motion.position, axis=0)))
+    return int(np.argmax(motion.travel))
 
 
 def _seeds(time: Floats, angle: Floats) -> list[tuple[int, int]]:
@@ -247,9 +247,14 @@ def _half_turns(angle: Floats) -> NDArray[np.intp]:
     Where the joint states come so slowly that half a turn has too few of them, it is more.
     """
     found: list[tuple[int, int]] = []
+    half_turn = len(angle)
     for first in np.unique(np.linspace(0, len(angle) - 1, _SEEDS).astype(int)).tolist():
-        far = np.abs(angle[first:] - angle[first]) >= _SEED
-        half_turn = int(np.argmax(far))
+        # The next half turn takes about as long as the last one: no more is looked at first.
+        for reach in (2 * half_turn, len(angle)):
+            far = np.abs(angle[first : first + reach] - angle[first]) >= _SEED
+            half_turn = int(np.argmax(far))
+            if far[half_turn]:
+                break
         last = first + max(half_turn, _FEWEST)
         if not far[half_turn] or last > len(angle):
             break

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..stream import Floats
 from ..units import DEG
+from .rows import all_in_row
 
 _FEWEST = 8
 """Fewest samples in a row that are taken for frozen: a judgement, less is no loss."""
@@ -44,7 +45,7 @@ def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
     found = np.zeros(n, dtype=bool)
     if n < 2 * _FEWEST:
         return found
-    same = (values[1:] == values[:-1]).all(axis=1)
+    same = all_in_row(values[1:] == values[:-1])
     edges = np.diff(np.concatenate([[0], same.astype(np.int8), [0]]))
     first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
     others, alike = n - 1, int(same.sum())
@@ -78,7 +79,7 @@ class Repetition:
     @classmethod
     def of(cls, values: Floats) -> Repetition:
         """Count what repeats itself of (n, 6) values as delivered; at least 2."""
-        same = (values[1:] == values[:-1]).all(axis=1)
+        same = all_in_row(values[1:] == values[:-1])
         edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
         return cls(len(values), float(same.mean()), int(np.diff(edges)[::2].max(initial=0)))
 
@@ -99,7 +100,7 @@ def repeating_a_turn(values: Floats, rates: Floats) -> NDArray[np.bool_]:
 
     """
     found = np.zeros(len(values), dtype=bool)
-    same = (values[1:] == values[:-1]).all(axis=1)
+    same = all_in_row(values[1:] == values[:-1])
     found[1:] |= same
     found[:-1] |= same
     return np.asarray(found & (np.linalg.norm(rates, axis=1) > _TURNS))

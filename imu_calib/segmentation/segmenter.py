@@ -29,7 +29,7 @@ from .apart import FARTHEST, offset_by_pattern
 from .bridging import LONGEST, Bridged, bridged
 from .buffer import RowBuffer
 from .bunches import sampling_times
-from .clock import ClockFit, ClockSample, ShareSeen, clock_sample, fit_clock, seen_by_gyros
+from .clock import ClockFit, ClockSample, ShareSeen, cells, clock_sample, fit_clock, seen_by_gyros
 from .dwells import read_dwell
 from .grid import clock_steps
 from .intake import StreamBuffer
@@ -292,7 +292,7 @@ class Segmenter:
     def _split_long_rest(self) -> None:
         """Close a dwell after so many samples, that memory stays bounded however long it lasts."""
         tracker = self._tracker
-        if tracker is None or self._pending:
+        if tracker is None or self._pending or len(self._intake.imu) <= _LONGEST_REST:
             return
         while (since := tracker.rest_since) is not None:
             stamp = self._intake.imu.stamp
@@ -368,8 +368,10 @@ class Segmenter:
             return
         self._compare_clocks(motion, samples, self._table)
         if not self._sensor.saturated(values, samples).any():
-            attitudes = self._table.attitude(motion.position)
-            seen = seen_by_gyros(samples, motion.stamp + self._offset_ns, attitudes)
+            shown = motion.stamp + self._offset_ns
+            some = cells(shown)
+            attitudes = self._table.attitude(motion.position[some])
+            seen = seen_by_gyros(samples, shown[some], attitudes)
             if seen is not None:
                 middle = (motion.start + motion.end) / 2 + self._offset_ns
                 self._seen_motions.append((middle, seen))
@@ -382,7 +384,7 @@ class Segmenter:
         self._lost += int(np.count_nonzero(whole.rows[inside] < 0))
 
     def _compare_clocks(self, motion: Motion, samples: Samples, table: Table) -> None:
-        travel = np.ptp(motion.position, axis=0)
+        travel = motion.travel
         joint = int(np.argmax(travel))
         if np.any(np.delete(travel, joint) > 0.01 * travel[joint]):
             return

@@ -102,7 +102,10 @@ class Sensor:
         for c, limit in enumerate((NEARLY * limits).tolist()):
             clipped |= _at_its_end(samples.increments[:, c], limit, float(samples.pulse[c]))
             if self.spec.units is not Units.SI:
-                clipped |= np.isin(np.abs(values[:, c]), _FULL_SCALES)
+                sizes = np.abs(values[:, c])
+                # NaN, of lost samples, is below nothing.
+                if not sizes.max(initial=0.0) < _FULL_SCALES[0]:
+                    clipped |= np.isin(sizes, _FULL_SCALES)
         return clipped
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..instants import at
 from ..stream import Floats, Stamps
 from ..units import counted
-from .interruptions import INTERRUPTION
+from .interruptions import INTERRUPTION, steps_since
 
 _STAMPS = 3
 """Last stamps whose samples are counted: a transfer that is late is followed by an early one."""
@@ -73,13 +73,13 @@ class SharedStamps:
             self._next_alone(int(stamp[0]))
             return stamp, None
         self._last = stamp[-1:].copy(), values[-1:].copy()
-        same = stamp == np.append(last[0], stamp[:-1])
+        same = steps_since(last[0][0], stamp) == 0
+        if not self._within and not same.any():
+            self._alone(stamp)
+            return stamp, None
         within = np.append(self._within, same[:-1])
         self._within = bool(same[-1])
         rows = np.flatnonzero(same | within)
-        if not len(rows):
-            self._alone(stamp)
-            return stamp, None
         before = np.concatenate([last[1], values[:-1]])[rows]
         alike = (values[rows] == before).all(axis=1)
         apart, kept, done = stamp.copy(), np.ones(len(stamp), dtype=bool), 0
@@ -123,7 +123,8 @@ class SharedStamps:
         if not len(stamp):
             return
         before = self._stamps[-1][0] if self._stamps else stamp[0]
-        self._elapsed += int(np.diff(stamp, prepend=before).clip(0, INTERRUPTION).sum())
+        steps = steps_since(before, stamp)
+        self._elapsed += int(np.minimum(np.maximum(steps, 0), INTERRUPTION).sum())
         self._passed += len(stamp) - (not self._stamps)
         recent = [(one, 1) for one in stamp[-_STAMPS - 1 :].tolist()]
         self._stamps = (self._stamps + recent)[-_STAMPS - 1 :]

@@ -107,7 +107,7 @@ def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> S
         carried = np.repeat([spec.gyro.pulse, spec.accel.pulse], 3)
         grid = np.where(carried > 0, 0.0, grid)
         return Samples(stamp, increments, np.zeros(6), period, grid, carried)
-    whole = np.all(values == np.rint(values), axis=0)
+    whole = [bool(channel.all()) for channel in (values == np.rint(values)).T]
     return Samples(stamp, values * scale, np.where(whole, scale, 0.0), period, np.zeros(6))
 
 
@@ -134,7 +134,9 @@ def gap_free(stamp: Stamps, period: float) -> list[tuple[int, int]]:
 
     """
     steps = np.diff(stamp) * 1e-9
-    jitter = 1.4826 * float(np.median(np.abs(steps - np.median(steps)))) if len(steps) else 0.0
+    if float(steps.max(initial=0.0)) <= 1.5 * period:
+        return [(0, len(stamp))]
+    jitter = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
     # Of a few steps half may be a gap: stamps that jitter by more than an interval have no order.
     cuts = np.flatnonzero(steps > 1.5 * period + 6 * min(jitter, period)) + 1
     edges = [0, *cuts.tolist(), len(stamp)]

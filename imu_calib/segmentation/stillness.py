@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -10,6 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ..stream import Floats, Stamps
+from .buffer import RowBuffer
 from .gyro_offset import GyroOffset
 from .motion import Motion, Rest
 from .rest_tolerance import RestTolerance
@@ -34,8 +37,9 @@ _NO_STAMPS: Stamps = np.empty(0, dtype=np.int64)
 _WINDOWS_OF_SPAN = 20
 """Two seconds, the shortest hold that is asked for."""
 
-_Window: TypeAlias = tuple[int, int, Floats]
-"""First and last stamp, ns, and the (6,) mean."""
+_Window: TypeAlias = tuple[int, int, list[float]]
+"""First and last stamp, ns, and the mean of each channel: of so few numbers plain ones are faster
+than arrays."""
 
 
 @dataclass(frozen=True)
@@ -79,12 +83,14 @@ class StillnessTracker:
         self._rates: Floats = np.empty((0, 6))
         self._offset = GyroOffset()
         self._tolerance = RestTolerance()
-        self._around: deque[_Window] = deque(maxlen=4 * _WINDOWS_AHEAD)
-        self._ahead = 0
+        self._means = RowBuffer(6)
+        self._to_come = 0
+        """Of these the last ones, whose turn has not come yet."""
+        self._ahead: deque[_Window] = deque()
         self._count = 0
         self._learnt_at = -1
         self._recent: list[_Window] = []
-        self._reference: Floats | None = None
+        self._reference: list[float] | None = None
         self._start: int | None = None
         self._span: Floats = np.empty((0, 6))
         self._least: tuple[float, float] | None = None
@@ -120,14 +126,17 @@ class StillnessTracker:
         means = rates[:whole].reshape(-1, self._length, 6).mean(axis=1)
         self._note_quiet(means)
         done: list[Rest | Motion] = []
-        ends = zip(windows[:, 0].tolist(), windows[:, -1].tolist(), means, strict=True)
-        for first, last, mean in ends:
+        self._means.append(windows[:, -1], means)
+        self._to_come = len(means)
+        ends = zip(windows[:, 0].tolist(), windows[:, -1].tolist(), means.tolist(), strict=True)
+        for mean, window in zip(means, ends, strict=True):
             self._offset.feed(mean)
-            self._around.append((first, last, mean))
-            self._ahead += 1
+            self._ahead.append(window)
+            self._to_come -= 1
             self._count += 1
-            if self._ahead > _WINDOWS_AHEAD:
+            if len(self._ahead) > _WINDOWS_AHEAD:
                 done += self._judge_next()
+        self._means.drop(len(self._means) - 4 * _WINDOWS_AHEAD)
         return done
 
     def finish(self) -> list[Rest | Motion]:
@@ -167,13 +176,14 @@ class StillnessTracker:
         """Judge the oldest window that waits."""
         if self._count // _WINDOWS_TO_LEARN != self._learnt_at:
             self._learnt_at = self._count // _WINDOWS_TO_LEARN
-            means = np.array([mean for _, _, mean in self._around])
+            came = len(self._means) - self._to_come
             self._tolerance = RestTolerance.of(
-                means, self._offset.value, self._offset.spread, self._step
+                self._means.values[max(0, came - 4 * _WINDOWS_AHEAD) : came],
+                self._offset.value,
+                self._offset.spread,
+                self._step,
             )
-        window = self._around[-self._ahead]
-        self._ahead -= 1
-        return self._judge(window)
+        return self._judge(self._ahead.popleft())
 
     def _judge(self, window: _Window) -> list[Rest | Motion]:
         start, _, mean = window
@@ -186,9 +196,11 @@ class StillnessTracker:
             rest = Rest(self._start, last)
             self._start, self._reference = last, None
             return [rest]
-        centre = np.mean([mean for _, _, mean in self._recent], axis=0)
-        fresh = [w for w in self._recent if w[0] >= self._start]
-        if len(fresh) < _WINDOWS_TO_SETTLE or not all(self._still(m, centre) for *_, m in fresh):
+        fresh = [mean for first, _, mean in self._recent if first >= self._start]
+        if len(fresh) < _WINDOWS_TO_SETTLE:
+            return []
+        centre = [sum(channel) / len(fresh) for channel in zip(*fresh, strict=True)]
+        if not all(self._still(mean, centre) for mean in fresh):
             return []
         # The first window may hold the last of the motion: the dwell begins with the second.
         motion = self._motion(self._recent[1][0])
@@ -203,15 +215,19 @@ class StillnessTracker:
         window judged is of the motion already.
         """
         before, last, _ = self._recent
-        usual = np.sqrt(2) * self._tolerance.usual
-        quiet = bool((np.abs(last[2] - before[2])[:3] <= usual).all())
+        usual = math.sqrt(2) * self._tolerance.usual
+        quiet = _farthest(last[2][:3], before[2][:3]) <= usual
         return last[1] if quiet else before[1]
 
-    def _still(self, mean: Floats, reference: Floats) -> bool:
-        moved, leaning = np.abs(mean[:3] - self._offset.value), np.abs(mean - reference)[3:]
-        return bool(
-            (moved < self._tolerance.rate).all() and (leaning < self._tolerance.force).all()
+    def _still(self, mean: list[float], reference: list[float]) -> bool:
+        return (
+            _farthest(mean[:3], self._offset.value.tolist()) < self._tolerance.rate
+            and _farthest(mean[3:], reference[3:]) < self._tolerance.force
         )
 
     def _motion(self, end: int) -> Motion:
         return Motion(self._start or 0, end, _NO_STAMPS, _NO_JOINTS)
+
+
+def _farthest(one: Sequence[float], other: Sequence[float]) -> float:
+    return max(abs(a - b) for a, b in zip(one, other, strict=True))

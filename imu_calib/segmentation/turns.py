@@ -85,7 +85,7 @@ def read_turns(seen: Around, motion: Motion, table: Table, offset_ns: int) -> li
 
     """
     found = find_turns(motion)
-    if not found and np.ptp(motion.position, axis=0).max() > _TURN_AND_RUN_UP:
+    if not found and motion.travel.max() > _TURN_AND_RUN_UP:
         start, end = motion.start + offset_ns, motion.end + offset_ns
         return [Rejected(start, end, why_none(motion), turn=True)]
     return [

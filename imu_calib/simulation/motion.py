@@ -245,7 +245,10 @@ class Motion:
         for k, axis in enumerate(self.axes):
             moves = rates is not None and bool(rates[k].any())
             angle = (angles[k] if moves else angles[k, :1]) + self.zeros[k]
-            earth, up, spin, spin_up = all_in_rotated_frame([earth, up, spin, spin_up], axis, angle)
+            # Up to the first joint that moves nothing turns.
+            turning = [spin, spin_up] if spin.any() or spin_up.any() else []
+            earth, up, *turning = all_in_rotated_frame([earth, up, *turning], axis, angle)
+            spin, spin_up = turning or (spin, spin_up)
             if rates is not None and accelerations is not None and moves:
                 own = rates[k][:, None] * axis
                 spin_up = spin_up + cross(spin, own) + accelerations[k][:, None] * axis

@@ -147,12 +147,10 @@ class SimulatedStand:
         visits: list[Visit] = []
         begin = self.options.lead
         for step in steps:
-            send = self._sender(step)
-            for tick in count():
-                now = begin + tick / self.options.setpoint_rate
-                self._table.command(send(self._stamp(now)), now)
-                if self._table.rest_time <= now:
-                    break
+            self._table.command(self._sender(step)(self._stamp(begin)), begin)
+            ticks = (begin + tick / self.options.setpoint_rate for tick in count())
+            now = next(time for time in ticks if self._table.rest_time <= time)
+            self._table.sent_until(now)
             end = now + self.options.settle + step.dwell
             visits.append(Visit(step, begin, self._table.rest_time, end))
             begin = end

@@ -150,6 +150,11 @@ class SimulatedTable:
         self._stopped = ''
         self._deadline = time + self.options.setpoint_timeout
 
+    def sent_until(self, time: float) -> None:
+        """Take it that the last setpoint has been repeated often enough, up to `time`, s."""
+        self._time = time
+        self._deadline = time + self.options.setpoint_timeout
+
     def advance(self, time: float) -> TableState:
         """Let time pass up to `time` (s since the epoch) and return the state then.
 
