@@ -74,6 +74,11 @@ def test_a_session_as_a_text_file_gives_what_its_recording_gives(tmp_path: Path)
         ROW.replace(',', ';') + '1,5;90;0;0;0;0;1\n1,6;90;0;0;0;0;1\n',
         '\ufeff"t","wx","wy","wz","ax","ay","az"\n1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n',
         ROW.replace('az', 'az,note') + '1.5,90,0,0,0,0,1,up\n1.6,90,0,0,0,0,1,\n',
+        '# ' + ROW.replace(',', ' ') + '1.5 90 0 0 0 0 1\n1.6 90 0 0 0 0 1\n',
+        'Fs,10\nLogger of ours\n' + ROW + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n',
+        ROW.replace(',', '\t') + '1,5\t90\t0\t0\t0\t0\t1\n1,6\t90\t0\t0\t0\t0\t1\n',
+        '# ' + ROW.replace(',', ' ') + ' 1.5 90 0 0\t 0 0 1\n 1.6 90 0 0\t 0 0 1\n',
+        ROW + '1.5,90,0,0,0,0,1,\n1.6,90,0,0,0,0,1,\n',
     ],
 )
 def test_tables_are_read_as_people_write_them(text: str, tmp_path: Path) -> None:
@@ -84,10 +89,19 @@ def test_tables_are_read_as_people_write_them(text: str, tmp_path: Path) -> None
     assert columns.units['angular_velocity.x'] == 'rad/s'
 
 
+def test_a_table_in_utf_16_is_read_and_a_file_of_matlab_is_named(tmp_path: Path) -> None:
+    text = ROW + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n'
+    (tmp_path / 'log.csv').write_text(text, encoding='utf-16')
+    assert len(converted(tmp_path / 'log.csv')) == 2
+    (tmp_path / 'data.mat').write_bytes(b'MATLAB 5.0 MAT-file' + bytes(100) + b'\x9b\xff')
+    with pytest.raises(InputError, match=r'is not a text file.*file of MATLAB: writematrix'):
+        converted(tmp_path / 'data.mat')
+
+
 def test_columns_without_a_heading_have_places_and_rows_may_have_a_rate(tmp_path: Path) -> None:
     path = write(tmp_path / 'log.txt', '1 2 3 4 5 6\n7 8 9 10 11 12\n')
     out = tmp_path / 'out'
-    words = ['--rate', '50 Hz', '--gyro', '4,5,6:rad/s', '--accel', '1,2,3:m/s^2']
+    words = ['--rate', '50', '--gyro', '4,5,6:rad/s', '--accel', '1,2,3:m/s^2']
     assert main(['convert', str(path), '-o', str(out), *words]) == 0
     columns = imu_calib.read(out, '/imu/data_raw')
     assert columns.stamp.tolist() == [0, 20_000_000]
@@ -104,7 +118,7 @@ def test_broken_rows_are_left_out_and_counted(tmp_path: Path) -> None:
     assert done.counts == {'/imu/data_raw': 2}
     assert done.findings == (
         '2 lines of log.csv are not rows of numbers; left out.',
-        '1 rows hold no number in a column that is needed; left out.',
+        '1 row holds no number in a column that is needed; left out.',
     )
 
 
@@ -186,11 +200,21 @@ def test_pulses_stay_pulses_and_need_a_description(tmp_path: Path) -> None:
         (ROW + '1,2,3,4,5,6,7\n', {'gyro': 'wx,wy:deg/s'}, r'expected NAME,NAME,NAME:UNIT'),
         (ROW + '1,2,3,4,5,6,7\n', {'gyro': 'wx,wy,wz:furlong'}, 'the unit one of rad/s'),
         (ROW + '1,2,3,4,5,6,7\n', {'accel': 'a,b,c:g'}, "no column 'a'; it has: t, wx, wy"),
-        (ROW + '1,2,3,4,5,6,7\n', {'rate': '9 Hz'}, 'Say which are which'),
+        (ROW + '1,2,3,4,5,6,7\n', {'rate': '9 Hz'}, 'both say when the rows were'),
+        (ROW + '1,2,3,4,5,6,7\n', {'accel_stamp': 't:s'}, '`accel_file`, which is not given'),
         (ROW + '1,2,3,4,5,6,7\n', {'accel': 'ax,ay,az:pulse'}, 'found deg/s and pulse, expected'),
         (ROW + '1,2,3,4,5,6,7\n', {'delimiter': '::'}, "`delimiter`: found '::', expected one"),
         (ROW + '1.7e18,2,3,4,5,6,7\n', {}, r'a row is 1.7e\+18 s from 1970.*another unit of s, ms'),
         ('a,a,b\n1,2,3\n', {}, 'its heading has a more than once'),
+        # Decimal commas between commas; names of the rows that the heading does not have.
+        (
+            ROW + '1,5,2,5,3,5,4,5,5,5,6,5,7,5\n' * 3,
+            {},
+            'its heading has 7 names, its rows have 14 fields.*write decimal points',
+        ),
+        (ROW + '1,1,2,3,4,5,6,7\n' * 3, {}, 'its heading has 7 names, its rows have 8 fields'),
+        (ROW + '10:11:12.5,2,3,4,5,6,7\n' * 3, {}, 'column t of .* no number in any row. Dates'),
+        (ROW + '1|2|3|4|5|6|7\n', {}, "no row of numbers found; a line of it is '1|2|3|4|5|6|7'"),
     ],
 )
 def test_what_does_not_fit_is_refused_in_a_sentence(
@@ -217,6 +241,64 @@ def recording(folder: Path, topics: dict[str, tuple[Stamps, Floats, Floats]]) ->
             encoded = encode_rates(ImuBlock(stamp, gyro, accel), none, none)
             writer.write(topic, Kind.IMU.type_name, encoded, stamp)
     return folder
+
+
+def test_gyros_and_accelerometers_in_two_files_become_one_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rates = ''.join(f'{k / 100:.2f},{k},0,0\n' for k in range(101))
+    forces = ''.join(f'{20 * k} 0 0 {k}\n' for k in range(40))
+    gyro = write(tmp_path / 'gyro.csv', 't,wx,wy,wz\n' + rates)
+    accel = write(tmp_path / 'accel.txt', forces)
+    command = ['convert', str(gyro), '-o', str(tmp_path / 'out'), '--stamp', 't:s']
+    command += ['--gyro', 'wx,wy,wz:rad/s', '--accel', '2,3,4:m/s^2']
+    assert main(command[:-2]) == 2
+    said = capsys.readouterr().err
+    assert '--accel NAME,NAME,NAME:UNIT is not stated' in said and 'own: --accel-file.' in said
+    command += ['--accel-file', str(accel)]
+    assert main([*command, '--accel-stamp', '1:us']) == 2
+    assert 'in another unit, ms would be 50 Hz' in capsys.readouterr().err.lower().replace(
+        'hz', 'Hz'
+    )
+    assert main([*command, '--accel-stamp', '1:ms']) == 0
+    assert 'The accelerometers come with 50 Hz' in capsys.readouterr().out.replace('\n', ' ')
+    columns = imu_calib.read(tmp_path / 'out', '/imu/data_raw')
+    assert columns.stamp.tolist() == [10_000_000 * k for k in range(79)]
+    assert columns['angular_velocity.x'].tolist() == list(range(79))
+    assert columns['linear_acceleration.z'] == pytest.approx(np.arange(79) / 2)
+
+
+def test_counts_in_two_files_are_joined_at_shared_times_alone(tmp_path: Path) -> None:
+    gyro = write(tmp_path / 'gyro.txt', '0.00 1 2 3\n0.01 4 5 6\n0.02 7 8 9\n')
+    write(tmp_path / 'same.txt', '0.00 10 20 30\n0.01 40 50 60\n0.02 70 80 90\n')
+    write(tmp_path / 'other.txt', '0.00 10 20 30\n0.02 40 50 60\n0.04 70 80 90\n')
+    write(tmp_path / 'later.txt', '7.00 10 20 30\n7.02 40 50 60\n7.04 70 80 90\n')
+    words = {'stamp': '1:s', 'gyro': '2,3,4:count', 'accel': '2,3,4:count', 'imu': 'mems_counts'}
+    done = imu_calib.convert(
+        gyro,
+        tmp_path / 'out',
+        accel_file=tmp_path / 'same.txt',
+        **words,  # type: ignore[arg-type]
+    )
+    assert done.counts == {'/imu/pulses': 3} and done.findings == ()
+    columns = imu_calib.read(tmp_path / 'out', '/imu/pulses')
+    assert columns['linear_acceleration.y'].tolist() == [20, 50, 80]
+    with pytest.raises(InputError, match='other times than 1 of the 3 rows of the gyros'):
+        imu_calib.convert(
+            gyro,
+            tmp_path / 'no',
+            accel_file=tmp_path / 'other.txt',
+            **words,  # type: ignore[arg-type]
+        )
+    words |= {'gyro': '2,3,4:rad/s', 'accel': '2,3,4:g', 'imu': 'si'}
+    with pytest.raises(InputError, match='do not overlap'):
+        imu_calib.convert(
+            gyro,
+            tmp_path / 'no',
+            accel_file=tmp_path / 'later.txt',
+            **words,  # type: ignore[arg-type]
+        )
+    assert not (tmp_path / 'no').exists()
 
 
 def test_gyros_and_accelerometers_on_two_topics_become_one(tmp_path: Path) -> None:

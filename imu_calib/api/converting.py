@@ -31,6 +31,8 @@ def convert(
     delimiter: str | None = None,
     gyro_topic: str | None = None,
     accel_topic: str | None = None,
+    accel_file: Named | None = None,
+    accel_stamp: str | None = None,
     imu: Named | None = None,
     progress: Progress = silent,
 ) -> Converted:
@@ -38,14 +40,15 @@ def convert(
 
     The columns of a text file must be stated: 'NAME,NAME,NAME:UNIT', each NAME as in its
     heading or a place counted from 1. A bag of ROS 1 needs nothing. Gyros and accelerometers that
-    come on topics of their own (`gyro_topic`, `accel_topic`) become one: the accelerometers are
-    read at the stamps of the gyros, by straight lines between their samples.
+    come on topics of their own (`gyro_topic`, `accel_topic`), or in text files of their own
+    (`accel_file`), become one: the accelerometers are read at the stamps of the gyros, by straight
+    lines between their samples.
 
     Args:
         source: Text file, bag of ROS 1, recording of rosbag2, or a URL of one that fsspec reads.
         output: Folder to create.
         stamp: Column of the time of each row, for instance 't:s' (s, ms, us, ns).
-        rate: Of the rows, where none holds their time: '200 Hz'.
+        rate: Of the rows, where none holds their time: '200 Hz'; a number alone is in Hz.
         gyro: Three columns, for instance 'wx,wy,wz:deg/s'; units of rate, pulse, or count.
         accel: Three columns, for instance '5,6,7:g'; units of acceleration, pulse, or count.
         joints: Columns named as the table's joints, for instance 'outer,inner:deg'.
@@ -53,6 +56,8 @@ def convert(
         delimiter: Between fields; None finds it.
         gyro_topic: sensor_msgs/Imu of which the angular velocity counts.
         accel_topic: sensor_msgs/Imu of which the linear acceleration counts.
+        accel_file: Text file of the accelerometers, where `source` holds the gyros alone.
+        accel_stamp: Column of the time in `accel_file`; None: as `stamp`.
         imu: What pulses or counts mean, written into the recording.
         progress: Shows how far it is; nothing by default.
 
@@ -65,7 +70,8 @@ def convert(
         raise InputError(f'{target}: exists already; name a folder that does not.')
     path = located(source)
     columns = {'stamp': stamp, 'gyro': gyro, 'accel': accel, 'joints': joints}
-    columns |= {'temperature': temperature, 'rate': rate}
+    columns |= {'temperature': temperature, 'rate': rate, 'accel_stamp': accel_stamp}
+    columns |= {'accel_file': None if accel_file is None else str(accel_file)}
     if path.suffix == '.bag' or path.is_dir() or path.suffix in {'.mcap', '.db3'}:
         given = [name for name, value in columns.items() if value is not None]
         if given:
@@ -79,12 +85,29 @@ def convert(
             )
         return joined(path, target, gyro_topic, accel_topic, imu, progress)
     text = read_text(path, delimiter)
-    if gyro is None or accel is None or (stamp is None) == (rate is None):
+    needed = {'`gyro` NAME,NAME,NAME:UNIT': gyro, '`accel` NAME,NAME,NAME:UNIT': accel}
+    needed |= {'`stamp` NAME:UNIT or `rate` HZ': stamp or rate}
+    lacking = [name for name, value in needed.items() if value is None]
+    if gyro is None or accel is None or lacking:
+        other = '' if accel_file else ' Accelerometers in a file of their own: `accel_file`.'
         raise InputError(
-            f'{path}: its columns are {", ".join(text.names)}. Say which are which: `gyro` '
-            'NAME,NAME,NAME:UNIT, `accel` NAME,NAME,NAME:UNIT, and `stamp` NAME:UNIT or `rate` HZ.'
+            f'{path}: its columns are {", ".join(text.names)}. Say which are which: '
+            f'{", ".join(lacking)} {"is" if len(lacking) == 1 else "are"} not stated.{other}'
         )
-    return from_text(text, target, stamp, rate, gyro, accel, joints, temperature, imu)
+    if stamp is not None and rate is not None:
+        raise InputError(
+            f'`stamp` {stamp} and `rate` {rate} both say when the rows were: give the one or the '
+            'other.'
+        )
+    if accel_file is None:
+        if accel_stamp is not None:
+            raise InputError('`accel_stamp` is the time in `accel_file`, which is not given.')
+        return from_text(text, target, stamp, rate, gyro, accel, joints, temperature, imu)
+    if stamp is None:
+        raise InputError('Two files are joined by the time of their rows: give `stamp`, no `rate`.')
+    forces = read_text(located(accel_file), delimiter)
+    others = (joints, temperature, imu, forces, accel_stamp)
+    return from_text(text, target, stamp, None, gyro, accel, *others)
 
 
 def _from_ros1(path: AnyPath, target: Path) -> Converted:

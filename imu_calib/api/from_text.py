@@ -11,8 +11,9 @@ from ..bags import RecordingWriter
 from ..cdr import Kind, Messages, encode_joints, encode_temperatures
 from ..errors import InputError
 from ..stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock
-from ..units import Dimension, parse
+from ..units import Dimension, counted, parse
 from .converted import JOINTS, RAW, RAW_UNITS, SI, TEMPERATURE, Converted, described, write_imu
+from .joining import read_at, resampling
 from .named import Named
 from .text import Text
 
@@ -43,8 +44,12 @@ def from_text(
     joints: str | None,
     temperature: str | None,
     imu: Named | None,
+    accel_text: Text | None = None,
+    accel_stamp: str | None = None,
 ) -> Converted:
     """Write a recording of the columns of a text file, as `convert` names them.
+
+    Accelerometers that have a file of their own, `accel_text`, are read at the stamps of the gyros.
 
     Raises:
         InputError: A column or a unit is not there, or what they hold is of no IMU.
@@ -52,7 +57,7 @@ def from_text(
     """
     stamps = _stamps(text, stamp, rate)
     rates, gyro_unit = _columns(text, gyro, '`gyro`', _GYRO, 3)
-    forces, accel_unit = _columns(text, accel, '`accel`', _ACCEL, 3)
+    forces, accel_unit = _columns(accel_text or text, accel, '`accel`', _ACCEL, 3)
     raw = {gyro_unit, accel_unit} & set(RAW_UNITS)
     if raw and gyro_unit != accel_unit:
         raise InputError(
@@ -60,7 +65,19 @@ def from_text(
             'or both in pulses, or both in counts.'
         )
     data = described(imu, raw)
-    times, (rates, forces) = _sound(stamps, rates, forces)
+    said: list[str] = []
+    if accel_text is None:
+        times, (rates, forces) = _sound(stamps, rates, forces)
+        said = _left_out(text, len(stamps) - len(times))
+    else:
+        forces_at = _stamps(accel_text, accel_stamp or stamp, None)
+        known, (forces,) = _sound(forces_at, forces)
+        wanted, (rates,) = _sound(stamps, rates)
+        said += _left_out(text, len(stamps) - len(wanted))
+        said += _left_out(accel_text, len(forces_at) - len(known))
+        times, rates, forces = _of_two(wanted, rates, known, forces, said, exactly=bool(raw))
+    if not len(times):
+        raise InputError(f'{text.path}: no row holds a number in each of the columns named.')
     block = ImuBlock(times, rates, forces, 'imu_link')
     counts = {(RAW if raw else SI): len(block)}
     # All columns are read before anything is written: a wrong name leaves no half of a recording.
@@ -81,7 +98,7 @@ def from_text(
         for topic, kind, messages, at in others:
             writer.write(topic, kind.type_name, messages, at)
             counts[topic] = len(at)
-    return Converted(target, counts, _left_out(text, len(stamps) - len(block)))
+    return Converted(target, counts, tuple(said))
 
 
 def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
@@ -90,13 +107,47 @@ def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
     return stamps[known].astype(np.int64), [values[known] for values in columns]
 
 
-def _left_out(text: Text, rows: int) -> tuple[str, ...]:
+def _of_two(
+    stamps: Stamps, rates: Floats, known: Stamps, forces: Floats, said: list[str], *, exactly: bool
+) -> tuple[Stamps, Floats, Floats]:
+    """Return rates and forces of two files at the stamps of the rates, and say how in `said`.
+
+    Raises:
+        InputError: The files share no time, or pulses or counts have stamps of their own.
+
+    """
+    shared = np.isin(stamps, known)
+    if exactly and not shared.all():
+        raise InputError(
+            f'The rows of `accel_file` have other times than {int((~shared).sum())} of the '
+            f'{len(stamps)} rows of the gyros, and pulses or counts lie on no line between two '
+            'samples: state the columns in SI units, or shared times.'
+        )
+    order = np.argsort(known, kind='stable')
+    known, forces = known[order], forces[order]
+    if len(known) < 2 or len(stamps) < 2 or known[-1] < stamps.min() or stamps.max() < known[0]:
+        raise InputError(
+            'The times of the gyros and those of `accel_file` do not overlap: check the columns '
+            'and units of `stamp` and `accel_stamp`.'
+        )
+    times, read, within = read_at(known, forces, stamps)
+    if not shared.all():
+        said.append(resampling(stamps, known, within))
+    return times, rates[within], read
+
+
+def _left_out(text: Text, rows: int) -> list[str]:
     said = []
     if text.broken:
-        said.append(f'{text.broken} lines of {text.path.name} are not rows of numbers; left out.')
+        lines = counted(text.broken, 'line')
+        verb = 'is no row' if text.broken == 1 else 'are not rows'
+        said.append(f'{lines} of {text.path.name} {verb} of numbers; left out.')
     if rows:
-        said.append(f'{rows} rows hold no number in a column that is needed; left out.')
-    return tuple(said)
+        verb = 'holds' if rows == 1 else 'hold'
+        said.append(
+            f'{counted(rows, "row")} {verb} no number in a column that is needed; left out.'
+        )
+    return said
 
 
 def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
@@ -107,7 +158,8 @@ def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
 
     """
     if rate is not None:
-        hertz = parse(rate, Dimension.FREQUENCY, '`rate`')
+        # A number alone is in Hz, as it is in `sample_rate`.
+        hertz = parse(f'{rate} Hz' if _is_bare(rate) else rate, Dimension.FREQUENCY, '`rate`')
         if not _SLOWEST <= hertz <= _FASTEST:
             raise InputError(f'`rate` {rate}: expected {_RATES}.')
         return np.asarray(np.rint(np.arange(len(text.values)) * (1e9 / hertz)))
@@ -122,6 +174,14 @@ def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
     stamps = np.asarray(np.rint(times[:, 0]))
     _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: `stamp` {stamp}')
     return stamps
+
+
+def _is_bare(rate: str) -> bool:
+    try:
+        float(rate)
+    except ValueError:
+        return False
+    return True
 
 
 def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
@@ -174,6 +234,13 @@ def _columns(
             f'{", ".join(units)}.'
         )
     values = np.column_stack([text.column(name, option) for name in parts])
+    empty = [name for name, column in zip(parts, values.T, strict=True) if np.isnan(column).all()]
+    if empty:
+        raise InputError(
+            f'{option} {stated}: column {empty[0]} of {text.path} holds no number in any row. '
+            'Dates, and times of day with colons, are not read: write seconds, or give `rate` in '
+            'place of `stamp`.'
+        )
     return values * units[unit], unit
 
 

@@ -57,8 +57,8 @@ def joined(
     gyro = np.column_stack([rates[f'angular_velocity.{a}'] for a in 'xyz'])
     accel = np.column_stack([forces[f'linear_acceleration.{a}'] for a in 'xyz'])
     order = np.argsort(forces.stamp, kind='stable')
-    stamps, read_at, within = _read_at(forces.stamp[order], accel[order], rates.stamp)
-    block = ImuBlock(stamps, gyro[within], read_at, 'imu_link')
+    stamps, interpolated, within = read_at(forces.stamp[order], accel[order], rates.stamp)
+    block = ImuBlock(stamps, gyro[within], interpolated, 'imu_link')
     taken = {rates.topic, forces.topic}
     counts = {SI: len(block)}
     with open_recording(path) as recording:
@@ -71,7 +71,7 @@ def joined(
                     writer.write(one.name, one.type, messages, times.log, times.publish)
                     counts[one.name] = counts.get(one.name, 0) + len(messages)
         losses = recording.losses
-    return Converted(target, counts, (_resampling(rates.stamp, forces.stamp, within), *losses))
+    return Converted(target, counts, (resampling(rates.stamp, forces.stamp, within), *losses))
 
 
 def _refuse_taken(recording: Recording, taken: set[str]) -> None:
@@ -79,7 +79,7 @@ def _refuse_taken(recording: Recording, taken: set[str]) -> None:
         raise InputError(f'{recording.path} has a topic {SI} already.')
 
 
-def _read_at(known: Stamps, values: Floats, wanted_at: Stamps) -> tuple[Stamps, Floats, Stamps]:
+def read_at(known: Stamps, values: Floats, wanted_at: Stamps) -> tuple[Stamps, Floats, Stamps]:
     """Read values (n, 3) at other stamps, on straight lines between their own.
 
     Returns:
@@ -96,11 +96,11 @@ def _read_at(known: Stamps, values: Floats, wanted_at: Stamps) -> tuple[Stamps, 
     at = wanted_at[within]
     # Stamps since 1970 are exact as integers alone.
     since = (at - known[0]).astype(float), (known - known[0]).astype(float)
-    read_at = np.column_stack([np.interp(*since, v) for v in values.T])
-    return at, read_at, within
+    interpolated = np.column_stack([np.interp(*since, v) for v in values.T])
+    return at, interpolated, within
 
 
-def _resampling(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
+def resampling(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
     """Say from which rate to which the accelerometers were read."""
     rates = [1e9 / float(np.median(np.diff(np.sort(s)))) for s in (gyro, accel)]
     lost = len(gyro) - len(within)

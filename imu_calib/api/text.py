@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import warnings
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,9 +14,14 @@ import numpy as np
 from ..bags import AnyPath
 from ..errors import InputError
 from ..stream import Floats
+from ..units import counted
 
 _COMMENTS = ('#', '%', '//')
 _DELIMITERS = (';', '\t', ',')
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_LOOKED_AT = 100
+"""Lines, all over the file, that say how many fields a row has: what stands above a table, and
+lines that broke, are few beside them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +33,6 @@ class Text:
         names: Of the columns, as its heading has them; their places from '1' on without a heading.
         values: (n, k); NaN where a field holds no number.
         broken: Lines that have too few fields, or none that is a number; they are left out.
-
     """
 
     path: AnyPath
@@ -53,58 +59,119 @@ class Text:
 def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
     """Read a table of numbers: CSV, or columns with tabs, semicolons or blanks between.
 
-    Lines that begin with #, % or // and empty ones are passed over. A first line that is no row of
-    numbers is the heading. Where semicolons part the fields, a comma is a decimal point.
+    Lines that begin with #, % or // and empty ones are passed over, and so is what a logger wrote
+    above the table. The last line above the rows is the heading, also behind a #, where it has a
+    name for each column. Where no commas part the fields, a comma is a decimal point.
 
     Args:
         path: The file.
-        delimiter: Between fields; None finds it by the first line.
+        delimiter: Between fields; None finds it.
 
     Raises:
         InputError: It cannot be read, or holds no numbers.
 
     """
-    try:
-        text = path.read_text(encoding='utf-8-sig')
-    except OSError as error:
-        raise InputError(f'{path}: cannot be read ({error.strerror}).') from None
-    except UnicodeDecodeError:
-        raise InputError(f'{path}: is not a text file, expected a table of numbers.') from None
-    lines = [row for row in text.splitlines() if row.strip() and not row.startswith(_COMMENTS)]
+    written = [row for row in _decoded(path).splitlines() if row.strip()]
+    lines = [row for row in written if not row.startswith(_COMMENTS)]
     if not lines:
         raise InputError(f'{path}: holds no lines, expected a table of numbers.')
     if delimiter is not None and len(delimiter) != 1:
         raise InputError(f'`delimiter`: found {delimiter!r}, expected one character.')
-    between = _delimiter(lines[0]) if delimiter is None else delimiter
-    heading = _fields(lines[0], between)
-    names = [str(k + 1) for k in range(len(heading))]
-    if not any(_is_number(field, between) for field in heading):
-        names, lines = heading, lines[1:]
+    sample = lines[len(lines) // 2]
+    between = _delimiter(sample) if delimiter is None else delimiter
+    count = _usual_count(lines, between)
+    first = next((k for k, row in enumerate(lines) if _is_row(row, between, count)), None)
+    if first is None:
+        raise InputError(
+            f'{path}: no row of numbers found; a line of it is {sample[:60]!r}. Expected numbers '
+            'with commas, semicolons, tabs or blanks between them, or what `delimiter` names.'
+        )
+    names, above = _heading(lines[:first], between), first
+    if names:
+        above -= 1
+    elif comment := _heading(written[: written.index(lines[first])], between):
+        # What stands behind a # is a heading only where it has a name of its own for each column.
+        names = comment if len(comment) == len(set(comment)) == count else []
     if len(set(names)) < len(names):
         twice = sorted({n for n in names if names.count(n) > 1})
         raise InputError(f'{path}: its heading has {", ".join(twice)} more than once.')
-    if between == ';':
-        lines = [row.replace(',', '.') for row in lines]
-    values, broken = _numbers(lines, between, len(names))
-    if not len(values):
-        raise InputError(f'{path}: no row of numbers found.')
-    return Text(path, tuple(names), values, broken)
+    rows = lines[first:]
+    if between != ',':
+        rows = [row.replace(',', '.') for row in rows]
+    values, broken = _numbers(rows, between, len(names) or count)
+    if not len(values) or 0 < len(names) < count:
+        raise InputError(
+            f'{path}: its heading has {counted(len(names), "name")}, its rows have '
+            f'{counted(count, "field")}: which name belongs to which field is not known. Give each '
+            'column a name; where commas part the fields, write decimal points.'
+        )
+    return Text(path, tuple(names or map(str, range(1, count + 1))), values, above + broken)
+
+
+def _decoded(path: AnyPath) -> str:
+    """Return the text of a file.
+
+    Raises:
+        InputError: It cannot be read, or is no text.
+
+    """
+    try:
+        with path.open('rb') as file:
+            data = file.read()
+    except OSError as error:
+        raise InputError(f'{path}: cannot be read ({error.strerror}).') from None
+    try:
+        return data.decode('utf-16' if data.startswith(_UTF_16) else 'utf-8-sig')
+    except UnicodeDecodeError:
+        way = ''
+        if data.startswith(b'MATLAB'):
+            way = (
+                ' It is a file of MATLAB: writematrix there, or scipy.io.loadmat and numpy.savetxt '
+                'in Python, make text of it.'
+            )
+        raise InputError(f'{path}: is not a text file, expected a table of numbers.{way}') from None
+
+
+def _heading(above: Sequence[str], delimiter: str | None) -> list[str]:
+    """Return the names in the last line above the rows; none where it is no heading."""
+    names = _fields(above[-1].lstrip('#%/ '), delimiter) if above else []
+    while names and not names[-1]:
+        names.pop()
+    if len(names) < 2 or any(_is_number(field, delimiter) for field in names):
+        return []
+    return names
 
 
 def _delimiter(line: str) -> str | None:
     """Return what parts the fields of a line; None for blanks."""
-    return next((d for d in _DELIMITERS if d in line), None)
+    present = [d for d in _DELIMITERS if d in line]
+    for found in (*present, None):
+        if all(_is_number(field, found) for field in _fields(line, found) if field):
+            return found
+    return present[0] if present else None
+
+
+def _usual_count(lines: Sequence[str], delimiter: str | None) -> int:
+    """Return how many fields lines usually have, an empty last one apart."""
+    some = lines[:: max(1, len(lines) // _LOOKED_AT)]
+    counts = Counter(len(_fields(line.rstrip().rstrip(delimiter), delimiter)) for line in some)
+    return counts.most_common(1)[0][0]
+
+
+def _is_row(line: str, delimiter: str | None, count: int) -> bool:
+    fields = _fields(line, delimiter)
+    return len(fields) >= count and any(_is_number(field, delimiter) for field in fields)
 
 
 def _fields(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
         return line.split()
-    return [field.strip() for field in next(csv.reader([line], delimiter=delimiter))]
+    return [field.strip() for field in next(csv.reader([line], delimiter=delimiter), [])]
 
 
 def _is_number(field: str, delimiter: str | None) -> bool:
     try:
-        float(field.replace(',', '.') if delimiter == ';' else field)
+        float(field if delimiter == ',' else field.replace(',', '.'))
     except ValueError:
         return False
     return True

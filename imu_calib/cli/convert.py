@@ -24,12 +24,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'text files', 'NAME: as in the heading of the file, or the place of a column from 1 on.'
     )
     text.add_argument('--stamp', metavar='NAME:UNIT', help='time of each row, in s, ms, us or ns')
-    text.add_argument('--rate', metavar='HZ', help="of the rows, for instance '200 Hz'")
+    text.add_argument('--rate', metavar='HZ', help='of the rows, where none holds their time')
     text.add_argument(
         '--gyro', metavar=_COLUMNS, help='for instance wx,wy,wz:deg/s; also in pulse, or in count'
     )
     text.add_argument(
         '--accel', metavar=_COLUMNS, help='for instance ax,ay,az:g; also in pulse, or in count'
+    )
+    text.add_argument(
+        '--accel-file',
+        metavar='FILE',
+        help='text file of the accelerometers, where they have one of their own',
+    )
+    text.add_argument(
+        '--accel-stamp', metavar='NAME:UNIT', help='time of its rows (default: as --stamp)'
     )
     text.add_argument(
         '--joints', metavar='NAME,...:UNIT', help="the table's joints, for instance outer,inner:deg"
