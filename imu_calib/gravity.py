@@ -18,6 +18,9 @@ from .units import DEG, PPM
 _ANOMALY = 0.003
 """Relative difference of a measured gravity from normal gravity that a place can have: 10 km of
 height, above any laboratory, make 0.3 %, and gravity anomalies a tenth of that (EGM2008)."""
+VAGUE = 10 * DEG
+"""Standard deviation of a latitude that nobody stated. It tells nothing of gravity: the whole way
+from the equator to the poles makes 0.5 %."""
 
 
 def gravity_slope(model: SensorModel, parameters: Sequence[Parameter]) -> Floats:
@@ -110,7 +113,7 @@ def _findings(calibration: Calibration, site: Site) -> list[str]:
 
 def _of_another_place(site: Site) -> list[str]:
     """Say where a measured gravity is not that of the latitude."""
-    if site.gravity_source != MEASURED:
+    if site.gravity_source != MEASURED or site.latitude_std > 0.99 * VAGUE:
         return []
     south, here, north = (
         normal_gravity(site.latitude + sign * site.latitude_std, site.height or 0.0)

@@ -243,6 +243,25 @@ def recording(folder: Path, topics: dict[str, tuple[Stamps, Floats, Floats]]) ->
     return folder
 
 
+@pytest.mark.parametrize(
+    ('stated', 'sentence'),
+    [
+        (
+            {'accel': 'ax,ay,az:m/s^2'},
+            'length of the acceleration is 1 in the median, not 9.8; 1 w',
+        ),
+        ({'gyro': 'wx,wy,wz:rad/s'}, 'the gyros read up to 90, more than any turns in rad/s'),
+    ],
+)
+def test_numbers_of_other_units_than_stated_are_said(
+    stated: dict[str, str], sentence: str, tmp_path: Path
+) -> None:
+    path = write(tmp_path / 'log.csv', ROW + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n')
+    words = {'gyro': 'wx,wy,wz:deg/s', 'accel': 'ax,ay,az:g', 'stamp': 't:s'} | stated
+    (said,) = imu_calib.convert(path, tmp_path / 'out', **words).findings  # type: ignore[arg-type]
+    assert said.startswith('By the units that are stated ') and sentence in said
+
+
 def test_gyros_and_accelerometers_in_two_files_become_one_recording(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

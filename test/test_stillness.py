@@ -10,7 +10,7 @@ from shaky import GRAVITY, LATITUDE, Shaky, shaky
 from imu_calib.calibrator import Result, Setup
 from imu_calib.calibrator.by_hand import HandCalibrator
 from imu_calib.earth import Site
-from imu_calib.errors import NotObservable
+from imu_calib.errors import InputError, NotObservable
 from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.methods.free_positions import FREE, in_frame_of_accelerometers
 from imu_calib.model import SensorModel, Triad
@@ -153,6 +153,24 @@ def test_a_reader_that_is_kept_waiting_costs_no_turn(sizes: tuple[int, int]) -> 
     assert square < 2 * chi2.isf(1e-4, FREE.sum())
 
 
+def test_accelerations_that_are_none_of_the_stated_units_are_named() -> None:
+    held = shaky(unit(3.0 * DEG), rate=100, scales=SCALES, noise=(0.05 * DEG, 0.03))
+    block = held.block
+    with pytest.raises(
+        InputError, match=r'at rest read [\d.]+ times the gravity.*ADC has it in the mid'
+    ):
+        # An ADC whose zero is in the middle of 16 bits.
+        calibrated(replace(held, block=replace(block, accel=block.accel + 32768.0)))
+    with pytest.raises(InputError, match=r'at rest read .* check that the columns are those'):
+        calibrated(replace(held, block=replace(block, gyro=block.accel, accel=block.gyro / 100)))
+
+
+def test_rates_of_another_unit_are_named_where_all_turns_are_lost_by_them() -> None:
+    held = shaky(unit(3.0 * DEG), rate=100, scales=SCALES, noise=(0.05 * DEG, 0.03))
+    with pytest.raises(NotObservable, match=r'turns are lost.* or check the unit of the gyros'):
+        calibrated(replace(held, block=replace(held.block, gyro=held.block.gyro / DEG)))
+
+
 def test_turns_beyond_the_range_are_left_out_and_said() -> None:
     sensors, limit = unit(3.0 * DEG), 150 * DEG
     held = shaky(sensors, rate=100, scales=SCALES, noise=(0.05 * DEG, 0.03), limit=limit)
@@ -165,7 +183,10 @@ def test_turns_beyond_the_range_are_left_out_and_said() -> None:
     calibrator = HandCalibrator(Setup(spec, load_plan('free_positions'), None, SITE))
     calibrator.feed(held.block)
     found = calibrator.finish().calibration
-    assert any(f'{sum(clipped)} turns are lost' in finding for finding in found.findings)
+    (said,) = (finding for finding in found.findings if f'{sum(clipped)} turns are lost' in finding)
+    assert said.endswith(
+        '(a sensor is at the end of its range: turn more slowly, or set a wider range).'
+    )
     wrong = found.values - in_frame_of_accelerometers(sensors).vector()
     square = float(np.sum((wrong[FREE] / found.std[FREE]) ** 2))
     assert square < chi2.isf(1e-4, FREE.sum())

@@ -193,7 +193,7 @@ _SIX = array(_NUMBER, 6, 6, 'list of 6 numbers')
 _DWELL = [
     _key('at', _NUMBER, 's from the start of the recording'),
     _key('seconds', _NUMBER, 'how long'),
-    _key('missing', whole(0), 'samples'),
+    _key('missing', whole(0), 'samples that are lost, or were left out as disturbed'),
     _key('up', _TEXT, 'attitude in words'),
     _key('heading', _UNKNOWN, 'about up by the angles of the table, deg'),
     _key('position', _TEXT, 'of the plan, `on the way` or `not used`; empty without a plan'),

@@ -53,7 +53,7 @@ def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
     samples = [b for b in blocks if isinstance(b, ImuBlock)]
     force = np.vstack([np.zeros((0, 3)), *(b.accel for b in samples)])
     rate = np.vstack([np.zeros((0, 3)), *(b.gyro for b in samples)])
-    if seen := _against_si(force, rate):
+    if seen := against_si(force, rate):
         raise NotStated(
             f"{recording.path} does not say what the IMU's numbers mean: give `imu` "
             f'({shipped("imus")}, or a file). They are not rad/s and m/s^2: {seen}.'
@@ -61,7 +61,7 @@ def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
     return load_imu(_SI)
 
 
-def _against_si(force: Floats, rate: Floats) -> str:
+def against_si(force: Floats, rate: Floats) -> str:
     """Say what of (n, 3) forces and rates is not in SI; empty where nothing is."""
     lengths = np.linalg.norm(force, axis=1)
     lengths = lengths[np.isfinite(lengths)]

@@ -12,6 +12,7 @@ from ..cdr import Kind, Messages, encode_joints, encode_temperatures
 from ..errors import InputError
 from ..stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock
 from ..units import Dimension, counted, parse
+from .assumed import against_si
 from .converted import JOINTS, RAW, RAW_UNITS, SI, TEMPERATURE, Converted, described, write_imu
 from .joining import read_at, resampling
 from .named import Named
@@ -78,6 +79,11 @@ def from_text(
         times, rates, forces = _of_two(wanted, rates, known, forces, said, exactly=bool(raw))
     if not len(times):
         raise InputError(f'{text.path}: no row holds a number in each of the columns named.')
+    if not raw and (seen := against_si(forces, rates)):
+        said.append(
+            f'By the units that are stated {seen}: check the columns and units of `gyro` and '
+            '`accel`.'
+        )
     block = ImuBlock(times, rates, forces, 'imu_link')
     counts = {(RAW if raw else SI): len(block)}
     # All columns are read before anything is written: a wrong name leaves no half of a recording.

@@ -12,6 +12,7 @@ from ..cdr import Kind
 from ..config import Section
 from ..earth import MEASURED, Site
 from ..errors import InputError, NotStated
+from ..gravity import VAGUE
 from ..imu import ImuSpec, read_imu
 from ..metadata import (
     LEFT_OUT,
@@ -43,9 +44,10 @@ TRUE_TABLE = 'true_table.yaml'
 """Beside a simulated recording: the table as it truly is, where it is not as described."""
 
 _TABLE = 'three_axis'
-_ANYWHERE, _ANYWHERE_STD = 0.0, 10.0
-"""deg: taken for the latitude where gravity alone is stated of a unit in the hand. The Earth rate
-about up is then at most 15 deg/h off, in either hemisphere: 0.008 deg in a turn of two seconds."""
+_ANYWHERE = 0.0
+"""deg: taken for the latitude, known to `VAGUE`, where gravity alone is stated of a unit in the
+hand. The Earth rate about up is then at most 15 deg/h off, in either hemisphere: 0.008 deg in a
+turn of two seconds."""
 _SKEW = 'imu/skew'
 _TEMPERATURE = 'imu/temperature'
 
@@ -300,7 +302,7 @@ def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> S
     if stated.latitude is not None:
         return stated.site(stated.latitude)
     if by_hand and stated.gravity is not None and not tells_site(recording.custom_data):
-        return replace(stated, latitude_std=_ANYWHERE_STD).site(_ANYWHERE)
+        return replace(stated, latitude_std=VAGUE / DEG).site(_ANYWHERE)
     own = described_site(recording.custom_data, str(recording.path))
     height, gravity = stated.height, stated.gravity
     doubts = (stated.height_std, stated.gravity_std, stated.latitude_std)

@@ -13,7 +13,7 @@ from ..calibration import Calibration, ResidualRow
 from ..errors import InputError, NotObservable
 from ..gravity import gravity_covariance, with_gravity
 from ..methods import estimated_parameters
-from ..methods.checks import far_scales
+from ..methods.checks import SCALE_LIMIT, far_scales
 from ..methods.free_positions import (
     FEWEST,
     FREE,
@@ -30,11 +30,12 @@ from ..observation.evidence import Evidence
 from ..observation.known_noise import known_noise, with_own_noise
 from ..segmentation.clock import NO_CLOCK
 from ..segmentation.labelling import Labelled
+from ..segmentation.moves import COARSE, MISSING, SATURATED
 from ..segmentation.segment import Segment
 from ..segmentation.segmented import Move, Segmented
 from ..segmentation.segmenter import Segmenter
-from ..stream import Block, Floats, ImuBlock, TemperatureBlock
-from ..units import DEG, STANDARD_GRAVITY
+from ..stream import Block, Floats, ImuBlock, TemperatureBlock, Units
+from ..units import DEG, STANDARD_GRAVITY, counted
 from .guidance import HOLD_SECONDS, Guidance, Stage, guide
 from .provenance import provenance
 from .results import Result, Review
@@ -46,6 +47,12 @@ shipped ones know 300 times less after a hold, and the solver's conditioning nee
 _LOST = 100.0
 """Variance of what lost samples leave in a turn, of all else that does, from which on it is lost: a
 turn that is known ten times worse than the others tells a hundredth of what they do."""
+
+_REMEDIES = {
+    SATURATED: ': turn more slowly, or set a wider range',
+    COARSE: ': turn more slowly, or check the unit of the gyros',
+}
+"""What to do that a turn is not lost for its reason."""
 
 _NOISE = (
     "The noise of the sensors is unknown, and the IMU's file does not state it: hold the unit "
@@ -125,9 +132,32 @@ class HandCalibrator:
         try:
             fit = solve(evidence)
         except NotObservable as error:
+            self._refuse_other_lengths(evidence)
             few = self._unrest() if len(evidence.segments) < FEWEST else []
+            few += _lost_turns(evidence, session)
             raise NotObservable(' '.join([str(error), *few, *lost])) from None
         return self._result(session, evidence, fit)
+
+    def _refuse_other_lengths(self, evidence: Evidence) -> None:
+        """Refuse holds at which the accelerometers do not read what is gravity in any unit.
+
+        Of sessions that cannot be solved: the others are judged by their solution.
+
+        Raises:
+            InputError: What they read at rest is far from 1 g in most holds.
+
+        """
+        forces = np.array([s.statistics.mean[3:] for s in evidence.segments])
+        length = float(np.median(np.linalg.norm(forces, axis=1))) / evidence.site.gravity
+        if 1 / SCALE_LIMIT < length < SCALE_LIMIT:
+            return
+        counts = self._setup.imu.units is Units.COUNTS
+        zero = ', and that counts are those from zero (an ADC has it in the middle: subtract it)'
+        raise InputError(
+            f'The accelerometers at rest read {length:.3g} times the gravity of the site: check '
+            'that the columns are those of the accelerometers, and that the units or the scale '
+            f"factor of the IMU's description are those of the recording{zero if counts else ''}."
+        )
 
     def _unrest(self) -> list[str]:
         """Say how still the unit ever was, and what to do, where holds are too few."""
@@ -246,8 +276,7 @@ class HandCalibrator:
             for s, value, deviation in zip(segments, fit.residuals, std, strict=True)
         )
         findings = [_FRAME, *far_scales(fit.model), *term_words(fit), *scatter_words(fit)]
-        if turns < len(segments) - 1:
-            findings.append(f'{len(segments) - 1 - turns} turns are lost (gaps, saturation).')
+        findings += _lost_turns(evidence, session)
         if fit.rejected_moves:
             names = ', '.join(f'{k + 1} to {k + 2}' for k in fit.rejected_moves)
             findings.append(f'Outliers, left out: turns from hold {names}.')
@@ -288,16 +317,42 @@ class HandCalibrator:
         return Result(calibration, solution, session, Labelled(segments, (), session.rejected))
 
 
+def _lost_turns(evidence: Evidence, session: Segmented) -> list[str]:
+    """Say which turns between holds tell nothing, why, and what to do about it."""
+    segments = evidence.segments
+    told = {link.first for link in evidence.links.links}
+    why = {lost.start: lost.reason for lost in session.lost_moves}
+    lost = [k for k in range(len(segments) - 1) if k not in told]
+    if not lost:
+        return []
+    by_reason: dict[str, list[str]] = {}
+    for k in lost:
+        between = f'{segments[k].position} to {segments[k + 1].position}'
+        by_reason.setdefault(why.get(segments[k].end, MISSING), []).append(between)
+    reasons = '; '.join(
+        f'from hold {", ".join(turns)} ({reason}{_REMEDIES.get(reason, "")})'
+        for reason, turns in by_reason.items()
+    )
+    verb = 'is' if len(lost) == 1 else 'are'
+    return [f'{counted(len(lost), "turn")} {verb} lost, and the gyros know less: {reasons}.']
+
+
 def _noisy_holds(evidence: Evidence) -> list[str]:
     """Say at which holds the accelerometers are noisier than at the others, and by how much."""
-    found = []
+    names: list[str] = []
+    times: list[float] = []
     for hold in evidence.segments:
         if hold.unrest is None:
             continue
         usual = float((evidence.walk[3:] ** 2 * hold.statistics.walk_gain[3:]).mean())
-        times = np.sqrt(1 + float(np.linalg.eigvalsh(hold.unrest)[-1]) / usual)
-        found.append(
-            f'The noise of the accelerometers at hold {hold.position} is {times:.2g} times that at '
-            'the others (the unit swayed): this hold counts by its own.'
-        )
-    return found
+        times.append(float(np.sqrt(1 + float(np.linalg.eigvalsh(hold.unrest)[-1]) / usual)))
+        names.append(str(hold.position))
+    if not names:
+        return []
+    at = f'hold {names[0]}' if len(names) == 1 else f'holds {", ".join(names)}'
+    least, most = f'{min(times):.2g}', f'{max(times):.2g}'
+    size = most if least == most else f'{least} to {most}'
+    return [
+        f'The noise of the accelerometers at {at} is {size} times that at the others (the unit '
+        f'swayed): {"it counts" if len(names) == 1 else "they count"} less.'
+    ]

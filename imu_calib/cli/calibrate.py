@@ -13,6 +13,7 @@ from ..bags import located
 from ..calibration import Calibration
 from ..calibrator import Result
 from ..earth import MEASURED
+from ..gravity import VAGUE
 from ..methods import METHODS
 from ..reports.assessment import summary
 from ..reports.budget import budget_tables
@@ -120,7 +121,7 @@ def show(result: Result, truth: Calibration | None = None) -> None:
         )
     OUTPUT.print(
         f'gravity {setup["gravity"]:.6f} m/s^2 ({_source(setup)}), {_doubt(setup)}; '
-        f'latitude {setup["latitude_deg"]:.3f} deg'
+        f'latitude {_latitude(setup)}'
     )
     if session.temperature is not None:
         seen = session.temperature
@@ -141,6 +142,13 @@ def show(result: Result, truth: Calibration | None = None) -> None:
     for line in noise_lines(result.calibration):
         OUTPUT.print(line, markup=False)
     sentence_list('Worth knowing', result.calibration.findings)
+
+
+def _latitude(provenance: Mapping[str, Any]) -> str:
+    """Return the latitude, or that nobody stated it."""
+    if provenance['latitude_std_deg'] > 0.99 * VAGUE / DEG:
+        return 'not stated'
+    return f'{provenance["latitude_deg"]:.3f} deg'
 
 
 def _source(provenance: Mapping[str, Any]) -> str:

@@ -96,7 +96,7 @@ def _table(*headings: str) -> Rows:
 
 def _dwells(inside: Inside) -> Rows:
     """List every static dwell: when, how long, how the unit stood, and what the plan calls it."""
-    rows = _table('dwell', 'at, s', 'for, s', 'missing', 'up', 'heading, deg', 'position')
+    rows = _table('dwell', 'at, s', 'for, s', 'left out', 'up', 'heading, deg', 'position')
     for k, dwell in enumerate(inside.dwells):
         rows.add_row(
             str(k + 1),

@@ -10,11 +10,23 @@ from ..errors import Contradiction, InputError
 from ..model import AXES, SensorModel
 from ..observation.evidence import Evidence
 from ..stream import Floats
-from ..units import DEG, DEG_H, PPM
+from ..units import DEG, DEG_H, PPM, STANDARD_GRAVITY
 
 CONTRADICTION = 5.0
 """Standard deviations: false in 6e-7 of Gaussian cases."""
-_SCALE_LIMIT = 2.0
+_TIMES = ' A wrong rate of the samples, or unit of their times, does the same.'
+"""Of gyros: turned angles are their rates times time."""
+_MISTAKES = {
+    'gyros': {1 / DEG: 'Rates in deg/s, stated as rad/s,', DEG: 'Rates in rad/s, stated as deg/s,'},
+    'accelerometers': {
+        STANDARD_GRAVITY: 'Accelerations in m/s^2, stated as g,',
+        1 / STANDARD_GRAVITY: 'Accelerations in g, stated as m/s^2,',
+    },
+}
+"""By how many times outputs are then too large."""
+_NEAR = 0.1
+"""Relative: scale factors of the cheapest units are 3 % off."""
+SCALE_LIMIT = 2.0
 """Times: what differs by more is stated in other units; sensors differ by percents."""
 _AXIS_LIMIT = 0.5
 """Of an axis's largest response: beyond, the axes are exchanged, not misaligned."""
@@ -94,10 +106,18 @@ def far_scales(model: SensorModel) -> list[str]:
     }
     return [
         f'The {name} answer {scale:.3f} times what the scale factor of their description says: '
-        'is it that of this unit?'
+        f'is it that of this unit?{_TIMES if name == "gyros" else ""}'
         for name, scale in scales.items()
         if abs(scale - 1) > _FAR_SCALE
     ]
+
+
+def mistaken(scale: float, name: str) -> str:
+    """Return a sentence on the units that make sensors answer so many times; empty for none."""
+    for factor, mistake in _MISTAKES[name].items():
+        if abs(scale / factor - 1) < _NEAR:
+            return f' {mistake} do that.'
+    return ''
 
 
 def check_axes(response: Floats, name: str, what: str) -> None:
@@ -114,10 +134,11 @@ def check_axes(response: Floats, name: str, what: str) -> None:
 
     """
     scale = abs(float(np.linalg.det(response))) ** (1 / 3)
-    if not 1 / _SCALE_LIMIT < scale < _SCALE_LIMIT:
+    if not 1 / SCALE_LIMIT < scale < SCALE_LIMIT:
         raise InputError(
             f'The {name} answer {scale:.4g} times what they should to {what}: units or scale '
             "factor of the IMU's description are not those of the recording."
+            f'{mistaken(scale, name)}{_TIMES if name == "gyros" else ""}'
         )
     largest = np.abs(response).max(axis=1)
     if np.all(np.diag(response) == largest) and np.all(

@@ -19,6 +19,7 @@ from ..observation.earth_seen import latitude_seen, up_rate_seen
 from ..observation.evidence import Evidence
 from ..stream import Floats
 from ..units import DEG
+from .checks import mistaken
 
 _ASTRAY = 10 * DEG
 """rad, root mean square over the turns: gravity led on by the gyros misses the next hold by more
@@ -63,6 +64,7 @@ def check_turns(evidence: Evidence, model: SensorModel) -> None:
         raise InputError(
             f'The gyros turn gravity {scale:.3g} times as far as the accelerometers do: units or '
             "scale factor of the IMU's description are not those of the recording."
+            f'{mistaken(scale, "gyros")}'
         )
     raise Contradiction(
         f'The gyros contradict the accelerometers: from hold to hold {_in_words(response)}. '

@@ -32,6 +32,13 @@ arcsec."""
 STEP_SECONDS = 0.1
 """Length of a step where little turns, s: the Earth turns by 1.5 arcsec in it."""
 
+SATURATED = 'a sensor is at the end of its range'
+COARSE = 'it turns too far from one sample to the next'
+MISSING = 'samples are missing'
+JERK = 'a jerk, too short to be read'
+JERK = 'a jerk, too short to be read'
+"""Why a motion is no move."""
+
 _SHORTEST = 4
 """Steps: a shorter motion is a jerk."""
 _BESIDE = 5
@@ -69,6 +76,13 @@ class MoveReader:
         self._seen = 0
         self._begin = 0
         self._moves: list[tuple[int, int, _Steps]] = []
+        self._reason = ''
+        self._lost: list[Rejected] = []
+
+    @property
+    def lost(self) -> tuple[Rejected, ...]:
+        """What lies between two segments at rest and became no move, and why."""
+        return tuple(self._lost)
 
     def motion(self, samples: Samples, delivered: Floats) -> None:
         """Take the samples of a motion; those that a dwell before has had are passed over.
@@ -78,20 +92,18 @@ class MoveReader:
             delivered: (n, 6) as the sensor gave them.
 
         """
-        if self._open is not None:
-            self._add(samples, delivered, len(samples.stamp))
+        self._add(samples, delivered, len(samples.stamp))
 
     def dwell(
         self, samples: Samples, delivered: Floats, found: Sequence[Segment | Rejected | MountShift]
     ) -> None:
         """Take the samples of a dwell, and what was found in it, in order."""
         if any(isinstance(thing, MountShift) for thing in found):
-            self._open = None
+            self._open, self._reason = None, ''
         for segment in (thing for thing in found if isinstance(thing, Segment)):
-            if self._open is not None:
-                self._add(samples, delivered, int(np.searchsorted(samples.stamp, segment.start)))
+            self._add(samples, delivered, int(np.searchsorted(samples.stamp, segment.start)))
             self._close(segment)
-            self._open, self._begin, self._seen = [], segment.end, segment.end
+            self._open, self._begin, self._seen, self._reason = [], segment.end, segment.end, ''
         self.motion(samples, delivered)
 
     def finish(self, period: float) -> tuple[Move, ...]:
@@ -127,6 +139,9 @@ class MoveReader:
         """End the move that is open where a segment begins."""
         if self._open and sum(len(p.counts) for p in self._open) >= _SHORTEST:
             self._moves.append((self._begin, segment.start, _together(self._open)))
+        elif self._reason or self._open is not None:
+            reason = self._reason or JERK
+            self._lost.append(Rejected(self._begin, segment.start, reason, turn=True))
 
     def _add(self, samples: Samples, delivered: Floats, stop: int) -> None:
         """Join samples before `stop` to steps; forget the move where they are not sound."""
@@ -134,15 +149,21 @@ class MoveReader:
         beyond = self._seen + round(samples.period * 5e8)
         fresh = slice(int(np.searchsorted(samples.stamp, beyond, side='right')), stop)
         part = samples.at(fresh)
-        if self._open is None or not len(part.stamp):
+        # What is lost is followed to its end: its reason does not depend on where blocks are cut.
+        if (self._open is None and not self._reason) or not len(part.stamp):
             return
         around = np.concatenate([[self._seen], part.stamp])
         self._seen = int(part.stamp[-1])
-        gaps = len(gap_free(around, part.period)) > 1
-        coarse = np.abs(part.increments[:, :3]).max() > self._coarsest
-        if gaps or coarse or self._sensor.saturated(delivered[fresh], part).any():
+        if self._sensor.saturated(delivered[fresh], part).any():
+            self._reason = SATURATED
+        elif np.abs(part.increments[:, :3]).max() > self._coarsest:
+            self._reason = self._reason if self._reason == SATURATED else COARSE
+        elif len(gap_free(around, part.period)) > 1:
+            self._reason = self._reason or MISSING
+        if self._reason:
             self._open = None
             return
+        assert self._open is not None
         self._open.append(joined(part))
 
 

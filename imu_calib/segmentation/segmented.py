@@ -135,6 +135,7 @@ class Segmented:
         start: First IMU stamp, ns; None without samples.
         temperature: What the unit's thermometer showed; None where it has none.
         strangers: Whose joint states came, in a sentence, where none were the table's; else empty.
+        lost_moves: Motions from one segment to the next that tell nothing, with the reason.
 
     """
 
@@ -152,3 +153,4 @@ class Segmented:
     start: int | None = None
     temperature: Temperature | None = None
     strangers: str = ''
+    lost_moves: tuple[Rejected, ...] = ()

@@ -190,6 +190,7 @@ class Segmenter:
             self._intake.first_stamp,
             self._thermometer.temperature,
             self._intake.strangers,
+            self._moves.lost,
         )
 
     @property
