@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .channel_noise import TRIADS
+from .errors import InputError
 from .extras import require
 from .model import Parameter
 from .stream import Floats, Stamps
@@ -31,6 +32,8 @@ _NORMAL_95 = 1.96
 _POINTS = 1000
 """Of a line: as many as a picture has places."""
 
+_NAMES = 30
+"""Below an axis: more would be written over each other."""
 _HEIGHT = 4.2
 """Of a row of panels, inches; as is the width of one."""
 
@@ -163,10 +166,16 @@ def draw_noise(calibration: Calibration) -> Picture:
     """Draw the Allan deviation that the session showed, with the random walk found of it.
 
     Raises:
-        InputError: matplotlib is not installed.
+        InputError: matplotlib is not installed, or the calibration carries no noise.
 
     """
     seen = calibration.noise
+    if not any(len(noise.tau) for noise in seen.values()):
+        raise InputError(
+            f'The calibration of {_unit_of(calibration)} carries no Allan deviation: its static '
+            'dwells are too short for one, as holds in a hand are. Lay the unit down for some '
+            'minutes in one of them (docs/report.md).'
+        )
     figure = empty_figure(2 * _HEIGHT, _HEIGHT)
     for triad, axes in zip(TRIADS, figure.subplots(1, 2), strict=True):
         for channel in (c for c in triad.channels if c in seen and len(seen[c].tau)):
@@ -291,7 +300,8 @@ def _beside_normal(axes: Axes) -> None:
 
 
 def _name(axes: Axes, names: Sequence[str], first: int = 0) -> None:
-    axes.set_xticks(range(first, first + len(names)), names, rotation=90)
+    step = -(-len(names) // _NAMES)
+    axes.set_xticks(range(first, first + len(names), step), names[::step], rotation=90)
 
 
 def _unit_of(calibration: Calibration) -> str:

@@ -75,6 +75,28 @@ def test_latitude_is_all_that_has_to_be_said(made: str) -> None:
     assert 'rad/s and m/s^2 (REP 145) are assumed' in said and 'taken as free positions' in said
 
 
+def test_a_report_has_the_site_of_its_calibration(made: str, bag: str, tmp_path: Path) -> None:
+    imu_calib.report(made, tmp_path / 'report.html', bag=bag)
+    assert 'Course of the session' in (tmp_path / 'report.html').read_text(encoding='utf-8')
+    # One that was made with a gravity alone, too.
+    words = ['--gravity', '9.81', '-o', str(tmp_path / 'c.yaml')]
+    assert main(['calibrate', bag, *words]) == 0
+    assert main(['report', str(tmp_path / 'c.yaml'), bag, '-o', str(tmp_path / 'r.html')]) == 0
+
+
+def test_verify_says_where_the_calibration_was_made(
+    made: str, bag: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['verify', bag, '--calibration', made]) == 2
+    said = capsys.readouterr().err.replace('\n', ' ')
+    assert f'calibration.yaml was made at latitude {LATITUDE:g}.' in said
+
+
+def test_holds_too_short_for_an_allan_deviation_have_no_picture_of_it(made: str) -> None:
+    with pytest.raises(InputError, match=r'carries no Allan deviation.*Lay the unit down'):
+        Calibration.load(made).plot_noise()
+
+
 def test_latitude_is_asked_for_with_why_and_what_else_would_do(
     bag: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from ..bags import located
 from ..calibration import Calibration
 from ..calibrator import Result
 from ..compensation.thermal import AnyCalibration, ThermalCalibration
-from ..errors import InputError
+from ..earth import MEASURED
+from ..errors import InputError, NotStated
 from ..estimation.term_tests import TermState
 from ..imu import ImuSpec
 from ..methods import JOINT
@@ -21,7 +24,7 @@ from ..reports.page import Contents, page
 from ..reports.thermal_page import thermal_page
 from .calibrating import solve
 from .named import Named, as_calibration, as_combined, as_imu
-from .opening import open_session
+from .opening import recording_at, session_of
 from .outputs import output_path
 from .progress import Progress, silent
 from .stated import NO_PLAN, Stated
@@ -156,7 +159,14 @@ def _recalibrate(
     method = origin.get('method') if stated.method is None else stated.method
     terms = _terms(calibration) if stated.terms is None and method in JOINT else stated.terms
     plan = NO_PLAN if stated.plan is None and origin.get('plan', '') is None else stated.plan
-    opened = open_session(bag, replace(stated, method=method, terms=terms, plan=plan))
+    stated = replace(stated, method=method, terms=terms, plan=plan)
+    recording = recording_at(located(bag))
+    try:
+        opened = session_of(recording, stated)
+    except NotStated:
+        if any(value is not None for value in (stated.latitude, stated.height, stated.gravity)):
+            raise
+        opened = session_of(recording, _where_it_was(stated, origin))
     with opened.recording as recording:
         expected, found = origin.get('sha256'), recording.sha256()
         if expected is not None and expected != found:
@@ -172,6 +182,19 @@ def _recalibrate(
             '`plan`, `imu`, `table`, `latitude`, `method` and `terms` that it was made with.'
         )
     return result
+
+
+def _where_it_was(stated: Stated, origin: Mapping[str, Any]) -> Stated:
+    """Return what is stated with the site of the calibration, of a recording that tells none."""
+    measured = origin.get('gravity_source') == MEASURED
+    return replace(
+        stated,
+        latitude=origin.get('latitude_deg'),
+        latitude_std=origin.get('latitude_std_deg'),
+        height=None if origin.get('height_assumed') else origin.get('height'),
+        gravity=origin.get('gravity') if measured else None,
+        gravity_std=None if origin.get('height_assumed') else origin.get('gravity_std'),
+    )
 
 
 def _far_apart(again: Calibration, calibration: Calibration) -> bool:

@@ -15,7 +15,7 @@ from ..compensation.thermal import (
     check_identity,
     first_of,
 )
-from ..errors import InputError
+from ..errors import InputError, NotStated
 from ..imu import ImuSpec
 from ..plan import UNPLANNED, Plan
 from ..segmentation.segmenter import Segmenter
@@ -152,7 +152,12 @@ def _verify(
         _check_identity(loaded, name, imu, says, serial)
     # A skewed gyro is not verified: nothing must wait for it.
     imu = replace(imu, skewed=None)
-    site = site_of(stated, recording)
+    try:
+        site = site_of(stated, recording)
+    except NotStated as error:
+        own = first_of(loaded).provenance.get('latitude_deg')
+        same = '' if own is None else f' {name} was made at latitude {own:g}.'
+        raise NotStated(f'{error}{same}') from None
     table = table_of(stated, recording) if streams.joints is not None else None
     segmenter = Segmenter(imu, table)
     kinds = {t: kind for t, kind in streams.kinds().items() if t != streams.skew}

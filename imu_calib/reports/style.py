@@ -163,6 +163,7 @@ svg text.letter { font-size: 12px; font-weight: 700; fill: var(--ink); }
   .wide > table.terms { min-width: 620px; }
   .wide > table.plain td { white-space: nowrap; }
   table.facts th { width: 34%; }
+  table.parameters.plain th, table.parameters.plain td { padding: 1px 3px; font-size: 13px; }
   table.parameters.limits thead { display: none; }
   table.parameters.limits, table.parameters.limits tbody { display: block; width: auto; }
   table.parameters.limits tr { display: grid; grid-template-columns: auto auto auto 1fr auto;
