@@ -28,6 +28,14 @@ _ROUNDING = 1e-9
 leaves some 1e-14 for 40 parameters, a file with nine digits 1e-9."""
 
 
+def is_of_strapdown(response: Floats) -> bool:
+    """Say whether an IMU may have the response (3, 3): row i the channel, column j the axis."""
+    lengths = np.linalg.norm(response, axis=1)
+    if not np.all((lengths > _SCALE[0]) & (lengths < _SCALE[1])):
+        return False
+    return bool(np.all(np.diag(response) / lengths >= np.cos(_TILT)))
+
+
 def check_plausible(calibration: Calibration, name: str) -> None:
     """Refuse parameters that no strapdown IMU has, before they are applied.
 

@@ -21,6 +21,7 @@ from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import NotObservable
 from imu_calib.metadata import describe
 from imu_calib.model import Triad
+from imu_calib.observation.lengths import Sensors
 from imu_calib.plan import UNPLANNED, Plan, load_plan
 from imu_calib.rotations import rotation
 from imu_calib.segmentation.segmented import Segmented
@@ -31,6 +32,8 @@ from imu_calib.table_errors import TableErrors
 from imu_calib.turntable import Table, load_table
 from imu_calib.units import ARCMIN, ARCSEC, DEG, DEG_H, PPM, STANDARD_GRAVITY
 from imu_calib.verification import Observed, Quantity, Verdict, Verification, observe, verify
+from imu_calib.verification.diagnosis import diagnose
+from imu_calib.verification.hypotheses import mistakes
 from imu_calib.verification.judgement import _Trial
 
 PLAN = quick_plan('six_position', 20.0)
@@ -124,8 +127,48 @@ def test_a_search_that_does_not_converge_is_said(monkeypatch: pytest.MonkeyPatch
     begun = trial.system.fit(trial.values, trial.factor)
     assert trial.findings() == []
     (finding,) = replace(trial, fit=begun).findings()
-    assert 'No errors of the gyros were found' in finding
+    assert 'The errors of the gyros that explain the session best were not found' in finding
     assert begun.chi_square > trial.fit.chi_square > 2 * trial.fit.freedom
+
+
+def test_parameters_that_were_not_found_are_not_said_to_have_moved(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(3)
+    vector = calibration().model.vector() * rng.uniform(-1.0, 0.5, 24)
+    other = replace(calibration(), model=calibration().model.from_vector(vector))
+    trial = _Trial.of(other, observed(), gyros=True)
+    monkeypatch.setattr('imu_calib.verification.system._ROUNDS', 1)
+    diagnosis = diagnose(trial.system, trial.values, trial.factor)
+    assert not diagnosis.moved
+    assert (
+        'no other parameters were found that do (the search did not converge)' in diagnosis.symptom
+    )
+
+
+def test_a_mistake_whose_remedy_no_imu_has_explains_nothing() -> None:
+    """Misalignments a thousand times as large make nothing of any rate, whatever is wrong."""
+    sensors = Sensors.of(calibration().parameters, gyros=True)
+    values = Triad(np.full((3, 3), 2e-2), np.full(3, 0.01)).vector()
+    tried = {mistake.when for mistake in mistakes(sensors, values)}
+    assert 'the misalignments are read as radians' not in tried
+    assert 'the scale-factor errors are read as ratios' not in tried
+    assert 'the misalignments are read as arc minutes' in tried
+
+
+def test_by_lengths_body_axes_are_not_blamed() -> None:
+    moved = gyro(bias=g().bias + np.array([30.0, -20.0, 40.0]) * DEG_H)
+    assert 'input axes' not in symptom(verify(moved, by_the_imu_alone()), gyros=True)
+
+
+def test_a_bias_instability_that_nobody_stated_is_named_where_it_counts() -> None:
+    spec = paper_imu()
+    silent = replace(spec, gyro=replace(spec.gyro, bias_instability=0.0))
+    seen = replace(by_the_imu_alone(), imu=silent)
+    moved = gyro(bias=g().bias + np.array([30.0, -20.0, 40.0]) * DEG_H)
+    said = [f for f in verify(moved, seen).findings if 'No bias instability' in f]
+    assert len(said) == 1 and 'of the gyros is stated' in said[0]
+    assert not [f for f in verify(calibration(), seen).findings if 'No bias instability' in f]
 
 
 def test_what_is_compared_scatters_as_stated() -> None:

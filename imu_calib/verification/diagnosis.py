@@ -212,6 +212,8 @@ def _fit(system: TriadSystem, values: Floats, factor: Floats) -> Fit | None:
 def _mistaken(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tried]:
     """Take the file, or the outputs, for what they are not."""
     for mistake in (*mistakes(system.sensors, values), *_readings(system, values)):
+        if mistake.of_body_axes and system.up is not None:
+            continue
         # Read as it is, the session's equations are not made anew.
         read = system
         if mistake.reading != 1:
@@ -311,10 +313,18 @@ def _with_another(system: TriadSystem) -> Iterator[tuple[Term, TriadSystem]]:
 def _another_unit(system: TriadSystem, values: Floats, factor: Floats, name: str) -> Diagnosis:
     """Compare with parameters fitted anew, since no single mistake explains the data."""
     fit = refitted_parameters(system)
+    apart = fit.delta - values
+    if not fit.converged:
+        # Biases of degrees a second are far from a unit without errors: nearer to the calibration.
+        fit = replace(system, reading=1.0).fit(values, _wide(system))
+        apart = fit.delta
+    if not fit.converged:
+        return Diagnosis(
+            f'No single mistake explains the {name}, and no other parameters were found that do '
+            '(the search did not converge). Calibrate this recording, and compare the two.'
+        )
     determined = np.flatnonzero(fit.std < _DETERMINED * np.diag(_wide(system)))
-    beside = replace(
-        fit, delta=fit.delta - values, std=np.hypot(fit.std, np.linalg.norm(factor, axis=1))
-    )
+    beside = replace(fit, delta=apart, std=np.hypot(fit.std, np.linalg.norm(factor, axis=1)))
     far = _far(system.sensors.parameters, beside, determined.tolist())
     if len(far) >= _HALF * len(determined):
         return Diagnosis(

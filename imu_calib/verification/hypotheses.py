@@ -10,6 +10,7 @@ import numpy as np
 
 from ..model import AXES, G_SENSITIVITY, Triad, indices_of, terms_of
 from ..observation.lengths import Sensors
+from ..plausibility import is_of_strapdown
 from ..stream import Floats
 from ..units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY
 
@@ -38,6 +39,7 @@ class Hypothesis:
         why: What must then have happened, a sentence.
         values: (p,) of the triad's parameters without the mistake.
         reading: Factor on the outputs that goes with it.
+        of_body_axes: Whether it turns or mirrors the body axes alone, which lengths do not see.
 
     """
 
@@ -45,6 +47,7 @@ class Hypothesis:
     why: str
     values: Floats
     reading: float = 1.0
+    of_body_axes: bool = False
 
 
 def mistakes(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
@@ -142,12 +145,22 @@ def _units(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
     for unit, size in _BIAS_UNITS[sensors.gyros].items():
         for words, by in _both_ways(unit, si, size):
             yield _of_unit('the biases', words, _but(values, bias=bias * by))
-    for unit, size in _ANGLE_UNITS.items():
-        for words, by in _both_ways(unit, 'radians', size):
-            yield _of_unit('the misalignments', words, _but(values, diagonal + cross * by))
-    for unit, size in _RATIO_UNITS.items():
-        for words, by in _both_ways(unit, 'ratios', size):
-            yield _of_unit('the scale-factor errors', words, _but(values, diagonal * by + cross))
+    matrices = [
+        *(
+            ('the misalignments', words, diagonal + cross * by)
+            for unit, size in _ANGLE_UNITS.items()
+            for words, by in _both_ways(unit, 'radians', size)
+        ),
+        *(
+            ('the scale-factor errors', words, diagonal * by + cross)
+            for unit, size in _RATIO_UNITS.items()
+            for words, by in _both_ways(unit, 'ratios', size)
+        ),
+    ]
+    for what, words, matrix in matrices:
+        # Responses without limit make nothing of any rate at rest, whatever is wrong.
+        if is_of_strapdown(np.eye(3) + matrix):
+            yield _of_unit(what, words, _but(values, matrix))
 
 
 def _both_ways(unit: str, si: str, size: float) -> tuple[tuple[tuple[str, str], float], ...]:
@@ -195,6 +208,7 @@ def _axes(_: Sensors, values: Floats) -> Iterator[Hypothesis]:
                 if np.linalg.det(s) > 0
                 else 'A column of the matrix has the wrong sign, or the axes are mirrored.',
                 _but(values, response @ s - np.eye(3)),
+                of_body_axes=True,
             )
 
 

@@ -8,6 +8,7 @@ for a rejection, shared among all that is compared.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
@@ -134,13 +135,15 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
         trials.append(_Trial.of(calibration, carried, gyros=False, doubts=doubts))
     compared = [c for t in trials for c in compare(t.system, t.values, t.factor, t.fit)]
     limits = (_limit(DOUBT, len(compared)), _limit(REJECTION, len(compared)))
+    judged = tuple(trial.judge(compared, limits) for trial in trials)
     return Verification(
-        tuple(trial.judge(compared, limits) for trial in trials),
+        judged,
         tuple(compared),
         limits,
         (
             *_not_seen(calibration, observed),
             *(f for t in trials for f in t.findings()),
+            *_without_drift(trials, judged),
             *observed.notes,
         ),
     )
@@ -173,6 +176,23 @@ def _not_seen(calibration: Calibration, observed: Observed) -> list[str]:
     if calibration.model.skewed is not None:
         notes.append('The skewed gyro is not verified.')
     return notes
+
+
+def _without_drift(trials: Sequence[_Trial], judged: Sequence[Judged]) -> list[str]:
+    """Say which triads failed whose biases are not allowed to differ between sessions."""
+    names = [
+        trial.name
+        for trial, found in zip(trials, judged, strict=True)
+        if found.verdict is Verdict.FAIL and not trial.system.spec.bias_instability
+    ]
+    if not names:
+        return []
+    return [
+        f'No bias instability of the {" and ".join(names)} is stated: their biases are expected to '
+        'be those of the calibration to its standard deviations. Those of MEMS units differ by '
+        "more between two sessions: state `bias_instability` in the IMU's file, and give it as "
+        '`imu` (docs/files/imu.md).'
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,8 +235,9 @@ class _Trial:
         ]
         if not self.fit.converged:
             found.append(
-                f'No errors of the {self.name} were found that explain the session best (the '
-                'search did not converge): chi-square is that of its beginning, which is no less.'
+                f'The errors of the {self.name} that explain the session best were not found (the '
+                'search did not converge): chi-square is that of the calibration as it stands, '
+                'which may be too large.'
             )
         return found
 
