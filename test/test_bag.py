@@ -77,7 +77,10 @@ def test_latitude_is_all_that_has_to_be_said(made: str) -> None:
 
 def test_a_report_has_the_site_of_its_calibration(made: str, bag: str, tmp_path: Path) -> None:
     imu_calib.report(made, tmp_path / 'report.html', bag=bag)
-    assert 'Course of the session' in (tmp_path / 'report.html').read_text(encoding='utf-8')
+    text = (tmp_path / 'report.html').read_text(encoding='utf-8')
+    # The course shows the turns from hold to hold.
+    assert 'Course of the session' in text and 'class="block turn"' in text
+    assert re.search(r'<title>1 to 2: up to [\d.]+ deg/s, ', text)
     # One that was made with a gravity alone, too.
     words = ['--gravity', '9.81', '-o', str(tmp_path / 'c.yaml')]
     assert main(['calibrate', bag, *words]) == 0
@@ -87,6 +90,9 @@ def test_a_report_has_the_site_of_its_calibration(made: str, bag: str, tmp_path:
 def test_verify_says_where_the_calibration_was_made(
     made: str, bag: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    # Gravity alone will do, as it does for a calibration.
+    assert main(['verify', bag, '--calibration', made, '--gravity', '9.81']) in {0, 1}
+    capsys.readouterr()
     assert main(['verify', bag, '--calibration', made]) == 2
     said = capsys.readouterr().err.replace('\n', ' ')
     assert f'calibration.yaml was made at latitude {LATITUDE:g}.' in said

@@ -17,6 +17,7 @@ from ..compensation.thermal import (
 )
 from ..errors import InputError, NotStated
 from ..imu import ImuSpec
+from ..methods.free_positions import NAME as FREE_POSITIONS
 from ..plan import UNPLANNED, Plan
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.thermometer import Temperature
@@ -153,9 +154,12 @@ def _verify(
     # A skewed gyro is not verified: nothing must wait for it.
     imu = replace(imu, skewed=None)
     try:
-        site = site_of(stated, recording)
+        # Made in the hand, it has gyros that do not show where the Earth turns.
+        origin = first_of(loaded).provenance
+        by_hand = streams.joints is None and origin.get('method') == FREE_POSITIONS
+        site = site_of(stated, recording, by_hand=by_hand)
     except NotStated as error:
-        own = first_of(loaded).provenance.get('latitude_deg')
+        own = origin.get('latitude_deg')
         same = '' if own is None else f' {name} was made at latitude {own:g}.'
         raise NotStated(f'{error}{same}') from None
     table = table_of(stated, recording) if streams.joints is not None else None

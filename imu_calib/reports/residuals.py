@@ -152,7 +152,8 @@ def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
             paragraph(
                 f'{beyond} of {len(finite)} residuals are beyond {_EXPECTED:g} standard deviations '
                 "of the dwell's own noise (dashed lines). More than a few of them mean that "
-                'something else changed: positioning errors of the table, or bias drift.',
+                'something else changed: positioning errors of the table, a hand that trembled, or '
+                'bias drift.',
                 'note',
             )
         )

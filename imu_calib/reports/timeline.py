@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from enum import Enum
 from html import escape
 
 from ..calibrator import Result
 from ..instants import utc
+from ..methods.free_positions import NAME as FREE_POSITIONS
 from ..units import DEG
 from .html import scrolling, table
 from .svg import Axis, Panel, drawing, label, tag
@@ -71,9 +72,29 @@ def intervals(result: Result) -> list[Interval]:
         )
         for t in labelled.turns
     ]
+    rejected = labelled.rejected
+    if result.calibration.provenance.get('method') == FREE_POSITIONS:
+        # In a hand every motion between two holds is a turn, used or lost.
+        after = {s.end: f'{s.position} to' for s in labelled.segments}
+        before = {s.start: s.position for s in labelled.segments}
+        found += [
+            Interval(
+                Lane.TURN,
+                at(m.start),
+                at(m.end),
+                f'{after.get(m.start)} {before.get(m.end)}: up to {m.fastest / DEG:.3g} deg/s',
+            )
+            for m in result.session.moves
+        ]
+        lost = tuple(
+            replace(m, position=f'{after.get(m.start)} {before.get(m.end)}')
+            for m in result.session.lost_moves
+        )
+        # What a turn of its own was rejected for lies within one of these.
+        rejected = (*lost, *(r for r in rejected if not r.turn))
     found += [
         Interval(Lane.REJECTED, at(r.start), at(r.end), r.position or '?', r.reason)
-        for r in labelled.rejected
+        for r in rejected
     ]
     return sorted(found, key=lambda s: s.start)
 
