@@ -107,7 +107,7 @@ def time_line(found: Sequence[Interval], duration: float) -> str:
     panel = Panel(Axis(0.0, max(duration / scale, 1e-3)), Axis(0.0, 1.0), _LEFT, _TOP, width, 0.0)
     panel.height = _ROW * len(Lane)
     bottom = _TOP + panel.height
-    parts = []
+    parts, blocks = [], []
     for k, lane in enumerate(Lane):
         y = _TOP + k * _ROW
         parts.append(tag('rect', x=_LEFT, y=y, width=width, height=_ROW - 3, class_='lane'))
@@ -115,11 +115,13 @@ def time_line(found: Sequence[Interval], duration: float) -> str:
         own = [s for s in found if s.lane is lane and s.end > s.start]
         # Of thousands of short ones, no screen shows more than the longest.
         longest = sorted(own, key=lambda s: s.start - s.end)[:_MOST_BLOCKS]
-        parts += [_block(panel, s, y, scale) for s in sorted(longest, key=lambda s: s.start)]
+        blocks += [_block(panel, s, y, scale) for s in sorted(longest, key=lambda s: s.start)]
     for value, text in panel.x.ticks():
         x = panel.across(value)
         parts.append(tag('line', x1=x, y1=_TOP, x2=x, y2=bottom, class_='grid'))
         parts.append(label(text, x, bottom + 14, class_='tick', text_anchor='middle'))
+    # Names stand on the blocks, not below the lines of the grid.
+    parts += blocks
     unit = 'min' if minutes else 's'
     parts.append(
         label(f'time, {unit}', _LEFT + width / 2, bottom + 30, class_='axis', text_anchor='middle')
