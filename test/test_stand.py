@@ -88,7 +88,7 @@ def test_a_full_disk_stops_the_table_and_loses_nothing_and_then_the_table_vanish
         stops(stand, 'cannot be written')
         resource.prlimit(number, resource.RLIMIT_FSIZE, unlimited)
         assert stand.wait(lambda: stand.progress[-1].state != Progress.FAILED)
-        resumes(stand)
+        resumes(stand, once_heard=True)
         assert stand.reaches(State.DWELLING, step=stand.state.step + 2)
         stand.kill('stand_node')
         assert stand.reaches(State.PAUSED, seconds=20)
