@@ -403,8 +403,13 @@ def test_the_frame_of_the_accelerometers_changes_no_output() -> None:
 
 
 def test_groups_that_scatter_are_named_with_their_factor() -> None:
-    assert scatter_words(np.array([1.0, 1.0, 1.0])) == []
-    first, last = scatter_words(np.array([2.25, 1.0, 1.5]))
+    def words(*scatter: float) -> list[str]:
+        chances = np.where(np.array(scatter) > 1, 1e-6, 0.3)
+        fit: Any = SimpleNamespace(scatter=np.array(scatter), scatter_chances=chances)
+        return scatter_words(fit)
+
+    assert words(1.0, 1.0, 1.0) == []
+    first, last = words(2.25, 1.0, 1.5)
     assert 'are 2.2 times the noise' in first
     assert 'are 1.5 times the noise' in last
     assert first.split(' are ')[0] != last.split(' are ')[0]
