@@ -36,7 +36,7 @@ from ..segmentation.segmented import Move, Segmented
 from ..segmentation.segmenter import Segmenter
 from ..stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from ..units import DEG, STANDARD_GRAVITY, counted
-from .guidance import HOLD_SECONDS, Guidance, Stage, guide
+from .guidance import CHECKED, HOLD_SECONDS, Guidance, Stage, guide
 from .provenance import provenance
 from .results import Result, Review
 from .setup import Setup
@@ -276,6 +276,11 @@ class HandCalibrator:
             for s, value, deviation in zip(segments, fit.residuals, std, strict=True)
         )
         findings = [_FRAME, *far_scales(fit.model), *term_words(fit), *scatter_words(fit)]
+        if len(segments) < CHECKED:
+            findings.append(
+                f'{len(segments)} holds are few: {CHECKED} or more, in attitudes of their own, '
+                'make standard deviations smaller, and show a hold that was none.'
+            )
         findings += _lost_turns(evidence, session)
         if fit.rejected_moves:
             names = ', '.join(f'{k + 1} to {k + 2}' for k in fit.rejected_moves)

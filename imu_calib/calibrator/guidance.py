@@ -31,7 +31,7 @@ _ACCEL_BIAS_WIDTH = 0.5
 _TOLD = 0.5
 """Share of what was known beforehand below which a session has determined it."""
 
-_CHECKED = 2 * FEWEST
+CHECKED = 2 * FEWEST
 """Fewest holds that are enough: as many again as gravity has to tell, so that one that was no
 hold, or noise that is more than it should be, shows."""
 
@@ -125,7 +125,7 @@ def guide(
     angle = np.array([p.kind is ParameterKind.MISALIGNMENT for p in PARAMETERS])
     with np.errstate(invalid='ignore'):
         good = std <= np.where(scale, wanted.scale_factor, np.where(angle, wanted.angle, np.inf))
-    enough = holds >= _CHECKED and bool(good[FREE & (scale | angle)].all())
+    enough = holds >= CHECKED and bool(good[FREE & (scale | angle)].all())
     return _guidance(holding, hold_seconds, holds, std, tuple(found), enough=enough)
 
 
