@@ -53,6 +53,14 @@ CAUSES = {
     'temperature': 'temperature moved',
     'north': 'gyros see north',
     'course': 'The session (?:shows|hints at) .*(trend|warm_up)',
+    'clock set': 'its clock was set',
+    'clocks apart': 'clock of the IMU is .* that of the table',
+    'late': 'are stamped late',
+    'lost': 'samples are missing|missing in',
+    'twice': 'dropped as duplicates',
+    'frozen': 'are frozen',
+    'moved': 'the unit was moved|shifted in its mount',
+    'noise': 'noise of the sensors is unknown',
     **{t.name: rf'The session shows .*\b{t.name}\b' for t in TERMS},
 }
 """Words by which a finding names a cause."""
@@ -114,12 +122,14 @@ _SCATTERS = {
 
 _DRIFT = ('gyro drift', 'accelerometer drift', 'course')
 
+_ON_THE_WAY = ('late', 'lost', 'twice')
+
 CONDITIONS = {
     EXACT: Condition(exact=True),
     'perfect': Condition(),
     'laboratory: a little of everything': Condition(
         named_file('imperfections', 'laboratory').read_text(encoding='utf-8'),
-        ('zeros', 'orthogonality', 'joints', 'stops', 'temperature', *_DRIFT),
+        ('zeros', 'orthogonality', 'joints', 'stops', 'temperature', *_DRIFT, *_ON_THE_WAY),
         bound=None,
     ),
     'tilt 20 arcsec': Condition(_LEVEL, ('tilt',)),
@@ -177,23 +187,23 @@ CONDITIONS = {
     'ramps 20 deg/s^2': Condition('table: {acceleration: 20 deg/s^2}'),
     'ramps 10 deg/s^2': Condition('table: {acceleration: 10 deg/s^2}'),
     'stamps jitter 1 ms': Condition('stamps: {jitter: 1 ms}'),
-    'stamps late': Condition('stamps: {late: 1 %, delay: 20 ms}'),
-    '5 % of stamps late by 100 ms': Condition('stamps: {late: 5 %, delay: 100 ms}'),
+    'stamps late': Condition('stamps: {late: 1 %, delay: 20 ms}', ('late',)),
+    '5 % of stamps late by 100 ms': Condition('stamps: {late: 5 %, delay: 100 ms}', ('late',)),
     'stamps in bunches of 4': Condition('stamps: {bunch: 4}'),
     'stamps in bunches of 10': Condition('stamps: {bunch: 10}'),
     'stamps in bunches of 20': Condition('stamps: {bunch: 20}'),
     'stamps in bunches of 50': Condition('stamps: {bunch: 50}'),
     'clock 50 ppm': Condition('stamps: {clock_rate: 50 ppm}'),
-    'clock ahead by 2 s': Condition('stamps: {clock_offset: 2 s}'),
-    'clock ahead by 20 s': Condition('stamps: {clock_offset: 20 s}'),
-    'lost 0.05 %': Condition('samples: {lost: 0.05 %}'),
-    'lost 0.5 %': Condition('samples: {lost: 0.5 %}'),
-    'lost 2 %': Condition('samples: {lost: 2 %}'),
-    'twice 0.05 %': Condition('samples: {twice: 0.05 %}'),
-    'twice 2 %': Condition('samples: {twice: 2 %}'),
+    'clock ahead by 2 s': Condition('stamps: {clock_offset: 2 s}', ('clocks apart',)),
+    'clock ahead by 20 s': Condition('stamps: {clock_offset: 20 s}', ('clocks apart',)),
+    'lost 0.05 %': Condition('samples: {lost: 0.05 %}', ('lost',)),
+    'lost 0.5 %': Condition('samples: {lost: 0.5 %}', ('lost',)),
+    'lost 2 %': Condition('samples: {lost: 2 %}', ('lost',)),
+    'twice 0.05 %': Condition('samples: {twice: 0.05 %}', ('twice',)),
+    'twice 2 %': Condition('samples: {twice: 2 %}', ('twice',)),
     # Of a move that ends elsewhere frozen samples are among the causes named.
     'frozen 3 s every 5 min': Condition(
-        'samples: {frozen: {every: 5 min, for: 3 s}}', ('moves', 'velocities'), bound=None
+        'samples: {frozen: {every: 5 min, for: 3 s}}', ('frozen', 'moves', 'velocities'), bound=None
     ),
     'ringing': Condition(
         'mounting: {ringing: {rate: 0.5 deg/s, force: 50 mg, decay: 0.5 s}}', bound=None

@@ -90,6 +90,8 @@ class Unit:
         counts: Whether it delivers rates and forces, rounded to `pulse` per second.
         gyro_drift, accel_drift: Of the biases per second, rad/s^2 and m/s^3.
         gyro_growth, accel_growth: Of the responses per second, 1/s.
+        gyro_fade, accel_fade: Of the biases at the start, rad/s and m/s^2.
+        fading: They go by exp(-t / fading), s.
         terms: What the channels add to that.
 
     """
@@ -111,6 +113,9 @@ class Unit:
     accel_drift: Vector = NOTHING
     gyro_growth: float = 0.0
     accel_growth: float = 0.0
+    gyro_fade: Vector = NOTHING
+    accel_fade: Vector = NOTHING
+    fading: float = 1.0
     terms: Terms | None = None
 
 
@@ -179,6 +184,39 @@ class Damage:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Stops:
+    """How the table misses where it stops, each time anew; standard deviations, rad.
+
+    Attributes:
+        joints: Of a joint, unseen by its encoder until it moves again.
+        tilt: Of the whole table about east and about north.
+        heading: Of the whole table about up.
+
+    """
+
+    joints: float = 0.0
+    tilt: float = 0.0
+    heading: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shaking:
+    """What shakes the unit: about and along each body axis a rate and a force that swing.
+
+    Attributes:
+        rate, force: Amplitudes, rad/s and m/s^2.
+        tones: Hz.
+        decay: From the end of each motion on, s; 0 for a floor that shakes all the time.
+
+    """
+
+    rate: float
+    force: float
+    tones: tuple[float, ...]
+    decay: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class World:
     """Where the session takes place, and what the table does and shows.
 
@@ -194,6 +232,8 @@ class World:
         dwell: At each position, s.
         joint_rate: Joint states per second.
         encoder_noise: Standard deviation of one reading, rad.
+        encoder_step: Resolution of a reading, rad; 0 for none.
+        joint_jitter: Standard deviation of a stamp of the joints, s.
         stamp_jitter: Standard deviation of a stamp of the IMU, s.
         clock: By how much the IMU's clock is fast, a ratio.
         offset: By how much it is ahead at the start, s.
@@ -202,6 +242,8 @@ class World:
         misses: Where the middle axis is in what the outer joint turns, and the inner axis in what
             the middle joint turns, m.
         damage: What happens to the samples.
+        stops: How the table misses.
+        shaking: What shakes the unit.
 
     """
 
@@ -216,6 +258,8 @@ class World:
     dwell: float = 30.0
     joint_rate: float = 100.0
     encoder_noise: float = 0.0
+    encoder_step: float = 0.0
+    joint_jitter: float = 0.0
     stamp_jitter: float = 0.0
     clock: float = 0.0
     offset: float = 0.0
@@ -223,6 +267,8 @@ class World:
     flaws: tuple[Flaw, Flaw, Flaw] = NO_FLAWS
     misses: tuple[Vector, Vector] = (NOTHING, NOTHING)
     damage: Damage | None = None
+    stops: Stops | None = None
+    shaking: Shaking | None = None
 
 
 @dataclass
@@ -287,7 +333,10 @@ def rotation_vector(r: Matrix) -> Vector:
 
 @dataclass
 class Motion:
-    """One joint from rest to rest with constant acceleration, rate and deceleration."""
+    """One joint from rest to rest with constant acceleration, rate and deceleration.
+
+    And by how much joints and table are off before and after it.
+    """
 
     start: float
     joint: int
@@ -295,6 +344,8 @@ class Motion:
     way: float
     rate: float
     acceleration: float
+    missing: tuple[Vector, Vector] = (NOTHING, NOTHING)
+    leaning: tuple[Vector, Vector] = (NOTHING, NOTHING)
 
     def __post_init__(self) -> None:
         way = abs(self.way)
@@ -318,6 +369,23 @@ class Motion:
         moved = list(self.before)
         moved[self.joint] += math.copysign(done, self.way)
         return tuple(moved)  # type: ignore[return-value]
+
+    def off(self, angles: Vector) -> tuple[Vector, Vector]:
+        """By how much joints, and the table about east, north and up, are off at these angles.
+
+        What was off goes as it speeds up, and what will be off comes as it slows down.
+        """
+        ramp = 0.5 * self.acceleration * self.ramp**2
+        done = abs(angles[self.joint] - self.before[self.joint])
+        left = abs(self.way) - done
+        old, new = max(0.0, 1 - done / ramp), max(0.0, 1 - left / ramp)
+        missing = list(self.missing[0])
+        missing[self.joint] = sum(
+            share * errors[self.joint]
+            for share, errors in zip((old, new), self.missing, strict=True)
+        )
+        leaning = tuple(old * a + new * b for a, b in zip(*self.leaning, strict=True))
+        return tuple(missing), leaning  # type: ignore[return-value]
 
 
 def joints_of(axes: str) -> Vector:
@@ -430,7 +498,22 @@ def schedule(world: World) -> list[Motion]:
             move(stop.turning, turn, rate)
             move(stop.turning, -turn, rate)
         now += world.dwell
+    if world.stops is not None:
+        _miss(motions, world.stops)
     return motions
+
+
+def _miss(motions: list[Motion], stops: Stops) -> None:
+    """Let every motion end wrong by an error of its joint, and one of the whole table."""
+    noise = normals(random.Random(12))
+    missing, leaning = NOTHING, NOTHING
+    for motion in motions:
+        after = list(missing)
+        after[motion.joint] = stops.joints * next(noise)
+        leans = tuple(size * next(noise) for size in (stops.tilt, stops.tilt, stops.heading))
+        motion.missing = missing, (after[0], after[1], after[2])
+        motion.leaning = leaning, leans  # type: ignore[assignment]
+        missing, leaning = motion.missing[1], motion.leaning[1]
 
 
 def angles_at(
@@ -501,9 +584,12 @@ def _record_joints(
     count = int(duration * world.joint_rate)
     instants = [k / world.joint_rate for k in range(count)]
     for time, (angles, _) in zip(instants, angles_at(motions, iter(instants)), strict=True):
-        recording.joint_stamps.append(time)
-        noisy = tuple([a + world.encoder_noise * next(noise) for a in angles])
-        recording.angles.append(noisy)  # type: ignore[arg-type]
+        jitter = world.joint_jitter * next(noise) if world.joint_jitter else 0.0
+        recording.joint_stamps.append(time + jitter)
+        noisy = [a + world.encoder_noise * next(noise) for a in angles]
+        if world.encoder_step:
+            noisy = [math.floor(a / world.encoder_step + 0.5) * world.encoder_step for a in noisy]
+        recording.angles.append(tuple(noisy))  # type: ignore[arg-type]
 
 
 def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[float]) -> None:
@@ -517,7 +603,9 @@ def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[
     pulses = [unit.gyro_pulse] * 3 + [unit.accel_pulse] * 3
     walks = [w * math.sqrt(dt) for w in [unit.gyro_walk] * 3 + [unit.accel_walk] * 3]
     changes = unit.gyro_growth or unit.accel_growth or any(unit.gyro_drift + unit.accel_drift)
+    changes = changes or any(unit.gyro_fade + unit.accel_fade)
     given: tuple[Vector, Vector] | None = None
+    swung = Swung(world.shaking)
     for k, (turned, _, _, _) in enumerate(felt(world, unit.rate, 0.0)):
         _, pushed, middle, motion = afterwards[k]
         # Samples at rest are given the same, and answer the same but for what changes with time.
@@ -540,6 +628,9 @@ def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[
         outputs = _changed(answers, unit, (k + 0.5) * dt, dt) if changes else answers
         if unit.terms is not None:
             outputs = [a + b for a, b in zip(outputs, added, strict=True)]
+        if world.shaking is not None:
+            more = swung.on((k + 1) * dt, motion)
+            outputs = [a + b for a, b in zip(outputs, more, strict=True)]
         counted = []
         for c in range(6):
             sums[c] += outputs[c] + walks[c] * next(noise)
@@ -554,6 +645,35 @@ def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[
         recording.imu_stamps.append(stamp)
         recording.gyro.append(tuple(counted[:3]))  # type: ignore[arg-type]
         recording.accel.append(tuple(counted[3:]))  # type: ignore[arg-type]
+
+
+class Swung:
+    """What shaking adds to each sample: how far a swing of angle and velocity went meanwhile."""
+
+    def __init__(self, shaking: Shaking | None) -> None:
+        self.shaking = shaking
+        draw = random.Random(5)
+        tones = () if shaking is None else shaking.tones
+        self.phases = [[2 * math.pi * draw.random() for _ in tones] for _ in range(6)]
+        self.reached = [0.0] * 6
+
+    def on(self, time: float, motion: Motion) -> list[float]:
+        assert self.shaking is not None
+        size, since = 1.0, time
+        if self.shaking.decay:
+            since = time - motion.end
+            size = math.exp(-since / self.shaking.decay) if since > 0 else 0.0
+        now = []
+        for c, phases in enumerate(self.phases):
+            swing = 0.0
+            for tone, phase in zip(self.shaking.tones, phases, strict=True):
+                # Ringing begins from rest at the end of a motion.
+                begun = 0.0 if self.shaking.decay else phase
+                swing += math.sin(2 * math.pi * tone * since + begun) / (2 * math.pi * tone)
+            now.append(size * swing * (self.shaking.rate if c < 3 else self.shaking.force))
+        went = [a - b for a, b in zip(now, self.reached, strict=True)]
+        self.reached = now
+        return went
 
 
 class Moved:
@@ -621,21 +741,26 @@ def felt(
     halves = angles_at(motions, (0.5 * dt * k - late for k in range(2 * count + 1)))
     earth = earth_of(world)
 
-    def given_at(angles: Vector) -> Given:
-        r = attitude(angles, world)
+    def given_at(angles: Vector, motion: Motion) -> Given:
+        if world.stops is None:
+            r = attitude(angles, world)
+        else:
+            missing, leans = motion.off(angles)
+            r = times(about(0, leans[0]), times(about(1, leans[1]), about(2, leans[2])))
+            r = times(r, attitude(_sum(angles, missing), world))
         return r, seen(r, earth), seen(r, (0.0, 0.0, world.gravity))
 
-    before, _ = next(halves)
-    first = given_at(before)
+    before, motion = next(halves)
+    first = given_at(before, motion)
     still: tuple[Vector, Vector, Vector] | None = None
     given: list[tuple[Vector, Vector, Matrix | None, Motion]] = []
     for _ in range(count):
-        (middle, _), (after, motion) = next(halves), next(halves)
+        (middle, on_way), (after, motion) = next(halves), next(halves)
         r_middle = None
         if after == before and still is not None and still[0] == after:
             turned, pushed = still[1], still[2]
         else:
-            half_way, last = given_at(middle), given_at(after)
+            half_way, last = given_at(middle, on_way), given_at(after, motion)
             turned, pushed = _felt(first, half_way, last, dt)
             still = (after, turned, pushed) if after == before else None
             r_middle, first = half_way[0], last
@@ -675,13 +800,14 @@ def _changed(answers: list[float], unit: Unit, since: float, dt: float) -> list[
     """What the answers have become so long after the start."""
     outputs = []
     for c, answer in enumerate(answers):
-        growth, bias, drift = (
-            (unit.gyro_growth, unit.gyro_d, unit.gyro_drift)
+        growth, bias, drift, fade = (
+            (unit.gyro_growth, unit.gyro_d, unit.gyro_drift, unit.gyro_fade)
             if c < 3
-            else (unit.accel_growth, unit.accel_d, unit.accel_drift)
+            else (unit.accel_growth, unit.accel_d, unit.accel_drift, unit.accel_fade)
         )
         grown = answer + growth * since * (answer - bias[c % 3] * dt)
-        outputs.append(grown + drift[c % 3] * since * dt)
+        left = fade[c % 3] * math.exp(-since / unit.fading)
+        outputs.append(grown + (drift[c % 3] * since + left) * dt)
     return outputs
 
 

@@ -70,6 +70,7 @@ def test_an_error_is_named_by_its_own_cause_alone(session: dict[str, Any], word:
 
 def test_a_wrong_name_counts_unless_the_right_one_stands_beside_it() -> None:
     assert misnamed(row('accel_asymmetry', findings=[TERM])) == {'accel_quadratic'}
+    assert misnamed(row('stamps late', findings=['At 3 s: its clock was set.'])) == {'clock set'}
     both = f'{TERM} accel_asymmetry would explain it as well.'
     assert not misnamed(row('accel_asymmetry', findings=[both]))
 

@@ -440,7 +440,7 @@ def scatter_words(fit: FreeFit) -> list[str]:
 
 def term_words(fit: FreeFit) -> list[str]:
     """Say which terms the session showed, and how clearly."""
-    if len(fit.parameters) == len(PARAMETERS):
+    if not set(G_SENSITIVITY.parameters) & set(fit.parameters):
         return []
     largest = np.abs(fit.model.g_sensitivity).max() * STANDARD_GRAVITY / DEG
     return [

@@ -20,6 +20,7 @@ _SHORTEST_DWELL = 1.0
 """s: a shorter one tells less than its settling costs."""
 _MOSTLY = 0.5
 """Share of saturated samples."""
+_NOTHING: Stamps = np.empty(0, dtype=np.int64)
 
 
 def read_dwell(  # noqa: PLR0911 (each names another reason)
@@ -29,6 +30,8 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     angles: Floats | None,
     attitude: Floats | None,
     attitude_error: float = 0.0,
+    *,
+    left_out: Stamps = _NOTHING,
 ) -> list[Segment | Rejected | MountShift]:
     """Turn samples at rest into segments, or say why not.
 
@@ -42,6 +45,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
         angles: Joint angles during the static dwell, rad; None without a table.
         attitude: (3, 3) R_nb by them; None without a table.
         attitude_error: Standard deviation of the attitude by the encoders' noise, rad.
+        left_out: Stamps of samples that were frozen, ns: they are not missing.
 
     Returns:
         In order of time; nothing where it was too short to tell.
@@ -60,7 +64,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
         seconds = frozen.sum() * samples.period
         note = f'its samples are frozen for {seconds:.1f} s, repeating one'
         kept = samples.at(~frozen), values[~frozen]
-        rest = read_dwell(sensor, *kept, angles, attitude, attitude_error)
+        rest = read_dwell(sensor, *kept, angles, attitude, attitude_error, left_out=stamp[frozen])
         if not rest:
             return [Rejected(int(stamp[0]), int(stamp[-1]), note)]
         return [_with_note(f'{note}; left out', thing) for thing in rest]
@@ -69,21 +73,20 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     sound = sound_samples(samples, sensor.walk, saturated)
     if sound.mount_shift is not None and angles is not None:
         start, stop = sound.mount_shift.start, sound.mount_shift.stop
-        return [
-            *read_dwell(
-                sensor, samples.part(0, start), values[:start], angles, attitude, attitude_error
-            ),
-            MountShift(int(stamp[start]), sound.mount_shift.angle),
-            *read_dwell(
+        before, after = (
+            read_dwell(
                 sensor,
-                samples.part(stop, len(stamp)),
-                values[stop:],
+                samples.part(first, last),
+                values[first:last],
                 angles,
                 attitude,
                 attitude_error,
-            ),
-        ]
-    found = _sound_statistics(samples, sound, saturated, sensor.walk)
+                left_out=left_out,
+            )
+            for first, last in ((0, start), (stop, len(stamp)))
+        )
+        return [*before, MountShift(int(stamp[start]), sound.mount_shift.angle), *after]
+    found = _sound_statistics(samples, sound, saturated, sensor.walk, left_out)
     if isinstance(found, str):
         return [Rejected(int(stamp[0]), int(stamp[-1]), found)]
     statistics, used, notes = found
@@ -112,7 +115,7 @@ def _with_note(
 
 
 def _sound_statistics(
-    samples: Samples, sound: Sound, saturated: NDArray[np.bool_], walk: Floats
+    samples: Samples, sound: Sound, saturated: NDArray[np.bool_], walk: Floats, left_out: Stamps
 ) -> tuple[Statistics, Stamps, tuple[str, ...]] | str:
     """Estimate over the sound part of a static dwell; a text says why there is none."""
     notes = list(sound.notes)
@@ -122,9 +125,10 @@ def _sound_statistics(
     if len(kept.stamp) * samples.period < _SHORTEST_DWELL:
         return '; '.join(notes) or 'too little of it was quiet'
     gaps = gap_free(samples.stamp, samples.period)
-    missing = _missing(samples, gaps)
-    if missing:
-        notes.append(f'{counted(missing, "sample")} missing in {counted(len(gaps) - 1, "gap")}')
+    missing = _missing(samples, gaps, left_out)
+    if len(missing):
+        lost = counted(int(missing.sum()), 'sample')
+        notes.append(f'{lost} missing in {counted(len(missing), "gap")}')
     statistics = statistics_at_rest(kept, walk)
     step = find_step(statistics, walk)
     if step is not None:
@@ -137,10 +141,13 @@ def _sound_statistics(
     return statistics, kept.stamp, tuple(notes)
 
 
-def _missing(samples: Samples, gaps: list[tuple[int, int]]) -> int:
+def _missing(samples: Samples, gaps: list[tuple[int, int]], left_out: Stamps) -> NDArray[np.int64]:
+    """Return how many samples are missing in each gap in which some are."""
     starts = np.array([a for a, _ in gaps[1:]], dtype=int)
-    holes = (samples.stamp[starts] - samples.stamp[starts - 1]) * 1e-9 / samples.period
-    return int(np.sum(np.rint(holes) - 1))
+    before, after = samples.stamp[starts - 1], samples.stamp[starts]
+    holes = np.rint((after - before) * 1e-9 / samples.period).astype(np.int64) - 1
+    holes -= np.searchsorted(left_out, after) - np.searchsorted(left_out, before)
+    return np.asarray(holes[holes > 0])
 
 
 def _longer_part(samples: Samples, between: tuple[float, float]) -> Samples:
