@@ -34,6 +34,9 @@ from ..rotations import rotations
 from ..stream import Floats
 from .observed import Observed
 
+_System = Callable[[Floats], tuple[Floats, Floats]]
+"""Derivatives and residuals at a point, both in standard deviations."""
+
 _ROUNDS = 30
 """Most steps of a fit. Near the minimum three do; what needs more fits nothing."""
 
@@ -255,33 +258,41 @@ class TriadSystem:
             known[key] = replace(self.observed, evidence=self.observed.evidence.with_moves(()))
         return replace(self, observed=cast(Observed, known[key]))
 
-    def fit(self, values: Floats, factor: Floats) -> Fit:
+    def fit(self, values: Floats, factor: Floats, begin: Floats | None = None) -> Fit:
         """Explain the session by a model whose parameters have errors.
 
         Args:
             values: (p,) of the parameters.
             factor: (p, k) of their covariance: factor times its transpose.
+            begin: (k + u,) multiples of the factor's columns, and the unknowns, where the search
+                begins, if any are known.
 
         """
-        return self._fitted(self._begun(values, factor)[0], values, factor)
+        system = self._allowing(values, factor)
+        if begin is None:
+            begin = self._begun(system, values, factor)[0]
+        return self._fitted(begin, system, factor)
 
     def fit_likely(self, values: Floats, factor: Floats, chance: float) -> Fit | None:
         """Return `fit`; None where already the dwells and turns have by far less than a chance.
 
-        Twice the chi-square that counts is left for what is not linear. Moves are not led then.
+        Twice the chi-square that counts is left for what is not linear: the errors must be small.
+        Moves are not led then.
         """
-        point, square = self._begun(values, factor)
+        system = self._allowing(values, factor)
+        point, square = self._begun(system, values, factor)
         if scipy.special.chdtrc(len(self._without_moves._kinds), square / 2) < chance:
             return None
-        return self._fitted(point, values, factor)
+        return self._fitted(point, system, factor)
 
-    def _begun(self, values: Floats, factor: Floats) -> tuple[Floats, float]:
+    def _begun(self, system: _System, values: Floats, factor: Floats) -> tuple[Floats, float]:
         """Return where `fit` begins and what chi-square would be there, by dwells and turns."""
         resting = self._without_moves
-        return resting._start(resting._allowing(values, factor), factor.shape[1])
+        if resting is not self:
+            system = resting._allowing(values, factor)
+        return resting._start(system, factor.shape[1])
 
-    def _fitted(self, point: Floats, values: Floats, factor: Floats) -> Fit:
-        system = self._allowing(values, factor)
+    def _fitted(self, point: Floats, system: _System, factor: Floats) -> Fit:
         try:
             point, converged = least_squares(point, system, np.add, _ROUNDS), True
         except NotObservable:
@@ -290,24 +301,25 @@ class TriadSystem:
         found = self._concluded(*system(point), point, factor)
         return replace(found, converged=converged)
 
-    def _allowing(
-        self, values: Floats, factor: Floats
-    ) -> Callable[[Floats], tuple[Floats, Floats]]:
+    def _allowing(self, values: Floats, factor: Floats) -> _System:
         """Return the equations at a (k + u,) point: errors of the parameters, and the unknowns."""
         k = factor.shape[1]
+        known: dict[bytes, tuple[Floats, Floats]] = {}
 
         def system(point: Floats) -> tuple[Floats, Floats]:
-            columns, left = self._whitened(values + factor @ point[:k], point[k:])
-            by_parameters, besides = np.split(columns, [len(values)], axis=1)
-            columns = np.hstack([by_parameters @ factor, besides])
-            prior = np.eye(k, columns.shape[1])
-            return np.vstack([columns, prior]), np.append(left, -point[:k])
+            # Those of where a search begins and ends are asked for twice.
+            key = point.tobytes()
+            if key not in known:
+                columns, left = self._whitened(values + factor @ point[:k], point[k:])
+                by_parameters, besides = np.split(columns, [len(values)], axis=1)
+                columns = np.hstack([by_parameters @ factor, besides])
+                prior = np.eye(k, columns.shape[1])
+                known[key] = np.vstack([columns, prior]), np.append(left, -point[:k])
+            return known[key]
 
         return system
 
-    def _start(
-        self, system: Callable[[Floats], tuple[Floats, Floats]], k: int
-    ) -> tuple[Floats, float]:
+    def _start(self, system: _System, k: int) -> tuple[Floats, float]:
         """Return where to begin, and chi-square at the minimum if all were linear.
 
         Any heading begins where the level Earth rate fits best, whatever its size: all is linear in
@@ -315,9 +327,8 @@ class TriadSystem:
         """
         point = np.zeros(k + len(self._free))
         point[k : k + len(self._known)] = self._known if self.seen is None else self.seen
-        if self.up is not None:
-            return point, 0.0
-        azimuth, headed = k + Nuisance.AZIMUTH, bool(self._free[Nuisance.AZIMUTH])
+        azimuth = k + Nuisance.AZIMUTH
+        headed = self.up is None and bool(self._free[Nuisance.AZIMUTH])
         if headed:
             point[azimuth] = 0.0
         columns, left = system(point)
