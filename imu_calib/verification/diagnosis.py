@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -108,22 +108,20 @@ class _Tried:
         return self.fit.chi_square + price + (_ODDS if self.freed else 0.0)
 
 
-def refitted_parameters(system: TriadSystem, nested: Fit | None = None) -> Fit:
+def refitted_parameters(system: TriadSystem) -> Fit:
     """Fit all parameters anew, from a unit without errors: what no calibration explains is left.
 
     The outputs are taken as the recording describes them.
-
-    Args:
-        system: The session as one triad sees it.
-        nested: A fit of its first parameters, where there is one: the search begins there.
-
     """
+    return replace(system, reading=1.0).fit(np.zeros(len(system.sensors.parameters)), _wide(system))
+
+
+def _refitted_from(nested: Fit, system: TriadSystem) -> tuple[float, Callable[[], Fit]]:
+    """Begin `refitted_parameters` at a fit of its first parameters, as `TriadSystem.begun` does."""
     count, wide = len(system.sensors.parameters), _wide(system)
-    begin = None
-    if nested is not None:
-        delta = np.pad(nested.delta, (0, count - len(nested.delta)))
-        begin = np.append(delta / np.diag(wide), nested.unknown)
-    return replace(system, reading=1.0).fit(np.zeros(count), wide, begin)
+    delta = np.pad(nested.delta, (0, count - len(nested.delta)))
+    begin = np.append(delta / np.diag(wide), nested.unknown)
+    return replace(system, reading=1.0).begun(np.zeros(count), wide, begin)
 
 
 def with_true_noise(system: TriadSystem) -> TriadSystem:
@@ -141,11 +139,11 @@ def with_true_noise(system: TriadSystem) -> TriadSystem:
         return with_drift
     without = refitted_parameters(system)
     if without.spare < _ENOUGH:
-        system, without = with_drift, refitted_parameters(with_drift, without)
+        system, without = with_drift, _refitted_from(without, with_drift)[1]()
     fit = _with_missing_terms(system, without)
     if _scatters(fit):
         system = system.inflated(fit.ratios)
-        fit = _with_missing_terms(system, refitted_parameters(system, without))
+        fit = _with_missing_terms(system, _refitted_from(without, system)[1]())
     if _scatters(fit):
         system = system.inflated(fit.ratios)
     spread = system.spread(np.zeros(len(system.sensors.parameters)))
@@ -167,10 +165,10 @@ def _with_missing_terms(system: TriadSystem, without: Fit) -> Fit:
     """
     fit = without
     while _scatters(fit):
-        tried = [(refitted_parameters(larger, fit), larger) for _, larger in _with_another(system)]
-        if not tried:
+        begun = [(*_refitted_from(fit, larger), larger) for _, larger in _with_another(system)]
+        if not begun:
             return without
-        best, larger = min(tried, key=lambda one: one[0].chi_square)
+        best, larger = _best(begun, fit.chi_square)
         count = len(larger.sensors.parameters) - len(system.sensors.parameters)
         left = best.freedom - len(larger.sensors.parameters)
         # A few dwells fit many a term, whatever is wrong with them.
@@ -181,6 +179,30 @@ def _with_missing_terms(system: TriadSystem, without: Fit) -> Fit:
             return without
         fit, system = best, larger
     return fit
+
+
+def _best(
+    begun: list[tuple[float, Callable[[], Fit], TriadSystem]], before: float
+) -> tuple[Fit, TriadSystem]:
+    """Return the fit of least chi-square among those that promise one, and its system.
+
+    What promises less than half of what the best has brought is not fitted: twice is left for what
+    is not linear.
+
+    Args:
+        begun: What chi-square would be if all were linear, the fit, and its system.
+        before: Chi-square where they begin.
+
+    """
+    (_, fitted, best), *others = sorted(begun, key=lambda one: one[0])
+    found = fitted()
+    for square, fitted, system in others:
+        if 2 * (before - square) < before - found.chi_square:
+            break
+        fit = fitted()
+        if fit.chi_square < found.chi_square:
+            found, best = fit, system
+    return found, best
 
 
 def _scatters(fit: Fit) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import cast
 
 import numpy as np
@@ -258,20 +258,31 @@ class TriadSystem:
             known[key] = replace(self.observed, evidence=self.observed.evidence.with_moves(()))
         return replace(self, observed=cast(Observed, known[key]))
 
-    def fit(self, values: Floats, factor: Floats, begin: Floats | None = None) -> Fit:
+    def fit(self, values: Floats, factor: Floats) -> Fit:
         """Explain the session by a model whose parameters have errors.
 
         Args:
             values: (p,) of the parameters.
             factor: (p, k) of their covariance: factor times its transpose.
-            begin: (k + u,) multiples of the factor's columns, and the unknowns, where the search
-                begins, if any are known.
 
         """
         system = self._allowing(values, factor)
-        if begin is None:
-            begin = self._begun(system, values, factor)[0]
-        return self._fitted(begin, system, factor)
+        return self._fitted(self._begun(system, values, factor)[0], system, factor)
+
+    def begun(
+        self, values: Floats, factor: Floats, point: Floats
+    ) -> tuple[float, Callable[[], Fit]]:
+        """Return what chi-square would be if all were linear at a point, and the fit from there.
+
+        Args:
+            values: (p,) of the parameters.
+            factor: (p, k) of their covariance: factor times its transpose.
+            point: (k + u,) multiples of the factor's columns, and the unknowns.
+
+        """
+        system = self._allowing(values, factor)
+        columns, left = system(point)
+        return _linear(columns, left)[1], partial(self._fitted, point, system, factor)
 
     def fit_likely(self, values: Floats, factor: Floats, chance: float) -> Fit | None:
         """Return `fit`; None where already the dwells and turns have by far less than a chance.
@@ -335,10 +346,10 @@ class TriadSystem:
         if headed:
             reversed_ = point + np.pi * (np.arange(len(point)) == azimuth)
             columns = np.column_stack([columns, (system(reversed_)[1] - left) / 2])
-        step = linear_step(columns, left)
+        step, square = _linear(columns, left)
         if headed:
             point[azimuth] = np.arctan2(step[azimuth], 1 + step[-1])
-        return point, float(((left - columns @ step) ** 2).sum())
+        return point, square
 
     def _whitened(self, values: Floats, unknown: Floats) -> tuple[Floats, Floats]:
         """Return derivatives (m + q, p + u) and residuals in standard deviations, priors last."""
@@ -390,6 +401,12 @@ class TriadSystem:
             tuple(ratio(kind) for kind in range(len(self.inflation))),
             float(spare[self._kinds == 0].sum()),
         )
+
+
+def _linear(columns: Floats, left: Floats) -> tuple[Floats, float]:
+    """Return the step of least squares, and what of them is left after it if all is linear."""
+    step = linear_step(columns, left)
+    return step, float(((left - columns @ step) ** 2).sum())
 
 
 def _mounted(evidence: Evidence, small: Floats) -> Evidence:
