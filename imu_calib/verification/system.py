@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import cast
+from typing import Protocol, cast
 
 import numpy as np
 import scipy
@@ -33,9 +33,6 @@ from ..observation.session_model import Nuisance
 from ..rotations import rotations
 from ..stream import Floats
 from .observed import Observed
-
-_System = Callable[[Floats], tuple[Floats, Floats]]
-"""Derivatives and residuals at a point, both in standard deviations."""
 
 _ROUNDS = 30
 """Most steps of a fit. Near the minimum three do; what needs more fits nothing."""
@@ -80,6 +77,12 @@ class Fit:
         return (
             float(scipy.special.chdtrc(self.freedom, self.chi_square)) if self.freedom > 0 else 1.0
         )
+
+
+class _System(Protocol):
+    """Derivatives and residuals at a point, both in standard deviations (`_whitened`)."""
+
+    def __call__(self, point: Floats, /, *opposite: Floats) -> tuple[Floats, Floats]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,11 +320,12 @@ class TriadSystem:
         k = factor.shape[1]
         known: dict[bytes, tuple[Floats, Floats]] = {}
 
-        def system(point: Floats) -> tuple[Floats, Floats]:
+        def system(point: Floats, *opposite: Floats) -> tuple[Floats, Floats]:
             # Those of where a search begins and ends are asked for twice.
-            key = point.tobytes()
+            key = b''.join(one.tobytes() for one in (point, *opposite))
             if key not in known:
-                columns, left = self._whitened(values + factor @ point[:k], point[k:])
+                others = [one[k:] for one in opposite]
+                columns, left = self._whitened(values + factor @ point[:k], point[k:], *others)
                 by_parameters, besides = np.split(columns, [len(values)], axis=1)
                 columns = np.hstack([by_parameters @ factor, besides])
                 prior = np.eye(k, columns.shape[1])
@@ -340,19 +344,22 @@ class TriadSystem:
         point[k : k + len(self._known)] = self._known if self.seen is None else self.seen
         azimuth = k + Nuisance.AZIMUTH
         headed = self.up is None and bool(self._free[Nuisance.AZIMUTH])
+        opposite = []
         if headed:
             point[azimuth] = 0.0
-        columns, left = system(point)
-        if headed:
-            reversed_ = point + np.pi * (np.arange(len(point)) == azimuth)
-            columns = np.column_stack([columns, (system(reversed_)[1] - left) / 2])
-        step, square = _linear(columns, left)
+            opposite = [point + np.pi * (np.arange(len(point)) == azimuth)]
+        step, square = _linear(*system(point, *opposite))
         if headed:
             point[azimuth] = np.arctan2(step[azimuth], 1 + step[-1])
         return point, square
 
-    def _whitened(self, values: Floats, unknown: Floats) -> tuple[Floats, Floats]:
-        """Return derivatives (m + q, p + u) and residuals in standard deviations, priors last."""
+    def _whitened(
+        self, values: Floats, unknown: Floats, *opposite: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return derivatives (m + q, p + u) and residuals in standard deviations, priors last.
+
+        Where unknowns opposite to these are given, half the way from them is the last derivative.
+        """
         if self.up is not None:
             noise, site = self.spread(values), self.evidence.site
             jacobian, left, covariance = compare_lengths(
@@ -367,9 +374,13 @@ class TriadSystem:
             turned = (
                 equations.by_mount(state) if len(mount) else np.zeros((len(equations.layout), 0))
             )
-            left = equations.outputs - equations.predict(state)
-            rows = np.column_stack([equations.jacobian(state), turned, left])[self._mine]
-            below = np.insert(equations.prior_rows(state), [-1] * len(mount), 0.0, axis=1)
+            predicted = equations.predict(state)
+            left, derivatives = equations.outputs - predicted, equations.jacobian(state)
+            others = (np.append(values, other[: len(nuisances)]) for other in opposite)
+            halves = [(predicted - equations.predict(other)) / 2 for other in others]
+            rows = np.column_stack([derivatives, turned, *halves, left])[self._mine]
+            without = [-1] * (len(mount) + len(halves))
+            below = np.insert(equations.prior_rows(state), without, 0.0, axis=1)
             covariance = equations.covariance(state)[np.ix_(self._mine, self._mine)]
         factor = np.linalg.cholesky(covariance) * self._widened[:, None]
         rows = scipy.linalg.solve_triangular(factor, rows, lower=True, check_finite=False)
@@ -380,10 +391,12 @@ class TriadSystem:
         k, count = factor.shape[1], len(self._kinds)
         found = Information.of(columns)
         spare = 1 - np.einsum('ij,ji->i', columns[:count], found.gain[:, :count])
-        free = columns[:count, k:][:, self._free]
-        norms = np.linalg.norm(free, axis=0)
+        free = columns[:, k:][:, self._free]
+        norms = np.linalg.norm(free[:count], axis=0)
+        # Beside what is known beforehand, rounding shows nothing (a heading where all are turns).
+        seen = norms > np.finfo(float).eps * np.linalg.norm(free, axis=0)
         # NumPy 2.2 and older know no rank of no columns.
-        spanned = free[:, norms > 0] / norms[norms > 0]
+        spanned = free[:count, seen] / norms[seen]
         rank = int(np.linalg.matrix_rank(spanned)) if spanned.size else 0
         spread = np.diag(factor @ found.covariance[:k, :k] @ factor.T)
 
