@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -203,27 +204,34 @@ def _non_negative(
 ) -> tuple[Floats, Floats]:
     """Return the squared coefficients (4,) that fit best, none below zero, and their variances.
 
-    A handful of terms has few subsets: each is solved, and the best without a negative number is
-    taken. What is not in it is zero, and known as well as if it were added.
+    A handful of terms has few subsets: all are solved at once, and the best without a negative
+    number is taken. What is not in it is zero, and known as well as if it were added.
     """
     whiten = _whitening(covariance)
     design, observed = whiten @ units, whiten @ variance
     size = np.linalg.norm(design, axis=0)
     design = design / size
-    best: tuple[float, Floats, tuple[Term, ...]] = (float(observed @ observed), np.empty(0), ())
-    for count in range(1, len(terms) + 1):
-        for subset in itertools.combinations(terms, count):
-            solved, *_ = np.linalg.lstsq(design[:, subset], observed, rcond=None)
-            misfit = float(np.sum((observed - design[:, subset] @ solved) ** 2))
-            if solved.min() >= 0 and misfit < best[0]:
-                best = misfit, solved, subset
-    squares, variances = np.zeros(len(Term)), np.full(len(Term), np.inf)
-    squares[list(best[2])] = best[1] / size[list(best[2])]
-    for term in terms:
-        among = list(dict.fromkeys((term, *best[2])))
-        information = design[:, among].T @ design[:, among]
-        variances[term] = np.linalg.pinv(information)[0, 0] / size[term] ** 2
-    return squares, variances
+    subsets = _subsets(tuple(terms))
+    turned, triangle = np.linalg.qr(design)
+    rounding = max(design.shape) * np.finfo(float).eps
+    inverses = np.linalg.pinv(triangle * subsets[:, None, :], rcond=rounding)
+    solved = (inverses @ (turned.T @ observed)) * subsets
+    misfits = ((observed - solved @ design.T) ** 2).sum(axis=1)
+    best = int(np.argmin(np.where((solved >= 0).all(axis=1), misfits, np.inf)))
+    among = np.maximum(np.eye(len(Term))[terms], subsets[best])
+    information = design.T @ design * among[:, :, None] * among[:, None, :]
+    variances = np.full(len(Term), np.inf)
+    each = np.linalg.pinv(information)[np.arange(len(terms)), terms, terms]
+    variances[terms] = each / size[terms] ** 2
+    return solved[best] / size, variances
+
+
+@lru_cache(maxsize=8)
+def _subsets(terms: tuple[Term, ...]) -> Floats:
+    """Return which terms are in each subset, (n, 4) of zeros and ones, the smallest first."""
+    counts = range(len(terms) + 1)
+    subsets = [s for count in counts for s in itertools.combinations(terms, count)]
+    return np.array([[float(term in subset) for term in Term] for subset in subsets])
 
 
 def _whitening(covariance: Floats) -> Floats:

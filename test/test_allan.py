@@ -8,9 +8,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand
 
 from imu_calib.allan import (
+    Term,
     allan_sums,
     cluster_sizes,
     counter_share,
@@ -21,7 +23,7 @@ from imu_calib.allan import (
 )
 from imu_calib.channel_noise import ChannelNoise
 from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.noise import session_noise
+from imu_calib.noise import _non_negative, session_noise
 from imu_calib.observation.known_noise import known_noise
 from imu_calib.reports.noise import noise_lines
 from imu_calib.segmentation.segment import Statistics
@@ -204,6 +206,20 @@ def test_a_session_shows_the_noise_that_was_put_in_and_no_other() -> None:
     gyro, accel = noise_lines(result.calibration)
     assert 'deg/sqrt(h) (data sheet 0.05)' in gyro
     assert '(m/s)/sqrt(h) (data sheet 0.012)' in accel and accel.endswith('ug')
+
+
+def test_of_the_terms_those_fit_best_that_take_no_negative_number() -> None:
+    rng = np.random.default_rng(4)
+    units, terms = unit_variances(cluster_sizes(12), 0.1), list(Term)
+    covariance, kept = np.eye(len(units)), set()
+    for _ in range(50):
+        wanted = units @ (rng.standard_normal(len(terms)) / np.linalg.norm(units, axis=0))
+        found, _ = _non_negative(units, wanted, covariance, terms)
+        size = np.linalg.norm(units, axis=0)
+        expected = nnls(units / size, wanted)[0]
+        assert found * size == pytest.approx(expected, rel=1e-9, abs=1e-12)
+        kept.add(int((found > 0).sum()))
+    assert kept >= {1, 2, 3}
 
 
 def test_a_channel_that_shows_nothing_is_left_out() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from imu_calib.cli.main import main
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import NotObservable
 from imu_calib.metadata import describe
-from imu_calib.model import Triad
+from imu_calib.model import G_SENSITIVITY, Triad
 from imu_calib.observation.lengths import Sensors
 from imu_calib.plan import UNPLANNED, Plan, load_plan
 from imu_calib.rotations import rotation
@@ -31,7 +32,15 @@ from imu_calib.stream import Floats, ImuBlock, Units
 from imu_calib.table_errors import TableErrors
 from imu_calib.turntable import Table, load_table
 from imu_calib.units import ARCMIN, ARCSEC, DEG, DEG_H, PPM, STANDARD_GRAVITY
-from imu_calib.verification import Observed, Quantity, Verdict, Verification, observe, verify
+from imu_calib.verification import (
+    Observed,
+    Quantity,
+    Verdict,
+    Verification,
+    observe,
+    system,
+    verify,
+)
 from imu_calib.verification.diagnosis import diagnose
 from imu_calib.verification.hypotheses import mistakes
 from imu_calib.verification.judgement import _Trial
@@ -384,6 +393,49 @@ def test_lengths_alone_tell_biases_and_scales(name: str) -> None:
     verification = verify(spoil(), by_the_imu_alone())
     assert verification.verdict is Verdict.FAIL
     assert words in symptom(verification, gyros=gyros)
+
+
+@pytest.mark.parametrize('name', ['accelerometer biases negated', 'gyro biases negated'])
+def test_by_lengths_what_cannot_explain_a_session_is_not_fitted(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared, fitted = [], []
+    monkeypatch.setattr(system, 'compare_lengths', counting(system.compare_lengths, compared))
+    monkeypatch.setattr(system, 'least_squares', counting(system.least_squares, fitted))
+    spoil, gyros, words = DEFECTS[name]
+    assert words in symptom(verify(spoil(), by_the_imu_alone()), gyros=gyros)
+    sensors = Sensors.of(calibration().parameters, gyros=gyros)
+    values = calibration().model.values(sensors.parameters)
+    # What frees parameters is fitted, and the two triads, and few of the others.
+    assert len(fitted) < 20
+    assert len(compared) < 4 * len(list(mistakes(sensors, values)))
+
+
+def counting(function: Callable[..., Any], calls: list[None]) -> Callable[..., Any]:
+    def counted(*arguments: Any) -> Any:
+        calls.append(None)
+        return function(*arguments)
+
+    return counted
+
+
+def test_a_g_sensitivity_that_has_moved_is_said_in_words() -> None:
+    good = calibration()
+    parameters = G_SENSITIVITY.parameters
+    covariance = np.pad(good.covariance, (0, len(parameters)))
+    covariance[-len(parameters) :, -len(parameters) :] += 1e-24 * np.eye(len(parameters))
+    values = np.append(good.values, np.full(len(parameters), 2e-6))
+    model = good.model.with_values((*good.parameters, *parameters), values)
+    wrong = replace(
+        good, model=model, parameters=(*good.parameters, *parameters), covariance=covariance
+    )
+    assert 'the g-sensitivity is' in symptom(verify(wrong, without_moves()), gyros=True)
+
+
+def test_turns_alone_tell_no_heading_and_spend_nothing_on_it() -> None:
+    evidence = replace(without_moves().evidence, segments=())
+    (judged,) = verify(calibration(), replace(without_moves(), evidence=evidence)).triads
+    assert judged.freedom == 3 * len(evidence.turns)
 
 
 def test_a_recording_of_nothing_known_is_no_judge() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -45,8 +45,6 @@ have."""
 _WIDE_BIAS = {'g': 0.05, 'a': 0.5}
 _WIDE_G = 1e-3
 """s/m: g-sensitivity before anything is known of a unit."""
-_OF_TERMS = {term.kind for term in TERMS} - {ParameterKind.G_SENSITIVITY}
-"""Kinds of which nothing is known but their words."""
 _ALL_BUT_ZERO = 1e-9
 """By how much a factor that is one may differ from it: what rounding leaves is far below, any wrong
 unit far above."""
@@ -118,6 +116,14 @@ def refitted_parameters(system: TriadSystem) -> Fit:
     return replace(system, reading=1.0).fit(np.zeros(len(system.sensors.parameters)), _wide(system))
 
 
+def _refitted_from(nested: Fit, system: TriadSystem) -> tuple[float, Callable[[], Fit]]:
+    """Begin `refitted_parameters` at a fit of its first parameters, as `TriadSystem.begun` does."""
+    count, wide = len(system.sensors.parameters), _wide(system)
+    delta = np.pad(nested.delta, (0, count - len(nested.delta)))
+    begin = np.append(delta / np.diag(wide), nested.unknown)
+    return replace(system, reading=1.0).begun(np.zeros(count), wide, begin)
+
+
 def with_true_noise(system: TriadSystem) -> TriadSystem:
     """Widen the noise to what the session scatters by, whatever the parameters.
 
@@ -128,15 +134,17 @@ def with_true_noise(system: TriadSystem) -> TriadSystem:
         NotObservable: It scatters so much that no calibration can be judged by it.
 
     """
-    lengths_alone = system.up is not None
-    if lengths_alone or refitted_parameters(system).spare < _ENOUGH:
-        system = replace(system, bias_drift=system.spec.bias_instability)
-    if lengths_alone:
-        return system
-    for _ in range(2):
-        fit = _with_missing_terms(system)
-        if not _scatters(fit):
-            break
+    with_drift = replace(system, bias_drift=system.spec.bias_instability)
+    if system.up is not None:
+        return with_drift
+    without = refitted_parameters(system)
+    if without.spare < _ENOUGH:
+        system, without = with_drift, _refitted_from(without, with_drift)[1]()
+    fit = _with_missing_terms(system, without)
+    if _scatters(fit):
+        system = system.inflated(fit.ratios)
+        fit = _with_missing_terms(system, _refitted_from(without, system)[1]())
+    if _scatters(fit):
         system = system.inflated(fit.ratios)
     spread = system.spread(np.zeros(len(system.sensors.parameters)))
     noise = np.sqrt(np.median(np.diagonal(spread, axis1=1, axis2=2))) / system.reading
@@ -148,18 +156,19 @@ def with_true_noise(system: TriadSystem) -> TriadSystem:
     return replace(system, seen=fit.unknown)
 
 
-def _with_missing_terms(system: TriadSystem) -> Fit:
-    """Fit all parameters anew, with terms where they leave nothing but noise: they are no scatter.
+def _with_missing_terms(system: TriadSystem, without: Fit) -> Fit:
+    """Return a fit of all parameters, or one with terms where they leave nothing but noise.
 
-    The next term is the one that explains most, and counts where chi-square falls by what scatter
-    of the size that it leaves makes of nothing once in a hundred thousand sessions (F test).
+    Terms are no scatter. The next is the one that explains most, and counts where chi-square falls
+    by what scatter of the size that it leaves makes of nothing once in a hundred thousand sessions
+    (F test).
     """
-    without = fit = refitted_parameters(system)
+    fit = without
     while _scatters(fit):
-        tried = [(refitted_parameters(larger), larger) for _, larger in _with_another(system)]
-        if not tried:
+        begun = [(*_refitted_from(fit, larger), larger) for _, larger in _with_another(system)]
+        if not begun:
             return without
-        best, larger = min(tried, key=lambda one: one[0].chi_square)
+        best, larger = _best(begun, fit.chi_square)
         count = len(larger.sensors.parameters) - len(system.sensors.parameters)
         left = best.freedom - len(larger.sensors.parameters)
         # A few dwells fit many a term, whatever is wrong with them.
@@ -170,6 +179,30 @@ def _with_missing_terms(system: TriadSystem) -> Fit:
             return without
         fit, system = best, larger
     return fit
+
+
+def _best(
+    begun: list[tuple[float, Callable[[], Fit], TriadSystem]], before: float
+) -> tuple[Fit, TriadSystem]:
+    """Return the fit of least chi-square among those that promise one, and its system.
+
+    What promises less than half of what the best has brought is not fitted: twice is left for what
+    is not linear.
+
+    Args:
+        begun: What chi-square would be if all were linear, the fit, and its system.
+        before: Chi-square where they begin.
+
+    """
+    (_, fitted, best), *others = sorted(begun, key=lambda one: one[0])
+    found = fitted()
+    for square, fitted, system in others:
+        if 2 * (before - square) < before - found.chi_square:
+            break
+        fit = fitted()
+        if fit.chi_square < found.chi_square:
+            found, best = fit, system
+    return found, best
 
 
 def _scatters(fit: Fit) -> bool:
@@ -198,13 +231,15 @@ def diagnose(system: TriadSystem, values: Floats, factor: Floats) -> Diagnosis:
     return replace(first.diagnosis, symptom=text)
 
 
-def _fit(system: TriadSystem, values: Floats, factor: Floats) -> Fit | None:
+def _fit(
+    system: TriadSystem, values: Floats, factor: Floats, chance: float = _EXPLAINED
+) -> Fit | None:
     """Fit a hypothesis; None where nothing comes of it, or a model without an inverse.
 
     Six lengths hold nine parameters of a term by their prior alone: they go where they may.
     """
     try:
-        return system.fit_likely(values, factor, _EXPLAINED)
+        return system.fit_likely(values, factor, chance)
     except (np.linalg.LinAlgError, NotObservable):
         return None
 
@@ -286,7 +321,8 @@ def _without(
     """Let go of the parameters of some columns; those that the calibration lacks come last."""
     more = len(system.sensors.parameters) - len(values)
     freed = np.hstack([np.pad(factor, ((0, more), (0, 0))), _wide(system)[:, columns]])
-    if fit := _fit(system, np.pad(values, (0, more)), freed):
+    # Lengths are not linear in what may be anything: their minimum is always sought.
+    if fit := _fit(system, np.pad(values, (0, more)), freed, 0.0 if system.up else _EXPLAINED):
         far = _far(system.sensors.parameters, fit, columns)
         yield _Tried(Diagnosis(why, far), when, fit, len(columns))
 
@@ -354,6 +390,5 @@ def _width(parameter: Parameter) -> float:
 
 def _words(kind: ParameterKind) -> tuple[str, str]:
     """Say when parameters of a kind are let go of, and why."""
-    if kind in _OF_TERMS:
-        return f'the {kind.value.words} is another', 'It has moved, or is that of another unit.'
-    return _FREED[kind]
+    words = f'the {kind.value.words} is another', 'It has moved, or is that of another unit.'
+    return _FREED.get(kind, words)

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import cast
+from functools import cached_property, partial
+from typing import Protocol, cast
 
 import numpy as np
 import scipy
@@ -77,6 +77,12 @@ class Fit:
         return (
             float(scipy.special.chdtrc(self.freedom, self.chi_square)) if self.freedom > 0 else 1.0
         )
+
+
+class _System(Protocol):
+    """Derivatives and residuals at a point, both in standard deviations (`_whitened`)."""
+
+    def __call__(self, point: Floats, /, *opposite: Floats) -> tuple[Floats, Floats]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,25 +269,44 @@ class TriadSystem:
             factor: (p, k) of their covariance: factor times its transpose.
 
         """
-        return self._fitted(self._begun(values, factor)[0], values, factor)
+        system = self._allowing(values, factor)
+        return self._fitted(self._begun(system, values, factor)[0], system, factor)
+
+    def begun(
+        self, values: Floats, factor: Floats, point: Floats
+    ) -> tuple[float, Callable[[], Fit]]:
+        """Return what chi-square would be if all were linear at a point, and the fit from there.
+
+        Args:
+            values: (p,) of the parameters.
+            factor: (p, k) of their covariance: factor times its transpose.
+            point: (k + u,) multiples of the factor's columns, and the unknowns.
+
+        """
+        system = self._allowing(values, factor)
+        columns, left = system(point)
+        return _linear(columns, left)[1], partial(self._fitted, point, system, factor)
 
     def fit_likely(self, values: Floats, factor: Floats, chance: float) -> Fit | None:
         """Return `fit`; None where already the dwells and turns have by far less than a chance.
 
-        Twice the chi-square that counts is left for what is not linear. Moves are not led then.
+        Twice the chi-square that counts is left for what is not linear: the errors must be small.
+        Moves are not led then.
         """
-        point, square = self._begun(values, factor)
+        system = self._allowing(values, factor)
+        point, square = self._begun(system, values, factor)
         if scipy.special.chdtrc(len(self._without_moves._kinds), square / 2) < chance:
             return None
-        return self._fitted(point, values, factor)
+        return self._fitted(point, system, factor)
 
-    def _begun(self, values: Floats, factor: Floats) -> tuple[Floats, float]:
+    def _begun(self, system: _System, values: Floats, factor: Floats) -> tuple[Floats, float]:
         """Return where `fit` begins and what chi-square would be there, by dwells and turns."""
         resting = self._without_moves
-        return resting._start(resting._allowing(values, factor), factor.shape[1])
+        if resting is not self:
+            system = resting._allowing(values, factor)
+        return resting._start(system, factor.shape[1])
 
-    def _fitted(self, point: Floats, values: Floats, factor: Floats) -> Fit:
-        system = self._allowing(values, factor)
+    def _fitted(self, point: Floats, system: _System, factor: Floats) -> Fit:
         try:
             point, converged = least_squares(point, system, np.add, _ROUNDS), True
         except NotObservable:
@@ -290,24 +315,26 @@ class TriadSystem:
         found = self._concluded(*system(point), point, factor)
         return replace(found, converged=converged)
 
-    def _allowing(
-        self, values: Floats, factor: Floats
-    ) -> Callable[[Floats], tuple[Floats, Floats]]:
+    def _allowing(self, values: Floats, factor: Floats) -> _System:
         """Return the equations at a (k + u,) point: errors of the parameters, and the unknowns."""
         k = factor.shape[1]
+        known: dict[bytes, tuple[Floats, Floats]] = {}
 
-        def system(point: Floats) -> tuple[Floats, Floats]:
-            columns, left = self._whitened(values + factor @ point[:k], point[k:])
-            by_parameters, besides = np.split(columns, [len(values)], axis=1)
-            columns = np.hstack([by_parameters @ factor, besides])
-            prior = np.eye(k, columns.shape[1])
-            return np.vstack([columns, prior]), np.append(left, -point[:k])
+        def system(point: Floats, *opposite: Floats) -> tuple[Floats, Floats]:
+            # Those of where a search begins and ends are asked for twice.
+            key = b''.join(one.tobytes() for one in (point, *opposite))
+            if key not in known:
+                others = [one[k:] for one in opposite]
+                columns, left = self._whitened(values + factor @ point[:k], point[k:], *others)
+                by_parameters, besides = np.split(columns, [len(values)], axis=1)
+                columns = np.hstack([by_parameters @ factor, besides])
+                prior = np.eye(k, columns.shape[1])
+                known[key] = np.vstack([columns, prior]), np.append(left, -point[:k])
+            return known[key]
 
         return system
 
-    def _start(
-        self, system: Callable[[Floats], tuple[Floats, Floats]], k: int
-    ) -> tuple[Floats, float]:
+    def _start(self, system: _System, k: int) -> tuple[Floats, float]:
         """Return where to begin, and chi-square at the minimum if all were linear.
 
         Any heading begins where the level Earth rate fits best, whatever its size: all is linear in
@@ -315,22 +342,24 @@ class TriadSystem:
         """
         point = np.zeros(k + len(self._free))
         point[k : k + len(self._known)] = self._known if self.seen is None else self.seen
-        if self.up is not None:
-            return point, 0.0
-        azimuth, headed = k + Nuisance.AZIMUTH, bool(self._free[Nuisance.AZIMUTH])
+        azimuth = k + Nuisance.AZIMUTH
+        headed = self.up is None and bool(self._free[Nuisance.AZIMUTH])
+        opposite = []
         if headed:
             point[azimuth] = 0.0
-        columns, left = system(point)
-        if headed:
-            reversed_ = point + np.pi * (np.arange(len(point)) == azimuth)
-            columns = np.column_stack([columns, (system(reversed_)[1] - left) / 2])
-        step = linear_step(columns, left)
+            opposite = [point + np.pi * (np.arange(len(point)) == azimuth)]
+        step, square = _linear(*system(point, *opposite))
         if headed:
             point[azimuth] = np.arctan2(step[azimuth], 1 + step[-1])
-        return point, float(((left - columns @ step) ** 2).sum())
+        return point, square
 
-    def _whitened(self, values: Floats, unknown: Floats) -> tuple[Floats, Floats]:
-        """Return derivatives (m + q, p + u) and residuals in standard deviations, priors last."""
+    def _whitened(
+        self, values: Floats, unknown: Floats, *opposite: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return derivatives (m + q, p + u) and residuals in standard deviations, priors last.
+
+        Where unknowns opposite to these are given, half the way from them is the last derivative.
+        """
         if self.up is not None:
             noise, site = self.spread(values), self.evidence.site
             jacobian, left, covariance = compare_lengths(
@@ -345,9 +374,13 @@ class TriadSystem:
             turned = (
                 equations.by_mount(state) if len(mount) else np.zeros((len(equations.layout), 0))
             )
-            left = equations.outputs - equations.predict(state)
-            rows = np.column_stack([equations.jacobian(state), turned, left])[self._mine]
-            below = np.insert(equations.prior_rows(state), [-1] * len(mount), 0.0, axis=1)
+            predicted = equations.predict(state)
+            left, derivatives = equations.outputs - predicted, equations.jacobian(state)
+            others = (np.append(values, other[: len(nuisances)]) for other in opposite)
+            halves = [(predicted - equations.predict(other)) / 2 for other in others]
+            rows = np.column_stack([derivatives, turned, *halves, left])[self._mine]
+            without = [-1] * (len(mount) + len(halves))
+            below = np.insert(equations.prior_rows(state), without, 0.0, axis=1)
             covariance = equations.covariance(state)[np.ix_(self._mine, self._mine)]
         factor = np.linalg.cholesky(covariance) * self._widened[:, None]
         rows = scipy.linalg.solve_triangular(factor, rows, lower=True, check_finite=False)
@@ -358,10 +391,12 @@ class TriadSystem:
         k, count = factor.shape[1], len(self._kinds)
         found = Information.of(columns)
         spare = 1 - np.einsum('ij,ji->i', columns[:count], found.gain[:, :count])
-        free = columns[:count, k:][:, self._free]
-        norms = np.linalg.norm(free, axis=0)
+        free = columns[:, k:][:, self._free]
+        norms = np.linalg.norm(free[:count], axis=0)
+        # Beside what is known beforehand, rounding shows nothing (a heading where all are turns).
+        seen = norms > np.finfo(float).eps * np.linalg.norm(free, axis=0)
         # NumPy 2.2 and older know no rank of no columns.
-        spanned = free[:, norms > 0] / norms[norms > 0]
+        spanned = free[:count, seen] / norms[seen]
         rank = int(np.linalg.matrix_rank(spanned)) if spanned.size else 0
         spread = np.diag(factor @ found.covariance[:k, :k] @ factor.T)
 
@@ -379,6 +414,12 @@ class TriadSystem:
             tuple(ratio(kind) for kind in range(len(self.inflation))),
             float(spare[self._kinds == 0].sum()),
         )
+
+
+def _linear(columns: Floats, left: Floats) -> tuple[Floats, float]:
+    """Return the step of least squares, and what of them is left after it if all is linear."""
+    step = linear_step(columns, left)
+    return step, float(((left - columns @ step) ** 2).sum())
 
 
 def _mounted(evidence: Evidence, small: Floats) -> Evidence:
