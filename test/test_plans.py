@@ -8,17 +8,20 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from sessions import SITE, fed, quick_plan, stand
+from sessions import SITE, at_one_rate, fed, gathered, paper_imu, quick_plan, stand, truth
+from sessions import session as session_of
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Result, Setup
 from imu_calib.cli.main import main
+from imu_calib.errors import NotObservable
+from imu_calib.estimation.estimate import Estimate, estimate
 from imu_calib.estimation.fit import check_observable
 from imu_calib.imu import load_imu
 from imu_calib.model import PARAMETERS, TERMS, ParameterKind, SensorModel, Term, parameters_of, term
 from imu_calib.observation.equations import Equations
 from imu_calib.plan import Position, load_plan
-from imu_calib.prediction import expected, forecast, forecast_terms
+from imu_calib.prediction import each_term, expected, forecast, forecast_changes, forecast_terms
 from imu_calib.prediction.forecast import information
 from imu_calib.share import named_file
 from imu_calib.simulation import simulate
@@ -283,6 +286,48 @@ def test_what_a_plan_tells_of_each_term_is_what_it_tells_when_asked() -> None:
     assert 'gyro_g2' not in {one.term.name for one in rest}
 
 
+def test_what_a_plan_tells_of_a_trend_is_what_its_session_states() -> None:
+    plan, unit = at_one_rate(quick_plan('twelve_position', 30.0)), truth().model
+    setup = Setup(paper_imu(), plan, THREE, SITE)
+    evidence = gathered(fed(session_of(plan, stand(azimuth=0.3)), setup))
+    bare, alone = forecast(setup, unit), estimate(evidence)
+    found = forecast_changes(bare, setup, unit)
+    names = [f'{one.changes[0].course.value}:{one.changes[0].name}' for one in found]
+    kinds = ('D_gx', 'D_ax', 'K_g', 'K_a')
+    assert names == [f'{course}:{kind}' for course in ('trend', 'warm_up') for kind in kinds]
+
+    def std(of: Estimate) -> Floats:
+        return np.sqrt(np.diag(of.covariance))
+
+    for one in found[:4]:
+        stated = estimate(evidence, changes=one.changes)
+        own = [PARAMETERS.index(c.parameters[0]) for c in one.changes]
+        # Beside its parameter's own: what the session shows of the noise, to 13 %, is in both.
+        found_std = std(stated)[stated.equations.changing] / std(alone)[own]
+        assert one.std / bare.std[own] == pytest.approx(found_std, rel=0.1)
+        dearer = np.array([dict(one.worsened).get(p, 1.0) for p in PARAMETERS])
+        times = std(stated)[:24] / std(alone)[:24]
+        # What is dearer by less than a tenth is not named.
+        assert dearer == pytest.approx(np.where(dearer > 1, times, 1.0), rel=0.1)
+        assert (times[dearer == 1] < 1.2).all()
+        assert (dearer > 1).any() or not one.changes[0].of_scale_factor
+
+
+def test_a_trend_that_a_plan_does_not_tell_has_no_deviation(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refused(*_: object) -> None:
+        raise NotObservable('no')
+
+    monkeypatch.setattr(each_term, 'with_changes', refused)
+    words = ['plans', 'twelve_position', '--imu', 'fog_medium', '--gravity', '9.8']
+    assert main(words) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    (row,) = (line for line in lines if line and line[0] == 'trend:D_g')
+    assert row[1] == '-'
+    assert 'requires the same dwells and turns early and late' in ' '.join(row)
+
+
 def test_the_command_says_what_a_plan_tells_of_each_term(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -295,5 +340,8 @@ def test_the_command_says_what_a_plan_tells_of_each_term(
     assert ' '.join(rows['accel_cubic'][2:]).startswith(
         'requires static dwells with each axis some 45 degrees'
     )
+    changing = {row[0]: row[1:] for row in lines if row and ':' in row[0]}
+    assert changing['trend:D_g'][1:4] == ['deg/h', 'per', 'h']
+    assert changing['warm_up:K_a'][1] == 'ppm'
     assert rows['accel_quadratic'][1] == 'ug/g^2'
     assert rows['accel_quadratic'][2:4] == ['D_a', '1.3']

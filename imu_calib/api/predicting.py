@@ -19,7 +19,17 @@ from ..methods import check_plan, closed_form_beside
 from ..model import Parameter, SensorModel
 from ..paths import write_whole
 from ..plan import Plan
-from ..prediction import Forecast, Reached, TermForecast, duration, forecast, forecast_terms, listed
+from ..prediction import (
+    ChangeForecast,
+    Forecast,
+    Reached,
+    TermForecast,
+    duration,
+    forecast,
+    forecast_changes,
+    forecast_terms,
+    listed,
+)
 from ..prediction import reach as shortest_dwells
 from ..prediction.optimise import Optimum
 from ..prediction.optimise import optimise as best_plan
@@ -51,6 +61,8 @@ class Prediction:
         forecast: Of the method: standard deviations, and the least that the session allows.
         closed_form: Of the plan's closed form beside a joint estimate; None where there is none.
         terms: What the session would tell of each term of the sensors, added alone.
+        changes: What it would tell of biases and scale factors that trend or warm up, each kind
+            alone.
 
     """
 
@@ -58,6 +70,7 @@ class Prediction:
     forecast: Forecast
     closed_form: Forecast | None
     terms: tuple[TermForecast, ...]
+    changes: tuple[ChangeForecast, ...]
 
     @property
     def std(self) -> dict[str, float]:
@@ -302,8 +315,8 @@ def setup_of(stated: Stated) -> Setup:
     terms = stated.sensor_terms
     if stated.changes:
         raise InputError(
-            f'`terms`: found {stated.terms!r}, expected terms of the sensors alone: a plan does '
-            'not say how a session drifts; its calibration estimates that.'
+            f'`terms`: found {stated.terms!r}, expected terms of the sensors alone: what '
+            'the plan tells of drifts is predicted beside them.'
         )
     setup = Setup(imu, plan, None if plan.by_hand else table, site, stated.method, terms=terms)
     check_plan(setup.method_name, plan, site)
@@ -319,7 +332,8 @@ def predicted(setup: Setup, truth: SensorModel, *, drifting: bool) -> Prediction
     if beside is not None:
         own = forecast(replace(setup, method=beside, terms=()), truth, drifting=drifting)
     of_terms = tuple(forecast_terms(found, setup, truth, drifting=drifting))
-    return Prediction(setup, found, own, of_terms)
+    changes = forecast_changes(found, setup, truth, drifting=drifting)
+    return Prediction(setup, found, own, of_terms, changes)
 
 
 @by_one_thread

@@ -16,7 +16,7 @@ from ..errors import InputError, NotObservable
 from ..methods import METHODS, free_positions
 from ..model import Parameter, SensorModel, parameters_of, terms_of
 from ..plan import Plan, Position, Step, load_plan
-from ..prediction import Forecast, TermForecast, duration
+from ..prediction import ChangeForecast, Forecast, TermForecast, duration
 from ..reports.parameter_table import decimals, engineering
 from ..share import share_folder
 from ..stream import Mode
@@ -188,7 +188,7 @@ def _predict(arguments: argparse.Namespace) -> None:
             'Biases are constant here; with --bias-instability they drift by the data sheet'
             f'{"." if plan.by_hand else ", as the joint estimate allows for."}'
         )
-    _show_terms(prediction.terms)
+    _show_terms(prediction.terms, prediction.changes)
     if held is not None:
         _show_time(plan, held)
     if found.refusal:
@@ -262,8 +262,11 @@ def _show_forecast(
         )
 
 
-def _show_terms(found: Sequence[TermForecast]) -> None:
-    if not found:
+_TURNS_AND_DWELLS = 'the same dwells and turns early and late'
+
+
+def _show_terms(found: Sequence[TermForecast], changes: Sequence[ChangeForecast]) -> None:
+    if not found and not changes:
         return
     rows = Rows(box=None, pad_edge=False, header_style='bold')
     for heading in ('term', 'std', 'unit', 'effect on the others, or what it requires'):
@@ -273,10 +276,23 @@ def _show_terms(found: Sequence[TermForecast]) -> None:
         worst = float(one.std.max()) / shown.scale if one.determined else np.nan
         words = _costs(one.worsened) if one.determined else f'requires {one.term.needs}'
         rows.add_row(one.term.name, _cell(worst), shown.unit, words)
+    for each in changes:
+        first = each.changes[0]
+        per, scale = first.course.shown_per
+        shown = engineering(first.parameters[0])
+        worst = float(each.std.max()) / (shown.scale * scale)
+        words = _costs(each.worsened) if each.determined else f'requires {_TURNS_AND_DWELLS}'
+        kind = f'{first.parameters[0].kind.value.symbol}_{first.parameters[0].triad}'
+        rows.add_row(f'{first.course.value}:{kind}', _cell(worst), f'{shown.unit}{per}', words)
     OUTPUT.print(
         '\nPredicted standard deviation of each term when it is added alone (worst channel).'
     )
     OUTPUT.print(rows)
+    if changes:
+        OUTPUT.print(
+            'warm_up fades within a quarter of the session here. thermal requires a temperature '
+            'that is recorded and moves.'
+        )
     OUTPUT.print()
 
 

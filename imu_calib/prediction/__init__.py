@@ -1,12 +1,13 @@
 """What a plan will give, before it is run: its evidence, its accuracy, its time."""
 
-from .each_term import TermForecast, forecast_terms
+from .each_term import ChangeForecast, TermForecast, forecast_changes, forecast_terms
 from .expected import expected
 from .forecast import Forecast, check_session, forecast, listed
 from .reach import Reached, reach
 from .schedule import duration, schedule
 
 __all__ = [
+    'ChangeForecast',
     'Forecast',
     'Reached',
     'TermForecast',
@@ -14,6 +15,7 @@ __all__ = [
     'duration',
     'expected',
     'forecast',
+    'forecast_changes',
     'forecast_terms',
     'listed',
     'reach',

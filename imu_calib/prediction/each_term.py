@@ -7,11 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..calibrator import Setup
+from ..errors import NotObservable
+from ..estimation.changing import with_changes
 from ..methods import JOINT
-from ..model import TERMS, Parameter, SensorModel, Term, terms_of
+from ..model import AXES, TERMS, Parameter, SensorModel, Term, terms_of
 from ..model.motion import has_motion_terms
+from ..model.session_terms import LOOKED_FOR, Change, session_term
+from ..observation.equations import Equations
 from ..stream import Floats
-from .forecast import Forecast, listed, with_parameters
+from .expected import bias_drift_covariance
+from .forecast import Forecast, information_of, listed, with_parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +40,31 @@ class TermForecast:
         """Whether the session determines all of it, and what it determines without it."""
         return bool(np.isfinite([*self.std, *(times for _, times in self.worsened)]).all())
 
+
+@dataclass(frozen=True, eq=False)
+class ChangeForecast:
+    """What a session would tell of what changes while it lasts.
+
+    Attributes:
+        changes: The k coefficients added, of one course and one kind of parameter.
+        std: (k,) of them, SI units; NaN where the session does not determine them. A warm-up fades
+            within a quarter of the session, and its time constant counts as known.
+        worsened: As in `TermForecast`.
+
+    """
+
+    changes: tuple[Change, ...]
+    std: Floats
+    worsened: tuple[tuple[Parameter, float], ...]
+
+    @property
+    def determined(self) -> bool:
+        """Whether the session determines all of it."""
+        return bool(np.isfinite(self.std).all())
+
+
+_KINDS = ('D_g', 'D_a', 'K_g', 'K_a')
+"""What may change, as `--terms trend:D_g` names it."""
 
 _DEARER = 1.1
 """Below, no other plan would be chosen for it."""
@@ -77,3 +107,49 @@ def _of_term(
     times = [(p, std[p] / s) for p, s in before.items() if s > 0]
     dearer = tuple((p, t) for p, t in times if not t <= _DEARER)
     return TermForecast(term, np.array([std[p] for p in term.parameters]), dearer)
+
+
+def forecast_changes(
+    found: Forecast, setup: Setup, truth: SensorModel, *, drifting: bool = False
+) -> tuple[ChangeForecast, ...]:
+    """Return what a session would tell of biases and scale factors that trend or warm up.
+
+    Args:
+        found: As in `forecast_terms`.
+        setup: Likewise.
+        truth: Likewise.
+        drifting: Likewise.
+
+    """
+    if found.method not in JOINT or found.refusal:
+        return ()
+    modelled = tuple(p for p in found.parameters if p.row < len(AXES))
+    extra = bias_drift_covariance(found.evidence, setup.imu) if drifting else None
+    plain = Equations(found.evidence, modelled)
+    before = _std(plain, truth, extra)
+    return tuple(
+        _of_changes(session_term(f'{course.value}:{kind}'), plain, before, truth, extra)
+        for course in LOOKED_FOR
+        for kind in _KINDS
+    )
+
+
+def _of_changes(
+    changes: tuple[Change, ...],
+    plain: Equations,
+    before: Floats,
+    truth: SensorModel,
+    extra: Floats | None,
+) -> ChangeForecast:
+    try:
+        equations, _ = with_changes(plain, changes)
+    except NotObservable:
+        return ChangeForecast(changes, np.full(len(changes), np.nan), ())
+    std = _std(equations, truth, extra)
+    times = std[: plain.sensors] / before[: plain.sensors]
+    dearer = ((p, float(t)) for p, t in zip(plain.parameters, times, strict=True) if t > _DEARER)
+    return ChangeForecast(changes, std[equations.changing], tuple(dearer))
+
+
+def _std(equations: Equations, truth: SensorModel, extra: Floats | None) -> Floats:
+    return np.asarray(np.sqrt(np.diag(information_of(equations, truth, extra).covariance)))

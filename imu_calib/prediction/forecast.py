@@ -205,7 +205,19 @@ def information(
 
     Source: docs/mathematics.md, 'Joint estimate'.
     """
-    equations = (FreeEquations if evidence.free else Equations)(evidence, parameters)
+    kind = FreeEquations if evidence.free else Equations
+    return information_of(kind(evidence, parameters), truth, extra)
+
+
+def information_of(equations: Equations, truth: SensorModel, extra: Floats | None) -> Information:
+    """Return the Fisher information of equations at the truth.
+
+    Args:
+        equations: Without bias drift.
+        truth: What the sensors are thought to be.
+        extra: Covariance of their outputs by bias drift, or None.
+
+    """
     if extra is not None:
         modelled = np.arange(len(equations.outputs))
         part = Dense(modelled, extra[np.ix_(modelled, modelled)])
