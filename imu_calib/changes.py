@@ -16,6 +16,7 @@ from .errors import InputError
 from .model import Parameter
 from .model.session_terms import Change, Course, change, names_of
 from .stream import Floats
+from .units import significant
 
 KEY = 'session_terms'
 """Its section in calibration.yaml."""
@@ -131,4 +132,5 @@ def sentence(changes: Changes) -> str:
     far = np.abs(changes.values) / changes.std
     worst = int(np.argmax(far))
     _, name, value, std, unit = changes.shown()[worst]
-    return f'{names}: {name} {value:.3g} +- {std:.2g} {unit} is the most, {far[worst]:.1f} sigma'
+    found = f'{name} {significant(value, 3)} +- {significant(std)} {unit}'
+    return f'{names}: {found} is the most, {far[worst]:.1f} sigma'

@@ -128,6 +128,21 @@ def counted(number: int, noun: str, plural: str = '') -> str:
     return f'{number} {noun if number == 1 else plural or f"{noun}s"}'
 
 
+def significant(value: float, digits: int = 2) -> str:
+    """Return a number with so many digits that count, and no exponent.
+
+    Examples:
+        >>> significant(123.4), significant(0.0123), significant(2.0), significant(3400.0, 3)
+        ('120', '0.012', '2', '3400')
+
+    """
+    if not value or not math.isfinite(value):
+        return f'{value:g}'
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    text = f'{round(value, places):.{max(0, places)}f}'
+    return text.rstrip('0').rstrip('.') if '.' in text else text
+
+
 def parse(text: object, dimension: Dimension, key: str) -> float:
     """Turn a quantity written with its unit into SI.
 

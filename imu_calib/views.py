@@ -12,6 +12,7 @@ from .errors import InputError
 from .extras import require
 from .model import Parameter
 from .stream import Floats, Stamps
+from .units import significant
 
 if TYPE_CHECKING:
     import pandas
@@ -182,7 +183,7 @@ def draw_noise(calibration: Calibration) -> Picture:
             noise = seen[channel]
             walk, words = noise.random_walk.value, channel
             if walk is not None:
-                words = f'{channel}: {walk / triad.walk_scale:.2g} {triad.walk}'
+                words = f'{channel}: {significant(walk / triad.walk_scale)} {triad.walk}'
             shown = noise.deviation / triad.rate_scale
             (line,) = axes.loglog(noise.tau, shown, 'o', markersize=4, label=words)
             if walk is not None:

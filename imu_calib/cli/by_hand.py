@@ -14,7 +14,7 @@ from rich.table import Table as Rows
 from rich.text import Text
 
 from ..errors import InputError
-from ..units import ARCMIN, PPM
+from ..units import ARCMIN, PPM, significant
 from .processes import Outcome, Processes
 from .terminal import ERRORS, OUTPUT
 from .words import Words
@@ -94,7 +94,9 @@ def reached(progress: Any) -> str:
     ):
         mine = std[kinds == letter]
         known = len(mine) > 0 and np.isfinite(mine).all()
-        words.append(f'{what} to {mine.max() / scale:.3g} {unit}' if known else f'{what} open')
+        words.append(
+            f'{what} to {significant(mine.max() / scale, 3)} {unit}' if known else f'{what} open'
+        )
     return ', '.join(words)
 
 

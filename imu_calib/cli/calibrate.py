@@ -19,7 +19,7 @@ from ..reports.assessment import summary
 from ..reports.budget import budget_tables
 from ..reports.noise import noise_lines
 from ..reports.parameter_table import change_note, change_table, parameter_tables
-from ..units import DEG, DEG_H, MICRO_G, PPM
+from ..units import DEG, DEG_H, MICRO_G, PPM, significant
 from . import options
 from .calibrate_units import FOLDER, of_several, run_several
 from .outcome import EXIT_CODES, Outcome, add_json_option, judged_outcome
@@ -115,8 +115,8 @@ def show(result: Result, truth: Calibration | None = None) -> None:
     if solution.bias_drift is not None and solution.bias_drift.any():
         OUTPUT.print(
             f'the standard deviations allow for bias drift of '
-            f'{solution.bias_drift[0] / DEG_H:.2g} deg/h and '
-            f'{solution.bias_drift[3] / MICRO_G:.2g} ug '
+            f'{significant(solution.bias_drift[0] / DEG_H)} deg/h and '
+            f'{significant(solution.bias_drift[3] / MICRO_G)} ug '
             'over 1000 s or so (data sheet, and what the session shows)'
         )
     OUTPUT.print(

@@ -22,6 +22,7 @@ from ..paths import user_path
 from ..plan import load_plan
 from ..reports.parameter_table import engineering
 from ..share import named_file
+from ..units import significant
 from .options import refuse_beside_imus
 from .terminal import OUTPUT, sentence_list
 
@@ -211,7 +212,7 @@ def _least(found: Calibration) -> str:
         return ''
     std, parameter = max(biases, key=lambda pair: pair[0])
     shown = engineering(parameter)
-    return f'{parameter.name} \u00b1{std / shown.scale:.3g} {shown.unit}'
+    return f'{parameter.name} \u00b1{significant(std / shown.scale, 3)} {shown.unit}'
 
 
 def _largest_error(found: Calibration, true: Calibration) -> float:

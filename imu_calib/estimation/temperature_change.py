@@ -8,7 +8,7 @@ import scipy
 from ..model import TRIADS, ParameterKind
 from ..model.session_terms import Course, change
 from ..observation.modulation import temperatures, warms
-from ..units import PPM
+from ..units import PPM, significant
 from .estimate import Estimate
 
 _CHEAPEST = 200 * PPM
@@ -31,10 +31,11 @@ def temperature_finding(found: Estimate) -> list[str]:
     for letter, words in TRIADS.items():
         stated = float(evidence.thermal['ga'.index(letter), 0])
         if stated:
-            known.append(f'{stated / PPM:.3g} ppm/K of the {words}s')
+            known.append(f'{significant(stated / PPM, 3)} ppm/K of the {words}s')
         elif (moved := _moved(found, letter))[1] * _CHEAPEST > 1:
             unknown.append(
-                f'of {words}s that follow it by {1 / moved[1] / PPM:.2g} ppm/K ({moved[0]})'
+                f'of {words}s that follow it by {significant(1 / moved[1] / PPM)} ppm/K '
+                f'({moved[0]})'
             )
     if not known and not unknown:
         return []

@@ -12,7 +12,7 @@ from ..model import Parameter, Term, terms_of
 from ..model.session_terms import Change, Course, largest, names_of
 from ..stream import Floats
 from ..turntable import Table
-from ..units import ARCSEC
+from ..units import ARCSEC, significant
 from .search import Found, Search
 
 _AMOUNT = 10.0
@@ -231,9 +231,9 @@ def _found(found: Found, table: Table | None) -> str:
     family = found.family
     chance = f'by chance once in 10^{max(3, round(-found.log_p / _LN10))} sessions'
     if family.of_table:
-        size = f'{found.size / ARCSEC:.3g} arcsec'
+        size = f'{significant(found.size / ARCSEC, 3)} arcsec'
         if table is not None and (known := getattr(table.errors, family.name)):
-            stated = f'{known / ARCSEC:.2g} arcsec'
+            stated = f'{significant(known / ARCSEC)} arcsec'
             whose = (
                 f'{stated} are assumed of the table'
                 if family.name in table.assumed
@@ -241,8 +241,8 @@ def _found(found: Found, table: Table | None) -> str:
             )
             return (
                 f'The session shows {_TABLE_WORDS[family.name]} ({family.name}, {chance}), by '
-                f'{found.seen / ARCSEC:.3g} arcsec where {whose}: the standard deviations allow '
-                f'for {size} each.'
+                f'{significant(found.seen / ARCSEC, 3)} arcsec where {whose}: the standard '
+                f'deviations allow for {size} each.'
             )
         return (
             f'The session shows {_TABLE_WORDS[family.name]} ({chance}): the standard deviations '
@@ -267,8 +267,9 @@ def _found(found: Found, table: Table | None) -> str:
         unit = found.doubts[0][0].unit
         text = (
             f'The session shows {words} ({family.name}, {chance}) and does not determine it: the '
-            f'standard deviations allow for coefficients of {found.doubts[0][1] / unit.scale:.2g} '
-            f'{unit.shown}. To determine it takes {family.term.needs}.'
+            'standard deviations allow for coefficients of '
+            f'{significant(found.doubts[0][1] / unit.scale)} {unit.shown}. '
+            f'To determine it takes {family.term.needs}.'
         )
     else:
         text = f'The session shows {words} ({family.name}, {chance}): it is estimated.'
@@ -331,7 +332,7 @@ def _hidden(one: TermTest) -> str:
     names = list(dict.fromkeys(moved[0].name for *_, moved in seen))
     changes, smallest, _ = zip(*seen, strict=True)
     by = [
-        f'{moved.name} by {abs(slope) * least / moved.unit.scale:.2g} {moved.unit.shown}'
+        f'{moved.name} by {significant(abs(slope) * least / moved.unit.scale)} {moved.unit.shown}'
         for _, least, (moved, slope) in seen
     ]
     may = f'{largest(changes, smallest)} below detection; would bias {" and ".join(by)}'
@@ -349,7 +350,7 @@ def _power(one: TermTest) -> str:
         return f'{one.name} {largest(one.changes, one.smallest)}'
     unit = one.parameters[0].unit
     largest_seen = max(v for v in one.smallest if np.isfinite(v))
-    return f'{one.name} {largest_seen / unit.scale:.2g} {unit.shown}'
+    return f'{one.name} {significant(largest_seen / unit.scale)} {unit.shown}'
 
 
 def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) -> str:
@@ -362,6 +363,6 @@ def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) 
     verb = 'holds' if len(held) == 1 else 'hold'
     return (
         f'{names} {verb} for {one.name} = 0, which this session does not show: {_AMOUNT:g} '
-        f'{unit.shown} would move {moved.name} by {by:.2g} {moved.unit.shown}; to determine it '
-        f'takes {terms_of(one.parameters)[0].needs}'
+        f'{unit.shown} would move {moved.name} by {significant(by)} {moved.unit.shown}; to '
+        f'determine it takes {terms_of(one.parameters)[0].needs}'
     )

@@ -29,7 +29,7 @@ from ..observation.evidence import Evidence
 from ..observation.modulation import spans
 from ..observation.session_model import Nuisance
 from ..stream import Floats
-from ..units import ARCSEC, DEG, DEG_H, MICRO_G
+from ..units import ARCSEC, DEG, DEG_H, MICRO_G, significant
 from .checks import (
     WrongLatitude,
     check_axes,
@@ -297,7 +297,7 @@ def _findings(found: Estimate, untold: Sequence[str]) -> list[str]:
         tilt, level = float(np.linalg.norm(tilts)), found.equations.evidence.levelling
         notes.append(
             f'The table is tilted by {tilt / ARCSEC:.0f} arcsec, more than the '
-            f'{level / ARCSEC:.3g} arcsec to which it was taken to be level.'
+            f'{significant(level / ARCSEC, 3)} arcsec to which it was taken to be level.'
         )
     notes += [_constant(found)] if found.constant else []
     return [*notes, *temperature_finding(found), *_scattering(found, untold)]
@@ -318,7 +318,7 @@ def _leaning(found: Estimate, outlier: Outlier) -> str:
     along = float(off @ force) / float(np.linalg.norm(force))
     lean = float(np.linalg.norm(np.cross(off, force))) / float(np.linalg.norm(force))
     return (
-        f', as an attitude error of the table of {lean / ARCSEC:.2g} arcsec makes it'
+        f', as an attitude error of the table of {significant(lean / ARCSEC)} arcsec makes it'
         if abs(along) < lean / 3
         else ''
     )
@@ -341,10 +341,12 @@ def _astray(found: Estimate) -> list[str]:
     pushed = [move for move in found.rejected_moves if move.velocity]
     led = found.equations.evidence.links
     if turned:
-        angle = max(move.misclosure for move in turned) / ARCSEC
+        off = max(move.misclosure for move in turned)
+        unit, words = (DEG, 'deg') if off >= DEG else (ARCSEC, 'arcsec')
+        angle = f'{significant(off / unit, 3)} {words}'
         notes.append(
             f'By the gyros {len(turned)} of {len(turned) + len(led)} moves end elsewhere than by '
-            f'the encoders ({_ways(turned)}; {angle:.3g} arcsec at most): they are left out. '
+            f'the encoders ({_ways(turned)}; {angle} at most): they are left out. '
             'Possible causes: rates beyond the range of the gyros, nonlinear gyros, samples that '
             'freeze on the way, and a table whose axes are not where its description says.'
         )
@@ -376,7 +378,8 @@ def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
     """
     evidence, scatter = found.equations.evidence, found.scatter
     notes = []
-    stated = f'{evidence.positioning / ARCSEC:.3g} arcsec' if evidence.positioning else 'none'
+    small = evidence.positioning / ARCSEC
+    stated = f'{significant(small, 3)} arcsec' if small else 'none'
     known = f"the table's description states {stated}"
     if evidence.table is not None and 'positioning' in evidence.table.assumed:
         known = f'{stated} are assumed of the table'
@@ -392,15 +395,15 @@ def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
         )
     elif joints > _TELLING * evidence.positioning:
         notes.append(
-            f'Positioning errors of {joints / ARCSEC:.2g} arcsec, which encoders do not show, '
-            f'explain the scatter of the residuals ({known}): the standard deviations allow for '
-            f'them.{_in_steps(joints, evidence)}'
+            f'Positioning errors of {significant(joints / ARCSEC)} arcsec, which encoders do not '
+            f'show, explain the scatter of the residuals ({known}): the standard deviations allow '
+            f'for them.{_in_steps(joints, evidence)}'
         )
     if stops > _TELLING * max(joints, evidence.positioning) and not evidence.plan.by_hand:
         notes.append(
-            f'Attitude errors of the whole table, {stops / ARCSEC:.2g} arcsec about each axis and '
-            'others at each stop, explain the scatter of the residuals: the standard deviations '
-            'allow for it.'
+            f'Attitude errors of the whole table, {significant(stops / ARCSEC)} arcsec about each '
+            'axis and others at each stop, explain the scatter of the residuals: the standard '
+            'deviations allow for it.'
         )
     if notes and untold:
         notes[-1] += (
@@ -414,19 +417,20 @@ def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
     ):
         drift, stated_of = scatter.bias_drift[first], evidence.instability[first]
         if drift > (1 + _TELLING) * stated_of:
-            stated = f'{stated_of / unit:.3g} {symbol}' if stated_of else 'none'
+            stated = f'{significant(stated_of / unit, 3)} {symbol}' if stated_of else 'none'
             if scatter.fast_drift[first // 3]:
                 notes.append(
-                    f'The {name} scatter from dwell to dwell by {drift / unit:.2g} {symbol}, more '
-                    'than their noise, and faster than biases drift (the description of the IMU '
-                    f'states {stated} for those): the standard deviations allow for it. Possible '
-                    'causes: a floor that shakes, and errors that depend on the attitude and are '
-                    f'too small to be identified ({_OF_ATTITUDE[name]}). A second session shows '
-                    'which: the same residuals at the same positions mean the attitude.'
+                    f'The {name} scatter from dwell to dwell by '
+                    f'{significant(drift / unit)} {symbol}, more than their noise, and faster than '
+                    f'biases drift (the description of the IMU states {stated} for those): the '
+                    'standard deviations allow for it. Possible causes: a floor that shakes, and '
+                    'errors that depend on the attitude and are too small to be identified '
+                    f'({_OF_ATTITUDE[name]}). A second session shows which: the same residuals at '
+                    'the same positions mean the attitude.'
                 )
                 continue
             notes.append(
-                f'The biases of the {name} drift by {drift / unit:.2g} {symbol} (the '
+                f'The biases of the {name} drift by {significant(drift / unit)} {symbol} (the '
                 f'description of the IMU states {stated}): the standard deviations allow for it.'
             )
     return notes

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from ..errors import InputError
+from ..units import significant
 from .kinds import ParameterKind, Unit
 from .parameters import PARAMETERS, Parameter
 
@@ -188,7 +189,9 @@ def largest(changes: Sequence[Change], values: Sequence[float | None]) -> str:
             continue
         words, scale = one.course.shown_per
         found[kind] = abs(value)
-        shown[kind] = f'{kind} {abs(value) / (one.unit.scale * scale):.2g} {one.unit.shown}{words}'
+        shown[kind] = (
+            f'{kind} {significant(abs(value) / (one.unit.scale * scale))} {one.unit.shown}{words}'
+        )
     return ', '.join(shown.values())
 
 

@@ -11,6 +11,7 @@ from ..cdr import Kind
 from ..middleware import messages
 from ..model import Parameter
 from ..reports.parameter_table import engineering
+from ..units import significant
 from .diagnostics import Diagnostics, Level, PartOfDiagnostics
 from .live import LiveSession, SessionPhase
 
@@ -217,4 +218,4 @@ def _deviation(parameter: Parameter, value: float) -> str:
     if math.isnan(value):
         return 'not determined'
     shown = engineering(parameter)
-    return f'{value / shown.scale:.3g} {shown.unit}'.strip()
+    return f'{significant(value / shown.scale, 3)} {shown.unit}'.strip()

@@ -8,6 +8,7 @@ from html import escape
 from ..calibration import Calibration
 from ..model import TERMS, Parameter, by_name
 from ..model.session_terms import SESSION_TERMS, Change, Course, largest, session_term
+from ..units import significant
 from .html import paragraph, table
 
 _NOTE = (
@@ -61,7 +62,7 @@ def _smallest(
         return '-'
     seen = [v for v in found_from if isinstance(v, (int, float))]
     unit = parameters[0].unit
-    return escape(f'{max(seen) / unit.scale:.2g} {unit.shown}') if seen else 'not shown'
+    return escape(f'{significant(max(seen) / unit.scale)} {unit.shown}') if seen else 'not shown'
 
 
 def _moved(parameters: tuple[Parameter, ...], changes: tuple[Change, ...], moved: object) -> str:
@@ -76,8 +77,8 @@ def _moved(parameters: tuple[Parameter, ...], changes: tuple[Change, ...], moved
             words, scale = one.course.shown_per
             by *= one.unit.scale * scale
             return escape(
-                f'{other.name}: {by:.2g} {other.unit.shown} for 1 {one.unit.shown}{words}'
+                f'{other.name}: {significant(by)} {other.unit.shown} for 1 {one.unit.shown}{words}'
             )
     unit = next(p.unit for p in parameters if p.name == coefficient)
     by *= unit.scale
-    return escape(f'{other.name}: {by:.2g} {other.unit.shown} for 1 {unit.shown}')
+    return escape(f'{other.name}: {significant(by)} {other.unit.shown} for 1 {unit.shown}')

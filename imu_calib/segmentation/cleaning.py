@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats
-from ..units import DEG
+from ..units import DEG, significant
 from .segment import CHANNELS, Statistics
 from .statistics import Samples
 
@@ -345,5 +345,5 @@ def _largest_step(blocks: Floats, walk: float) -> _Step | None:
 
 def _amount(step: float, channel: int) -> str:
     if channel < 3:
-        return f'{np.degrees(step) * 3600:.3g} deg/h'
-    return f'{step / 9.80665e-6:.3g} ug'
+        return f'{significant(np.degrees(step) * 3600, 3)} deg/h'
+    return f'{significant(step / 9.80665e-6, 3)} ug'
