@@ -146,7 +146,7 @@ def test_a_step_leaves_the_longer_part(first: int) -> None:
     found = segment(read(rows))
     (note,) = found.notes
     assert note == (
-        'the mean of gx steps by 2.06e+03 deg/h: the unit was moved; only the longer part is used'
+        'the mean of gx steps by 2060 deg/h: the unit was moved; only the longer part is used'
     )
     # Either block of ten seconds beside the step may hold it; they begin with the first stamp.
     used = slice(first + 1001, 8000) if first < 4000 else slice(0, first - 999)

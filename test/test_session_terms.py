@@ -472,7 +472,9 @@ def test_commands_carry_them_from_the_recording_to_compensation(
         assert known < 0.2 * 9.797 * np.abs(there.values - calibration.values)[12:15].max()
 
 
-def test_a_plan_knows_no_drift(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_drift_is_asked_of_no_plan_as_what_it_tells_of_it_is_shown_anyway(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     asked = ['plans', 'twelve_position', '--imu', 'fog_navigation', '--terms', 'trend']
     assert main(asked) == 2
-    assert 'a plan does not say how a session drifts' in capsys.readouterr().err
+    assert 'what the plan tells of drifts is predicted beside them' in capsys.readouterr().err
