@@ -65,9 +65,8 @@ _SIGNIFICANT = 1e-3
 """Probability of chance below which a group is said to scatter."""
 _WIDENED = 0.01
 """Probability of chance below which a group's noise counts as larger than it is known to be: three
-sound sessions in a hundred are widened. Lengths of others' recordings that were held out were off
-by up to 2.5 and 3.5 times what was stated with 1e-3, and by up to 2.1 and 2.4 with this (gesture
-and Xsens of docs/real_recordings.md)."""
+sound sessions in a hundred are widened. Held-out lengths of the Xsens of docs/real_recordings.md
+were off by up to 3.5 times what was stated with 1e-3, and by up to 2.4 with this."""
 _TOLD = 0.5
 """Degrees of freedom from which on a group says how it scatters: below, what is left is what the
 fit left of rounding. A judgement."""

@@ -20,7 +20,8 @@ from ..units import significant
 from .kinds import ParameterKind, Unit
 from .parameters import PARAMETERS, Parameter
 
-_BY_DEFAULT = ('D_g', 'D_a', 'K_g', 'K_a')
+BY_DEFAULT = ('D_g', 'D_a', 'K_g', 'K_a')
+"""What a term of a session acts on where nothing is named."""
 _SECONDS_PER_HOUR = 3600.0
 """Engineers write drifts per hour."""
 
@@ -115,7 +116,7 @@ def session_term(text: str) -> tuple[Change, ...]:
     name, _, acts_on = text.partition(':')
     course = Course(name)
     if not acts_on:
-        return tuple(c for of in _BY_DEFAULT for c in _changes(course, of, asked=False))
+        return tuple(c for of in BY_DEFAULT for c in _changes(course, of, asked=False))
     return tuple(
         dict.fromkeys(c for of in acts_on.split('+') for c in _changes(course, of, asked=True))
     )

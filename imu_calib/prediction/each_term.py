@@ -12,7 +12,7 @@ from ..estimation.changing import with_changes
 from ..methods import JOINT
 from ..model import AXES, TERMS, Parameter, SensorModel, Term, terms_of
 from ..model.motion import has_motion_terms
-from ..model.session_terms import LOOKED_FOR, Change, session_term
+from ..model.session_terms import BY_DEFAULT, LOOKED_FOR, Change, session_term
 from ..observation.equations import Equations
 from ..stream import Floats
 from .expected import bias_drift_covariance
@@ -62,9 +62,6 @@ class ChangeForecast:
         """Whether the session determines all of it."""
         return bool(np.isfinite(self.std).all())
 
-
-_KINDS = ('D_g', 'D_a', 'K_g', 'K_a')
-"""What may change, as `--terms trend:D_g` names it."""
 
 _DEARER = 1.1
 """Below, no other plan would be chosen for it."""
@@ -130,7 +127,7 @@ def forecast_changes(
     return tuple(
         _of_changes(session_term(f'{course.value}:{kind}'), plain, before, truth, extra)
         for course in LOOKED_FOR
-        for kind in _KINDS
+        for kind in BY_DEFAULT
     )
 
 

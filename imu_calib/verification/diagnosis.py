@@ -45,6 +45,8 @@ have."""
 _WIDE_BIAS = {'g': 0.05, 'a': 0.5}
 _WIDE_G = 1e-3
 """s/m: g-sensitivity before anything is known of a unit."""
+_OF_TERMS = {term.kind for term in TERMS}
+"""Kinds of which nothing is known but their words."""
 _ALL_BUT_ZERO = 1e-9
 """By how much a factor that is one may differ from it: what rounding leaves is far below, any wrong
 unit far above."""
@@ -390,5 +392,6 @@ def _width(parameter: Parameter) -> float:
 
 def _words(kind: ParameterKind) -> tuple[str, str]:
     """Say when parameters of a kind are let go of, and why."""
-    words = f'the {kind.value.words} is another', 'It has moved, or is that of another unit.'
-    return _FREED.get(kind, words)
+    if kind in _OF_TERMS:
+        return f'the {kind.value.words} is another', 'It has moved, or is that of another unit.'
+    return _FREED[kind]
