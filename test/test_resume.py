@@ -31,6 +31,8 @@ except ImuCalibError as error:
 
 TURN = 9
 """At which step the session is interrupted, a turn: some positions are done, most are not."""
+BEGINS = 'Nothing is started.'
+"""What the leader of the table says first."""
 
 
 def begin(tmp_path, *options, name='my stand'):
@@ -56,13 +58,17 @@ def command(words):
     return process
 
 
-def comes_to(process, folder, words):
-    """Wait until the leader of the table has said something."""
+def comes_to(process, folder, words, run=1):
+    """Wait until the leader of the table has said something in one of its runs.
+
+    What is killed may have gone further than where it was seen: the run before may have said it.
+    """
     log = folder / 'nodes' / 'turntable_node.log'
 
     def said():
         assert process.poll() is None, process.communicate()
-        return log.exists() and words in log.read_text()
+        parts = log.read_text().split(BEGINS)[1:] if log.exists() else []
+        return len(parts) >= run and words in parts[run - 1]
 
     assert until(said)
 
@@ -123,7 +129,7 @@ def finishes(process, folder):
 def runs(folder):
     """Return the steps that each run of the table's leader was in, as it says."""
     text = (folder / 'nodes' / 'turntable_node.log').read_text()
-    parts = text.split('Nothing is started.')[1:]
+    parts = text.split(BEGINS)[1:]
     steps = [re.findall(r': step (\d+) of \d+, position', p) for p in parts]
     return [list(dict.fromkeys(int(step) for step in found)) for found in steps]
 
@@ -140,17 +146,17 @@ def test_what_is_interrupted_torn_off_and_killed_is_gone_on_with_time_after_time
     # Files that a person edits meanwhile are no matter.
     (tmp_path / 'short.yaml').write_text('name: another\n')
     process = command(shlex.split(last)[1:])
-    comes_to(process, folder, f'step {TURN + 4} of')
+    comes_to(process, folder, f'step {TURN + 4} of', run=2)
     kill_everything(process, folder)
     tear(folder)
     process = command(['stand', '--resume', str(folder)])
-    comes_to(process, folder, f'Turning: step {TURN + 7} of')
+    comes_to(process, folder, f'Turning: step {TURN + 7} of', run=3)
     # Its nodes stop the table and end by themselves: what goes on waits for that.
     assert stood(folder) == 1
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     process = command(['stand', '--resume', str(folder)])
-    comes_to(process, folder, f'step {TURN + 9} of')
+    comes_to(process, folder, f'step {TURN + 9} of', run=4)
     assert stood(folder) == 2
     output = finishes(process, folder)
     assert 'The IMU stream was interrupted' in output
