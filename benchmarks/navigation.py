@@ -70,11 +70,11 @@ PAGE = """# What compensation gains
 
 Written by `python benchmarks/navigation.py --seeds {seeds} --write`.
 
-One hour of free inertial navigation: the unit's own increments, compensated, and nothing else. The
-unit is `fog_navigation` with the truth `fog_navigation_terms`: its gyros answer to the two senses
-differently (10 to 20 ppm) and to fast rates differently (10 to 20 ppm at 60 deg/s), and its
+One hour of free inertial navigation: only the unit's own compensated increments. The
+unit is `fog_navigation` with the truth `fog_navigation_terms`: its gyros have
+a scale-factor asymmetry (10 to 20 ppm) and a rate dependence (10 to 20 ppm at 60 deg/s), and its
 accelerometers have quadratic terms (10 to 30 ug/g^2), as data sheets state them. Every flight has a
-calibration session and noise of its own; biases keep still from the session to the flight.
+calibration session and noise of its own; biases do not change from the session to the flight.
 
 Horizontal position error, m, root mean square over {seeds} flights; the last column is the largest
 of any flight at any time:
@@ -93,14 +93,14 @@ of any flight at any time:
   (`--terms {own}`), and with all ten. Beside
   them stand the 24 parameters of a session of `twelve_position`, whose rates end at 60 deg/s. At
   240 deg/s turns contradict a scale factor that does not depend on the rate: the 24 parameters of
-  `full_model` are the worse ones, and the session's findings say which turns do not fit.
-- *The truth*: the unit's own parameters. What is left is random walk and pulses.
-- *All ten terms* cost what the session does not know of the seven that the unit does not have.
+  `full_model` are the worse ones, and the session's findings name the turns that do not fit.
+- *The truth*: the unit's own parameters. The remaining errors are random walk and pulses.
+- *All ten terms* add the uncertainty of the seven that the unit does not have.
 - *Navigator*: strapdown in east, north and up on the WGS 84 ellipsoid, with Earth rate, transport
-  rate, coning and sculling. The vertical channel is held: height and vertical velocity are those of
-  an altimeter without error. Position, velocity and attitude begin without error. From sensors
-  without error it comes out within {exact:.3f} m in the hour; `test/test_navigation.py` holds it
-  against what a bias is known to do (Schuler).
+  rate, coning and sculling. The vertical channel is fixed: height and vertical velocity are those
+  of an altimeter without error. Position, velocity and attitude begin without error. With
+  error-free sensors its error is within {exact:.3f} m in the hour; `test/test_navigation.py`
+  compares it with the known effect of a bias (Schuler).
 """
 
 _PART = 60.0

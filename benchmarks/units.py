@@ -235,34 +235,34 @@ HEAD = """# Several units on one table, in figures
 
 `python benchmarks/units.py --write` writes this page: {seeds} simulated sessions of eight units
 of each grade, every second one turned by 90 deg on the fixture, by a simulation that shares no
-code with the package. The table stands tilted by 5 arcsec (one standard deviation about either
-axis), and its joints stop 3 arcsec beside their marks, which its description states. Each unit is
+code with the package. The table is tilted by 5 arcsec (one standard deviation about either
+axis), and its joints have positioning errors of 3 arcsec, as its description states. Each unit is
 solved by itself; then the first two, four and eight together
 ([several_units.md](several_units.md),
 [mathematics](mathematics.md#27-several-units-on-one-table)).
 """
 
 FURTHER_HEAD = """
-Errors beside stated deviations, of {further} further sessions of four units, as the
-root of the mean square with the standard error that the scatter from session to session gives it:
+Errors over stated standard deviations, of {further} further sessions of four units, as the
+root mean square with the standard error by the scatter from session to session:
 """
 
 FOOT = """
-A ratio of errors to deviations has the value of the same units by themselves beside it: noise is
-drawn once for both, and few draws are as far off one in both. The two grades draw the same numbers,
-and are no second draw of it. Each channel's noise is estimated from the blocks of its dwells, some
-forty degrees of freedom, and by Student's t the ratio is expected to be 1.02 to 1.03 where that
+Beside each ratio of errors to standard deviations is that of the same units by themselves. Both use
+the same noise, so a chance deviation from one appears in both. The two grades use the same random
+numbers, and are not independent. Each channel's noise is estimated from the blocks of its dwells,
+some forty degrees of freedom, and by Student's t the ratio is expected to be 1.02 to 1.03 if that
 noise limits ([mathematics](mathematics.md#16-uncertainty-budget)).
-The encoder of this table errs by nothing while it turns. The deviation of its rate that is taken
-from its angles makes the ratio for scale factors of gyros of medium grade smaller.
+The encoder of this table has no error while it turns. The standard deviation of its rate, estimated
+from its angles, makes the ratio for scale factors of gyros of medium grade smaller.
 
-The tilts are seen by the sensors alone: with N units their deviations fall by the root of N.
-Positioning errors of stops fall until what remains is a change of frame, which no unit can tell
-from its own alignment: an error that all stops of a joint have in common. Of the units' own
-parameters those become better that the table limits: scale factors of the gyros and what
-positioning errors make of misalignments; what the sensors' own noise or the frame limits stays as
-it is. `join, CPU` is what sharing costs on top of the solutions of each unit by itself, which
-took {alone:.1f} s of processor time each.
+Only the sensors determine the tilts: with N units their standard deviations fall by the root of N.
+Those of positioning errors fall until a change of frame remains: an error common to all stops of a
+joint, which no unit can separate from its own alignment. The units' own parameters improve if the
+table limits them: scale factors of the gyros, and the effect of positioning errors on
+misalignments. Parameters limited by sensor noise or by the frame do not improve. `join, CPU` is the
+time of the joint solution in addition to the separate solutions, which took {alone:.1f} s of
+processor time each.
 """
 
 

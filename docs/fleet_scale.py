@@ -42,12 +42,12 @@ batches of {counts} recordings of {short:.1f} MB, and one recording of {long:.0f
 
 {ratios}
 
-A million recordings of {size:.0f} MB a year are one every {every:.0f} s on the average:
+A million recordings of {size:.0f} MB a year are one every {every:.0f} s on average:
 
 - **Workers**: {cpu:.1f} s of a processor each, the time of {long:.0f} MB in proportion, are
-  {cores:.2f} cores at work. Workers that are to work half of the time: **{workers}**.
-- **Network**: {network:.1f} MB/s ({megabits:.0f} Mbit/s) on the average of the year. A worker that
-  works reads {reads:.0f} MB/s, which it fetches once: {workers} of them at a time take
+  {cores:.2f} cores of load. Workers at half load: **{workers}**.
+- **Network**: {network:.1f} MB/s ({megabits:.0f} Mbit/s) averaged over the year. A working worker
+  reads {reads:.0f} MB/s, each byte fetched once: {workers} of them at a time need
   {peak:.0f} MB/s.
 - **Space of a worker**: a recording of a URL is kept in its folder for temporary files while it is
   calibrated: {size:.0f} MB. Memory: {of_worker:.0f} MB here, of the 2 GiB that are allowed.
@@ -56,17 +56,18 @@ A million recordings of {size:.0f} MB a year are one every {every:.0f} s on the 
 - **Client and scheduler**: {busy:.3f} of a core. One pair could hand out {most:.0f} recordings/s,
   {times:,.0f} times as many.
 
-What gives first, in the order in which it does:
+The limits, in the order in which they are reached:
 
 1. *Storage of the recordings*: a disk of 20 TB is full after {full:.0f} days.
-2. *Memory of who asks*: `imu-calib catalogue` and `Catalogue.table` load all rows, {whole:.1f} GB
-   after a year. DuckDB, Polars and pandas read columns of `catalogue/rows` alone: ask those, or
-   keep a catalogue for each year or product.
-3. *Parts of the catalogue*: a batch that never ends adds one a minute, {parts:,.0f} a year, and
-   each start of a batch reads the keys of all of them. Start it every few days, with what has come.
-4. *Files*: a million calibrations are a million files, which most file systems hold, and no file
-   manager shows.
-5. *Workers*, by number: the scheduler has {times:,.0f} times the room.
+2. *Memory of queries*: `imu-calib catalogue` and `Catalogue.table` load all rows, {whole:.1f} GB
+   after a year. DuckDB, Polars and pandas read only the needed columns of `catalogue/rows`: use
+   those, or keep a catalogue for each year or product.
+3. *Parts of the catalogue*: a batch that runs forever adds one a minute, {parts:,.0f} a year, and
+   each start of a batch reads the keys of all of them. Start it every few days, with the new
+   recordings.
+4. *Files*: a million calibrations are a million files, which most file systems store, but no file
+   manager displays.
+5. *Number of workers*: the scheduler has {times:,.0f} times the capacity.
 """
 
 

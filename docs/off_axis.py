@@ -134,28 +134,30 @@ Written by `docs/off_axis.py`: the study of off-axis 2019, section 4, run throug
 solvers. Latitude 34 deg; {RUNS} runs; at each position independent positioning errors about the
 three body axes, uniform within +-3 arcsec; no gyro noise, no pulses (0.05 deg/sqrt(h) over 120 s
 would spread K by 1 %, far more than the document shows, so it had none either). "Std of the mean"
-is what theory gives for the mean of {RUNS} runs: the solvers are linear, and a positioning error e
-moves the outputs by (I + M)(w x e).
+is the theoretical value for the mean of {RUNS} runs: the solvers are linear, and a positioning
+error e changes the outputs by (I + M)(w x e).
 
 ## Off-axis four
 
 {chr(10).join(four)}
 
 Here all twelve means lie within {largest:.1f} standard deviations, {rms:.2f} in the root mean
-square. Of the published ones {within} of 12 lie within {second:.1f}. What does not agree:
+square. Of the published ones {within} of 12 lie within {second:.1f}. These do not agree:
 
-- K_yz lies {-theirs[6]:.1f} deviations low, one in ten thousand for a single value. It may be a
-  misprint, but no other digit suggests itself.
-- K_y is printed as 0.100265, {misprint:.0f} deviations off: a misprint. Read as 1.00265 it agrees.
+- K_yz lies {-theirs[6]:.1f} standard deviations low, a chance of one in ten thousand for a single
+  value. It may be a misprint, but no other digit is evident.
+- K_y is printed as 0.100265, {misprint:.0f} standard deviations off: a misprint. Read as 1.00265 it
+  agrees.
 
 ## Static six
 
 {chr(10).join(six)}
 
-The document shows its six positions in a figure only. The arrangement here is the shipped plan's,
+The document shows its six positions only in a figure. The arrangement here is the supplied plan's,
 (outer, inner) = (90,0) (90,90) (180,0) (180,270) (270,0) (270,90) deg, condition number 2.06;
-another one spreads otherwise, so the published column ({far_six:.1f} of our deviations at most)
-stands beside it for its size and tests neither. Here the means lie within {ours_far:.1f}.
+another one has other spreads. The published column ({far_six:.1f} of our standard
+deviations at most) is therefore only a comparison of size, and tests neither. Here the means lie
+within {ours_far:.1f}.
 
 ## Are four positions better than six?
 
@@ -166,9 +168,9 @@ The standard deviations of one run, four over six, for the same positioning erro
 | {' | '.join(f'{r:.2f}' for r in ratios)} |
 
 No: with two positions fewer most of the twelve numbers are somewhat worse, at most
-{ratios.max():.2f} times. That four come out ahead for most of the numbers in the published table is
-the luck of one mean of {RUNS} runs, for another arrangement of the six; its finding that both are
-about as accurate, and four take a third less time, stands.
+{ratios.max():.2f} times. Four are better for most of the numbers in the published table by
+chance, in one mean of {RUNS} runs, for another arrangement of the six; its result that both are
+about equally accurate, and four take a third less time, is confirmed.
 """
     Path(__file__).with_name('off_axis.md').write_text(text, encoding='utf-8')
 

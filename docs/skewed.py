@@ -76,8 +76,8 @@ def main() -> None:
     text = f"""# Weights for three orthogonal gyros and one skewed
 
 Written by `docs/skewed.py`. CN103697918A fits the outputs at each rate by least squares and then
-weighs them by their spread. Here a turn's mean has a noise of {floor:.2f} deg/h and, on top, a part
-that grows with the rate (1 ppm at {fastest:.0f} deg/s is {spins} arcsec in a turn). Rates of
+weights them by their spread. Here a turn's mean has a noise of {floor:.2f} deg/h and, on top, a
+part that grows with the rate (1 ppm at {fastest:.0f} deg/s is {spins} arcsec in a turn). Rates of
 +-{listed} deg/s about X, Y and Z up, {RUNS} runs; the root mean square error of the weighted
 solution over that of the plain one, for the twelve responses and the four biases, with weights from
 the spread and with true ones.
@@ -86,14 +86,15 @@ the spread and with true ones.
 |---|---|---|---|---|---|
 {chr(10).join(rows)}
 
-- With one turn per point the weight comes from what the plain fit leaves, pooled over the six
-  points of one |rate|: a point's own single residual is no spread. With several turns it is their
-  scatter about the point, pooled likewise.
-- Where the noise does not grow there is nothing to gain, and estimated weights cost up to a sixth
-  of the error. The shipped plan makes three turns per point; four bring the cost below 5 %.
-- True weights are the floor: nobody knows them outside a simulation. {RUNS} runs tell a ratio to
-  about 3 %.
-- Biases gain most: they rest on the slow turns, which the plain solution lets the fast ones spoil.
+- With one turn per point the weight comes from the residuals of the plain fit, pooled over the six
+  points of one |rate|: a point's own single residual gives no spread. With several turns it is
+  their scatter about the point, pooled in the same way.
+- If the noise does not grow, weights gain nothing, and estimated weights increase the error by up
+  to a sixth. The supplied plan makes three turns per point; four reduce this to below 5 %.
+- True weights are the lower bound: they are known only in a simulation. {RUNS} runs determine a
+  ratio to about 3 %.
+- Biases gain most: the slow turns determine them, and in the plain solution the fast turns add
+  noise.
 """
     Path(__file__).with_name('skewed.md').write_text(text, encoding='utf-8')
 

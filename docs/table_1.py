@@ -93,7 +93,8 @@ def main() -> None:
 Written by `docs/table_1.py`. The unit is the twelve-position column of the paper's own table:
 fibre-optic gyros of 0.05 deg/sqrt(h) and 7.8 arcsec/pulse, accelerometers of 0.012 (m/s)/sqrt(h)
 and 0.01 (m/s)/pulse. Six positions with north exact; twelve with the table's zero 3 deg off north,
-which they do not know; two turns at each of six rates, 120 s per position, latitude 34.65 deg.
+which this plan does not know; two turns at each of six rates, 120 s per position, latitude 34.65
+deg.
 
 ```
 {table}
@@ -108,7 +109,7 @@ Largest differences between the two methods:
 | the paper | 0.04 arcmin | 0.40 deg/h | 100 ug, its last digit |
 | here, with biases that drift by 0.1 deg/h and 20 ug | {columns[2]}
 
-The last row is what the unit does between and during the sessions, not what the methods do: where
+The last row shows the drift of the unit between and during the sessions, not the methods: if
 biases drift by 20 ug, two sessions of any method differ by that much.
 
 Against the truth the 24 errors have a root mean square of {rms['six_position']:.2f} (six) and
@@ -117,9 +118,9 @@ Against the truth the 24 errors have a root mean square of {rms['six_position']:
 - K is printed as the paper prints it, read as a deviation of the scale factor, S = S0 + K. That is
   our reading: it makes K_A -9, -5 and +25 %, which no quartz unit has.
 - E of the first column is the transpose of ours: E_AXY is the response of the Y channel to an input
-  along X by the paper's eq. (18); that its gyro names follow suit is our reading.
-- The paper's own D_G differ by up to 0.40 deg/h because its six positions rest on a north reference
-  and its twelve do not; here north is exact and what is left is noise.
+  along X by the paper's eq. (18); reading its gyro names in the same way is our choice.
+- The paper's own D_G differ by up to 0.40 deg/h because its six positions need a north reference
+  and its twelve do not; here north is exact and the difference is noise.
 """
     Path(__file__).with_name('table_1.md').write_text(text, encoding='utf-8')
 

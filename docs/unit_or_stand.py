@@ -185,14 +185,14 @@ def main() -> None:
     total = len(cells) * RUNS
     wrong, held, named = (sum(one[name] for one in first) for name in ('wrong', 'held', 'named'))
     every_quiet = share(sum(one['any'] for one in none), QUIET * len(none))
-    text = f"""# Unit or stand: what is found
+    text = f"""# Unit or stand: detectable shifts
 
 Written by `docs/unit_or_stand.py`. A laboratory has three stands; stand B adds the same to every
 unit. Each unit has {SESSIONS} sessions in four years, each on a stand drawn by lot, and scatters
 between sessions by 5 ppm of a scale factor and 0.01 arcmin of a misalignment, one standard
-deviation, turn-on repeatability and the session's own errors together. How it is worked out:
-[history.md](history.md#unit-or-stand). Shares are those of {RUNS} laboratories in which B was
-named, alone, with what it truly shifts; in brackets the interval of 95 % for the share.
+deviation, turn-on repeatability and the session's own errors together. The method:
+[history.md](history.md#unit-or-stand). Shares are those of {RUNS} laboratories in which B
+alone was named, with its true shift; in brackets the interval of 95 % for the share.
 
 | shifted | by | of the scatter | {' | '.join(f'{n} units' for n in UNITS)} |
 |---|---|---|{'---|' * len(UNITS)}
@@ -201,39 +201,41 @@ named, alone, with what it truly shifts; in brackets the interval of 95 % for th
 
 ![Share of laboratories in which the stand is named, against the shift](unit_or_stand.png)
 
-- The last row is of {QUIET} laboratories each in which no stand is off: how often any stand was
-  named, or two were said to differ; of all together {every_quiet}. At most
-  {100 * USUAL.false_alarm:g} % is what is stated.
+- The last row is of {QUIET} laboratories each without a shifted stand: how often any stand was
+  named, or two were reported to differ; of all together {every_quiet}. The stated
+  limit is {100 * USUAL.false_alarm:g} %.
 - A wrong stand was named in {wrong} of {total} laboratories.
-- The interval that is stated with a shift held the truth in {held} of {named}. It is simultaneous,
-  for all parameters and stands that were tried, and so wider than for one.
-- `K_a` is a shift of all three accelerometers alike, as of gravity; it is tried as one, and three
-  channels tell it better than one by the square root of three. `E about Z` is a fixture that is
-  turned about Z: it shifts four misalignments, two of each triad, and is tried as one, twice as
-  good. A single misalignment has one channel: it is the hardest, and no cause in a stand is known
-  that shifts one alone.
+- The stated interval of a shift contained the truth in {held} of {named}. It is simultaneous,
+  for all tested parameters and stands, and so wider than for one.
+- `K_a` is a shift of all three accelerometers alike, as of gravity; it is tested as one
+  pattern, and three channels determine it better by the square root of three. `E about Z` is a
+  fixture that is turned about Z: it shifts four misalignments, two of each triad, and is tested as
+  one pattern, twice as well. A single misalignment has one channel: it is the hardest to find, and no
+  error of a stand is known that shifts one alone.
 
-## What limits it
+## Limits
 
-One misalignment, shifted by one scatter, and thirty units. The bound is what nobody exceeds who
+One misalignment, shifted by one scatter, and thirty units. No test exceeds the bound that
 has the same false alarms over the same {len(PATTERNS) * len(STANDS)} tests and names one stand by
-the same odds (99 to 1): the scatter and all trends are known to him. What is found by the method
-is of {CLOSER} laboratories.
+the same odds (99 to 1), even with known scatter and trends. The results of the method
+are from {CLOSER} laboratories.
 
 | how units come to stands | sessions of each | named alone | bound |
 |---|---|---|---|
 {chr(10).join(second)}
 
 `home`: three of four sessions are on a stand of the unit's own; `lot`: drawn by lot; `turn`: A, B,
-C, A and so on. What a stand adds is seen only within a unit that was on it and elsewhere: of
-*n* sessions by lot over *s* stands a unit tells *(n - 1) p (1 - p)* over the scatter's square,
-*p = 1/s*, and so what counts is the shift over the scatter times the square root of units times
-sessions less one. Without a change of stand nothing is told, however many sessions there are.
+C, A and so on. Only a unit that was on a stand and elsewhere shows the stand's shift: from
+*n* sessions by lot over *s* stands a unit has the information *(n - 1) p (1 - p)* over the
+scatter's square, *p = 1/s*. The power depends on the shift over the scatter times the square root
+of units times sessions less one. Without a change of stand there is no information in any number of
+sessions.
 
-Two things take from the bound: the scatter has to be estimated, and sessions that are far off count
-less. Neither is large, and the bound itself is low where it is: that a stand is named at all takes
-{norm.isf(USUAL.false_alarm / (len(PATTERNS) * len(STANDS)) / 2):.1f} standard deviations, since
-{len(PATTERNS) * len(STANDS)} shifts are tried at a false alarm of {100 * USUAL.false_alarm:g} %.
+Two effects reduce the power below the bound: the scatter is estimated, and outlying sessions get
+less weight. Both are small, and where the power is low the bound itself is low: naming a stand
+needs {norm.isf(USUAL.false_alarm / (len(PATTERNS) * len(STANDS)) / 2):.1f} standard deviations,
+since {len(PATTERNS) * len(STANDS)} shifts are tested at a false alarm of
+{100 * USUAL.false_alarm:g} %.
 
 ## What a laboratory must do
 
@@ -243,8 +245,8 @@ Fewest sessions of each of thirty units with which the bound is {100 * ENOUGH:.0
 |---|---|---|---|---|
 {chr(10).join(needed)}
 
-Let units go round the stands, rather than stay on one. Where units repeat twice as badly, four
-times as many sessions less one are needed; units count as sessions do.
+Rotate units among the stands instead of keeping each on one. If repeatability is twice as bad, four
+times as many sessions less one are needed; more units help as more sessions do.
 """
     Path(__file__).with_suffix('.md').write_text(text, encoding='utf-8')
 
