@@ -210,8 +210,8 @@ alone was named, with its true shift; in brackets the interval of 95 % for the s
 - `K_a` is a shift of all three accelerometers alike, as of gravity; it is tested as one
   pattern, and three channels determine it better by the square root of three. `E about Z` is a
   fixture that is turned about Z: it shifts four misalignments, two of each triad, and is tested as
-  one pattern, twice as well. A single misalignment has one channel: it is the hardest to find, and no
-  error of a stand is known that shifts one alone.
+  one pattern, twice as well. A single misalignment has one channel: it is the hardest to find, and
+  no error of a stand is known that shifts one alone.
 
 ## Limits
 
