@@ -325,40 +325,40 @@ def _total(rows: list[dict[str, Any]]) -> str:
     return (
         f'Of {len(rows)} sessions {outcomes["silently wrong"]} are silently wrong, '
         f'{outcomes["refused"]} refused, {outcomes["named"]} wrong with the cause named, '
-        f'{outcomes["frame"]} off by the frame alone, and {blamed} name a cause that is not there.'
+        f'{outcomes["frame"]} off by the frame alone, and {blamed} name a cause that is absent.'
     )
 
 
 HEAD = """\
-# What sessions say on {which}imperfect stands
+# Sessions on {which}imperfect stands
 
 Written by `docs/imperfections.py`: sessions of {dwell:g} s per position of three units of
-[config/imus](../config/imus), {seeds}, calibrated by what `imu-calib calibrate` does by default.
+[config/imus](../config/imus), {seeds}, calibrated with the defaults of `imu-calib calibrate`.
 {code} The keys of the files are in [files/imperfections.md](files/imperfections.md).
 
-The table is `three_axis`. Its description says here what a laboratory's often does, nothing of how
-good it is: what is assumed then is in [tables.md](tables.md) and stands on the screen. In one row
-for each unit the table is perfect and states it. Biases drift as the data sheets say.
+The table is `three_axis`. Its description, as often in laboratories, states no accuracy: the
+assumed values are in [tables.md](tables.md) and on the screen. In one row for each unit the table
+is perfect and its description states this. Biases drift as the data sheets state.
 
 - worst: the parameter whose error is the largest in its stated standard deviations
-- widened: the largest ratio of the stated deviations of K, and of D, to those of the perfect table
-  that states it; in brackets that of the information bound (`test/bound_of_stands.py`), which knows
-  how large the errors of the stand are. Where readings of encoders are off it counts motions from
-  rest to rest too, which that of the perfect table does not. It knows nothing of shaking, of frozen
-  counts, of biases that fade and of terms.
-- wrong: an error of more than 4.5 deviations. It is named where a finding names its cause, or where
-  the result says for which term that is not seen the parameter holds; else it is silent.
-- off by the frame alone: the table's zeros, or the right angles between its axes, are further off
-  than is assumed of them. That turns all misalignments alike and no sensor shows it; the angles
+- widened: the largest ratio of the stated standard deviations of K, and of D, to those of the
+  perfect, stated table; in brackets that of the information bound (`test/bound_of_stands.py`) with
+  the true size of the stand's errors. With errors of encoder readings the bound includes motions from
+  rest to rest too, which that of the perfect table does not. It omits shaking, frozen
+  counts, warm-up of biases and terms.
+- wrong: an error of more than 4.5 standard deviations. It is named if a finding names its cause, or
+  if the result states the unobserved term without which the parameter holds; else it is silent.
+- off by the frame alone: the table's zeros, or the right angles between its axes, are off by more
+  than the assumed values. This rotates all misalignments and no sensor shows it; the angles
   between the input axes hold.
-- blamed: findings name something that is not there. Terms that explain a session as well as the
-  right one, and are named with it, do not count.
+- blamed: findings name a cause that is absent. Terms that explain a session as well as the
+  right one, and are named with it, are not counted.
 
 {total}
 
-The truth is that of the mean over the session, in seconds of the table's clock.
+The truth is the mean over the session, in seconds of the table's clock.
 
-| condition | unit | worst | K widened | D widened | verdict | what is said |
+| condition | unit | worst | K widened | D widened | verdict | findings |
 |---|---|---|---|---|---|---|"""
 
 
