@@ -343,9 +343,9 @@ is perfect and its description states this. Biases drift as the data sheets stat
 - worst: the parameter whose error is the largest in its stated standard deviations
 - widened: the largest ratio of the stated standard deviations of K, and of D, to those of the
   perfect, stated table; in brackets that of the information bound (`test/bound_of_stands.py`) with
-  the true size of the stand's errors. With errors of encoder readings the bound includes motions from
-  rest to rest too, which that of the perfect table does not. It omits shaking, frozen
-  counts, warm-up of biases and terms.
+  the true size of the stand's errors. With errors of encoder readings the bound includes motions
+  from rest to rest too, which that of the perfect table does not. It omits shaking, frozen counts,
+  warm-up of biases and terms.
 - wrong: an error of more than 4.5 standard deviations. It is named if a finding names its cause, or
   if the result states the unobserved term without which the parameter holds; else it is silent.
 - off by the frame alone: the table's zeros, or the right angles between its axes, are off by more
