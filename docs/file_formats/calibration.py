@@ -31,7 +31,7 @@ from .keys import (
 
 _NUMBER = number()
 _BELOW = 'keys, below'
-_READERS = 'not read: for who looks into the file'
+_READERS = 'not read: for people only'
 
 
 def _row(count: int) -> Value:
@@ -65,7 +65,7 @@ _MATRIX = Key(
     'scale-factor errors on the diagonal, misalignments (rad) off it: row is the channel, column '
     'the input axis',
     None,
-    'must be given; left out with `bias` for accelerometers that were not estimated',
+    'must be given; omitted with `bias` for accelerometers that were not estimated',
 )
 _BIAS = Key('bias', _row(3), 'rad/s or m/s^2', None, 'must be given with `error_matrix`')
 
@@ -120,7 +120,7 @@ _LINE = [
     Key(
         'standard_uncertainty',
         array(number(least=0), words='list of numbers, 0 or more'),
-        'what it contributes to each parameter, SI units',
+        'contribution to each parameter, SI units',
         REQUIRED,
     ),
     Key(
@@ -142,7 +142,7 @@ _BUDGET = [
     Key('sources', array(mapping(_LINE), words='list of sources, below'), 'the lines', REQUIRED),
 ]
 _COEFFICIENT = [
-    Key('term', choice([c.value for c in Course]), 'what it follows', REQUIRED),
+    Key('term', choice([c.value for c in Course]), 'time or temperature', REQUIRED),
     Key('of', text(), 'its parameter, or `K_g`, `K_a` for all of a triad', REQUIRED),
     Key('value', _NUMBER, 'of the coefficient', REQUIRED),
     Key('std', _NUMBER, 'its standard deviation', REQUIRED),
@@ -152,7 +152,7 @@ _CHANGES = [
     Key(
         'coefficients',
         array(mapping(_COEFFICIENT), words='list of coefficients, below'),
-        'what changes',
+        'one for each parameter or triad',
         REQUIRED,
     ),
     Key('covariance', _ROWS, 'of the coefficients', REQUIRED),
@@ -160,7 +160,7 @@ _CHANGES = [
     Key('time_constant', _NUMBER, 'of a warm-up, s'),
 ]
 _CLOCK = [
-    Key('name', text(), 'whose stamps the clock makes', REQUIRED),
+    Key('name', text(), 'node whose stamps the clock makes', REQUIRED),
     Key('against', text(), 'the clock that it is compared with', REQUIRED),
     Key(
         'faster',
@@ -168,7 +168,7 @@ _CLOCK = [
             {'type': 'number', 'exclusiveMinimum': -0.1, 'exclusiveMaximum': 0.1},
             'number, between -0.1 and 0.1',
         ),
-        'by how much it is faster, a ratio less one',
+        'relative excess of its rate, a ratio less one',
         REQUIRED,
     ),
     Key('faster_std', number(least=0), 'standard deviation of that', REQUIRED),
@@ -206,16 +206,16 @@ _TEMPERATURE = [
     Key(name, _NUMBER, f'{words}, degC', REQUIRED)
     for name, words in (
         ('mean', 'of the session'),
-        ('lowest', 'that it saw'),
-        ('highest', 'that it saw'),
+        ('lowest', 'of the session'),
+        ('highest', 'of the session'),
     )
 ]
 _COMPARED = [
     Key('offset_s', _NUMBER, 'clock of the IMU against that of the table, s'),
     Key('offset_std_s', _NUMBER, 'its standard deviation, s'),
-    Key('rate_ppm', _NUMBER, 'by how much it is faster, ppm'),
+    Key('rate_ppm', _NUMBER, 'relative excess of its rate, ppm'),
     Key('rate_std_ppm', _NUMBER, 'its standard deviation, ppm'),
-    Key('motions', _COUNT, 'that it was compared by'),
+    Key('motions', _COUNT, 'used for the comparison'),
 ]
 _CHANNEL = [
     *(
@@ -233,44 +233,44 @@ _CHANNEL = [
     Key('std', _CURVE_OF, 'its standard deviation', REQUIRED),
     Key('timed', flag(), 'whether pulses were timed', REQUIRED),
 ]
-_TEST = [Key('state', text(), 'estimated, off or asked for', REQUIRED)]
+_TEST = [Key('state', text(), 'estimated, off or requested', REQUIRED)]
 _PROVENANCE = [
     Key('recording', text(), 'name of the recording'),
     Key('sha256', text(), 'of its files'),
-    Key('topics', array(text(), 0, words='list of texts'), 'that were read'),
+    Key('topics', array(text(), 0, words='list of texts'), 'topics that were read'),
     Key('recorded', text(), 'when it began, `2026-01-31T12:00:00Z`'),
     Key('method', text(), 'the estimator'),
     Key('terms', array(text(), 0, words='list of texts'), 'that were estimated'),
-    Key('terms_looked_for', flag(), 'whether terms that the session shows were looked for'),
+    Key('terms_looked_for', flag(), 'whether terms were tested and significant ones estimated'),
     Key('plan', text(), 'its name'),
     Key('table', text(), 'its name'),
     Key('table_clock_std', number(least=0), "of the table's clock, a ratio"),
     Key('latitude_deg', _between(-90, 90), 'of the site, deg'),
     Key('latitude_std_deg', number(least=0), 'its standard deviation, deg'),
-    Key('gravity', _between(9.7, 9.9), 'that was taken, m/s^2'),
-    Key('gravity_source', text(), 'where that is from'),
+    Key('gravity', _between(9.7, 9.9), 'value used, m/s^2'),
+    Key('gravity_source', text(), 'its source'),
     Key('gravity_std', number(least=0), 'its standard deviation, m/s^2'),
     Key('height', _NUMBER, 'of the site above the ellipsoid, m'),
     Key('height_assumed', flag(), 'whether it was not stated'),
-    Key('azimuth_seen_deg', _NUMBER, "heading of the table's zero that the session shows, deg"),
+    Key('azimuth_seen_deg', _NUMBER, "heading of the table's zero by the session, deg"),
     Key('azimuth_seen_std_deg', _NUMBER, 'its standard deviation, deg'),
     Key('segments', _COUNT, 'static dwells'),
     Key('turns', _COUNT, 'turns'),
-    Key('samples', _COUNT, 'samples that were used'),
+    Key('samples', _COUNT, 'samples used'),
     Key('random_walk', _SIX, 'of the channels, rad/sqrt(s) and (m/s)/sqrt(s)'),
     Key('residual_rms', _SIX, 'root mean square of the residuals, rad/s and m/s^2'),
-    Key('bias_wander', _SIX, 'bias drift that is allowed for, rad/s and m/s^2'),
+    Key('bias_wander', _SIX, 'bias drift included in the standard deviations, rad/s and m/s^2'),
     Key('condition_number', _NUMBER, 'of the equations'),
-    Key('highest_rate', number(least=0), 'at which the unit was turned, rad/s'),
+    Key('highest_rate', number(least=0), 'of the turns, rad/s'),
     Key('temperature', _noted(_TEMPERATURE), 'of the unit', None, 'not recorded'),
     Key('missing_positions', array(text(), 0, words='list of texts'), 'of the plan'),
     Key('shared_with', array(text(), 0, words='list of texts'), 'other units of its table'),
     Key('closed_form', Value({'type': 'object'}, 'keys'), 'the closed form of the plan beside it'),
-    Key('clock', _noted(_COMPARED), 'how the clocks compare'),
+    Key('clock', _noted(_COMPARED), 'comparison of the clocks'),
     Key('versions', Value({'type': 'object'}, 'keys'), 'of the software'),
     Key('frame', text(), '`accelerometers`: the axes of a session in the hand'),
     Key('tests_of_terms', _named(_noted(_TEST), 'by the name of the term'), 'terms, as tested'),
-    Key('noise', _named(mapping(_CHANNEL), 'by channel, `gx` to `az`'), 'that the session showed'),
+    Key('noise', _named(mapping(_CHANNEL), 'by channel, `gx` to `az`'), 'noise of the session'),
 ]
 
 
@@ -291,7 +291,7 @@ KEYS = [
         'units', choice([u.value for u in Units]), "of the IMU's numbers, as in its file", REQUIRED
     ),
     *(Key(name, _TRIADS[letter], f'the {name}s', REQUIRED) for letter, name in TRIADS.items()),
-    Key('skewed_gyro', mapping(_SKEWED, words=_BELOW), 'further gyros, askew to the three'),
+    Key('skewed_gyro', mapping(_SKEWED, words=_BELOW), 'further gyros, skewed to the three'),
     Key(
         'free_of_frame',
         Value({'type': 'object'}, ', '.join(f'`{g.key}`' for g in GROUPS)),
@@ -318,14 +318,14 @@ KEYS = [
     Key(
         'residuals',
         array(mapping(_RESIDUAL), 0, words='list, below'),
-        'of every static dwell, beyond the model',
+        'of every static dwell',
     ),
     Key(
         'findings',
         array(text(), 0, words='list of sentences'),
-        'what a person should know',
+        'what the user of the result must know',
     ),
-    Key('provenance', _noted(_PROVENANCE), 'where it comes from; other keys may stand there too'),
+    Key('provenance', _noted(_PROVENANCE), 'origin of the calibration; other keys are allowed'),
 ]
 _SINGLE = mapping(KEYS)
 

@@ -32,8 +32,8 @@ def _contact(clause: str, *, street: bool) -> list[Key]:
         where,
         Key('postcode', text(), 'of the town'),
         _asked('city', 'town', clause),
-        Key('country', _COUNTRY, 'a DCC asks for it'),
-        Key('email', text(), 'a DCC asks for it'),
+        Key('country', _COUNTRY, 'a DCC requires it'),
+        Key('email', text(), 'a DCC requires it'),
         Key('phone', text(), 'telephone'),
     ]
 
@@ -45,7 +45,7 @@ _LABORATORY = [
 _CUSTOMER = _contact('7.8.2.1 e', street=False)
 _ITEM = [
     _asked('description', 'what it is', '7.8.2.1 g'),
-    _asked('manufacturer', 'who made it', '7.8.2.1 g'),
+    _asked('manufacturer', 'its maker', '7.8.2.1 g'),
     _asked('model', 'type', '7.8.2.1 g'),
     Key(
         'serial_number',
@@ -54,9 +54,9 @@ _ITEM = [
         None,
         'that of the calibration',
     ),
-    Key('customer_id', text(), 'what the customer calls it'),
+    Key('customer_id', text(), 'name given by the customer'),
     _asked('condition', 'condition on receipt', '7.8.2.1 g'),
-    _asked('adjustment', 'what was adjusted or repaired, or that nothing was', '7.8.4.1 d'),
+    _asked('adjustment', 'adjustments or repairs, or a statement of none', '7.8.4.1 d'),
 ]
 _PERIOD = [
     Key('from', _DAY, 'first day', REQUIRED),
@@ -68,7 +68,9 @@ _PROCEDURE = [
 ]
 _CONDITION = [
     Key('value', number(), 'mean', REQUIRED),
-    Key('within', number(least=0), 'half the width of the interval in which it stayed', REQUIRED),
+    Key(
+        'within', number(least=0), 'half the width of its interval during the calibration', REQUIRED
+    ),
 ]
 _ENVIRONMENT = [
     Key(key, mapping(_CONDITION, words=_BELOW), f'{words}, {unit}')
@@ -79,13 +81,13 @@ _ENVIRONMENT[0] = _asked(
 )
 _EQUIPMENT = [
     _asked('name', 'what it is', '7.8.4.1 c'),
-    Key('manufacturer', text(), 'who made it'),
+    Key('manufacturer', text(), 'its maker'),
     Key('model', text(), 'type'),
     _asked('serial_number', 'serial number', '7.8.4.1 c'),
     _asked('certificate', 'number of its certificate', '7.8.4.1 c'),
     _asked('issued_by', 'who calibrated it', '7.8.4.1 c'),
-    Key('valid_until', _DAY, 'until when the laboratory uses it'),
-    _asked('traceability', 'how its values go back to the SI', '7.8.4.1 c'),
+    Key('valid_until', _DAY, 'last day of use by the laboratory'),
+    _asked('traceability', 'traceability of its values to the SI', '7.8.4.1 c'),
 ]
 _CONFORMITY = [
     Key(
@@ -112,16 +114,16 @@ KEYS = [
     Key('location', choice(LOCATIONS), 'where it was calibrated (7.8.2.1 c)', 'laboratory'),
     _asked('customer', 'for whom', '7.8.2.1 e', mapping(_CUSTOMER, words=_BELOW)),
     _asked('item', 'the unit', '7.8.2.1 g', mapping(_ITEM, words=_BELOW)),
-    _asked('received', 'when the unit came', '7.8.2.1 h', _DAY),
+    _asked('received', 'date of receipt of the unit', '7.8.2.1 h', _DAY),
     Key(
         'calibrated',
         mapping(_PERIOD, words=_BELOW),
-        'when it was calibrated; the day of the recording lies in it (7.8.2.1 i)',
+        'period of the calibration; it must include the day of the recording (7.8.2.1 i)',
         None,
         'the day of the recording',
     ),
     _asked('issued', 'when the certificate is issued', '7.8.2.1 j', _DAY),
-    _asked('procedure', 'by which', '7.8.2.1 f', mapping(_PROCEDURE, words=_BELOW)),
+    _asked('procedure', 'of the calibration', '7.8.2.1 f', mapping(_PROCEDURE, words=_BELOW)),
     _asked('environment', 'of the calibration', '7.8.4.1 b', mapping(_ENVIRONMENT, words=_BELOW)),
     _asked(
         'equipment',
@@ -129,7 +131,7 @@ KEYS = [
         '7.8.4.1 c',
         array(mapping(_EQUIPMENT), words='list of references, below'),
     ),
-    Key('conformity', mapping(_CONFORMITY, words=_BELOW), 'to what, by which rule (7.8.6)'),
+    Key('conformity', mapping(_CONFORMITY, words=_BELOW), 'requirement and rule (7.8.6)'),
     Key('remarks', array(text(), 0), 'additions, deviations and exclusions (7.8.2.1 n)'),
     _asked(
         'signatures',

@@ -61,7 +61,7 @@ def _number(types: list[str], offset: Key | None = None) -> list[Key]:
         Key(
             'bits',
             array(whole(0, 63), 2, 2, 'list of two whole numbers'),
-            'first and last bit that count, bit 0 the lowest; of an unsigned number only',
+            'first and last bit used, bit 0 the lowest; only for an unsigned number',
             None,
             'all',
         ),
@@ -129,7 +129,7 @@ _COUNTER = [
     Key(
         'modulus',
         whole(2, COUNTLESS, 'whole number, from 2'),
-        'it starts anew when it would come to this',
+        'it restarts at 0 instead of reaching this',
         None,
         'by its type',
     ),
@@ -142,14 +142,14 @@ _TIME = [
     Key(
         'ticks',
         quantity(D.FREQUENCY, 'above 0'),
-        'how many the number counts; this or `unit`',
+        'frequency of its ticks; this or `unit`',
         None,
         'one of the two',
     ),
     Key(
         'modulus',
         either(_MODULUS, array(_MODULUS), words='whole number, or list of them, from 2'),
-        'ticks after which it starts anew, as `864000000` after a day; a list where models differ',
+        'ticks after which it restarts, as `864000000` after a day; a list where models differ',
         None,
         'by its type',
     ),
@@ -158,25 +158,25 @@ _FAULT = [
     Key(
         'bit',
         whole(0, 63),
-        'the bit that says it, 0 the lowest; this or `mask`',
+        'the bit of the fault, 0 the lowest; this or `mask`',
         None,
         'one of the two',
     ),
     Key(
         'mask',
         whole(1, 2**64 - 1, 'whole number, from 1'),
-        'the bits any of which says it; this or `bit`',
+        'the bits of the fault, any of them; this or `bit`',
         None,
         'one of the two',
     ),
     Key('when', choice(['set', 'clear']), 'which state of the bit is the fault', 'set'),
-    Key('says', text(), 'what is wrong, for the screen and /diagnostics', REQUIRED),
+    Key('says', text(), 'the fault in words, for the screen and /diagnostics', REQUIRED),
     Key('level', choice(['warn', 'error']), 'on /diagnostics', 'error'),
 ]
 _FAULT_VALUE = mapping(_FAULT, one_of('bit', 'mask'))
 _STATUS = [
     *_number(_UNSIGNED),
-    Key('faults', array(_FAULT_VALUE, words='list of faults, below'), 'what it can say', REQUIRED),
+    Key('faults', array(_FAULT_VALUE, words='list of faults, below'), 'its faults', REQUIRED),
 ]
 _DEFS['status'] = mapping(_STATUS, _BITS).schema
 _STATUS_VALUE = Value({'$ref': '#/$defs/status'}, '')
@@ -196,13 +196,13 @@ _FIELDS = [
     Key(
         'status',
         either(_STATUS_VALUE, array(_STATUS_VALUE), words='keys, below, or a list of such'),
-        'what the device says of itself',
+        'status reported by the device',
     ),
 ]
 
 _CONSTANT = [
     _offset('of the first of them, behind `sync`'),
-    Key('bytes', _BYTES, 'what they are', REQUIRED),
+    Key('bytes', _BYTES, 'their values', REQUIRED),
 ]
 
 _KIND = choice([*OWN_KINDS, *CATALOGUE])
@@ -223,12 +223,12 @@ _ALGORITHM = [
         None,
         'must be given for `fletcher`',
     ),
-    Key('negated', flag(), 'of `sum`: what is sent makes the sum zero', default=False),
+    Key('negated', flag(), 'of `sum`: the sent value makes the sum zero', default=False),
     Key('poly', whole(1), 'of `crc`: generator polynomial', None, 'must be given for `crc`'),
-    Key('init', whole(0), 'of `crc` and `xor`: what it starts with', 0),
+    Key('init', whole(0), 'of `crc` and `xor`: initial value', 0),
     Key('refin', flag(), 'of `crc`: bytes go in with their lowest bit first', default=False),
-    Key('refout', flag(), 'of `crc`: it comes out reflected', default=False),
-    Key('xorout', whole(0), 'of `crc`: what it is combined with at the end', 0),
+    Key('refout', flag(), 'of `crc`: the result is reflected', default=False),
+    Key('xorout', whole(0), 'of `crc`: final XOR value', 0),
 ]
 
 
@@ -276,11 +276,11 @@ _CHECK = [
     Key(
         'covers',
         array(whole(0, LONGEST - 1), 2, 2, 'list of two whole numbers'),
-        'first and last byte that it is of',
+        'first and last byte covered',
         None,
         'all before it',
     ),
-    Key('padding', whole(0, 64), 'zero bytes that count after them though they are not sent', 0),
+    Key('padding', whole(0, 64), 'zero bytes included after them but not sent', 0),
 ]
 
 _LENGTH = [
@@ -309,7 +309,7 @@ _OTHER_CHECK = [
 ]
 _NO_CHECK = has('checksum', 'none')
 _OTHER = [
-    Key('sync', _BYTES, 'its first bytes; where several entries fit, the first counts', REQUIRED),
+    Key('sync', _BYTES, 'its first bytes; if several entries fit, the first is used', REQUIRED),
     Key(
         'length',
         either(
@@ -317,13 +317,13 @@ _OTHER = [
             mapping(_LENGTH),
             words='whole number to 4096, or keys, below',
         ),
-        'bytes of it, checksum included, or the number in it that tells them',
+        'its bytes, checksum included, or the number in it that states them',
         REQUIRED,
     ),
     Key(
         'checksum',
         either(_NONE, mapping(_OTHER_CHECK, _KNOWN), words='`none`, or keys, below'),
-        'what protects it; with `none` `sync` has two bytes at least',
+        'its checksum; with `none` `sync` needs two bytes at least',
         REQUIRED,
     ),
     Key('counted', flag(), 'whether the frame counter counts these messages, too', default=False),
@@ -334,7 +334,7 @@ _COMMAND = [
     Key(
         'bytes',
         array(whole(0, 255), 1, commands.LONGEST, 'list of bytes'),
-        'what is sent; this or `text`',
+        'the bytes sent; this or `text`',
         None,
         'one of the two',
     ),

@@ -38,12 +38,10 @@ _HARMONICS = [_size('once', 'once per turn'), _size('twice', 'twice per turn')]
 _POSITIONING = [
     _size(
         'joints',
-        'by which a joint stops wrong, unseen by its encoder until it moves again',
+        'positioning error of a joint, not shown by its encoder, until it moves again',
     ),
-    _size(
-        'tilt', 'by which the whole table leans about either horizontal axis, anew at every stop'
-    ),
-    _size('heading', 'by which it turns about up, anew at every stop'),
+    _size('tilt', 'lean of the whole table about either horizontal axis, new at every stop'),
+    _size('heading', 'rotation of it about the vertical, new at every stop'),
 ]
 _TABLE = [
     Key(
@@ -81,11 +79,11 @@ _TABLE = [
         None,
         "`positioning` of the table's file",
     ),
-    _size('servo', 'a joint stops off its goal by up to so much, and its encoder shows it'),
+    _size('servo', 'largest difference of a stopped joint from its goal, shown by its encoder'),
     Key(
         'rate',
         quantity(D.RATIO, '0 or more'),
-        'a steady rate is off by up to so much',
+        'largest error of a steady rate',
         f'{_DEFAULT.rate_error / PPM:g} ppm',
     ),
     Key(
@@ -109,7 +107,7 @@ _JOINT_STATES = [
     Key(
         'rate',
         quantity(D.FREQUENCY, 'above 0'),
-        'how often they come',
+        'their rate',
         None,
         f'`{_DEFAULT.joint_state_rate:g} Hz`, or `joint_state_rate` of stand_node',
     ),
@@ -118,13 +116,13 @@ _SHARE = quantity(D.RATIO, '0 or more')
 _AT_MOST = Value(_SHARE.schema, f'{_SHARE.words}, at most 100 %')
 _STAMPS = [
     _size('jitter', 'standard deviation; up to 0.45 of a sample', D.TIME),
-    Key('late', _AT_MOST, 'share of the samples that are held up on their way', '0 %'),
+    Key('late', _AT_MOST, 'share of delayed samples', '0 %'),
     _size(
         'delay',
-        'for how long they are held up in the mean (exponential); those behind queue',
+        'their mean delay (exponential); samples behind them queue',
         D.TIME,
     ),
-    Key('bunch', whole(1), 'so many samples come and are stamped together', 1),
+    Key('bunch', whole(1), 'number of samples that come and are stamped together', 1),
     Key(
         'clock_rate',
         quantity(D.RATIO),
@@ -135,7 +133,7 @@ _STAMPS = [
     Key(
         'clock_offset',
         quantity(D.TIME),
-        'how far ahead it begins',
+        'its offset at the start',
         None,
         '`0 s`, or `clock_offset` of stand_node',
     ),
@@ -145,8 +143,8 @@ _FROZEN = [
     Key('for', quantity(D.TIME, '0 or more'), 'how long', REQUIRED),
 ]
 _SAMPLES = [
-    Key('lost', _AT_MOST, 'share of the samples that never come, each by itself', '0 %'),
-    Key('twice', _AT_MOST, 'share of the samples that come twice', '0 %'),
+    Key('lost', _AT_MOST, 'share of lost samples, independent of each other', '0 %'),
+    Key('twice', _AT_MOST, 'share of samples sent twice', '0 %'),
     Key(
         'frozen',
         mapping(_FROZEN, words='`every` and `for`, times'),
@@ -172,7 +170,7 @@ _MOUNTING = [
         mapping(_RINGING, words=_BELOW),
         'of the mounting after each stop, in random directions',
     ),
-    Key('floor', mapping(_FLOOR, words=_BELOW), 'how the floor shakes all the time'),
+    Key('floor', mapping(_FLOOR, words=_BELOW), 'constant vibration of the floor'),
 ]
 
 
@@ -193,12 +191,12 @@ def _drift(dimension: D, zero: str) -> list[Key]:
 _WARM_UP = [
     _channels('gyro', D.RATE, 'biases at the start', '0 deg/h'),
     _channels('accelerometer', D.ACCELERATION, 'biases at the start', '0 ug'),
-    _size('time_constant', 'of their fading', D.TIME, f'{WarmUp().time_constant:g} s', 'above 0'),
+    _size('time_constant', 'of their decay', D.TIME, f'{WarmUp().time_constant:g} s', 'above 0'),
 ]
 _TEMPERATURE = [
     Key('offset', quantity(D.TEMPERATURE), 'at the start, above 25 degrees Celsius', '0 K'),
     Key('ramp', quantity(D.TEMPERATURE_RATE), 'steady change', '0 K/h'),
-    Key('rise', quantity(D.TEMPERATURE), 'in the long run, by `time_constant`', '0 K'),
+    Key('rise', quantity(D.TEMPERATURE), 'final value, reached with `time_constant`', '0 K'),
     _size(
         'time_constant',
         'of the rise',
@@ -206,22 +204,22 @@ _TEMPERATURE = [
         f'{_DEFAULT.warming.time_constant:g} s',
         'above 0',
     ),
-    Key('gyro', mapping(_drift(D.RATE_PER_KELVIN, '0 (deg/h)/K'), words=_BELOW), 'what it does'),
+    Key('gyro', mapping(_drift(D.RATE_PER_KELVIN, '0 (deg/h)/K'), words=_BELOW), 'its effect'),
     Key(
         'accelerometer',
         mapping(_drift(D.ACCELERATION_PER_KELVIN, '0 ug/K'), words=_BELOW),
-        'what it does; the keys of `gyro`, per kelvin and in units of acceleration',
+        'its effect; the keys of `gyro`, per kelvin and in units of acceleration',
     ),
     Key(
         'warm_up',
         mapping(_WARM_UP, words=_BELOW),
-        'biases that fade, whatever the thermometer shows',
+        'biases that decay, independent of the thermometer',
     ),
 ]
 
 KEYS = [
     Key('table', mapping(_TABLE, words=_BELOW), 'the turntable'),
-    Key('joint_states', mapping(_JOINT_STATES, words=_BELOW), 'what its encoders say'),
+    Key('joint_states', mapping(_JOINT_STATES, words=_BELOW), 'readings of its encoders'),
     Key('stamps', mapping(_STAMPS, words=_BELOW), "of the IMU's samples"),
     Key('samples', mapping(_SAMPLES, words=_BELOW), 'on their way'),
     Key('mounting', mapping(_MOUNTING, words=_BELOW), 'of the unit on the table'),
@@ -242,4 +240,4 @@ TABLES: Tables = {
     'warm_up': _WARM_UP,
 }
 VALUE = mapping(KEYS)
-TITLE = 'What is wrong with a simulated stand'
+TITLE = 'Imperfections of a simulated stand'

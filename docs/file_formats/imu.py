@@ -51,27 +51,27 @@ def _figures(letter: str) -> list[Key]:
         Key(
             'bias_instability',
             quantity(value, '0 or more'),
-            'how far a bias drifts within a session; counted in every standard deviation, unless '
+            'drift of a bias within a session; included in every standard deviation, unless '
             'the data clearly shows less',
             f'0 {si}',
         ),
         Key(
             'range',
             quantity(value, 'above 0'),
-            'largest rate that is measured' if gyro else 'largest specific force that is measured',
+            'largest measurable rate' if gyro else 'largest measurable specific force',
             None,
             'not limited',
         ),
         Key(
             'scale_factor_temperature',
             quantity(D.RATIO_PER_KELVIN, '0 or more'),
-            'by how much the scale factors follow the temperature, one standard deviation',
+            'change of the scale factors with temperature, one standard deviation',
             '0 ppm/K',
         ),
         Key(
             'bias_temperature',
             quantity(kelvin, '0 or more'),
-            'the same of the biases',
+            'the same for the biases',
             f'0 ({si})/K',
         ),
     ]
@@ -130,21 +130,25 @@ def _by_units(units: str) -> Schema:
 
 
 _ANY = Value({'type': 'object'}, 'keys, below')
-_NEEDED = 'must be given; with `si` may be left out'
+_NEEDED = 'must be given; optional with `si`'
 
 KEYS = [
     Key('id', text(), 'name of the unit, or of its type', REQUIRED),
     Key(
         'units',
         choice([u.value for u in Units]),
-        'what the numbers of the Imu messages are: increments per sample, codes proportional to '
+        'meaning of the numbers in the Imu messages: increments per sample, codes proportional to '
         'rate and specific force, or rad/s and m/s^2',
         REQUIRED,
     ),
-    Key('sample_rate', quantity(D.FREQUENCY, 'above 0'), 'nominal; the stamps tell the true one'),
+    Key(
+        'sample_rate',
+        quantity(D.FREQUENCY, 'above 0'),
+        'nominal; the true one follows from the stamps',
+    ),
     Key('gyro', _ANY, 'the three gyros', None, _NEEDED),
     Key('accelerometer', _ANY, 'the three accelerometers', None, _NEEDED),
-    Key('skewed_gyro', _ANY, 'a further gyro, askew to the three; the keys of `gyro`'),
+    Key('skewed_gyro', _ANY, 'a further gyro, skewed to the three; the keys of `gyro`'),
     Key(
         'specification',
         mapping(
@@ -166,4 +170,4 @@ TABLES: Tables = {
     'specification accelerometer': _limits('a'),
 }
 VALUE = mapping(KEYS, *(_by_units(u.value) for u in Units))
-TITLE = 'An IMU: what its numbers mean, and its noise by the data sheet'
+TITLE = 'An IMU: the meaning of its numbers, and its noise by the data sheet'

@@ -57,7 +57,7 @@ _ERROR = [
         choice(['input', 'not_observable', 'interrupted']),
         'wrong usage or input (exit code 2), data that cannot give the answer (1), Ctrl-C (130)',
     ),
-    _key('message', _TEXT, 'the sentence that stderr has'),
+    _key('message', _TEXT, 'the sentence on stderr'),
 ]
 _VERDICT = choice(['pass', 'marginal', 'fail'])
 _JUDGED = [
@@ -101,8 +101,8 @@ _CALIBRATE = [
 _SEVERAL_UNIT = [
     _key('serial_number', _TEXT, 'of the unit'),
     _key('topic', _TEXT, 'of its samples'),
-    _key('place', _TEXT, 'on the fixture; empty where nobody says'),
-    _key('exit_code', choice([0, 1, 2, 3]), 'that the unit alone would have; the worst counts'),
+    _key('place', _TEXT, 'on the fixture; empty if not stated'),
+    _key('exit_code', choice([0, 1, 2, 3]), 'of the unit alone; the worst is that of the command'),
     _key('error', _maybe(_below(_ERROR)), 'why it failed'),
     _key('result', _maybe(_below(_CALIBRATE)), 'as of one unit, above'),
 ]
@@ -118,13 +118,13 @@ _LEFT_OUT = [
 ]
 _SEVERAL = [
     _key('units', _rows(_SEVERAL_UNIT), 'of several units on one table, each'),
-    _key('table', _maybe(_rows(_SEEN)), 'what they found of the table together'),
-    _key('shared', _TEXTS, 'serial numbers of the units from which that is'),
+    _key('table', _maybe(_rows(_SEEN)), 'their common estimate of the table'),
+    _key('shared', _TEXTS, 'serial numbers of the units that it is estimated from'),
     _key('left_out', _rows(_LEFT_OUT), 'units that contradict the others'),
 ]
 _MOVED = [
     _NAME,
-    _key('difference', _NUMBER, 'that the recording sees'),
+    _key('difference', _NUMBER, 'by the recording'),
     _key('std', _NUMBER, 'its standard deviation'),
     _UNIT,
 ]
@@ -134,7 +134,7 @@ _TRIAD = [
     _key('chi_square', _NUMBER, 'of all their equations'),
     _key('degrees_of_freedom', whole(0), 'of that'),
     _key('symptom', _maybe(_TEXT), 'what is wrong'),
-    _key('moved', _rows(_MOVED), 'parameters that are elsewhere'),
+    _key('moved', _rows(_MOVED), 'parameters that differ'),
 ]
 _QUANTITIES = ['gravity', 'direction', 'earth_rate', 'up_rate', 'turn', 'turn_axis']
 _COMPARED = [
@@ -142,7 +142,7 @@ _COMPARED = [
     _key('at', _UNKNOWN, 's after the first dwell; `null` of a turn'),
     _key('rate', _NUMBER, 'of a turn, rad/s; 0 at rest'),
     _key('quantity', choice(_QUANTITIES), 'what is compared'),
-    _key('deviation', _NUMBER, 'what came out less what should'),
+    _key('deviation', _NUMBER, 'result less expected value'),
     _key('std', _NUMBER, 'its standard deviation'),
     _key('unit', _TEXT, 'SI unit of both'),
     _key('in_std', _NUMBER, 'one over the other'),
@@ -153,19 +153,19 @@ _LIMITS = [
 ]
 _VERIFY = [
     _key('verdict', _VERDICT, '`fail` is exit code 1: rejected; `marginal` is accepted'),
-    _key('limits', _below(_LIMITS), 'that the verdicts go by'),
+    _key('limits', _below(_LIMITS), 'of the verdicts'),
     _key('triads', _rows(_TRIAD), 'gyros and accelerometers'),
     _key('compared', _rows(_COMPARED), 'every quantity at every position'),
-    _key('findings', _TEXTS, 'what a person should know'),
+    _key('findings', _TEXTS, 'what the user of the result must know'),
 ]
 _SIDE_BY_SIDE = [
     _NAME,
     _UNIT,
     _key('values', array(_NUMBER, 2, words='list of numbers'), 'of each calibration, in order'),
     _key('std', array(_NUMBER, 2, words='list of numbers'), 'their standard deviations'),
-    _key('chi_square', _UNKNOWN, 'about what fits all best; `null` where all are exact'),
+    _key('chi_square', _UNKNOWN, 'about the best fit; `null` if all are exact'),
     _key('degrees_of_freedom', whole(0), 'of that'),
-    _key('chance', _UNKNOWN, 'probability of so much in a unit that has not changed'),
+    _key('chance', _UNKNOWN, 'probability of this or more in an unchanged unit'),
     _key('differs', flag(), 'whether it differs significantly'),
 ]
 _ALL = [
@@ -178,10 +178,14 @@ _COMPARE = [
     _key('names', _TEXTS, 'of the calibrations'),
     _key('parameters', _rows(_SIDE_BY_SIDE), 'those that all have'),
     _key('differing', _TEXTS, 'names of those that differ significantly'),
-    _key('false_alarm', _NUMBER, 'chance that any does in a unit that has not changed'),
+    _key('false_alarm', _NUMBER, 'probability that any does in an unchanged unit'),
     _key('all', _below(_ALL), 'all parameters together'),
-    _key('only', array(_TEXTS, 2, words='list of lists'), 'for each what it has, and not all'),
-    _key('findings', _TEXTS, 'what a person should know'),
+    _key(
+        'only',
+        array(_TEXTS, 2, words='list of lists'),
+        'for each, the parameters that not all have',
+    ),
+    _key('findings', _TEXTS, 'what the user of the result must know'),
 ]
 _TOPIC = [
     _key('name', _TEXT, 'of the topic'),
@@ -193,7 +197,7 @@ _SIX = array(_NUMBER, 6, 6, 'list of 6 numbers')
 _DWELL = [
     _key('at', _NUMBER, 's from the start of the recording'),
     _key('seconds', _NUMBER, 'how long'),
-    _key('missing', whole(0), 'samples that are lost, or were left out as disturbed'),
+    _key('missing', whole(0), 'samples that are lost, or excluded as disturbed'),
     _key('up', _TEXT, 'attitude in words'),
     _key('heading', _UNKNOWN, 'about up by the angles of the table, deg'),
     _key('position', _TEXT, 'of the plan, `on the way` or `not used`; empty without a plan'),
@@ -212,30 +216,28 @@ _INSIDE = [
     _key('dwells', _rows(_DWELL), 'static dwells'),
     _key('turns', _rows(_TURN), 'whole turns'),
     _key('plan', _TEXT, 'its name; empty without one'),
-    _key('missing', _maybe(_TEXTS), 'of the plan; `null` where none has to be kept to'),
+    _key('missing', _maybe(_TEXTS), 'of the plan; `null` without a binding plan'),
     _key('summary', _TEXT, 'whether all parameters are determined'),
-    _key('latitude', _maybe(_LATITUDE), 'that the gyros see, and its standard deviation, deg'),
-    _key('contradictions', _TEXTS, 'of latitude, plan or IMU; why no calibration comes of it'),
-    _key('left_out', _TEXTS, 'what is not used, and why'),
-    _key('lost', _TEXTS, 'what was lost'),
+    _key('latitude', _maybe(_LATITUDE), 'by the gyros, and its standard deviation, deg'),
+    _key('contradictions', _TEXTS, 'of latitude, plan or IMU; why it cannot be calibrated'),
+    _key('left_out', _TEXTS, 'unused data, with the reason'),
+    _key('lost', _TEXTS, 'lost data'),
 ]
 _INFO = [
     _key('path', _TEXT, 'of the recording'),
     _key('seconds', _NUMBER, 'from the first message to the last'),
     _key('files', whole(0), 'how many'),
-    _key('compensated', _TEXT, 'calibration that it was compensated by; empty where it was not'),
+    _key('compensated', _TEXT, 'calibration that it was compensated with; empty if none'),
     _key('topics', _rows(_TOPIC), 'all of them'),
-    _key('lost', _TEXTS, 'what is missing or broken, as far as the topics were looked at'),
-    _key(
-        'inside', _maybe(_below(_INSIDE)), 'the streams; `null` where it is not said what they mean'
-    ),
-    _key('not_said', _TEXT, 'what would have to be said for that'),
+    _key('lost', _TEXTS, 'missing or damaged data of the topics that were read'),
+    _key('inside', _maybe(_below(_INSIDE)), 'the streams; `null` if their meaning is not stated'),
+    _key('not_said', _TEXT, 'what must be stated for that'),
 ]
 _REPORT = [_FILE, _SPECIFIED]
 _DAY = _maybe(_TEXT, 'date, `2026-11-22`, or `null`')
 _EACH = array(_UNKNOWN, 24, 24, 'list of 24 numbers, each may be `null`')
 _RULES = [
-    _key('false_alarm', _NUMBER, 'largest chance of a wrong statement of each kind'),
+    _key('false_alarm', _NUMBER, 'largest probability of a wrong statement of each kind'),
     _key('confidence', _NUMBER, 'of intervals'),
     _key('inside', _NUMBER, 'probability of being within the specification until due'),
     _key('smoothing', _NUMBER, 'weight of the newest session in an EWMA'),
@@ -251,7 +253,7 @@ _OF_UNIT = [
     _key('value', _UNKNOWN, 'at the newest session'),
     _key('std', _UNKNOWN, 'its standard deviation, as stated'),
     _key('limit', _UNKNOWN, 'largest amount allowed'),
-    _key('outside', flag(), 'whether it is proven to be beyond that'),
+    _key('outside', flag(), 'whether it is significantly beyond that'),
     _key('level', _UNKNOWN, 'of the line at the newest session'),
     _key('level_std', _UNKNOWN, 'its standard deviation'),
     _key('slope', _UNKNOWN, 'of the line, per month'),
@@ -319,7 +321,7 @@ _OF_UNITS = [
     _key('sessions', _rows(_OF_SESSION), 'by date'),
     _key('steps', _rows(_STEP), 'between sessions'),
     _key('signals', _rows(_SIGNAL), 'of the charts'),
-    _key('findings', _TEXTS, 'what a person should know'),
+    _key('findings', _TEXTS, 'what the user of the result must know'),
 ]
 _DISTRIBUTION = [
     _NAME,
@@ -347,51 +349,51 @@ _LOT = [
     _key('units', whole(0), 'of it'),
     _key('shift', _NUMBER, 'against all others, SI'),
     _key('std', _NUMBER, 'its standard deviation'),
-    _key('chance', _NUMBER, 'probability of so much, all that was tested considered'),
+    _key('chance', _NUMBER, 'probability of this or more, corrected for all tests'),
 ]
 _POPULATION = [
     _key('imu', _TEXT, 'type'),
     _key('units', whole(0), 'how many'),
     _key('sessions', whole(0), 'of all'),
     _key('parameters', _rows(_DISTRIBUTION), 'all 24'),
-    _key('outliers', _rows(_OUTLIER), 'units apart'),
-    _key('lots', _rows(_LOT), 'lots apart'),
+    _key('outliers', _rows(_OUTLIER), 'outlying units'),
+    _key('lots', _rows(_LOT), 'outlying lots'),
 ]
 _COUNTS = array(whole(0), 0, words='list of numbers')
 _EFFECT = [
     _key('stand', _TEXT, 'name'),
-    _key('effect', _EACH, 'less the mean of the stands that units link'),
+    _key('effect', _EACH, 'less the mean of the linked stands'),
     _key('std', _EACH, 'their standard deviations'),
 ]
 _SHIFT = [
     _key('stand', _TEXT, 'name'),
-    _key('others', _TEXTS, 'that it was held against'),
-    _key('alone', flag(), 'whether it is this one that is off'),
+    _key('others', _TEXTS, 'stands that it was compared with'),
+    _key('alone', flag(), 'whether this one is off'),
     _key('what', _TEXT, 'a parameter, or `K_g`, `K_a`, `E about X`'),
-    _key('parameters', _TEXTS, 'that are shifted'),
+    _key('parameters', _TEXTS, 'shifted parameters'),
     _UNIT,
-    _key('shift', _NUMBER, 'that it adds'),
+    _key('shift', _NUMBER, 'its shift'),
     _key('std', _NUMBER, 'its standard deviation'),
-    _key('low', _NUMBER, 'lower end of its interval, all that was tested considered'),
+    _key('low', _NUMBER, 'lower end of its interval, simultaneous for all tests'),
     _key('high', _NUMBER, 'upper end'),
-    _key('chance', _NUMBER, 'probability of so much, all that was tested considered'),
-    _key('units', whole(0), 'that were on this stand and on another'),
+    _key('chance', _NUMBER, 'probability of this or more, corrected for all tests'),
+    _key('units', whole(0), 'units that were on this stand and on another'),
 ]
 _STANDS = [
     _key('names', _TEXTS, 'of the stands'),
     _key('sessions', _COUNTS, 'of each'),
     _key('units', _COUNTS, 'of each'),
-    _key('groups', array(_TEXTS, 0, words='list of lists'), 'that units link'),
+    _key('groups', array(_TEXTS, 0, words='list of lists'), 'linked by units'),
     _key('effects', _rows(_EFFECT), 'of each'),
     _key('reproducibility', _EACH, 'standard deviation between stands'),
     _key('shifts', _rows(_SHIFT), 'stands that are off'),
 ]
 _HISTORY = [
-    _key('rules', _below(_RULES), 'what was judged by'),
+    _key('rules', _below(_RULES), 'limits and probabilities used'),
     _key('units', _rows(_OF_UNITS), 'by type and serial number'),
     _key('populations', _rows(_POPULATION), 'of each type'),
-    _key('stands', _below(_STANDS), 'held against each other'),
-    _key('findings', _TEXTS, 'what a person should know of the whole'),
+    _key('stands', _below(_STANDS), 'compared with each other'),
+    _key('findings', _TEXTS, 'on all units: what the user of the result must know'),
 ]
 _RESULTS = {
     'calibrate': _CALIBRATE,

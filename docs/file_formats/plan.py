@@ -41,7 +41,12 @@ _RATE_TEST = [
         'signed rates about up, in order; not with `by_hand`',
         REQUIRED,
     ),
-    Key('turns', whole(1), 'whole turns at each rate; the table adds one to start and stop in', 1),
+    Key(
+        'turns',
+        whole(1),
+        'whole turns at each rate; the table adds one for starting and stopping',
+        1,
+    ),
 ]
 _BY_HAND = mapping([_RATE_TEST[1]])
 _TURNED = [
@@ -61,7 +66,7 @@ _POSITION = [
     Key(
         'dwell',
         quantity(D.TIME, '0 or more'),
-        'at this position; 0 only where turns are made',
+        'at this position; 0 only with turns',
         None,
         '`dwell` of the plan',
     ),
@@ -85,7 +90,7 @@ KEYS = [
     Key(
         'method',
         choice(list(METHODS)),
-        'the solver that the plan is made for ([methods](../methods.md))',
+        'the solver of the plan ([methods](../methods.md))',
         REQUIRED,
     ),
     Key('dwell', quantity(D.TIME, 'above 0'), 'time to stand still at a position', REQUIRED),
@@ -95,7 +100,7 @@ KEYS = [
         Value({'type': 'object'}, 'keys, below'),
         'turns about the vertical',
         None,
-        'none; must be given where a position asks for it',
+        'none; must be given if a position has one',
     ),
     Key(
         'positions',

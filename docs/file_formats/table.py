@@ -35,14 +35,14 @@ _JOINT = [
     Key(
         'limits',
         either(_CONTINUOUS, mapping(_LIMITS), words='`continuous`, or `lower` and `upper`'),
-        'how far it turns; rate tests need a continuous one',
+        'range of rotation; rate tests need a continuous one',
         'continuous',
     ),
-    Key('max_rate', quantity(D.RATE, 'above 0'), 'largest rate that is asked of it', REQUIRED),
+    Key('max_rate', quantity(D.RATE, 'above 0'), 'largest commanded rate', REQUIRED),
     Key(
         'max_acceleration',
         quantity(D.ANGULAR_ACCELERATION, 'above 0'),
-        'with which it starts and stops',
+        'of its starts and stops',
         REQUIRED,
     ),
 ]
@@ -53,7 +53,7 @@ TURNS = [
 ]
 
 _OF_ERRORS = {
-    'positioning': 'of an arrival, not shown by the encoder',
+    'positioning': 'of a stopped joint, not shown by the encoder',
     'level': 'of the tilt of the table, about either horizontal axis',
     'zeros': 'of the zeros of all joints but the first, whose zero is the azimuth',
     'orthogonality': 'of each axis to the one before it, about either direction across',
@@ -96,7 +96,7 @@ KEYS = [
     Key(
         'azimuth',
         either(choice(['unknown']), quantity(D.ANGLE)),
-        "where the table's zero points, from north about up",
+        "heading of the table's zero, from north about up",
         'unknown',
     ),
     Key(
@@ -116,4 +116,4 @@ TABLES: Tables = {
     'errors': ERRORS,
 }
 VALUE = mapping([*KEYS, *ERRORS])
-TITLE = 'A turntable: joints, limits, mounting, and how good it is'
+TITLE = 'A turntable: joints, limits, mounting and accuracy'

@@ -13,10 +13,10 @@ _UNIT = [
         Value(
             {'type': ['string', 'number'], 'pattern': f'^{SERIAL}$'}, 'text that can name a file'
         ),
-        'which unit of its type: its calibration is called by it; no two alike',
+        'of the unit, also the name of its calibration file; no two alike',
         REQUIRED,
     ),
-    Key('imu', text(), 'name or file of its type: what its numbers mean', REQUIRED),
+    Key('imu', text(), 'name or file of its type', REQUIRED),
     Key(
         'topic',
         Value({'type': 'string', 'pattern': f'^{TOPIC}$'}, 'name of a topic'),
@@ -24,7 +24,7 @@ _UNIT = [
         None,
         '`unit_<serial number>/imu/pulses`',
     ),
-    Key('place', text(), 'where it sits on the fixture, for people', ''),
+    Key('place', text(), 'place on the fixture, for people', ''),
     Key(
         'mount',
         MOUNT.value,
