@@ -20,7 +20,7 @@ HEAD = f"""# Command line
 
 {EXIT_CODES} An error is a sentence on
 stderr; with `--json` it is in the document on stdout too ([output](files/output.md)).
-`imu-calib COMMAND --help` prints what stands here (`python docs/command_line.py` writes this page).
+`imu-calib COMMAND --help` prints the same text (`python docs/command_line.py` writes this page).
 
 | command | does |
 |---|---|

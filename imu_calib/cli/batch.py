@@ -45,7 +45,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='SIZE',
         help='memory of each worker on this machine (default: %(default)s)',
     )
-    parser.add_argument('--retry', action='store_true', help='run again what failed')
+    parser.add_argument('--retry', action='store_true', help='run failed recordings again')
     options.add_session_options(parser)
     options.add_imus_option(parser)
     parser.epilog = (

@@ -1,4 +1,4 @@
-"""imu-calib catalogue: what a catalogue holds, as a table, a file or the answer to SQL."""
+"""imu-calib catalogue: the contents of a catalogue, as a table, a file or the result of SQL."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--fields',
         required=True,
         metavar='FILE',
-        help='what the laboratory states (docs/files/certificate.md; an example: '
+        help='statements of the laboratory (docs/files/certificate.md; an example: '
         'config/certificates/example.yaml)',
     )
     parser.add_argument(

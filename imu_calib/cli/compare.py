@@ -1,4 +1,4 @@
-"""imu-calib compare: calibrations side by side as in Cao 2022's Table 1, and what differs."""
+"""imu-calib compare: calibrations side by side as in Cao 2022's Table 1, differences marked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""imu-calib compensate: a recording's raw IMU stream to rates and forces; the rest as it was."""
+"""imu-calib compensate: a recording's raw IMU stream to rates and forces; the rest is copied."""
 
 from __future__ import annotations
 

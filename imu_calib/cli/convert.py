@@ -24,7 +24,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'text files', 'NAME: as in the heading of the file, or the place of a column from 1 on.'
     )
     text.add_argument('--stamp', metavar='NAME:UNIT', help='time of each row, in s, ms, us or ns')
-    text.add_argument('--rate', metavar='HZ', help='of the rows, where none holds their time')
+    text.add_argument('--rate', metavar='HZ', help='of the rows, if no column has their time')
     text.add_argument(
         '--gyro', metavar=_COLUMNS, help='for instance wx,wy,wz:deg/s; also in pulse, or in count'
     )

@@ -1,4 +1,4 @@
-"""imu-calib export: a calibration in the form that other software reads."""
+"""imu-calib export: a calibration in the format of other software."""
 
 from __future__ import annotations
 

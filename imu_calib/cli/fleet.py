@@ -1,4 +1,4 @@
-"""imu-calib fleet: one page on all units of a catalogue: due, failed, drifting, odd, and each."""
+"""imu-calib fleet: one page on all units of a catalogue: due, failed, drifting, outliers."""
 
 from __future__ import annotations
 

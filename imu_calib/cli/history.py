@@ -1,4 +1,4 @@
-"""imu-calib history: what the calibrations of a catalogue say of units, types and stands."""
+"""imu-calib history: evaluate the calibrations of a catalogue by unit, type and stand."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--serial',
         metavar='NUMBER',
-        help='show one unit, parameter by parameter; the others still give what is usual',
+        help='show one unit, parameter by parameter; the others still define the usual scatter',
     )
     parser.add_argument(
         '--where', metavar='SQL', help='rows that count: "imu = \'fog_medium\'" (default: all)'

@@ -1,4 +1,4 @@
-"""imu-calib info: what is in a recording, what it can calibrate, and what it contradicts."""
+"""imu-calib info: the contents of a recording, what it can calibrate, and contradictions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""imu-calib montecarlo: a simulated session many times, and what its method makes of it."""
+"""imu-calib montecarlo: a simulated session many times, and the errors of its method."""
 
 from __future__ import annotations
 

@@ -136,7 +136,7 @@ def add_serial_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--serial',
         metavar='NUMBER',
-        help="serial number of the unit (default: the recording's, where it says); of several "
+        help="serial number of the unit (default: the recording's, if stated); of several "
         'units in a recording it chooses the one with this number',
     )
 

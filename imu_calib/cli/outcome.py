@@ -22,9 +22,9 @@ DONE, NO_ANSWER, WRONG_INPUT, OUTSIDE = 0, 1, 2, 3
 """Exit codes. OUTSIDE: a parameter is proven to be outside the unit's specification."""
 
 EXIT_CODES = (
-    'Exit codes: 0 done; 1 the data cannot give the answer (it says which parameter and why), or '
-    'contradicts what was to be verified; 2 wrong usage or unreadable input; 3 the unit is '
-    'outside its specification; 130 interrupted (Ctrl-C).'
+    'Exit codes: 0 done; 1 the data cannot give the answer (the message names the parameter and '
+    'the reason), or contradicts the calibration to be verified; 2 wrong usage or unreadable '
+    'input; 3 the unit is outside its specification; 130 interrupted (Ctrl-C).'
 )
 
 JSON = '--json'
@@ -52,7 +52,7 @@ def add_json_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         JSON,
         action='store_true',
-        help='one JSON document on stdout (docs/files/output.md); what is for people goes to '
+        help='one JSON document on stdout (docs/files/output.md); text for people goes to '
         'stderr, errors are in the document too',
     )
 

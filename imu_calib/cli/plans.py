@@ -1,4 +1,4 @@
-"""imu-calib plans: the plans that ship; how one is laid out; what it would give, and how soon."""
+"""imu-calib plans: list the supplied plans; lay one out; predict its results and its duration."""
 
 from __future__ import annotations
 

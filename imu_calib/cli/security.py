@@ -1,4 +1,4 @@
-"""imu-calib security: the keystore with which a stand's nodes prove who they are."""
+"""imu-calib security: the keystore with which a stand's nodes prove their identity."""
 
 from __future__ import annotations
 

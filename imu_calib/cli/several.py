@@ -38,7 +38,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--without',
         metavar='SERIAL,SERIAL',
         default='',
-        help='with --imus: units of the file that are left out; also of a session that is resumed',
+        help='with --imus: units of the file to exclude; also of a resumed session',
     )
 
 

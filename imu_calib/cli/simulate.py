@@ -1,4 +1,4 @@
-"""imu-calib simulate: write a recording that a real stand, or a hand, could have written."""
+"""imu-calib simulate: write the recording of a simulated stand, or of a unit in the hand."""
 
 from __future__ import annotations
 

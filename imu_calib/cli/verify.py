@@ -1,4 +1,4 @@
-"""imu-calib verify: the acceptance test of a calibration, by a recording that did not make it."""
+"""imu-calib verify: the acceptance test of a calibration, with another recording."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .terminal import OUTPUT, progress_bar, sentence_list
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
     parser.epilog = (
-        'Exit codes: 0 accepted, 1 rejected or not to be judged, 2 wrong usage or unreadable '
+        'Exit codes: 0 accepted, 1 rejected or no verdict possible, 2 wrong usage or unreadable '
         'input, 130 interrupted.'
     )
     options.add_bag(parser)
