@@ -14,7 +14,7 @@ import yaml
 
 from .errors import InputError
 from .stream import Floats
-from .units import Dimension, parse
+from .units import Dimension, parse, point_for_comma
 from .yaml_text import load
 
 T = TypeVar('T')
@@ -112,7 +112,10 @@ class Section:
             return default
         value = as_number(self.raw(name))
         if value is None or not math.isfinite(value):
-            raise InputError(f'{self.key(name)}: found {self.raw(name)!r}, expected a number.')
+            point = point_for_comma(self.raw(name))
+            raise InputError(
+                f'{self.key(name)}: found {self.raw(name)!r}, expected a number.{point}'
+            )
         return value
 
     def whole(

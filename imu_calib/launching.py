@@ -26,6 +26,7 @@ from .plan import load_plan
 from .security import in_enclave
 from .share import named_file
 from .turntable import load_table
+from .units import point_for_comma
 
 _MODULES = {
     'numpy': 'python3-numpy',
@@ -238,7 +239,8 @@ def _number(lower: float = -math.inf, upper: float = math.inf) -> Callable[[str]
             value = math.inf
         if math.isinf(value) or (limited and not lower <= value <= upper):
             limits = f' from {lower:g} to {upper:g}' if limited else ''
-            raise InputError(f'found {text!r}, expected a number{limits}.')
+            point = point_for_comma(text)
+            raise InputError(f'found {text!r}, expected a number{limits}.{point}')
 
     return check
 

@@ -112,6 +112,22 @@ class Dimension(Enum):
 _QUANTITY = re.compile(r'^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*$', re.ASCII)
 
 
+_COMMA = re.compile(r'\s*[-+]?\d*,\d+(?![\d,.]).*', re.ASCII)
+
+
+def point_for_comma(text: object) -> str:
+    """Return what to write instead of a number with a decimal comma; nothing for all else.
+
+    Examples:
+        >>> point_for_comma('59,9'), point_for_comma('59.9')
+        (' The decimal sign is a point: write 59.9.', '')
+
+    """
+    if not isinstance(text, str) or not _COMMA.fullmatch(text):
+        return ''
+    return f' The decimal sign is a point: write {text.strip().replace(",", ".", 1)}.'
+
+
 def counted(number: int, noun: str, plural: str = '') -> str:
     """Return a number with what it counts, in the singular where it is one.
 
@@ -164,6 +180,7 @@ def parse(text: object, dimension: Dimension, key: str) -> float:
     if match is None or match[2] not in units:
         raise InputError(
             f'{key}: found {text!r}, expected a number with a unit, one of {", ".join(units)}.'
+            f'{point_for_comma(text)}'
         )
     value = float(match[1]) * units[match[2]]
     if not math.isfinite(value):

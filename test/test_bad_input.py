@@ -439,16 +439,38 @@ def test_comparing_what_is_no_calibration(
     assert code == 2
 
 
-@pytest.mark.parametrize('arguments', [('calibrate',), ('calibrate', 'x', '--latitude', 'here')])
-def test_wrong_usage_ends_with_2(arguments: tuple[str, ...], tmp_path: Path) -> None:
+def test_wrong_usage_ends_with_2() -> None:
     # In a process of its own: what a shell sees.
-    command = [sys.executable, '-m', 'imu_calib.cli.main', *arguments]
+    command = [sys.executable, '-m', 'imu_calib.cli.main', 'calibrate']
     done = subprocess.run(
         command, capture_output=True, text=True, check=False, cwd=Path(__file__).parent.parent
     )
     assert done.returncode == 2
     assert 'usage: imu-calib calibrate' in done.stderr
     assert 'Traceback' not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ('words', 'said'),
+    [
+        ('--latitude 59,9', "--latitude: found '59,9', expected a number without its unit. The "
+         'decimal sign is a point: write 59.9.'),
+        ('--latitude -33,45', 'write -33.45.'),
+        ('--height=1,5', "--height: found '1,5', expected a number .* write 1.5."),
+        ('--azimuth 12deg', "--azimuth: found '12deg', expected a number without its unit"),
+    ],
+)  # fmt: skip
+def test_a_number_option_says_what_to_write(cli: CommandLine, words: str, said: str) -> None:
+    code, text = cli('calibrate', 'x', *words.split())
+    assert re.search(said, text), text
+    assert 'usage' not in text
+    assert code == 2
+
+
+def test_a_whole_number_is_asked_for(cli: CommandLine) -> None:
+    code, text = cli('simulate', 'twelve_position', '-o', 'x', '--seed', '1.5')
+    assert "--seed: found '1.5', expected a whole number." in text
+    assert code == 2
 
 
 # Samples that cannot be used.

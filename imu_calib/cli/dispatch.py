@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import gc
 import os
+import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from ..errors import ImuCalibError, InputError
+from ..units import point_for_comma
 from ..version import version
 from .interruption import INTERRUPTED, KIND, WORDS, clear_interrupt
 from .outcome import JSON, Outcome, error_document, kind_of, write_document
@@ -40,6 +42,9 @@ COMMANDS = {
 }
 """What each does; the module of its name does it."""
 
+_NEGATIVE = re.compile(r'-\.?\d')
+"""How a value begins that is below zero; no option begins so."""
+
 
 class _WrongUsage(Exception):
     """A command line that its parser does not take: with what it says, its usage was printed."""
@@ -52,15 +57,43 @@ class _WrongUsage(Exception):
 class _Parser(argparse.ArgumentParser):
     """Hands wrong usage to `run`, which says it as all other errors."""
 
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        super().__init__(*arguments, **keywords)
+        self.register('type', float, _number)
+        self.register('type', int, _whole)
+        # argparse takes -59,9 for an option, and says of the one before that it has no value.
+        self._negative_number_matcher = _NEGATIVE
+
     def error(self, message: str) -> NoReturn:
-        """Print the usage, and raise what was wrong.
+        """Print the usage, unless one option's value is wrong, and raise what was wrong.
 
         Raises:
             _WrongUsage: Always.
 
         """
-        self.print_usage(sys.stderr)
-        raise _WrongUsage(self.prog.removeprefix('imu-calib').strip(), message)
+        of_one = message.removeprefix('argument ')
+        if of_one == message:
+            self.print_usage(sys.stderr)
+        raise _WrongUsage(self.prog.removeprefix('imu-calib').strip(), of_one)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise _refused(text, 'a number without its unit') from None
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise _refused(text, 'a whole number') from None
+
+
+def _refused(text: str, expected: str) -> argparse.ArgumentTypeError:
+    point = point_for_comma(text)
+    return argparse.ArgumentTypeError(f'found {text!r}, expected {expected}.{point}')
 
 
 class _Version(argparse.Action):

@@ -16,6 +16,7 @@ from ..api.stated import Stated
 from ..bags import AnyPath, RemotePath, is_url, located
 from ..errors import InputError
 from ..paths import user_path
+from ..units import point_for_comma
 from ..yaml_text import load
 
 _STORAGE = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd', '.mcap.zst', '.db3.zst')
@@ -267,7 +268,8 @@ def _number(value: Any, where: str) -> float:
     try:
         return float(value)
     except (TypeError, ValueError):
-        raise InputError(f'{where}: found {value!r}, expected a number.') from None
+        point = point_for_comma(value)
+        raise InputError(f'{where}: found {value!r}, expected a number.{point}') from None
 
 
 def _flag(value: Any, where: str) -> bool:
