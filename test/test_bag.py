@@ -180,9 +180,16 @@ def test_info_ends_with_2_where_a_topic_is_not_there(
 ) -> None:
     assert main(['info', bag, '--imu-topic', '/nothing']) == 2
     assert 'no such topic' in capsys.readouterr().err
-    # Nothing is wrong with what nobody says: the topics are shown.
-    assert main(['info', bag]) == 0
-    assert 'Streams not read' in capsys.readouterr().out
+
+
+def test_info_shows_the_topics_and_asks_for_what_is_not_stated(
+    bag: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['info', bag]) == 2
+    shown = capsys.readouterr()
+    assert 'sensor_msgs/msg/Imu' in shown.out
+    assert 'does not say where it was taken: give --latitude in degrees' in shown.err
+    assert main(['info', bag, '--topics']) == 0
 
 
 def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag: str) -> None:

@@ -231,7 +231,7 @@ _INFO = [
     _key('topics', _rows(_TOPIC), 'all of them'),
     _key('lost', _TEXTS, 'missing or damaged data of the topics that were read'),
     _key('inside', _maybe(_below(_INSIDE)), 'the streams; `null` if their meaning is not stated'),
-    _key('not_said', _TEXT, 'what must be stated for that'),
+    _key('not_said', _TEXT, 'what must be stated for that; the exit code is 2 then'),
 ]
 _REPORT = [_FILE, _SPECIFIED]
 _DAY = _maybe(_TEXT, 'date, `2026-11-22`, or `null`')

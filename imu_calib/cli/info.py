@@ -10,7 +10,7 @@ from rich.table import Table as Rows
 from ..api.looking import Look, look_inside, topics
 from ..units import DEG, DEG_H, STANDARD_GRAVITY, counted
 from . import options
-from .outcome import Outcome, add_json_option
+from .outcome import WRONG_INPUT, Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
@@ -22,6 +22,10 @@ _WORDS = {'topic', 'type', 'up', 'position'}
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
+    parser.epilog = (
+        'Exit code 2, after the topics: it is not stated how the streams are to be read (latitude, '
+        'units, which topic); --topics asks for no more than the topics.'
+    )
     options.add_bag(parser)
     parser.add_argument(
         '--topics',
@@ -43,9 +47,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     found = look_inside(outside, options.stated(arguments), progress_bar)
     if found.inside is None:
         sentence_list('Lost', outside.lost)
-        OUTPUT.print(f'\nStreams not read: {found.not_said}', markup=False)
-    else:
-        _show(found.inside)
+        message = f'{found.not_said} Until then the topics alone are shown.'
+        return Outcome(found.to_dict(), WRONG_INPUT, message)
+    _show(found.inside)
     return Outcome(found.to_dict())
 
 
