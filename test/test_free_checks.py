@@ -51,6 +51,22 @@ def test_gyros_in_other_units_are_refused_with_the_factor(scale: float) -> None:
     assert not is_clear(wrong)
 
 
+@pytest.mark.parametrize('scale', [2.0, 0.5])
+def test_half_and_twice_the_rate_of_the_samples_are_refused(scale: float) -> None:
+    wrong = seen_by(session(), scale * np.eye(3), np.eye(3))
+    # By steps of 1.1 %.
+    words = r'The gyros turn gravity (1\.9[89]|2(\.0[12])?|0\.(49\d|50\d|5)) times as far'
+    with pytest.raises(InputError, match=f'{words}.* A wrong rate of the samples'):
+        solve(wrong)
+    assert not is_clear(wrong)
+
+
+@pytest.mark.parametrize('scale', [0.6, 1.7])
+def test_a_scale_that_no_mistake_explains_is_solved(scale: float) -> None:
+    fit = solve(seen_by(session(), scale * np.eye(3), np.eye(3)))
+    assert np.abs(fit.model.gyro.response - scale * MODEL.gyro.response).max() < 2e-3
+
+
 @pytest.mark.parametrize('scale', [1 / 9.81, 9.81])
 def test_accelerometers_in_other_units_are_refused_with_the_factor(scale: float) -> None:
     wrong = seen_by(session(), np.eye(3), scale * np.eye(3))

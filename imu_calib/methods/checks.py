@@ -14,11 +14,20 @@ from ..units import DEG, DEG_H, PPM, STANDARD_GRAVITY
 
 CONTRADICTION = 5.0
 """Standard deviations: false in 6e-7 of Gaussian cases."""
-_TIMES = ' A wrong rate of the samples, or unit of their times, does the same.'
+TIMES = ' A wrong rate of the samples, or unit of their times, does the same.'
 """Of gyros: turned angles are their rates times time."""
+_RANGES = {
+    2.0: 'Counts of half the range that the scale factor is for',
+    0.5: 'Counts of twice the range that the scale factor is for',
+}
 _MISTAKES = {
-    'gyros': {1 / DEG: 'Rates in deg/s, stated as rad/s,', DEG: 'Rates in rad/s, stated as deg/s,'},
+    'gyros': {
+        **_RANGES,
+        1 / DEG: 'Rates in deg/s, stated as rad/s,',
+        DEG: 'Rates in rad/s, stated as deg/s,',
+    },
     'accelerometers': {
+        **_RANGES,
         STANDARD_GRAVITY: 'Accelerations in m/s^2, stated as g,',
         1 / STANDARD_GRAVITY: 'Accelerations in g, stated as m/s^2,',
     },
@@ -26,8 +35,9 @@ _MISTAKES = {
 """By how many times outputs are then too large."""
 _NEAR = 0.1
 """Relative: scale factors of the cheapest units are 3 % off."""
-SCALE_LIMIT = 2.0
-"""Times: what differs by more is stated in other units; sensors differ by percents."""
+SCALE_LIMIT = 1.9
+"""Times: what differs by more is stated in other units; sensors differ by percents. Twice the rate
+of the samples, and the next range of a converter, are 2 times, less 3 % of the cheapest units."""
 _AXIS_LIMIT = 0.5
 """Of an axis's largest response: beyond, the axes are exchanged, not misaligned."""
 _FAR_SCALE = 0.1
@@ -106,7 +116,7 @@ def far_scales(model: SensorModel) -> list[str]:
     }
     return [
         f'The {name} answer {scale:.3f} times what the scale factor of their description says: '
-        f'is it that of this unit?{_TIMES if name == "gyros" else ""}'
+        f'is it that of this unit?{TIMES if name == "gyros" else ""}'
         for name, scale in scales.items()
         if abs(scale - 1) > _FAR_SCALE
     ]
@@ -138,7 +148,7 @@ def check_axes(response: Floats, name: str, what: str) -> None:
         raise InputError(
             f'The {name} answer {scale:.4g} times what they should to {what}: units or scale '
             "factor of the IMU's description are not those of the recording."
-            f'{mistaken(scale, name)}{_TIMES if name == "gyros" else ""}'
+            f'{mistaken(scale, name)}{TIMES if name == "gyros" else ""}'
         )
     largest = np.abs(response).max(axis=1)
     if np.all(np.diag(response) == largest) and np.all(

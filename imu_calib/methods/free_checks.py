@@ -19,7 +19,7 @@ from ..observation.earth_seen import latitude_seen, up_rate_seen
 from ..observation.evidence import Evidence
 from ..stream import Floats
 from ..units import DEG
-from .checks import mistaken
+from .checks import SCALE_LIMIT, TIMES, mistaken
 
 _ASTRAY = 10 * DEG
 """rad, root mean square over the turns: gravity led on by the gyros misses the next hold by more
@@ -30,8 +30,12 @@ _BETTER = 3.0
 named leaves the few degrees of `_ASTRAY`, what is wrong some ninety."""
 _DOUBT = 3.0
 """Standard deviations: three sessions in a thousand are solved in full before they are clear."""
-_UNITS = (1.0, 1 / DEG, DEG)
-"""Responses of gyros in rad/s, and where deg/s are stated as rad/s or rad/s as deg/s."""
+_UNITS = (1.0, 1 / DEG, DEG, 2.0, 0.5)
+"""Responses of gyros in rad/s, where deg/s are stated as rad/s or rad/s as deg/s, and where half or
+twice the rate of the samples, or the next range of a converter, is stated."""
+
+_AROUND = np.geomspace(0.8, 1.25, 41).tolist()
+"""Of a response that is named, by 1.1 %: from those in `_UNITS` to what is solved and mentioned."""
 
 
 def check_turns(evidence: Evidence, model: SensorModel) -> None:
@@ -61,10 +65,13 @@ def check_turns(evidence: Evidence, model: SensorModel) -> None:
     response = responses[int(np.argmax(misses <= misses.min() * _BETTER))]
     scale = float(np.abs(response).max())
     if scale != 1.0:
+        scale *= min(_AROUND, key=lambda factor: _astray(evidence, model, factor * response))
+        if 1 / SCALE_LIMIT < scale < SCALE_LIMIT:
+            return
         raise InputError(
             f'The gyros turn gravity {scale:.3g} times as far as the accelerometers do: units or '
             "scale factor of the IMU's description are not those of the recording."
-            f'{mistaken(scale, "gyros")}'
+            f'{mistaken(scale, "gyros")}{TIMES}'
         )
     raise Contradiction(
         f'The gyros contradict the accelerometers: from hold to hold {_in_words(response)}. '
