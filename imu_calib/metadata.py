@@ -24,6 +24,7 @@ LEFT_OUT = 'imu_calib.left_out'
 COMPENSATED = 'imu_calib.compensated'
 """Key of the calibration's file that a recording was compensated by."""
 
+_INTERPOLATED = 'imu_calib.accel_interpolated_from_hz'
 _IMU = 'imu_calib.imu'
 _LATITUDE = 'imu_calib.latitude_deg'
 
@@ -99,6 +100,26 @@ def imu_key(topic: str) -> str:
 def serial_key(topic: str) -> str:
     """Return the key of a recording's own entries with the serial number behind one topic."""
     return f'{SERIAL_NUMBER}:{topic}'
+
+
+def interpolation_description(topic: str, rate: float) -> dict[str, str]:
+    """Return a recording's own entry on accelerometers that were read between their own samples.
+
+    Args:
+        topic: The samples.
+        rate: Of the accelerometers before, Hz.
+
+    """
+    return {f'{_INTERPOLATED}:{topic}': f'{rate:.6g}'}
+
+
+def interpolated_from(data: Mapping[str, str], topic: str) -> float | None:
+    """Return the rate of accelerometers before they were interpolated, Hz; None: they were not."""
+    try:
+        rate = float(data.get(f'{_INTERPOLATED}:{topic}', 'nan'))
+    except ValueError:
+        return None
+    return rate if 0 < rate < np.inf else None
 
 
 def mount_description(topic: str, mount: Floats) -> dict[str, str]:

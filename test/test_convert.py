@@ -10,9 +10,10 @@ from rosbags.typesys import Stores, get_typestore
 
 import imu_calib
 from imu_calib import InputError
-from imu_calib.bags import RecordingWriter
+from imu_calib.bags import RecordingWriter, open_recording
 from imu_calib.cdr import Kind, encode_rates
 from imu_calib.cli.main import main
+from imu_calib.metadata import interpolated_from
 from imu_calib.stream import Floats, ImuBlock, Stamps
 from imu_calib.units import DEG, STANDARD_GRAVITY
 
@@ -281,10 +282,37 @@ def test_gyros_and_accelerometers_in_two_files_become_one_recording(
     )
     assert main([*command, '--accel-stamp', '1:ms']) == 0
     assert 'The accelerometers come with 50 Hz' in capsys.readouterr().out.replace('\n', ' ')
+    with open_recording(tmp_path / 'out') as made:
+        assert interpolated_from(made.custom_data, '/imu/data_raw') == pytest.approx(50)
+        assert interpolated_from(made.custom_data, '/other') is None
     columns = imu_calib.read(tmp_path / 'out', '/imu/data_raw')
     assert columns.stamp.tolist() == [10_000_000 * k for k in range(79)]
     assert columns['angular_velocity.x'].tolist() == list(range(79))
     assert columns['linear_acceleration.z'] == pytest.approx(np.arange(79) / 2)
+
+
+def test_a_calibration_says_that_its_accelerometers_were_interpolated(tmp_path: Path) -> None:
+    imu_calib.simulate('free_positions', tmp_path / 'hand', imu='si', truth='mems_counts', seed=1)
+    seen = imu_calib.read(tmp_path / 'hand', '/imu/pulses')
+    stamp = (seen.stamp - seen.stamp[0]) * 1e-9
+    rates = np.column_stack([stamp, *(seen[f'angular_velocity.{a}'] for a in 'xyz')])
+    forces = np.column_stack([stamp, *(seen[f'linear_acceleration.{a}'] for a in 'xyz')])
+    np.savetxt(tmp_path / 'gyro.txt', rates)
+    np.savetxt(tmp_path / 'accel.txt', forces[::4])
+    imu_calib.convert(
+        tmp_path / 'gyro.txt',
+        tmp_path / 'out',
+        stamp='1:s',
+        gyro='2,3,4:rad/s',
+        accel='2,3,4:m/s^2',
+        accel_file=tmp_path / 'accel.txt',
+    )
+    found = imu_calib.calibrate(tmp_path / 'out', latitude=34.65).calibration
+    assert found.provenance['accel_interpolated_from_hz'] == pytest.approx(25)
+    (said,) = [text for text in found.findings if 'interpolated' in text]
+    assert 'recorded at 25 Hz' in said and 'over less than 0.08 s' in said
+    imu_calib.report(found, tmp_path / 'report.html')
+    assert 'interpolated from 25' in (tmp_path / 'report.html').read_text(encoding='utf-8')
 
 
 def test_counts_in_two_files_are_joined_at_shared_times_alone(tmp_path: Path) -> None:
@@ -352,7 +380,11 @@ def test_gyros_and_accelerometers_on_two_topics_become_one(tmp_path: Path) -> No
 def test_two_topics_say_at_which_rates_they_come(tmp_path: Path) -> None:
     stamp = T0 + np.arange(100) * 5_000_000
     zeros = np.zeros((100, 3))
-    bag = recording(tmp_path / 'bag', {'/g': (stamp, zeros, zeros), '/a': (stamp, zeros, zeros)})
+    later = stamp + 1_000_000
+    topics = {'/g': (stamp, zeros, zeros), '/a': (later, zeros, zeros)}
+    bag = recording(tmp_path / 'bag', {**topics, '/same': (stamp, zeros, zeros)})
+    done = imu_calib.convert(bag, tmp_path / 'same', gyro_topic='/g', accel_topic='/same')
+    assert done.findings == ()
     done = imu_calib.convert(bag, tmp_path / 'out', gyro_topic='/g', accel_topic='/a')
     assert 'come with 200 Hz and are read at the stamps of the gyros, 200 Hz' in done.findings[0]
     with pytest.raises(InputError, match='recording of rosbag2 already'):

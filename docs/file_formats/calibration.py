@@ -238,6 +238,11 @@ _PROVENANCE = [
     Key('recording', text(), 'name of the recording'),
     Key('sha256', text(), 'of its files'),
     Key('topics', array(text(), 0, words='list of texts'), 'topics that were read'),
+    Key(
+        'accel_interpolated_from_hz',
+        number(least=0),
+        'rate of the accelerometers before `convert` read them at the stamps of the gyros, Hz',
+    ),
     Key('recorded', text(), 'when it began, `2026-01-31T12:00:00Z`'),
     Key('method', text(), 'the estimator'),
     Key('terms', array(text(), 0, words='list of texts'), 'that were estimated'),

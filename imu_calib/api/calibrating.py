@@ -8,6 +8,7 @@ from ..bags import AnyPath
 from ..calibrator import Calibrator, HandCalibrator, Result, calibrator_of
 from ..errors import NotObservable, NotStated
 from ..imu import ImuSpec
+from ..metadata import interpolated_from
 from ..plan import Plan
 from ..segmentation.segmented import Segmented
 from ..threads import by_one_thread
@@ -162,15 +163,27 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
 def documented(opened: Opened, result: Result) -> Result:
     """Return a result with the recording that it is from."""
     calibration = result.calibration
+    rate = interpolated_from(opened.recording.custom_data, opened.streams.imu)
+    interpolated = {} if rate is None else {'accel_interpolated_from_hz': rate}
     provenance = {
         'recording': opened.recording.path.name,
         'sha256': opened.recording.sha256(),
         'topics': sorted(opened.streams.kinds()),
+        **interpolated,
         **calibration.provenance,
     }
-    findings = (*opened.assumed, *calibration.findings, *opened.recording.losses)
+    said = [] if rate is None else [_interpolated(rate)]
+    findings = (*opened.assumed, *said, *calibration.findings, *opened.recording.losses)
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)
+
+
+def _interpolated(rate: float) -> str:
+    return (
+        f'The accelerometers were recorded at {rate:.4g} Hz and interpolated at the stamps of the '
+        f'gyros: over less than {2 / rate:.2g} s their noise looks smaller than it is. Parameters '
+        'and standard deviations rest on longer times.'
+    )
 
 
 def _check_that_it_was(opened: Opened, session: Segmented) -> None:

@@ -10,11 +10,12 @@ import numpy as np
 from ..bags import RecordingWriter
 from ..cdr import Kind, Messages, encode_joints, encode_temperatures
 from ..errors import InputError
+from ..metadata import interpolation_description
 from ..stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock
 from ..units import Dimension, counted, parse
 from .assumed import against_si
 from .converted import JOINTS, RAW, RAW_UNITS, SI, TEMPERATURE, Converted, described, write_imu
-from .joining import read_at, resampling
+from .joining import rate_of, read_at, resampling
 from .named import Named
 from .text import Text
 
@@ -76,7 +77,10 @@ def from_text(
         wanted, (rates,) = _sound(stamps, rates)
         said += _left_out(text, len(stamps) - len(wanted))
         said += _left_out(accel_text, len(forces_at) - len(known))
+        before = len(said)
         times, rates, forces = _of_two(wanted, rates, known, forces, said, exactly=bool(raw))
+        if len(said) > before:
+            data |= interpolation_description(SI, rate_of(known))
     if not len(times):
         raise InputError(f'{text.path}: no row holds a number in each of the columns named.')
     if not raw and (seen := against_si(forces, rates)):

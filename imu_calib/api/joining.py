@@ -8,6 +8,7 @@ import numpy as np
 
 from ..bags import AnyPath, Recording, RecordingWriter, open_recording
 from ..errors import InputError
+from ..metadata import interpolation_description
 from ..stream import Floats, ImuBlock, Stamps
 from .columns import read
 from .converted import RAW_UNITS, SI, Converted, described, write_imu
@@ -57,21 +58,25 @@ def joined(
     gyro = np.column_stack([rates[f'angular_velocity.{a}'] for a in 'xyz'])
     accel = np.column_stack([forces[f'linear_acceleration.{a}'] for a in 'xyz'])
     order = np.argsort(forces.stamp, kind='stable')
-    stamps, interpolated, within = read_at(forces.stamp[order], accel[order], rates.stamp)
+    accel_at = forces.stamp[order]
+    stamps, interpolated, within = read_at(accel_at, accel[order], rates.stamp)
     block = ImuBlock(stamps, gyro[within], interpolated, 'imu_link')
     taken = {rates.topic, forces.topic}
     counts = {SI: len(block)}
     with open_recording(path) as recording:
         _refuse_taken(recording, taken)
         data = {**recording.custom_data, **said}
+        findings = list(recording.losses)
+        if not np.isin(stamps, accel_at).all():
+            data |= interpolation_description(SI, rate_of(accel_at))
+            findings.insert(0, resampling(rates.stamp, accel_at, within))
         with RecordingWriter(target, data) as writer, progress('converting') as show:
             write_imu(writer, block, raw=False)
             for one, messages, times in recording.messages(show):
                 if one.name not in taken:
                     writer.write(one.name, one.type, messages, times.log, times.publish)
                     counts[one.name] = counts.get(one.name, 0) + len(messages)
-        losses = recording.losses
-    return Converted(target, counts, (resampling(rates.stamp, forces.stamp, within), *losses))
+    return Converted(target, counts, tuple(findings))
 
 
 def _refuse_taken(recording: Recording, taken: set[str]) -> None:
@@ -100,13 +105,17 @@ def read_at(known: Stamps, values: Floats, wanted_at: Stamps) -> tuple[Stamps, F
     return at, interpolated, within
 
 
+def rate_of(stamps: Stamps) -> float:
+    """Return the rate of samples with these stamps, ns, in Hz."""
+    return 1e9 / float(np.median(np.diff(np.sort(stamps))))
+
+
 def resampling(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
     """Say from which rate to which the accelerometers were read."""
-    rates = [1e9 / float(np.median(np.diff(np.sort(s)))) for s in (gyro, accel)]
     lost = len(gyro) - len(within)
     left = f'; {lost} samples of the gyros have no such line and are left out' if lost else ''
     return (
-        f'The accelerometers come with {rates[1]:.4g} Hz and are read at the stamps of the gyros, '
-        f'{rates[0]:.4g} Hz, on straight lines between their samples, which smooths their noise'
-        f'{left}.'
+        f'The accelerometers come with {rate_of(accel):.4g} Hz and are read at the stamps of the '
+        f'gyros, {rate_of(gyro):.4g} Hz, on straight lines between their samples, which smooths '
+        f'their noise{left}.'
     )

@@ -117,8 +117,14 @@ def _both(coefficient: Coefficient, stated: float, scale: float) -> tuple[str, s
     return escape(seen), f'{stated / scale:.3g}' if stated else '-'
 
 
-def noise_notes(seen: Mapping[str, ChannelNoise]) -> str:
-    """Say how the curves came about."""
+def noise_notes(seen: Mapping[str, ChannelNoise], accel_rate: float | None = None) -> str:
+    """Say how the curves came about.
+
+    Args:
+        seen: By name of the channel.
+        accel_rate: Hz, at which accelerometers were sampled that were interpolated; None: were not.
+
+    """
     if not seen:
         return ''
     text = (
@@ -130,5 +136,10 @@ def noise_notes(seen: Mapping[str, ChannelNoise]) -> str:
         text += (
             ' Where single pulses hide the noise, the curve begins at ten seconds: its points are '
             'made of the moments at which pulses came.'
+        )
+    if accel_rate is not None:
+        text += (
+            f' The accelerometers were interpolated from {accel_rate:.4g} Hz: below '
+            f'{2 / accel_rate:.2g} s their curves are too low.'
         )
     return paragraph(text, 'note')

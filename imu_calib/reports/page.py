@@ -172,7 +172,9 @@ def _noise(contents: Contents) -> str:
         'Noise',
         allan_plot.noise_plots(seen, contents.imu),
         allan_plot.noise_table(seen, contents.imu),
-        allan_plot.noise_notes(seen),
+        allan_plot.noise_notes(
+            seen, provenance.number(contents.calibration.provenance, 'accel_interpolated_from_hz')
+        ),
     )
 
 

@@ -170,6 +170,13 @@ def _rate(facts: Facts) -> str:
     return '' if value is None else f'{value / DEG:.4g}\u00a0deg/s'
 
 
+def _interpolated(facts: Facts) -> str:
+    rate = number(facts, 'accel_interpolated_from_hz')
+    if rate is None:
+        return ''
+    return f'interpolated from {rate:.4g}\u00a0Hz at the stamps of the gyros'
+
+
 def temperature(facts: Facts) -> str:
     """Return the mean temperature of a session and its range; empty without one."""
     found = facts.get('temperature')
@@ -200,6 +207,7 @@ _GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ..
             ('begun', date, ('recorded',)),
             ('SHA-256', _text('sha256'), ('sha256',)),
             ('topics', _listed('topics'), ('topics',)),
+            ('accelerometers', _interpolated, ('accel_interpolated_from_hz',)),
             ('temperature of the unit', temperature, ('temperature',)),
         ),
     ),
