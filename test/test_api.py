@@ -192,6 +192,8 @@ def test_verify_judges_values_and_files(
     assert verification.verdict is Verdict.PASS
     same = imu_calib.verify(result.calibration, folder / 'bag')
     assert same.findings[0].startswith('The calibration was made from this recording')
+    assert same.verdict is Verdict.PASS and same.own_recording
+    assert verification.accepted and not same.accepted
     with pytest.raises(InputError, match='another'):
         imu_calib.verify(result.calibration, tmp_path / 'other', imu='mems_counts')
 

@@ -26,6 +26,7 @@ from imu_calib.methods.free_positions import FREE, in_frame_of_accelerometers
 from imu_calib.share import named_file
 from imu_calib.stream import ImuBlock
 from imu_calib.units import DEG, STANDARD_GRAVITY
+from imu_calib.verification import Verdict
 
 TRUTH = Calibration.load(named_file('truths', 'mems_counts'))
 LATITUDE, HEIGHT = 48.1, 520.0
@@ -173,6 +174,20 @@ def test_a_session_is_not_faster_than_itself(bag: str, made: str, tmp_path: Path
     slow['highest_rate'] /= 2
     known = replace(result.calibration, provenance=slow)
     assert imu_calib.compensate(tmp_path / 'six', known, tmp_path / 'slow_out').marked
+
+
+@pytest.mark.parametrize('off', [0.02, 0.5, 3.0])
+def test_lengths_find_biases_that_moved_without_a_bias_instability(bag: str, off: float) -> None:
+    # Weights of squares follow the state: in 30 steps the search did not converge.
+    made = imu_calib.calibrate(bag, latitude=LATITUDE).calibration
+    biases = [p.name.startswith('D_g') for p in made.parameters]
+    moved = made.values + np.where(biases, off * DEG, 0.0)
+    other = replace(made, model=made.model.with_values(made.parameters, moved))
+    found = imu_calib.verify(other, bag, latitude=LATITUDE)
+    gyros = found.triads[0]
+    assert gyros.verdict is Verdict.FAIL and gyros.diagnosis is not None
+    assert 'vanish when the biases are others' in gyros.diagnosis.symptom
+    assert not any('did not converge' in text for text in found.findings)
 
 
 def test_info_ends_with_2_where_a_topic_is_not_there(

@@ -129,7 +129,7 @@ def test_without_json_people_read_stdout(
     [
         (['calibrate', 'nowhere'], 2, 'input', 'no such recording'),
         (['calibrate'], 2, 'input', 'required: bag'),
-        (['calibrate', 'x', '--latitude', 'here'], 2, 'input', 'invalid float'),
+        (['calibrate', 'x', '--latitude', 'here'], 2, 'input', 'expected a number'),
         (['verify', 'x', '--calibration', 'none.yaml'], 2, 'input', 'cannot be read'),
         (['compare', 'none.yaml', 'b.yaml'], 2, 'input', 'cannot be read'),
         (['info', 'x', '--nonsense'], 2, 'input', 'unrecognized'),

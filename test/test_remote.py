@@ -101,7 +101,7 @@ def test_every_command_that_reads_a_recording_takes_a_url(
     told = capsys.readouterr().out
     assert main(['info', str(here / 'one.mcap')]) == 0
     assert capsys.readouterr().out == told
-    assert main(['verify', url, '--calibration', str(own), '--json']) == 0
+    assert main(['verify', url, '--calibration', str(own), '--json']) == 1
     assert 'The calibration was made from this recording' in capsys.readouterr().out
     # Outside the specification, as the unit of the paper is: 3.
     assert main(['report', str(own), url, '-o', str(tmp_path / 'report.html')]) == 3

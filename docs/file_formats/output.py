@@ -153,6 +153,11 @@ _LIMITS = [
 ]
 _VERIFY = [
     _key('verdict', _VERDICT, '`fail` is exit code 1: rejected; `marginal` is accepted'),
+    _key(
+        'own_recording',
+        flag(),
+        'whether the calibration was made from the recording, which tests nothing: exit code 1',
+    ),
     _key('limits', _below(_LIMITS), 'of the verdicts'),
     _key('triads', _rows(_TRIAD), 'gyros and accelerometers'),
     _key('compared', _rows(_COMPARED), 'every quantity at every position'),

@@ -58,6 +58,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     if verification.verdict is Verdict.FAIL:
         message = f'{arguments.calibration} is rejected by {arguments.bag}.'
         return Outcome(verification.to_dict(), NO_ANSWER, message)
+    if not verification.accepted:
+        message = f'{arguments.calibration} is not tested by {arguments.bag}, of which it was made.'
+        return Outcome(verification.to_dict(), NO_ANSWER, message)
     return Outcome(verification.to_dict())
 
 

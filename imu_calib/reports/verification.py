@@ -26,9 +26,15 @@ _WORDS = {Verdict.PASS: 'pass', Verdict.MARGINAL: 'marginal', Verdict.FAIL: 'fai
 
 def verdict_line(verification: Verification) -> str:
     """Return the outcome in one line."""
+    if verification.own_recording and verification.verdict is not Verdict.FAIL:
+        return 'NOT TESTED: the calibration was made from this recording. Take a second one.'
     words = {
         Verdict.PASS: 'ACCEPTED: the recording is consistent with the calibration.',
-        Verdict.MARGINAL: 'MARGINAL, accepted: the recording casts doubt on the calibration.',
+        Verdict.MARGINAL: (
+            'MARGINAL, accepted: the recording casts doubt on the calibration but does not '
+            'contradict it. Verify with another one: one sound session in a hundred is marginal by '
+            'chance, two in a row are not.'
+        ),
         Verdict.FAIL: 'REJECTED: the recording contradicts the calibration.',
     }
     return words[verification.verdict]

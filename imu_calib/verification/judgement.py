@@ -90,6 +90,8 @@ class Verification:
         compared: Every quantity at every position, in the order of the session.
         limits: Standard deviations beyond which a quantity is doubtful, and rejected.
         findings: What a person should know, in sentences.
+        own_recording: Whether the calibration was made from the recording: its residuals say
+            nothing of its errors, and it is not accepted by them.
 
     """
 
@@ -97,6 +99,12 @@ class Verification:
     compared: tuple[ComparedQuantity, ...]
     limits: tuple[float, float]
     findings: tuple[str, ...]
+    own_recording: bool = False
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the calibration is accepted: by another recording, which does not contradict."""
+        return not self.own_recording and self.verdict is not Verdict.FAIL
 
     @property
     def verdict(self) -> Verdict:
@@ -108,6 +116,7 @@ class Verification:
         doubt, rejection = self.limits
         return {
             'verdict': self.verdict.name.lower(),
+            'own_recording': self.own_recording,
             'limits': {'doubt': doubt, 'rejection': rejection},
             'triads': [triad.to_dict() for triad in self.triads],
             'compared': [one.to_dict() for one in self.compared],
@@ -237,7 +246,8 @@ class _Trial:
             found.append(
                 f'The errors of the {self.name} that explain the session best were not found (the '
                 'search did not converge): chi-square is that of the calibration as it stands, '
-                'which may be too large.'
+                'which may be too large. Calibrate this recording, and compare the two '
+                '(imu-calib compare).'
             )
         return found
 

@@ -36,6 +36,11 @@ from .observed import Observed
 
 _ROUNDS = 30
 """Most steps of a fit. Near the minimum three do; what needs more fits nothing."""
+_ROUNDS_OF_LENGTHS = 100
+"""The same of lengths, where a calibration itself is judged: the variance of a square follows the
+state, and errors shrink by a constant factor a step, or go round the minimum until steps are
+halved. Calibrations whose biases were off by 0.005 to 20 deg/s took up to 85 steps, or 59 half
+steps."""
 
 _TOO_FEW = 2.0
 """Degrees of freedom up to which residuals tell nothing of the noise."""
@@ -270,7 +275,9 @@ class TriadSystem:
 
         """
         system = self._allowing(values, factor)
-        return self._fitted(self._begun(system, values, factor)[0], system, factor)
+        begin = self._begun(system, values, factor)[0]
+        rounds = _ROUNDS if self.up is None else _ROUNDS_OF_LENGTHS
+        return self._fitted(begin, system, factor, rounds)
 
     def begun(
         self, values: Floats, factor: Floats, point: Floats
@@ -306,9 +313,9 @@ class TriadSystem:
             system = resting._allowing(values, factor)
         return resting._start(system, factor.shape[1])
 
-    def _fitted(self, point: Floats, system: _System, factor: Floats) -> Fit:
+    def _fitted(self, point: Floats, system: _System, factor: Floats, rounds: int = _ROUNDS) -> Fit:
         try:
-            point, converged = least_squares(point, system, np.add, _ROUNDS), True
+            point, converged = least_squares(point, system, np.add, rounds), True
         except NotObservable:
             # Where nothing fits nearby, chi-square where it began rejects it.
             converged = False
