@@ -60,7 +60,7 @@ class Source(Enum):
 
     @property
     def heading(self) -> str:
-        """Its name above a column, six letters at most."""
+        """Its name above a column, eleven letters at most."""
         return _ROWS[self][1]
 
     @property
@@ -74,22 +74,22 @@ _ROWS = {
     Source.QUANTISATION: ('B', 'pulse', 'quantisation, from the pulse weight'),
     Source.BIAS_STATED: ('B', 'bias', 'bias instability, as the IMU description states it'),
     Source.BIAS_FOUND: ('A', 'drift', 'bias drift beyond that, as the session shows it'),
-    Source.POSITIONING_STATED: ('B', 'pos', 'positioning errors, as stated or assumed'),
+    Source.POSITIONING_STATED: ('B', 'position', 'positioning errors, as stated or assumed'),
     Source.POSITIONING_FOUND: (
         'A',
-        'pos+',
+        'position+',
         'positioning errors beyond that, found',
     ),
     Source.STOPS: (
         'A',
-        'stop',
+        'stops',
         'attitude errors of the table at each stop, found',
     ),
-    Source.ENCODER_RATE: ('A', 'rate', "the table's rate, from the scatter of its encoder"),
-    Source.ENCODER_NOISE: ('A', 'enc', "attitudes, from the encoders' noise"),
-    Source.AZIMUTH: ('B', 'azim', "prior of the table's azimuth"),
+    Source.ENCODER_RATE: ('A', 'turn-rate', "the table's rate, from the scatter of its encoder"),
+    Source.ENCODER_NOISE: ('A', 'encoder', "attitudes, from the encoders' noise"),
+    Source.AZIMUTH: ('B', 'azimuth', "prior of the table's azimuth"),
     Source.TILT: ('B', 'tilt', "prior of the table's two tilts"),
-    Source.ARM: ('B', 'arm', 'priors of the lever arms of accelerometers'),
+    Source.ARM: ('B', 'lever-arm', 'priors of the lever arms of accelerometers'),
     Source.DELAY: ('B', 'delay', 'delay of accelerometers after gyros'),
     Source.TABLE: ('B', 'table', 'axes, zeros and encoders of the table, as stated or assumed'),
     Source.NORTH: (
@@ -98,14 +98,14 @@ _ROWS = {
         'horizontal Earth rate, unknown heading or left by turns',
     ),
     Source.CLOCK: ('A', 'clock', 'rate between the clocks of IMU and table'),
-    Source.TABLE_CLOCK: ('B', 't.clk', "the table's own clock, as its description states it"),
-    Source.GRAVITY: ('B', 'grav', 'gravity at the site'),
-    Source.LATITUDE: ('B', 'lat', 'latitude of the site'),
-    Source.SCATTER: ('A', 'scat', 'scatter of the residuals beyond all that'),
-    Source.TIME_CONSTANT: ('A', 'warm', 'time constant of a warm-up, by its likelihood'),
+    Source.TABLE_CLOCK: ('B', 'table-clock', "the table's own clock, as its description states it"),
+    Source.GRAVITY: ('B', 'gravity', 'gravity at the site'),
+    Source.LATITUDE: ('B', 'latitude', 'latitude of the site'),
+    Source.SCATTER: ('A', 'scatter', 'scatter of the residuals beyond all that'),
+    Source.TIME_CONSTANT: ('A', 'warm-up', 'time constant of a warm-up, by its likelihood'),
     Source.TEMPERATURE: (
         'B',
-        'temp',
+        'temperature',
         'temperature that moved, by the coefficients that the IMU description states',
     ),
     Source.OTHER_UNITS: (

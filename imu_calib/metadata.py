@@ -190,9 +190,9 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
     if not tells_site(data):
         raise NotStated(
             f'{where} does not say where it was taken: give `latitude` in degrees, negative in the '
-            'south; to a tenth is enough in the hand. Gravity follows from it, by which the '
-            'accelerometers are scaled, and the Earth rate. Or, for a unit in the hand, `gravity` '
-            'with the measured value.'
+            'south. Gravity follows from it, which scales the accelerometers, and the Earth rate. '
+            'For a unit in the hand a tenth of a degree is enough, or `gravity` with the measured '
+            'value in m/s^2 instead.'
         )
     try:
         latitude = float(data[_LATITUDE]) * DEG

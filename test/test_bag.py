@@ -96,7 +96,7 @@ def test_verify_says_where_the_calibration_was_made(
     capsys.readouterr()
     assert main(['verify', bag, '--calibration', made]) == 2
     said = capsys.readouterr().err.replace('\n', ' ')
-    assert f'calibration.yaml was made at latitude {LATITUDE:g}.' in said
+    assert f'calibration.yaml was made at latitude {LATITUDE:g}: the same place?' in said
 
 
 def test_holds_too_short_for_an_allan_deviation_have_no_picture_of_it(made: str) -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import copy
+import io
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from rich.console import Console
 from scipy.signal import lfilter
 from sessions import LATITUDE, at_one_rate, calibrate, quick_plan, session, stand, truth
 from test_free_positions import result as by_hand
@@ -30,7 +33,7 @@ from imu_calib.model import PARAMETERS, SensorModel
 from imu_calib.observation.equations import GIVEN_AZIMUTH
 from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.session_model import Nuisance
-from imu_calib.reports.budget import budget_section, budget_tables
+from imu_calib.reports.budget import _share_tables, budget_section, budget_tables
 from imu_calib.share import named_file
 from imu_calib.stream import Floats, Units
 from imu_calib.table_clock import clock_share
@@ -512,10 +515,24 @@ def test_the_screen_shows_the_budget_in_80_columns(recording, tmp_path, capsys) 
     assert float(expanded[4]) == pytest.approx(found.budget.expanded[K_A[0]] / PPM, abs=0.5)
     headings = next(line for line in shown if line.startswith('parameter  noise')).split()
     percent = dict(zip(headings[1:], shares[1:], strict=True))
-    assert float(percent['grav']) > 90
-    assert any(line.startswith('grav   B    inf') for line in shown)
+    assert float(percent['gravity']) > 90
+    assert any(line.split()[:3] == ['gravity', 'B', 'inf'] for line in shown)
+    assert any(line.startswith('U 95%: std times k') for line in shown)
     assert main(['calibrate', recording, '-o', 'c.yaml']) == 0
     assert 'Uncertainty budget' not in capsys.readouterr().out
+
+
+def test_columns_of_all_sources_keep_to_80_letters() -> None:
+    names = [source.heading for source in Source]
+    shares = np.full((2, len(names)), 0.01)
+    shown: Any = SimpleNamespace(headings=names, fractions=shares, parameters=PARAMETERS[:2])
+    tables = _share_tables(shown)
+    seen = [str(column.header) for table in tables for column in table.columns[1:]]
+    assert seen == names
+    for table in tables:
+        written = io.StringIO()
+        Console(width=200, file=written).print(table)
+        assert max(map(len, written.getvalue().splitlines())) <= 80
 
 
 def test_free_positions_tell_noise_pulses_and_what_trembles() -> None:

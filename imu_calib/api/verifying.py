@@ -163,7 +163,7 @@ def _verify(
         site = site_of(stated, recording, by_hand=by_hand)
     except NotStated as error:
         own = origin.get('latitude_deg')
-        same = '' if own is None else f' {name} was made at latitude {own:g}.'
+        same = '' if own is None else f' {name} was made at latitude {own:g}: the same place?'
         raise NotStated(f'{error}{same}') from None
     table = table_of(stated, recording) if streams.joints is not None else None
     segmenter = Segmenter(imu, table)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from html import escape
+from textwrap import fill
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,24 +167,32 @@ def budget_tables(calibration: Calibration) -> list[Table | str]:
         expanded.add_column(heading, justify='left' if left else 'right')
     for row in shown.expanded_rows():
         expanded.add_row(*row)
-    parts: list[Table | str] = [expanded, '\nShare of each source in the variance, percent']
-    parts += _share_tables(shown)
-    parts.append('\nsource type  dof        ')
+    parts: list[Table | str] = [
+        expanded,
+        f"U {PROBABILITY:.0%}: std times k, Student's t for dof degrees of freedom",
+        '\nShare of each source in the variance, percent',
+        *_share_tables(shown),
+        '',
+    ]
+    width = max(len(h) for h in ('source', *shown.headings))
+    parts.append(f'{"source":{width}} type  dof')
     for line, wide in zip(shown.budget.lines, shown.wide, strict=True):
         heading = line.source.heading if wide else 'other'
         freedom = _range(line.freedom[shown.rows], line.std[shown.rows])
-        parts.append(f'{heading:6} {line.source.evaluation:4} {freedom:11} {line.source.words}')
+        begin = f'{heading:{width}} {line.source.evaluation:4}  {freedom:10} '
+        parts.append(fill(begin + line.source.words, _COLUMNS, subsequent_indent=' ' * len(begin)))
     return parts
 
 
 def _share_tables(shown: _Shown) -> list[Table | str]:
     """Return the shares, in as many tables as 80 columns need."""
     headings, fractions = shown.headings, shown.fractions
-    each = max(4, *(len(h) for h in headings)) + 2
-    most = (_COLUMNS - _NAME) // each
+    ends = np.cumsum([max(4, len(h)) + 2 for h in headings])
     found: list[Table | str] = []
-    for first in range(0, len(headings), most):
-        some = slice(first, first + most)
+    first = before = 0
+    while first < len(headings):
+        last = int(np.searchsorted(ends, before + _COLUMNS - _NAME, side='right'))
+        some, first, before = slice(first, last), last, int(ends[last - 1])
         part = Table(box=None, pad_edge=False, header_style='bold')
         part.add_column('parameter')
         for heading in headings[some]:

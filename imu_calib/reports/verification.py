@@ -28,6 +28,11 @@ def verdict_line(verification: Verification) -> str:
     """Return the outcome in one line."""
     if verification.own_recording and verification.verdict is not Verdict.FAIL:
         return 'NOT TESTED: the calibration was made from this recording. Take a second one.'
+    if verification.own_recording:
+        return (
+            'REJECTED: the recording contradicts the calibration, which was made from it. '
+            'Something is stated otherwise than then (latitude, gravity, IMU, table, plan).'
+        )
     words = {
         Verdict.PASS: 'ACCEPTED: the recording is consistent with the calibration.',
         Verdict.MARGINAL: (

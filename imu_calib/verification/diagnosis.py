@@ -66,6 +66,7 @@ _FREED = {
     ),
 }
 """What is said where parameters of a kind, let go of, explain a session; of terms their words."""
+_ALIKE = ' Where all are off alike, gravity or latitude are other than for the calibration.'
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +300,10 @@ def _freed(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tri
     mine = system.sensors.parameters
     for kind in dict.fromkeys((*_FREED, *(p.kind for p in mine))):
         columns = [k for k, p in enumerate(mine) if p.kind is kind]
-        yield from _without(system, values, factor, columns, *_words(kind))
+        when, why = _words(kind)
+        if kind is ParameterKind.SCALE_FACTOR_ERROR and not system.gyros:
+            why += _ALIKE
+        yield from _without(system, values, factor, columns, when, why)
     for term, larger in _with_another(system):
         columns = list(range(len(mine), len(larger.sensors.parameters)))
         when = f'{term.name} is in the model'

@@ -199,7 +199,7 @@ def _without_drift(trials: Sequence[_Trial], judged: Sequence[Judged]) -> list[s
     return [
         f'No bias instability of the {" and ".join(names)} is stated: their biases are expected to '
         'be those of the calibration to its standard deviations. Those of MEMS units differ by '
-        "more between two sessions: state `bias_instability` in the IMU's file, and give it as "
+        "more between two sessions: state bias_instability in the IMU's file, and give it as "
         '`imu` (docs/files/imu.md).'
     ]
 
