@@ -41,6 +41,7 @@ from .plausibility import check_plausible
 from .stamping import KEY as CLOCK
 from .stamping import StampingClock, read_clock
 from .stream import Floats, Units
+from .units import counted
 from .yaml_text import SafeDumper, dump
 
 if TYPE_CHECKING:
@@ -110,6 +111,17 @@ class Calibration:
     def std(self) -> Floats:
         """Standard deviations of `parameters`, SI units; NaN for what was not estimated."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def __str__(self) -> str:
+        """Return a line; `to_dataframe` has the parameters."""
+        which = ' '.join([self.imu.id, self.serial_number]).strip()
+        count = int(np.isfinite(self.std).sum())
+        said = counted(len(self.findings), 'finding')
+        return f'<Calibration of {which}: {count} parameters, {said}>'
+
+    def _repr_pretty_(self, printer: Any, _: bool) -> None:
+        """Show the line in a notebook: `repr` has every element of the covariance."""
+        printer.text(str(self))
 
     @property
     def values(self) -> Floats:

@@ -3,11 +3,13 @@
 import argparse
 import inspect
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -182,6 +184,29 @@ def test_what_is_not_installed_is_asked_for(
         result.calibration.plot()
     with pytest.raises(InputError, match='needs pandas'):
         imu_calib.read(folder / 'bag', '/imu/pulses').to_dataframe()
+
+
+def test_results_are_shown_in_a_line(folder: Path, result: imu_calib.Result) -> None:
+    assert re.fullmatch(
+        r'<Result: <Calibration of .*: 24 parameters, \d+ findings?> of \d+ static dwells and '
+        r'\d+ turns>',
+        str(result),
+    )
+    found = imu_calib.verify(result, folder / 'bag')
+    assert str(found).startswith('<Verification: not tested; gyros PASS (chi-square ')
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'said'),
+    [
+        ('latitude', '59,9', 'write 59.9.'),
+        ('gravity', '9.81', "`gravity`: found '9.81', expected a number."),
+        ('height', True, '`height`: found True, expected a number.'),
+    ],
+)
+def test_texts_for_numbers_are_refused_in_words(name: str, value: Any, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        imu_calib.calibrate('x', **{name: value})
 
 
 def test_verify_judges_values_and_files(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,7 +31,7 @@ from ..mounted import namespace
 from ..plan import UNPLANNED, Plan, read_plan
 from ..stream import Floats
 from ..turntable import Table, read_table
-from ..units import DEG
+from ..units import DEG, point_for_comma
 from .named import Named, as_imu, as_plan, as_table
 
 if TYPE_CHECKING:
@@ -48,6 +49,9 @@ _ANYWHERE = 0.0
 """deg: taken for the latitude, known to `VAGUE`, where gravity alone is stated of a unit in the
 hand. The Earth rate about up is then at most 15 deg/h off, in either hemisphere: 0.008 deg in a
 turn of two seconds."""
+_NUMBERS = (
+    *('azimuth', 'latitude', 'latitude_std', 'height', 'height_std', 'gravity', 'gravity_std'),
+)
 _SKEW = 'imu/skew'
 _TEMPERATURE = 'imu/temperature'
 
@@ -96,6 +100,19 @@ class Stated:
     terms: str | None = None
     serial: str | None = None
     mount: Floats | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse texts for numbers, as a notebook or a table of sessions may hold them.
+
+        Raises:
+            InputError: Names the keyword, what was found, and what to write.
+
+        """
+        for name in _NUMBERS:
+            value = getattr(self, name)
+            if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
+                point = point_for_comma(value)
+                raise InputError(f'`{name}`: found {value!r}, expected a number.{point}')
 
     @property
     def _terms(self) -> str:

@@ -15,6 +15,7 @@ from ..model import Parameter, terms_of
 from ..segmentation.labelling import Labelled
 from ..segmentation.segmented import Segmented
 from ..stream import Floats
+from ..units import counted
 
 if TYPE_CHECKING:
     from .basis import Basis
@@ -40,6 +41,14 @@ class Result:
     labelled: Labelled
     comparison: Comparison | None = None
     basis: Basis | None = None
+
+    def __repr__(self) -> str:
+        """Return a line: a notebook would show the statistics of every dwell."""
+        dwells = counted(len(self.labelled.segments), 'static dwell')
+        # A unit in the hand has none by an encoder.
+        turns = len(self.labelled.turns)
+        beside = f' and {counted(turns, "turn")}' if turns else ''
+        return f'<Result: {self.calibration} of {dwells}{beside}>'
 
     @property
     def terms(self) -> tuple[str, ...]:

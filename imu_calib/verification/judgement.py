@@ -24,7 +24,7 @@ from ..model.motion import has_motion_terms
 from ..observation.lengths import Sensors, Up, noise_at_rest
 from ..segmentation.segmented import Move
 from ..stream import Floats
-from ..units import DEG
+from ..units import DEG, counted
 from .comparison import ComparedQuantity, compare
 from .diagnosis import Diagnosis, diagnose, with_true_noise
 from .observed import Observed
@@ -100,6 +100,16 @@ class Verification:
     limits: tuple[float, float]
     findings: tuple[str, ...]
     own_recording: bool = False
+
+    def __repr__(self) -> str:
+        """Return a line; `compared` has every quantity."""
+        triads = ', '.join(
+            f'{"gyros" if t.gyros else "accelerometers"} {t.verdict.name} (chi-square '
+            f'{t.chi_square:.1f} with {t.freedom} degrees of freedom)'
+            for t in self.triads
+        )
+        outcome = 'not tested' if self.own_recording else self.verdict.name
+        return f'<Verification: {outcome}; {triads}; {counted(len(self.findings), "finding")}>'
 
     @property
     def accepted(self) -> bool:
