@@ -268,7 +268,8 @@ def test_what_is_no_sample_is_counted() -> None:
             'z',
         ),
         (
-            'its axis is 90 deg off the vertical; turns about the vertical are used',
+            'by the file of the table its axis is 90 deg off the vertical; turns about the '
+            'vertical are used',
             unit(),
             IDEAL,
             'x',

@@ -134,7 +134,8 @@ def test_an_axis_leans_by_less_than_0_81_degrees(lean: float, counts: bool) -> N
         return
     assert isinstance(found, Rejected)
     assert found.reason == (
-        'its axis is 0.82 deg off the vertical; turns about the vertical are used'
+        'by the file of the table its axis is 0.82 deg off the vertical; turns about the vertical '
+        'are used'
     )
     (cuts,) = find_turns(turned(lean))
     assert (found.start, found.turn) == (int(cuts.start + 5_000_000), True)

@@ -129,7 +129,10 @@ def _read_turn(
     end = start + turns.seconds * 1e9
     if abs(sense) < 1 - _VERTICAL:
         leans = float(np.arccos(abs(sense))) / DEG
-        reason = f'its axis is {leans:.3g} deg off the vertical; turns about the vertical are used'
+        reason = (
+            f'by the file of the table its axis is {leans:.3g} deg off the vertical; turns about '
+            'the vertical are used'
+        )
         return Rejected(int(start), int(end), reason, turn=True)
     inside = _around(seen.samples, start, end)
     part = seen.samples.at(inside)
