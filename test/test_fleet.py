@@ -112,6 +112,9 @@ def test_a_manifest_says_what_recordings_do_not(tmp_path: Path) -> None:
         Labels(stand='east', date=NOW),
     )
     assert second == Job('s3://b/two', Stated(serial='A2', latitude=10.0, terms='none'))
+    csv.write_text('recording;latitude\none;48.1\n')
+    (only,) = read_manifest(csv, Stated())
+    assert only == Job(str(tmp_path / 'one'), Stated(latitude=48.1))
     listed = tmp_path / 'list.yaml'
     listed.write_text('- {recording: one, imu: fog_medium, date: 2026-03-01}\n')
     (third,) = find_jobs([str(listed)], Stated())
@@ -127,6 +130,8 @@ def test_a_manifest_says_what_recordings_do_not(tmp_path: Path) -> None:
         ('recording,date\nx,soon\n', 'row 2: date: found .soon., expected 2026-11-22'),
         ('recording,colour\nx,red\n', 'row 2: found the column .colour., expected of: recording'),
         ('recording,serial\n,A1\n', 'row 2: found no recording'),
+        ('bag,serial\nx,A1\n', 'found the column .bag.*The column recording is missing'),
+        ('recording;latitude\nx;48,1\n', 'row 2: latitude: found .48,1.* write 48.1.'),
     ],
 )
 def test_a_broken_manifest_gets_a_sentence(tmp_path: Path, text: str, sentence: str) -> None:

@@ -98,7 +98,10 @@ def find_jobs(sources: Iterable[str | Path], stated: Stated, imus: str = '') -> 
     for source in sources:
         found = list(_jobs(str(source), Job('', stated, imus=imus)))
         if not found:
-            raise InputError(f'{source}: holds no recording (folders of rosbag2, .mcap, .db3).')
+            raise InputError(
+                f'{source}: holds no recording (folders of rosbag2, .mcap, .db3). imu-calib '
+                'convert makes recordings of text files and of bags of ROS 1.'
+            )
         jobs.update(dict.fromkeys(found))
     return list(jobs)
 
@@ -194,7 +197,10 @@ def _rows(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
     except UnicodeDecodeError:
         raise InputError(f'{path}: found binary data, expected a table in UTF-8.') from None
     if path.suffix.lower() == '.csv':
-        rows: list[Any] = list(csv.DictReader(text.splitlines(), skipinitialspace=True))
+        lines = text.splitlines()
+        # Where a comma is the decimal sign, spreadsheets part fields otherwise.
+        parts = max(',;\t', key=lines[0].count) if lines else ','
+        rows: list[Any] = list(csv.DictReader(lines, delimiter=parts, skipinitialspace=True))
         first = 2
     else:
         try:
@@ -208,8 +214,9 @@ def _rows(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
     for where, row in numbered:
         for name in row:
             if name not in COLUMNS:
+                lacks = '' if 'recording' in row else ' The column recording is missing.'
                 raise InputError(
-                    f'{where}: found the column {name!r}, expected of: {", ".join(COLUMNS)}.'
+                    f'{where}: found the column {name!r}, expected of: {", ".join(COLUMNS)}.{lacks}'
                 )
     return numbered
 
