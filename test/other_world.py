@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
-from itertools import product
+from itertools import islice, product, tee
 
 EARTH_RATE = 7.292115e-5
 DEG = math.pi / 180
@@ -530,14 +531,21 @@ def angles_at(
 
 def record(world: World, unit: Unit, seed: int) -> Recording:
     """Run the session sample by sample."""
-    draw = random.Random(seed)
     motions = schedule(world)
     duration = motions[-1].end + 1.5 + world.dwell
     recording = Recording()
-    noise = normals(draw)
+    noise = copy(_drawn(seed))
     _record_joints(recording, world, motions, duration, noise)
     _record_imu(recording, world, unit, noise)
-    return recording if world.damage is None else damaged(recording, world.damage, draw)
+    if world.damage is None:
+        return recording
+    return damaged(recording, world.damage, random.Random(f'damage {seed}'))
+
+
+@lru_cache(maxsize=1)
+def _drawn(seed: int) -> Iterator[float]:
+    """The normal deviates of a seed, to be copied: what one session has drawn the next one has."""
+    return tee(normals(random.Random(seed)), 1)[0]
 
 
 def normals(draw: random.Random) -> Iterator[float]:
@@ -583,13 +591,19 @@ def _record_joints(
 ) -> None:
     count = int(duration * world.joint_rate)
     instants = [k / world.joint_rate for k in range(count)]
+    exact = not world.encoder_noise and not world.joint_jitter
+    if exact:
+        # What a noisy table draws is passed over, so that an IMU on either has the same noise.
+        next(islice(noise, 3 * count, 3 * count), None)
     for time, (angles, _) in zip(instants, angles_at(motions, iter(instants)), strict=True):
         jitter = world.joint_jitter * next(noise) if world.joint_jitter else 0.0
         recording.joint_stamps.append(time + jitter)
-        noisy = [a + world.encoder_noise * next(noise) for a in angles]
+        if not exact:
+            angles = tuple(a + world.encoder_noise * next(noise) for a in angles)  # type: ignore[assignment]
         if world.encoder_step:
-            noisy = [math.floor(a / world.encoder_step + 0.5) * world.encoder_step for a in noisy]
-        recording.angles.append(tuple(noisy))  # type: ignore[arg-type]
+            step = world.encoder_step
+            angles = tuple(math.floor(a / step + 0.5) * step for a in angles)  # type: ignore[assignment]
+        recording.angles.append(angles)
 
 
 def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[float]) -> None:
@@ -599,7 +613,8 @@ def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[
     afterwards = felt(world, unit.rate, unit.late)
     earth = earth_of(world)
     sums = [0.0] * 6
-    told = [0] * 6
+    told, counted = [0] * 6, [0] * 6
+    sensors, floor = range(6), math.floor
     pulses = [unit.gyro_pulse] * 3 + [unit.accel_pulse] * 3
     walks = [w * math.sqrt(dt) for w in [unit.gyro_walk] * 3 + [unit.accel_walk] * 3]
     changes = unit.gyro_growth or unit.accel_growth or any(unit.gyro_drift + unit.accel_drift)
@@ -631,20 +646,19 @@ def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[
         if world.shaking is not None:
             more = swung.on((k + 1) * dt, motion)
             outputs = [a + b for a, b in zip(outputs, more, strict=True)]
-        counted = []
-        for c in range(6):
+        for c in sensors:
             sums[c] += outputs[c] + walks[c] * next(noise)
-            total = math.floor(sums[c] / pulses[c])
             if unit.counts:
-                total = math.floor(sums[c] / dt / pulses[c] + 0.5)
+                counted[c] = floor(sums[c] / dt / pulses[c] + 0.5)
                 sums[c] = 0.0
-            counted.append(float(total - told[c]))
-            told[c] = 0 if unit.counts else total
+                continue
+            total = floor(sums[c] / pulses[c])
+            counted[c], told[c] = total - told[c], total
         time = (k + 1) * dt
         stamp = time * (1 + world.clock) + world.offset + world.stamp_jitter * next(noise)
         recording.imu_stamps.append(stamp)
-        recording.gyro.append(tuple(counted[:3]))  # type: ignore[arg-type]
-        recording.accel.append(tuple(counted[3:]))  # type: ignore[arg-type]
+        recording.gyro.append((float(counted[0]), float(counted[1]), float(counted[2])))
+        recording.accel.append((float(counted[3]), float(counted[4]), float(counted[5])))
 
 
 class Swung:
@@ -686,6 +700,7 @@ class Moved:
     def __init__(self, world: World, unit: Unit, motion: Motion) -> None:
         self.world = world
         self.arms = [_sum(unit.arm, place) for place in unit.places]
+        self.together = unit.places == ZERO
         self.still = unit.arm == NOTHING and unit.places == ZERO and not any(map(any, world.misses))
         self.places, self.speeds = self.at(motion, 0.0)
 
@@ -694,14 +709,14 @@ class Moved:
             return [NOTHING] * 3, [NOTHING] * 3
         places, speeds, step = [], [], 1e-4
         now, early, late = (motion.angles(t) for t in (time, time - step, time + step))
-        for arm in self.arms:
+        for arm in self.arms[:1] if self.together else self.arms:
             places.append(place(now, self.world, arm))
             if early == late:
                 speeds.append(NOTHING)
                 continue
             a, b = (place(angles, self.world, arm) for angles in (early, late))
             speeds.append(tuple((v - u) / (2 * step) for u, v in zip(a, b, strict=True)))  # type: ignore[arg-type]
-        return places, speeds
+        return (places * 3, speeds * 3) if self.together else (places, speeds)
 
     def on(self, middle: Matrix, earth: Vector, motion: Motion, time: float) -> list[Vector]:
         """By accelerometer, along the body axes half way through the sample that ends then."""

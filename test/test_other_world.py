@@ -87,7 +87,17 @@ def segmented(world: World, unit: Unit, seed: int = 0) -> Evidence:
 
 
 # A session that a test solves in two ways is made once.
-recorded = lru_cache(maxsize=1)(record)
+@lru_cache(maxsize=1)
+def recorded(world: World, unit: Unit, seed: int) -> tuple[JointBlock, ImuBlock]:
+    recording = record(world, unit, seed)
+    stamps = EPOCH * 10**9 + np.rint(np.array(recording.imu_stamps) * 1e9).astype(np.int64)
+    joints = EPOCH * 10**9 + np.rint(np.array(recording.joint_stamps) * 1e9).astype(np.int64)
+    angles = np.array(recording.angles)
+    nothing = np.full_like(angles, np.nan)
+    return (
+        JointBlock(joints, ('outer', 'middle', 'inner'), angles, nothing),
+        ImuBlock(stamps, np.array(recording.gyro), np.array(recording.accel)),
+    )
 
 
 def fed(
@@ -110,14 +120,9 @@ def fed(
     plan = load_plan('twelve_position') if plan is None else plan
     table = load_table('three_axis') if table is None else table
     setup = Setup(spec, plan, table, site, search_terms=look)
-    recording = recorded(world, unit, seed)
     calibrator = Calibrator(setup)
-    stamps = EPOCH * 10**9 + np.rint(np.array(recording.imu_stamps) * 1e9).astype(np.int64)
-    joints = EPOCH * 10**9 + np.rint(np.array(recording.joint_stamps) * 1e9).astype(np.int64)
-    angles = np.array(recording.angles)
-    nothing = np.full_like(angles, np.nan)
-    calibrator.feed(JointBlock(joints, ('outer', 'middle', 'inner'), angles, nothing))
-    calibrator.feed(ImuBlock(stamps, np.array(recording.gyro), np.array(recording.accel)))
+    for block in recorded(world, unit, seed):
+        calibrator.feed(block)
     return calibrator
 
 
