@@ -595,11 +595,12 @@ def _record_joints(
     if exact:
         # What a noisy table draws is passed over, so that an IMU on either has the same noise.
         next(islice(noise, 3 * count, 3 * count), None)
-    for time, (angles, _) in zip(instants, angles_at(motions, iter(instants)), strict=True):
+    for time, (true, _) in zip(instants, angles_at(motions, iter(instants)), strict=True):
+        angles = true
         jitter = world.joint_jitter * next(noise) if world.joint_jitter else 0.0
         recording.joint_stamps.append(time + jitter)
         if not exact:
-            angles = tuple(a + world.encoder_noise * next(noise) for a in angles)  # type: ignore[assignment]
+            angles = tuple(a + world.encoder_noise * next(noise) for a in true)  # type: ignore[assignment]
         if world.encoder_step:
             step = world.encoder_step
             angles = tuple(math.floor(a / step + 0.5) * step for a in angles)  # type: ignore[assignment]

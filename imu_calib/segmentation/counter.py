@@ -106,8 +106,13 @@ def best_passages(
 
     """
     passed = first_passages(pulses, period, walk)
-    if passed is None:
-        return None
+    return None if passed is None else _if_best(passed, pulses, period, walk, other)
+
+
+def _if_best(
+    passed: MeanRate, pulses: Floats, period: float, walk: float, other: MeanRate | None = None
+) -> MeanRate | None:
+    """Return the estimate from first passages where `best_passages` does."""
     whole = len(pulses) * period
     levels = abs(passed.rate) * whole
     # What rings passes levels too, and counts back. Else the two ends tell the passages' rate, but
@@ -189,7 +194,11 @@ def first_passages(pulses: Floats, period: float, walk: float) -> MeanRate | Non
 
     """
     found = passages(pulses, period, walk)
-    return None if found is None else _between(found, 0, len(found.index) - 1, period)
+    return None if found is None else _from_end_to_end(found, period)
+
+
+def _from_end_to_end(found: Passages, period: float) -> MeanRate:
+    return _between(found, 0, len(found.index) - 1, period)
 
 
 def _between(found: Passages, first: int, last: int, period: float) -> MeanRate:
@@ -219,11 +228,11 @@ def smoothed_ends(pulses: Floats, period: float, walk: float) -> MeanRate | None
     reach = min(n, math.ceil(_FADED_OUT / kappa))
     if 2 * reach < n:
         # Both fades die out before they meet: the middle has weight one, and costs nothing.
-        fade = np.exp(-kappa * np.arange(1, reach + 1))
+        fade, faded, square = _fade(kappa, reach)
         lost = float(fade @ pulses[:reach]) + float(fade @ pulses[: -reach - 1 : -1])
         weighted = float(pulses.sum()) - lost
-        total = (n - 2 * float(fade.sum())) * period
-        squares = n - 4 * float(fade.sum()) + 2 * float(fade @ fade)
+        total = (n - 2 * faded) * period
+        squares = n - 4 * faded + 2 * square
     else:
         k = np.arange(1, n + 1)
         fade = np.exp(-kappa * k) + np.exp(-kappa * (n + 1 - k))
@@ -233,6 +242,14 @@ def smoothed_ends(pulses: Floats, period: float, walk: float) -> MeanRate | None
         squares = float(weights @ weights)
     error = 2 * _faded_error(float(pulses.mean()), math.exp(-kappa), walk * walk * period)
     return MeanRate(weighted / total, period * squares / total**2, error / total**2)
+
+
+# A session has two random walks, of gyros and accelerometers, as long as they are those stated.
+@lru_cache(maxsize=16)
+def _fade(kappa: float, reach: int) -> tuple[Floats, float, float]:
+    """Return exp(-kappa k) for k from 1 to `reach`, (reach,), its sum and that of its squares."""
+    fade = np.exp(-kappa * np.arange(1, reach + 1))
+    return fade, float(fade.sum()), float(fade @ fade)
 
 
 def _faded_error(step: float, fade: float, growth: float) -> float:
@@ -381,8 +398,10 @@ def block_rates(
 
     """
     whole = float(np.rint(pulses.mean()))
-    found = passages(pulses - whole, period, walk)
-    if found is not None and best_passages(pulses - whole, period, walk) is not None:
+    remainder = pulses - whole
+    found = passages(remainder, period, walk)
+    passed = None if found is None else _from_end_to_end(found, period)
+    if found and passed and _if_best(passed, remainder, period, walk):
         cuts = [0]
         for k in range(1, len(found.index)):
             if (found.index[k] - found.index[cuts[-1]]) * period >= seconds:
