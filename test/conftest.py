@@ -120,6 +120,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_collection_finish() -> None:
     """Have thousands of tests and their modules not searched for garbage over and over."""
     gc.freeze()
+    # Estimates make many tuples and few cycles: searches took 1.6 % of the time at a threshold of
+    # 700 (Python 3.11), and take 0.5 % at this one.
+    gc.set_threshold(10_000)
     gc.enable()
 
 

@@ -26,6 +26,7 @@ from sessions import SITE, paper_imu, stand, truth
 from imu_calib.api.simulating import serialised
 from imu_calib.bags import RecordingWriter
 from imu_calib.calibration import Calibration
+from imu_calib.cdr import Kind, Messages
 from imu_calib.cli.main import main
 from imu_calib.config import Section
 from imu_calib.imu import ImuSpec
@@ -156,6 +157,12 @@ def good() -> Session:
 
 
 @cache
+def messages_of_good() -> dict[str, tuple[Kind, Messages, Stamps]]:
+    """Its messages by topic: each test changes one topic, and records the others as they are."""
+    return {topic: serialised(block) for topic, block in good().columns.items()}
+
+
+@cache
 def slow_too() -> Plan:
     return read_plan(Section.parse(WITH_SLOW_TURNS, 'the plan'))
 
@@ -174,10 +181,14 @@ def middle_of_7() -> int:
 def write(path: Path, columns: Columns, data: Mapping[str, str] = DATA) -> Path:
     """Record columns, all topics in step, in chunks of two seconds or so."""
     with RecordingWriter(path, data, chunk_bytes=1 << 16) as writer:
+        sound = messages_of_good()
         # A plus behind a topic: a second publisher on it.
-        rows = [(topic.rstrip('+'), *serialised(block)) for topic, block in columns.items()]
+        rows = [
+            (t.rstrip('+'), *(sound[t] if b is good().columns.get(t) else serialised(b)))
+            for t, b in columns.items()
+        ]
         # Received when they were made, whatever their stamps have become.
-        made = {t: serialised(b)[2] for t, b in good().columns.items()}
+        made = {t: stamp for t, (*_, stamp) in sound.items()}
         rows = [
             (t, kind, m, made[t] if t in made and len(made[t]) == len(m) else stamp)
             for t, kind, m, stamp in rows

@@ -3,6 +3,7 @@
 import re
 import sys
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import pytest
@@ -12,11 +13,16 @@ import imu_calib
 
 sys.path.insert(0, str(CHECKOUT / 'docs'))
 from imperfect_stands import CAUSES, CONDITIONS, blocks, stand
-from imperfections import PARAMETER_NAMES, misnamed, outcome, session
+from imperfections import PARAMETER_NAMES, misnamed, outcome
+from imperfections import session as simulated_session
 
-from imu_calib.calibrator import Calibrator
+from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.model.terms import TERMS
+from imu_calib.stream import Block
 from imu_calib.units import ARCSEC
+
+# One that two tests look at is simulated and solved once.
+session = cache(simulated_session)
 
 TERM = 'The session shows accelerometer quadratic term (accel_quadratic, by chance once in 10^8).'
 
@@ -106,15 +112,21 @@ def test_sessions_that_named_what_was_not_there(condition: str, grade: str, seed
     assert not misnamed(found), found['findings']
 
 
+@cache
+def off_by_60_arcsec() -> tuple[Setup, list[Block]]:
+    condition = 'orthogonality 60 arcsec'
+    simulated, setup = stand(condition, 'fog_navigation', 18)
+    return setup, list(blocks(condition, simulated))
+
+
 @pytest.mark.parametrize('stated', [3, 10])
 def test_axes_further_off_than_is_stated_are_named_and_nothing_else(stated: int) -> None:
     """What was found could not be fitted, or was not looked for, and wobble was named instead."""
-    condition = 'orthogonality 60 arcsec'
-    simulated, setup = stand(condition, 'fog_navigation', 18)
+    setup, recorded = off_by_60_arcsec()
     assert setup.table is not None
     errors = replace(setup.table.errors, orthogonality=stated * ARCSEC)
     calibrator = Calibrator(replace(setup, table=replace(setup.table, errors=errors, assumed=())))
-    for block in blocks(condition, simulated):
+    for block in recorded:
         calibrator.feed(block)
     (finding,) = calibrator.finish().calibration.findings
     assert finding.startswith('The session shows joint axes that are not at right angles')
