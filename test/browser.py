@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import processes
 import pytest
 
 NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable', 'chrome')
@@ -101,21 +102,33 @@ def chromium() -> Iterator[Any]:
             browser.close()
 
 
+@pytest.fixture(scope='module')
+def browser() -> Iterator[Any]:
+    """A browser for all tests of a file: to start one takes longer than to look at a page."""
+    with ExitStack() as started:
+        with processes.kept():
+            found = started.enter_context(chromium())
+        yield found
+
+
 @contextmanager
-def opened(
-    path: Path, width: int, *, dark: bool = False, paper: bool = False, offline: bool = True
-) -> Iterator[Any]:
-    """A page in a window of a width; a request to anywhere fails."""
-    with chromium() as browser:
-        window = browser.new_context(
-            viewport={'width': width, 'height': 900},
-            color_scheme='dark' if dark else 'light',
-            offline=offline,
-        )
-        page = window.new_page()
-        page.emulate_media(media='print' if paper else 'screen')
-        page.goto(path.resolve().as_uri())
+def opened(browser: Any, path: Path) -> Iterator[Any]:
+    """A page in a window, see `look_at`; a request to anywhere fails."""
+    window = browser.new_context(offline=True)
+    page = window.new_page()
+    page.goto(path.resolve().as_uri())
+    try:
         yield page
+    finally:
+        window.close()
+
+
+def look_at(page: Any, width: int, *, dark: bool = False, paper: bool = False) -> None:
+    """Have a page laid out in a window of a width, in the light or the dark, or on paper."""
+    page.set_viewport_size({'width': width, 'height': 900})
+    page.emulate_media(
+        media='print' if paper else 'screen', color_scheme='dark' if dark else 'light'
+    )
 
 
 def overlaps(page: Any) -> list[tuple[str, str]]:

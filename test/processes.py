@@ -19,6 +19,9 @@ from pathlib import Path
 MARK = 'IMU_CALIB_TEST_RUN'
 """Environment variable: number of the process that runs the tests."""
 
+KEPT = 'IMU_CALIB_TEST_KEPT'
+"""Environment variable of what several tests share: it ends with the run at the latest."""
+
 GRACE = 20.0
 """How long what is about to end may take to do so after its test, s, on a busy machine."""
 
@@ -65,16 +68,33 @@ def start(words, **options):
     return process
 
 
+@contextlib.contextmanager
+def kept():
+    """Let what is started within outlive its test: who starts it ends it."""
+    os.environ[KEPT] = '1'
+    try:
+        yield
+    finally:
+        del os.environ[KEPT]
+
+
 def running(number=None):
-    """Return what runs with the mark of a process (this one): number and command line."""
+    """Return what runs with the mark of a process: number and command line.
+
+    Args:
+        number: Of a process whose run has ended; None for this one, without what is kept.
+
+    """
     mark = f'{MARK}={number or os.getpid()}'.encode()
+    passed_over = set() if number else {f'{KEPT}=1'.encode()}
     numbers = {int(name) for name in os.listdir('/proc') if name.isdigit()}  # noqa: PTH208
     _foreign.intersection_update(numbers)
     found = {}
     for one in numbers - _foreign:
         folder = Path('/proc', str(one))
         try:
-            if mark not in (folder / 'environ').read_bytes().split(b'\0'):
+            environ = set((folder / 'environ').read_bytes().split(b'\0'))
+            if mark not in environ or environ & passed_over:
                 _foreign.add(one)
             elif line := (folder / 'cmdline').read_bytes().replace(b'\0', b' ').decode():
                 found[one] = line.strip()

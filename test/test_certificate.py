@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from browser import CHROMIUM, needs_chromium, opened, overlaps, width
+from browser import CHROMIUM, look_at, needs_chromium, opened, overlaps, width
+from browser import browser as browser  # noqa: PLC0414
 from loopback import CHECKOUT
 from sessions import at_one_rate, calibrate, quick_plan, session, stand
 
@@ -332,11 +333,14 @@ def test_no_text_ends_the_style_that_prints_it(calibration: Calibration) -> None
 
 
 @needs_chromium
-def test_no_text_of_a_certificate_stands_on_another(text: str, tmp_path: Path) -> None:
+def test_no_text_of_a_certificate_stands_on_another(
+    browser: Any, text: str, tmp_path: Path
+) -> None:
     path = tmp_path / 'certificate.html'
     path.write_text(text, encoding='utf-8')
-    for size in (390, 820, 1400):
-        with opened(path, size) as shown:
+    with opened(browser, path) as shown:
+        for size in (390, 820, 1400):
+            look_at(shown, size)
             assert overlaps(shown) == []
             assert width(shown) <= size
 

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import A4, chromium, contrasts, needs_chromium, overfull, overlaps, width
+from browser import A4, contrasts, needs_chromium, overfull, overlaps, width
+from browser import browser as browser  # noqa: PLC0414
 
 import imu_calib
 from imu_calib.cli.main import main
@@ -268,6 +269,12 @@ class Window:
         self.page.on('request', lambda request: self.asked.append(request.url))
         self.url = path.resolve().as_uri()
 
+    def __enter__(self) -> Window:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.page.context.close()
+
     def open(self, place: str = '') -> Any:
         self.page.goto(self.url + place)
         self.page.wait_for_selector(READY)
@@ -433,9 +440,8 @@ def check_units_with_little_behind_them_open(shown: Window, name: str) -> None:
 
 
 @needs_chromium
-def test_the_table_in_a_browser(written: Path, made: fleets.Invented) -> None:
-    with chromium() as browser:
-        shown = Window(browser, written)
+def test_the_table_in_a_browser(browser: Any, written: Path, made: fleets.Invented) -> None:
+    with Window(browser, written) as shown:
         shown.open()
         check_it_opens_without_a_word_and_without_a_network(shown)
         check_what_is_worst_stands_first(shown.reset())
@@ -446,9 +452,8 @@ def test_the_table_in_a_browser(written: Path, made: fleets.Invented) -> None:
 
 
 @needs_chromium
-def test_units_in_a_browser(written: Path, made: fleets.Invented) -> None:
-    with chromium() as browser:
-        shown = Window(browser, written)
+def test_units_in_a_browser(browser: Any, written: Path, made: fleets.Invented) -> None:
+    with Window(browser, written) as shown:
         shown.open()
         check_a_unit_shows_its_course(shown, made)
         check_files_of_a_unit_are_linked_where_they_lie(shown.reset(), written)
@@ -458,10 +463,10 @@ def test_units_in_a_browser(written: Path, made: fleets.Invented) -> None:
 
 
 @needs_chromium
-def test_no_text_stands_on_another(written: Path) -> None:
-    with chromium() as browser:
-        for size, dark in ((390, True), (820, False), (1400, False), (1400, True)):
-            window = Window(browser, written, size, color_scheme='dark' if dark else 'light')
+def test_no_text_stands_on_another(browser: Any, written: Path) -> None:
+    for size, dark in ((390, True), (820, False), (1400, False), (1400, True)):
+        scheme = 'dark' if dark else 'light'
+        with Window(browser, written, size, color_scheme=scheme) as window:
             page = window.open('#unit=mems_counts/A1007')
             page.wait_for_selector('#unit[data-drawn="A1007"]')
             assert overlaps(page) == [], size
@@ -470,15 +475,15 @@ def test_no_text_stands_on_another(written: Path) -> None:
             # WCAG 2.1, 1.4.3.
             assert [t for t in contrasts(page) if t['ratio'] < 4.5] == [], size
             assert window.said == []
-            page.context.close()
 
 
 @needs_chromium
-def test_paper_has_what_needs_a_person_and_every_unit(written: Path, tmp_path: Path) -> None:
+def test_paper_has_what_needs_a_person_and_every_unit(
+    browser: Any, written: Path, tmp_path: Path
+) -> None:
     pdfium = pytest.importorskip('pypdfium2')
     file = tmp_path / 'page.pdf'
-    with chromium() as browser:
-        window = Window(browser, written, A4, color_scheme='dark')
+    with Window(browser, written, A4, color_scheme='dark') as window:
         page = window.open()
         page.pdf(path=str(file), prefer_css_page_size=True)
         # On the screen again it is as it was.
@@ -510,13 +515,12 @@ def thread_time(session: Any) -> float:
 
 
 @needs_chromium
-def test_5000_units_open_in_three_seconds(tmp_path: Path) -> None:
+def test_5000_units_open_in_three_seconds(browser: Any, tmp_path: Path) -> None:
     path = tmp_path / 'fleet.html'
     path.write_text(page(fleets.fleet(fleets.invented(5000))), encoding='utf-8')
     # 30 000 sessions of 150 bytes, and the library's 1.4 MB.
     assert path.stat().st_size < 8e6
-    with chromium() as browser:
-        window = Window(browser, path)
+    with Window(browser, path) as window:
         session = window.page.context.new_cdp_session(window.page)
         session.send('Performance.enable')
         shown = window.open()

@@ -7,11 +7,13 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from browser import A4, contrasts, needs_chromium, opened, overfull, overlaps, width
+from browser import A4, contrasts, look_at, needs_chromium, opened, overfull, overlaps, width
+from browser import browser as browser  # noqa: PLC0414
 from sessions import at_one_rate, calibrate, quick_plan, session, stand
 
 import imu_calib
@@ -74,44 +76,49 @@ def pages(result: Result, at_temperatures: list[Calibration]) -> dict[str, str]:
 
 
 @pytest.fixture(scope='module', params=['whole', 'alone', 'combined'])
-def file(
-    request: pytest.FixtureRequest, pages: dict[str, str], tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Path]:
+def shown(
+    request: pytest.FixtureRequest,
+    browser: Any,
+    pages: dict[str, str],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[Any]:
     path = tmp_path_factory.mktemp('layout') / f'{request.param}.html'
     path.write_text(pages[request.param], encoding='utf-8')
-    yield path
+    with opened(browser, path) as found:
+        yield found
 
 
 @needs_chromium
-def test_no_text_stands_on_another_and_no_page_is_wider_than_its_window(file: Path) -> None:
+def test_no_text_stands_on_another_and_no_page_is_wider_than_its_window(shown: Any) -> None:
     for size in WIDTHS:
-        with opened(file, size) as shown:
-            assert overlaps(shown) == [], size
-            assert overfull(shown) == [], size
-            assert width(shown) <= size
-    with opened(file, A4, paper=True) as printed:
-        assert overlaps(printed) == []
-        assert width(printed) <= A4
+        look_at(shown, size)
+        assert overlaps(shown) == [], size
+        assert overfull(shown) == [], size
+        assert width(shown) <= size
+    look_at(shown, A4, paper=True)
+    assert overlaps(shown) == []
+    assert width(shown) <= A4
 
 
 @needs_chromium
-def test_the_measurement_sees_texts_on_each_other(tmp_path: Path) -> None:
+def test_the_measurement_sees_texts_on_each_other(browser: Any, tmp_path: Path) -> None:
     path = tmp_path / 'bad.html'
     path.write_text(
         '<p style="width: 40px; white-space: nowrap">much too long a sentence</p>'
         '<svg width="200" height="50"><text x="9" y="20">one</text><text x="15" y="22">two</text>'
         '</svg>'
     )
-    with opened(path, 390) as shown:
+    with opened(browser, path) as shown:
+        look_at(shown, 390)
         assert overlaps(shown) == [('one', 'two')]
         assert overfull(shown) == ['much too long a sentence']
 
 
 @needs_chromium
 @pytest.mark.parametrize('dark', [False, True], ids=['light', 'dark'])
-def test_every_text_is_read_in_the_dark_as_in_the_light(file: Path, dark: bool) -> None:
-    with opened(file, 820, dark=dark) as shown:
-        found = contrasts(shown)
+def test_every_text_is_read_in_the_dark_as_in_the_light(shown: Any, dark: bool) -> None:
+    look_at(shown, 820, dark=dark)
+    found = contrasts(shown)
     # WCAG 2.1, 1.4.3: 4.5 for letters of this size. Badges are white on colour in both.
     assert [t for t in found if t['ratio'] < 4.5] == []
     papers = [t['paper'] for t in found]
@@ -119,10 +126,13 @@ def test_every_text_is_read_in_the_dark_as_in_the_light(file: Path, dark: bool) 
 
 
 @needs_chromium
-def test_paper_is_white_in_the_dark_too(pages: dict[str, str], tmp_path: Path) -> None:
+def test_paper_is_white_in_the_dark_too(
+    browser: Any, pages: dict[str, str], tmp_path: Path
+) -> None:
     path = tmp_path / 'page.html'
     path.write_text(pages['alone'], encoding='utf-8')
-    with opened(path, A4, dark=True, paper=True) as printed:
+    with opened(browser, path) as printed:
+        look_at(printed, A4, dark=True, paper=True)
         assert min(t['ratio'] for t in contrasts(printed)) >= 4.5
         assert np.median([t['paper'] for t in contrasts(printed)]) == 1.0
 

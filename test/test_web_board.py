@@ -9,7 +9,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from browser import needs_chromium, opened, overlaps, width
+from browser import browser as browser  # noqa: PLC0414
+from browser import look_at, needs_chromium, opened, overlaps, width
 from rich.console import Console
 
 from imu_calib.calibrator import Setup
@@ -403,7 +404,7 @@ def test_the_terminal_shows_deviations_predictions_limits_and_the_time_left(expe
 
 
 @needs_chromium
-def test_verdicts_are_seen_on_a_phone(expected, tmp_path):
+def test_verdicts_are_seen_on_a_phone(browser, expected, tmp_path):
     """390 px: every column stands within its card, and none on another."""
     board = Board(expected)
     board.take_progress(progress(1010.0, 4.321e-6), 0.0)
@@ -412,7 +413,8 @@ def test_verdicts_are_seen_on_a_phone(expected, tmp_path):
     page = tmp_path / 'page.html'
     meta = '<!doctype html><meta charset="utf-8">'
     page.write_text(f'{meta}<style>{STYLE} body {{ margin: 0 }}</style>{table}</div>', 'utf-8')
-    with opened(page, 390) as shown:
+    with opened(browser, page) as shown:
+        look_at(shown, 390)
         badges = shown.locator('.badge')
         assert badges.count() == 24
         for box in (badge.bounding_box() for badge in badges.all()):
