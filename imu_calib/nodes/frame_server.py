@@ -11,6 +11,9 @@ from ..errors import InputError
 
 _STUCK = 20.0
 """s in which a reader took nothing: it is gone, and its bytes with it; a choice."""
+_LOOK = 0.01
+"""s between two looks for a reader: one that connects waits no longer, and each look is a call of
+the kernel."""
 _BUFFER = 1 << 16
 """Bytes held for a reader that is slow for a moment."""
 
@@ -31,6 +34,7 @@ class FrameServer:
         self._reader: socket.socket | None = None
         self._left = memoryview(b'')
         self._moved = time.monotonic()
+        self._look_at = self._moved
 
     @property
     def connected(self) -> bool:
@@ -44,13 +48,16 @@ class FrameServer:
 
     def tend(self) -> None:
         """Accept a reader, and send on what the last one has not taken."""
-        with contextlib.suppress(BlockingIOError):
-            reader, _ = self._server.accept()
-            reader.setblocking(False)
-            self._drop()
-            self._reader = reader
+        now = time.monotonic()
+        if now >= self._look_at:
+            self._look_at = now + _LOOK
+            with contextlib.suppress(BlockingIOError):
+                reader, _ = self._server.accept()
+                reader.setblocking(False)
+                self._drop()
+                self._reader = reader
         self._push()
-        if self._left and time.monotonic() - self._moved > _STUCK:
+        if self._left and now - self._moved > _STUCK:
             self._drop()
 
     def send(self, line: bytes) -> None:

@@ -31,7 +31,9 @@ from .frame_server import FrameServer
 _STEP = 0.1
 """s of simulated time at once."""
 _REST = 0.0005
-"""s of sleep while no client reads: short beside what a step takes to compute."""
+"""s of sleep while a reader lags: short beside what a step takes to compute."""
+_LONGEST_REST = 0.005
+"""s of sleep until the wall clock has come to the next step: advice that comes does not wait."""
 _PATIENCE = 5.0
 """s for the thread to end: a step takes milliseconds; one that hangs is left to the process."""
 
@@ -107,8 +109,8 @@ class HandNode(ros.Node):
         """Let simulated time pass until the node ends."""
         while not self._ending.is_set():
             self._line.tend()
-            if not (self._line.idle and self._may_go_on()):
-                time.sleep(_REST)
+            if rest := self._rest():
+                time.sleep(rest)
                 continue
             try:
                 self._advance()
@@ -116,20 +118,23 @@ class HandNode(ros.Node):
                 self.get_logger().fatal(f'the simulation ends: {error}')
                 return
 
-    def _may_go_on(self) -> bool:
-        """Say whether the next step may be made.
+    def _rest(self) -> float:
+        """Return how long to wait before the next step, s; 0: it is due.
 
         Who waits for advice, or for somebody who reads, waits by the wall clock.
         """
+        if not self._line.idle:
+            return _REST
         waits = self._hardware.waits or not self._line.connected
         speed = (self._speed or 1.0) if waits else self._speed
         if not speed:
             self._anchor = None
-            return True
+            return 0.0
         now, wall = self._hardware.time, time.monotonic()
         if self._anchor is None or self._anchor[2] != speed:
             self._anchor = now, wall, speed
-        return now - self._anchor[0] <= (wall - self._anchor[1]) * speed
+        due = self._anchor[1] + (now - self._anchor[0]) / speed
+        return min(max(0.0, due - wall), _LONGEST_REST)
 
     def _advance(self) -> None:
         # The line before the clock: what a frame is stamped with is then never early.

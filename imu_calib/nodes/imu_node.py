@@ -143,7 +143,7 @@ class ImuNode(ManagedNode):
         self._source.stop()
         self._waiting += self._source.take()
         if chunks := self._first(len(self._waiting)):
-            self._take(chunks)
+            self._take(chunks, self._now(), self._seconds())
         self._line.settle()
         self._release()
         return publishers
@@ -159,11 +159,9 @@ class ImuNode(ManagedNode):
     def _seconds(self) -> float:
         return float(self._steady.now().nanoseconds / _NS)
 
-    def _is_silent(self) -> bool:
+    def _is_silent(self, now: int, steady: float) -> bool:
         return (
-            self._source.empty
-            and not self._waiting
-            and self._reception.health.silent(self._now(), self._seconds())
+            self._source.empty and not self._waiting and self._reception.health.silent(now, steady)
         )
 
     def _work(self) -> None:
@@ -176,12 +174,13 @@ class ImuNode(ManagedNode):
             self._started = True
             self._reported_at = self._seconds()
         chunks = self._arrived()
+        now, steady = self._now(), self._seconds()
         if chunks:
-            self._take(chunks)
-        elif self._held and (self._source.state.ended or self._is_silent()):
+            self._take(chunks, now, steady)
+        elif self._held and (self._source.state.ended or self._is_silent(now, steady)):
             self._line.settle()
         self._release()
-        self._report()
+        self._report(now, steady)
 
     def _arrived(self) -> list[Chunk]:
         """Return bytes with the host's time at which they had arrived for certain.
@@ -212,6 +211,8 @@ class ImuNode(ManagedNode):
 
     def _first(self, count: int) -> list[Chunk]:
         """Return the first of the bytes that wait; in simulated time no other clock counts."""
+        if not count:
+            return []
         chunks = self._waiting[:count]
         del self._waiting[:count]
         if not self._simulated:
@@ -219,9 +220,9 @@ class ImuNode(ManagedNode):
         now = self._now()
         return [Chunk(chunk.data, now, now) for chunk in chunks]
 
-    def _take(self, chunks: list[Chunk]) -> None:
+    def _take(self, chunks: list[Chunk], now: int, steady: float) -> None:
         """Decode bytes; their samples wait until the clock's offset is known."""
-        samples, elapsed = self._reception.take(chunks, self._now(), self._seconds())
+        samples, elapsed = self._reception.take(chunks, now, steady)
         if len(samples):
             self._held.append((samples, elapsed + self._line.set_by))
 
@@ -257,10 +258,9 @@ class ImuNode(ManagedNode):
         for payload in encode_temperatures(block, self._frame_id).payloads():
             self._temperatures.publish(payload)
 
-    def _report(self) -> None:
+    def _report(self, now: int, steady: float) -> None:
         """Say how port, stream, clock and device are; at once when the stream falls silent."""
-        steady, now = self._seconds(), self._now()
-        silent = self._is_silent()
+        silent = self._is_silent(now, steady)
         if steady - self._reported_at < _REPORT_PERIOD and silent == self._silent:
             return
         self._reported_at, self._silent = steady, silent

@@ -51,8 +51,9 @@ _SILENCE = 0.5
 """s of the wall clock without a setpoint after which another source may lead the table."""
 _REST = 0.0005
 """s of sleep while the next setpoint is waited for: short beside what a step takes to compute."""
-_REST_BY_THE_WALL = 0.005
-"""s of sleep while the table is not led: short beside a step of the wall clock."""
+_LONGEST_REST = 0.02
+"""s of sleep until the wall clock has come to the next step: a fifth of a step of real time, so
+that setpoints of a leader that begins do not wait."""
 _PATIENCE = 5.0
 """s for the thread to end: a step takes milliseconds; one that hangs is left to the process."""
 
@@ -177,18 +178,21 @@ class StandNode(ros.Node):
             self._lines.tend()
             if self._ending.is_set():
                 self._advance()
-            elif self._may_go_on():
+            elif rest := self._rest():
+                time.sleep(rest)
+            else:
                 try:
                     self._advance()
                 except ImuCalibError as error:
                     self.get_logger().fatal(f'the simulation ends: {error}')
                     return
-            else:
-                time.sleep(_REST if self._pace.led else _REST_BY_THE_WALL)
 
-    def _may_go_on(self) -> bool:
+    def _rest(self) -> float:
+        """Return how long to wait before it is looked again whether to go on, s; 0 to go on."""
         lines = self._lines
-        return lines.idle and self._pace.may_go_on(self._hardware.time, lines.connected)
+        if not lines.idle:
+            return _REST
+        return self._pace.rest(self._hardware.time, lines.connected)
 
     def _take_commands(self) -> None:
         self._commands.give(self._follow)
@@ -277,8 +281,8 @@ class _Pace:
         """Whether setpoints lead the table."""
         return time.monotonic() - self._heard < _ALIVE
 
-    def may_go_on(self, now: float, connected: bool) -> bool:
-        """Say whether the next step may be made at a simulated time.
+    def rest(self, now: float, connected: bool) -> float:
+        """Return how long to wait before the next step at a simulated time, s; 0: it is due.
 
         Led by setpoints, time keeps close to the newest of them: who leads has then seen all
         that happened before. Else it keeps to the wall clock.
@@ -286,14 +290,15 @@ class _Pace:
         wall = time.monotonic()
         led = connected and self.led
         if led and now > self._newest + _AHEAD:
-            return False
+            return _REST
         speed = self._speed if led else (self._speed or 1.0)
         if not speed:
             self._anchor = None
-            return True
+            return 0.0
         if self._anchor is None or self._anchor[2] != speed:
             self._anchor = (now, wall, speed)
-        return now - self._anchor[0] <= (wall - self._anchor[1]) * speed
+        due = self._anchor[1] + (now - self._anchor[0]) / speed
+        return min(max(0.0, due - wall), _LONGEST_REST)
 
 
 def main() -> int:

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
 _TOPIC = 'ros_discovery_info'
 _TYPE = 'rmw_dds_common/msg/ParticipantEntitiesInfo'
-_MOST = 10_000
-"""Changes that are taken at once; more are taken by the next turn of the loop."""
+_MOST = 256
+"""Changes that are taken at once; more are taken by the next turn of the loop. The wheel makes room
+for as many each time."""
 _ALIVE = 16
 """DDS_ALIVE_INSTANCE_STATE."""
 
@@ -66,6 +67,9 @@ class Graph:
         self._publications = _Endpoints(BuiltinDataReader(entity, BuiltinTopicDcpsPublication))
         self._subscriptions = _Endpoints(BuiltinDataReader(entity, BuiltinTopicDcpsSubscription))
         self._participants: dict[bytes, list[Any]] = {}
+        self._heard = 0
+        self._listed: dict[str, list[TopicEndpointInfo]] = {}
+        self._listed_of = 0, 0
 
     def announce(self, own: Iterable[Any]) -> None:
         """Tell the other participants which nodes, with their endpoints, are in this one."""
@@ -97,10 +101,18 @@ class Graph:
 
     def writers(self, topic: str) -> list[TopicEndpointInfo]:
         """Return the writers of a DDS topic, those of this process too."""
-        found = [e for e in self._publications.alive() if e.topic_name == topic]
-        if not found:
-            return []
+        endpoints = self._publications.alive()
         self._hear()
+        # Nodes ask ten times a second, and seldom has anything changed.
+        changes = self._publications.changes, self._heard
+        if changes != self._listed_of:
+            self._listed_of = changes
+            self._listed.clear()
+        if topic not in self._listed:
+            self._listed[topic] = self._described([e for e in endpoints if e.topic_name == topic])
+        return list(self._listed[topic])
+
+    def _described(self, endpoints: list[Any]) -> list[TopicEndpointInfo]:
         owners = {
             bytes(gid.data): (node.node_name, node.node_namespace)
             for nodes in self._participants.values()
@@ -115,7 +127,7 @@ class Graph:
                 list(e.key.bytes),
                 from_dds(e.qos),
             )
-            for e in found
+            for e in endpoints
         ]
 
     def count_writers(self, topic: str) -> int:
@@ -138,10 +150,16 @@ class Graph:
         for payload in self._reader.drain():
             info = deserialize_message(payload, message_class(_TYPE))
             self._participants[bytes(info.gid.data)] = list(info.node_entities_info_seq)
+            self._heard += 1
 
 
 class _Endpoints:
-    """All writers, or all readers, of a domain: only what has changed is read anew."""
+    """All writers, or all readers, of a domain: only what has changed is read anew.
+
+    Attributes:
+        changes: How many there were so far.
+
+    """
 
     def __init__(self, reader: Any) -> None:
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
@@ -149,10 +167,12 @@ class _Endpoints:
         self._reader = reader
         self._condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.Any)
         self._known: dict[bytes, Any] = {}
+        self.changes = 0
 
     def alive(self) -> list[Any]:
         """Return those that are there."""
         while changes := self._reader.take(N=_MOST, condition=self._condition):
+            self.changes += len(changes)
             for endpoint in changes:
                 if endpoint.sample_info.instance_state != _ALIVE:
                     self._known.pop(endpoint.key.bytes, None)
