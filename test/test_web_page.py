@@ -70,7 +70,7 @@ class Viewer:
 def shown(tmp_path):
     """A stand with a page that two look at."""
     port = free_port()
-    plan = short_plan(tmp_path)
+    plan = short_plan(tmp_path, dwell=2.0)
     with (
         chromium() as browser,
         Stand(tmp_path, '--speed', str(SPEED), plan=plan, nodes=()) as stand,
