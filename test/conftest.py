@@ -54,6 +54,7 @@ _LONG = (
     'test_matrix.py',
     'test_verification.py',
     'test_stand_strangers.py',
+    'test_web_page.py',
     'test_resume.py',
     'test_bad_input.py',
     'test_calibration_session.py',
