@@ -22,16 +22,23 @@ def user_path(name: str | Path) -> Path:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file whole or not at all.
+    """Write a file whole or not at all; a link stays one, and its file is written.
+
+    A device or a pipe, /dev/null or /dev/stdout, takes the text as it comes: a file put in its
+    place would take it from all programs.
 
     Raises:
         InputError: It cannot be written.
 
     """
-    temporary = path.with_name(path.name + '.part')
+    target = path.resolve()
+    temporary = target.with_name(target.name + '.part')
     try:
+        if path.exists() and not path.is_file() and not path.is_dir():
+            path.write_text(text, encoding='utf-8')
+            return
         temporary.write_text(text, encoding='utf-8')
-        temporary.replace(path)
+        temporary.replace(target)
     except OSError as error:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
