@@ -284,6 +284,15 @@ def test_each_option_of_a_command_is_a_keyword_of_its_function() -> None:
         )
 
 
+def test_keywords_that_functions_share_are_in_their_signatures_and_others_are_refused() -> None:
+    verify = inspect.signature(imu_calib.verify).parameters
+    assert {'plan', 'imu', 'table', 'latitude', 'height_std', 'imu_topic'} < set(verify)
+    assert verify['plan'].default is None
+    assert verify['imu_only'].default is False
+    with pytest.raises(TypeError, match=r"^verify\(\) got an unexpected keyword argument 'method'"):
+        imu_calib.verify('calibration.yaml', 'bag', method='joint')  # type: ignore[call-arg]
+
+
 def test_two_calibrations_are_compared_in_any_form(
     folder: Path, result: imu_calib.Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

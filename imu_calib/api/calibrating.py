@@ -3,45 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from ..bags import AnyPath
 from ..calibrator import Calibrator, HandCalibrator, Result, calibrator_of
 from ..errors import NotObservable, NotStated
-from ..imu import ImuSpec
 from ..metadata import interpolated_from
-from ..plan import Plan
 from ..segmentation.segmented import Segmented
 from ..threads import by_one_thread
-from ..turntable import Table
 from .assumed import SAID_BY_HAND, ask_for_plan, was_in_the_hand
 from .conforming import specification_of
+from .keywords import Session, with_keywords
 from .named import Named
 from .opening import Opened, open_session
 from .progress import Progress, silent
 from .stated import Stated
 
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
+
+@with_keywords(Session)
 def calibrate(
     bag: Named,
     *,
-    plan: Plan | Named | None = None,
-    imu: ImuSpec | Named | None = None,
-    table: Table | Named | None = None,
-    azimuth: float | None = None,
-    latitude: float | None = None,
-    latitude_std: float | None = None,
-    height: float | None = None,
-    height_std: float | None = None,
-    gravity: float | None = None,
-    gravity_std: float | None = None,
-    method: str | None = None,
-    terms: str | None = None,
-    serial: str | None = None,
-    imu_topic: str | None = None,
-    joint_topic: str | None = None,
-    setpoint_topic: str | None = None,
-    imu_only: bool = False,
     progress: Progress = silent,
+    **stated: Unpack[Session],
 ) -> Result:
     """Calibrate from a recording.
 
@@ -69,6 +56,7 @@ def calibrate(
         setpoint_topic: Of imu_calib_msgs/TurntableSetpoint, likewise.
         imu_only: Use the IMU and the order of the plan alone.
         progress: Shows how far it is; nothing by default.
+        **stated: The keywords from `plan` on, each of which may be left out.
 
     Returns:
         The calibration with all that led to it.
@@ -78,26 +66,7 @@ def calibrate(
         NotObservable: The data cannot give all parameters; says which and why.
 
     """
-    stated = Stated(
-        plan=plan,
-        imu=imu,
-        table=table,
-        azimuth=azimuth,
-        imu_topic=imu_topic,
-        joint_topic=joint_topic,
-        setpoint_topic=setpoint_topic,
-        imu_only=imu_only,
-        latitude=latitude,
-        latitude_std=latitude_std,
-        height=height,
-        height_std=height_std,
-        gravity=gravity,
-        gravity_std=gravity_std,
-        method=method,
-        terms=terms,
-        serial=serial,
-    )
-    return calibrated(bag, stated, progress)
+    return calibrated(bag, Stated(**stated), progress)
 
 
 @by_one_thread

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..bags import AnyPath, Recording
 from ..calibrator import Calibrator, HandCalibrator, Result, calibrator_of
@@ -15,15 +15,17 @@ from ..errors import ImuCalibError, InputError
 from ..estimation.several import TableSeen
 from ..metadata import serial_key
 from ..mounted import MountedUnit, load_units
-from ..plan import Plan
 from ..stream import Floats
 from ..threads import by_one_thread
-from ..turntable import Table
 from .calibrating import documented, finished
+from .keywords import OfSeveral, with_keywords
 from .named import Named
 from .opening import Opened, recording_at, session_of
 from .progress import Progress, silent
 from .stated import Stated, units_of
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,25 +103,14 @@ class UnitResults:
         return written
 
 
+@with_keywords(OfSeveral)
 def calibrate_units(
     bag: Named,
     imus: Named | Sequence[MountedUnit] | None = None,
     *,
-    plan: Plan | Named | None = None,
-    table: Table | Named | None = None,
-    azimuth: float | None = None,
-    latitude: float | None = None,
-    latitude_std: float | None = None,
-    height: float | None = None,
-    height_std: float | None = None,
-    gravity: float | None = None,
-    gravity_std: float | None = None,
-    method: str | None = None,
-    terms: str | None = None,
-    joint_topic: str | None = None,
-    setpoint_topic: str | None = None,
     separate: bool = False,
     progress: Progress = silent,
+    **stated: Unpack[OfSeveral],
 ) -> UnitResults:
     """Calibrate all units of a recording in one pass over it.
 
@@ -130,43 +121,16 @@ def calibrate_units(
         bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
         imus: File of the units (docs/files/units.md), or the units; None where the recording says
             of its topics which units they are.
-        plan: As for `calibrate`, as is all that follows.
-        table: The turntable.
-        azimuth: deg.
-        latitude: deg.
-        latitude_std: deg.
-        height: m.
-        height_std: m.
-        gravity: m/s^2.
-        gravity_std: m/s^2.
-        method: The estimator.
-        terms: What the joint estimate adds.
-        joint_topic: Of sensor_msgs/JointState.
-        setpoint_topic: Of imu_calib_msgs/TurntableSetpoint.
         separate: Calibrate each by itself, as `calibrate` does: nothing is shared.
         progress: Shows how far it is.
+        **stated: The session, by the keywords of `calibrate` that do not speak of one unit.
 
     Raises:
         InputError: The recording or the file of the units is unreadable, or the units
             are not stated.
 
     """
-    stated = Stated(
-        plan=plan,
-        table=table,
-        azimuth=azimuth,
-        joint_topic=joint_topic,
-        setpoint_topic=setpoint_topic,
-        latitude=latitude,
-        latitude_std=latitude_std,
-        height=height,
-        height_std=height_std,
-        gravity=gravity,
-        gravity_std=gravity_std,
-        method=method,
-        terms=terms,
-    )
-    return calibrated_units(bag, imus, stated, progress, separate=separate)
+    return calibrated_units(bag, imus, Stated(**stated), progress, separate=separate)
 
 
 @by_one_thread

@@ -34,9 +34,10 @@ from ..prediction import reach as shortest_dwells
 from ..prediction.optimise import Optimum
 from ..prediction.optimise import optimise as best_plan
 from ..threads import by_one_thread
-from ..turntable import Table
 from ..units import DEG, parse
 from ..views import predicted_frame
+from . import keywords
+from .keywords import with_keywords
 from .named import Named, as_imu, as_plan, as_truth
 from .outputs import output_path
 from .progress import Progress, silent
@@ -44,6 +45,7 @@ from .stated import Stated
 
 if TYPE_CHECKING:
     import pandas
+    from typing_extensions import Unpack
 
 _ANY_PLAN = 'twelve_position'
 """What a search for a plan begins from: nothing of it counts."""
@@ -97,75 +99,44 @@ class Prediction:
         return predicted_frame(found.parameters, found.std, found.best)
 
 
+@with_keywords(keywords.Predicted)
 def predict(
     plan: Plan | Named,
     imu: ImuSpec | Named,
     *,
-    table: Table | Named = 'three_axis',
     truth: Calibration | Named = 'cao2022_table1',
-    azimuth: float | None = None,
-    method: str | None = None,
-    terms: str | None = None,
     bias_instability: bool = False,
-    latitude: float | None = None,
-    height: float | None = None,
-    height_std: float | None = None,
-    gravity: float | None = None,
-    gravity_std: float | None = None,
+    **stated: Unpack[keywords.Predicted],
 ) -> Prediction:
     """Predict the standard deviations of a session.
 
     Args:
         plan: Name, file or value.
         imu: Likewise; its noise and the size of its pulses count.
-        table: Likewise; it does not count where the plan is run by hand.
         truth: What the unit is thought to be: its counters run by it.
-        azimuth: Heading of the table's zero, where it is known, deg.
-        method: The estimator; None for the joint estimate where it applies, else the plan's own.
-        terms: Of the sensors, to be estimated too: names with commas between.
         bias_instability: Let the biases drift by the IMU's figure.
-        latitude: deg; None for Luoyang's.
-        height: Above the ellipsoid, m.
-        height_std: m.
-        gravity: As measured, m/s^2.
-        gravity_std: m/s^2.
+        **stated: The session, by keywords of `calibrate`; by default on the three-axis table, which
+            does not count where the plan is run by hand, and at Luoyang's latitude.
 
     Raises:
         InputError: A file is missing or broken, or they do not fit each other.
         NotObservable: The plan cannot give its method the parameters, however it is run.
 
     """
-    stated = Stated(
-        plan=plan,
-        imu=imu,
-        table=table,
-        azimuth=azimuth,
-        method=method,
-        terms=terms,
-        latitude=latitude,
-        height=height,
-        height_std=height_std,
-        gravity=gravity,
-        gravity_std=gravity_std,
-    )
-    return predicted(setup_of(stated), as_truth(truth).model, drifting=bias_instability)
+    session = Stated(plan=plan, imu=imu, **stated)
+    return predicted(setup_of(session), as_truth(truth).model, drifting=bias_instability)
 
 
+@with_keywords(keywords.Optimised)
 def optimise(
     imu: ImuSpec | Named,
     minutes: float,
     *,
     output: Named | None = None,
-    table: Table | Named = 'three_axis',
     truth: Calibration | Named = 'cao2022_table1',
     rate: float | None = None,
-    azimuth: float | None = None,
-    latitude: float | None = None,
-    height: float | None = None,
-    height_std: float | None = None,
-    gravity: float | None = None,
-    gravity_std: float | None = None,
     progress: Progress = silent,
+    **stated: Unpack[keywords.Optimised],
 ) -> Optimum:
     """Find the plan that tells most in a time on a table.
 
@@ -173,15 +144,8 @@ def optimise(
         imu: Name, file or value; its noise and the size of its pulses count.
         minutes: Time on the table.
         output: File to write the plan to, which is then named after it; None to write none.
-        table: Name, file or value.
         truth: What the unit is thought to be: its counters run by it.
         rate: Of the turns, deg/s; None for 60, or what the slowest joint of the table can.
-        azimuth: Heading of the table's zero, where it is known, deg.
-        latitude: deg; None for Luoyang's.
-        height: Above the ellipsoid, m.
-        height_std: m.
-        gravity: As measured, m/s^2.
-        gravity_std: m/s^2.
         progress: Called with how far it is.
 
     Returns:
@@ -192,17 +156,8 @@ def optimise(
             too short for any plan, the table reaches too few attitudes, or cannot turn that fast.
 
     """
-    stated = Stated(
-        imu=imu,
-        table=table,
-        azimuth=azimuth,
-        latitude=latitude,
-        height=height,
-        height_std=height_std,
-        gravity=gravity,
-        gravity_std=gravity_std,
-    )
-    return optimised(stated, truth, minutes, rate, output, progress)
+    session = Stated(imu=imu, **stated)
+    return optimised(session, truth, minutes, rate, output, progress)
 
 
 @by_one_thread
@@ -240,22 +195,15 @@ def plan_file(output: Named) -> Path:
     return path
 
 
+@with_keywords(keywords.Predicted)
 def reach(
     plan: Plan | Named,
     imu: ImuSpec | Named,
     wanted: Mapping[str, str | float],
     *,
-    table: Table | Named = 'three_axis',
     truth: Calibration | Named = 'cao2022_table1',
-    azimuth: float | None = None,
-    method: str | None = None,
-    terms: str | None = None,
-    latitude: float | None = None,
-    height: float | None = None,
-    height_std: float | None = None,
-    gravity: float | None = None,
-    gravity_std: float | None = None,
     scheduler: str | None = None,
+    **stated: Unpack[keywords.Predicted],
 ) -> Reached:
     """Find the shortest dwells that reach standard deviations.
 
@@ -264,16 +212,7 @@ def reach(
         imu: Its noise and the size of its pulses count.
         wanted: Standard deviations by the names of parameters: texts with a unit, for instance
             {'D_gx': '0.05 deg/h'}, or numbers in SI units.
-        table: The turntable.
         truth: What the unit is thought to be.
-        azimuth: deg.
-        method: The estimator.
-        terms: To be estimated too.
-        latitude: deg; None for Luoyang's.
-        height: m.
-        height_std: m.
-        gravity: m/s^2.
-        gravity_std: m/s^2.
         scheduler: Address of a Dask scheduler, on a worker of which it is found; None for here.
 
     Returns:
@@ -284,20 +223,8 @@ def reach(
         NotObservable: No dwell reaches it; says what stands in the way.
 
     """
-    stated = Stated(
-        plan=plan,
-        imu=imu,
-        table=table,
-        azimuth=azimuth,
-        method=method,
-        terms=terms,
-        latitude=latitude,
-        height=height,
-        height_std=height_std,
-        gravity=gravity,
-        gravity_std=gravity_std,
-    )
-    return shortest(setup_of(stated), as_truth(truth).model, wanted, scheduler)
+    session = Stated(plan=plan, imu=imu, **stated)
+    return shortest(setup_of(session), as_truth(truth).model, wanted, scheduler)
 
 
 def setup_of(stated: Stated) -> Setup:

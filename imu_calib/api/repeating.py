@@ -16,8 +16,9 @@ from ..plan import Plan
 from ..repetition import Outcome, Study, economical, repeat
 from ..simulation import StandOptions
 from ..threads import by_one_thread
-from ..turntable import Table
 from ..views import draw_normalised, repeated_frame
+from . import keywords
+from .keywords import with_keywords
 from .named import Named, as_imu, as_plan, load_truth
 from .progress import Progress, silent
 from .stated import Stated
@@ -25,6 +26,7 @@ from .stated import Stated
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
+    from typing_extensions import Unpack
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,7 @@ class Repeated:
         return draw_normalised(title, outcome)
 
 
+@with_keywords(keywords.Repeated)
 @by_one_thread
 def montecarlo(
     plan: Plan | Named,
@@ -76,19 +79,10 @@ def montecarlo(
     seed: int = 0,
     jobs: int = 1,
     scheduler: str | None = None,
-    table: Table | Named | None = None,
     truth: Calibration | Named = 'cao2022_table1',
-    azimuth: float | None = None,
     bias_instability: bool = False,
-    method: str | None = None,
-    terms: str | None = None,
-    latitude: float | None = None,
-    latitude_std: float | None = None,
-    height: float | None = None,
-    height_std: float | None = None,
-    gravity: float | None = None,
-    gravity_std: float | None = None,
     progress: Progress = silent,
+    **stated: Unpack[keywords.Repeated],
 ) -> Repeated:
     """Simulate a session with many seeds, calibrate from each, and compare with the truth.
 
@@ -101,20 +95,13 @@ def montecarlo(
             `if __name__ == '__main__':`, as multiprocessing does.
         scheduler: Address of a Dask scheduler whose workers run them (tcp://host:8786); the extra
             fleet.
-        table: Name, file or value; None for the three-axis table.
         truth: The unit's true parameters.
-        azimuth: Heading of the table's zero, deg, known to the calibrator; None draws another one
-            for each run, which is unknown.
         bias_instability: Let the biases drift by the IMU's figure.
-        method: The estimator; None for the joint estimate where it applies, else the plan's own.
-        terms: What the joint estimate adds to the 24 parameters, as for `calibrate`.
-        latitude: deg; None for Luoyang's.
-        latitude_std: deg; the true latitude is drawn by it, as gravity is by its own.
-        height: Above the ellipsoid, m.
-        height_std: m.
-        gravity: As measured, m/s^2.
-        gravity_std: m/s^2.
         progress: Shows how far it is; nothing by default.
+        **stated: The session, by keywords of `calibrate`; by default on the three-axis table, at
+            Luoyang's latitude. The true latitude and gravity are drawn by their standard
+            deviations. An azimuth is known to the calibrator; without one each run has another,
+            which is unknown.
 
     Raises:
         InputError: A file is missing or broken, they do not fit each other, the plan is run by
@@ -125,21 +112,7 @@ def montecarlo(
     for name, value, least in (('runs', runs, 1), ('jobs', jobs, 1), ('seed', seed, 0)):
         if not isinstance(value, int) or value < least:
             raise InputError(f'`{name}`: found {value}, expected a whole number from {least} on.')
-    stated = Stated(
-        plan=plan,
-        imu=imu,
-        table=table,
-        azimuth=azimuth,
-        latitude=latitude,
-        latitude_std=latitude_std,
-        height=height,
-        height_std=height_std,
-        gravity=gravity,
-        gravity_std=gravity_std,
-        method=method,
-        terms=terms,
-    )
-    study = _study(stated, as_plan(plan), as_imu(imu), truth, drifting=bias_instability)
+    study = _study(Stated(**stated), as_plan(plan), as_imu(imu), truth, drifting=bias_instability)
     with progress('simulating and calibrating') as show:
         outcome = repeat(study, runs, seed, jobs, show, scheduler)
     refusals = sorted({r.refusal for r in outcome.refused})

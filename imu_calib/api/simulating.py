@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,10 +33,14 @@ from ..stream import (
 )
 from ..turntable import Table, load_table
 from ..units import DEG
+from .keywords import AtSite, with_keywords
 from .named import Named, as_imu, load_truth
 from .outputs import new_folder, whole_or_not_at_all
 from .progress import Progress, silent
 from .stated import TRUE_TABLE, Stated
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 TRUTH = 'truth.yaml'
 """Beside a simulated recording: the true parameters of the unit."""
@@ -67,6 +72,7 @@ class Simulated:
     true_table: Path | None
 
 
+@with_keywords(AtSite)
 def simulate(
     plan: Named,
     output: Named,
@@ -78,17 +84,12 @@ def simulate(
     bias_instability: bool = False,
     imperfections: Named | None = None,
     seed: int = 0,
-    latitude: float | None = None,
-    latitude_std: float | None = None,
-    height: float | None = None,
-    height_std: float | None = None,
-    gravity: float | None = None,
-    gravity_std: float | None = None,
     serial: str | None = None,
     start: str | datetime | None = None,
     temperature: float | None = None,
     compression: str = '',
     progress: Progress = silent,
+    **site: Unpack[AtSite],
 ) -> Simulated:
     """Simulate a session and write its recording.
 
@@ -102,12 +103,6 @@ def simulate(
         bias_instability: Let the biases drift by the IMU's figure.
         imperfections: What is wrong with the stand: name or file.
         seed: The same seed gives the same bits.
-        latitude: As stated in the recording, as are all to `gravity_std`, deg; None for Luoyang's.
-        latitude_std: deg.
-        height: m.
-        height_std: m.
-        gravity: m/s^2.
-        gravity_std: m/s^2.
         serial: Serial number of the unit.
         start: Date of the first sample, ISO 8601, UTC where it states no zone; None for
             2023-11-14T22:13:20Z.
@@ -115,6 +110,8 @@ def simulate(
             What it does to them `imperfections` say; a plan by hand gets its topic by it.
         compression: '', 'lz4' or 'zstd', of the recording.
         progress: Shows how far it is; nothing by default.
+        **site: `latitude` to `gravity_std` as of `calibrate`, which the recording is to state; None
+            for Luoyang's latitude.
 
     Raises:
         InputError: A file is missing or broken, they do not fit each other, the folder exists, or
@@ -125,19 +122,12 @@ def simulate(
     if seed < 0:
         raise InputError(f'`seed`: found {seed}, expected 0 or more.')
     target = new_folder(output)
-    site = Stated(
-        latitude=latitude,
-        latitude_std=latitude_std,
-        height=height,
-        height_std=height_std,
-        gravity=gravity,
-        gravity_std=gravity_std,
-    ).site(LUOYANG)
+    place = Stated(**site).site(LUOYANG)
     spec = as_imu(imu)
     # Errors are relative to nominal scale factors: they are those of this unit.
     true = replace(load_truth(truth, spec), imu=spec)
     steps = load_plan(plan)
-    check_plan(steps.method, steps, site)
+    check_plan(steps.method, steps, place)
     named = None if steps.by_hand else table or _TABLE
     blocks: Iterator[tuple[str, Block]]
     stands = None if named is None else load_table(named)
@@ -153,12 +143,12 @@ def simulate(
     if stands is None:
         _refuse_table(steps, table, azimuth)
         held = as_planned(steps, np.random.default_rng([seed, 1]))
-        read = held.blocks(spec, true.model, site, stated, seed, epoch=stated.start_time)
+        read = held.blocks(spec, true.model, place, stated, seed, epoch=stated.start_time)
         duration, blocks = held.duration, _in_the_hand(read, stated, thermometer=temperature)
     else:
-        stand = SimulatedStand(steps, stands, spec, true.model, site, stated, seed)
+        stand = SimulatedStand(steps, stands, spec, true.model, place, stated, seed)
         duration, blocks = stand.duration, stand.blocks()
-    data = describe(str(plan), str(imu), None if named is None else str(named), site, serial or '')
+    data = describe(str(plan), str(imu), None if named is None else str(named), place, serial or '')
     with whole_or_not_at_all(target):
         with RecordingWriter(target, data, compression) as writer:
             write_blocks(writer, blocks, duration, progress)

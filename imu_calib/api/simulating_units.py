@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..bags import RecordingWriter
 from ..calibration import Calibration
@@ -17,11 +18,15 @@ from ..mounted import TRUTHS, MountedUnit, load_units, spread_seeds
 from ..plan import Plan, load_plan
 from ..simulation import SeveralOnTable, SimulatedUnit
 from ..turntable import load_table
+from .keywords import AtSite, with_keywords
 from .named import Named, as_imu, load_truth
 from .outputs import new_folder, whole_or_not_at_all
 from .progress import Progress, silent
 from .simulating import options_of, save_true_table, write_blocks
 from .stated import Stated
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 _TABLE = 'three_axis'
 _TRUTH = 'cao2022_table1'
@@ -47,6 +52,7 @@ class SimulatedUnits:
     true_table: Path | None
 
 
+@with_keywords(AtSite)
 def simulate_units(
     plan: Named,
     output: Named,
@@ -58,16 +64,11 @@ def simulate_units(
     bias_instability: bool = False,
     imperfections: Named | None = None,
     seed: int = 0,
-    latitude: float | None = None,
-    latitude_std: float | None = None,
-    height: float | None = None,
-    height_std: float | None = None,
-    gravity: float | None = None,
-    gravity_std: float | None = None,
     start: str | datetime | None = None,
     temperature: float | None = None,
     compression: str = '',
     progress: Progress = silent,
+    **site: Unpack[AtSite],
 ) -> SimulatedUnits:
     """Simulate a session of several units on one table and write its recording.
 
@@ -81,16 +82,12 @@ def simulate_units(
         bias_instability: Of every unit, by its own figure.
         imperfections: The table's own are the same for all units.
         seed: Of the table, and of the units that state none of their own.
-        latitude: deg.
-        latitude_std: deg.
-        height: m.
-        height_std: m.
-        gravity: m/s^2.
-        gravity_std: m/s^2.
         start: Date of the first sample.
         temperature: degC.
         compression: '', 'lz4' or 'zstd'.
         progress: Shows how far it is.
+        **site: `latitude` to `gravity_std` as of `calibrate`, which the recording is to state; None
+            for Luoyang's latitude.
 
     Raises:
         InputError: A file is missing or broken, they do not fit each other, the folder exists, or
@@ -102,16 +99,9 @@ def simulate_units(
         raise InputError(f'`seed`: found {seed}, expected 0 or more.')
     target = new_folder(output)
     listed = load_units(imus) if isinstance(imus, str | Path) else tuple(imus)
-    site = Stated(
-        latitude=latitude,
-        latitude_std=latitude_std,
-        height=height,
-        height_std=height_std,
-        gravity=gravity,
-        gravity_std=gravity_std,
-    ).site(LUOYANG)
+    place = Stated(**site).site(LUOYANG)
     steps = load_plan(plan)
-    check_plan(steps.method, steps, site)
+    check_plan(steps.method, steps, place)
     if steps.by_hand:
         raise InputError(
             f'`imus`: plan {steps.name} is run by hand, without a table: expected one unit (`imu`).'
@@ -133,8 +123,8 @@ def simulate_units(
         truths[one.serial_number] = replace(true, serial_number=one.serial_number)
         unit = SimulatedUnit(one.topic, spec, true.model, one.mount, one.lever, own_seed)
         units.append(unit)
-    stand = SeveralOnTable(steps, stands, units, site, options, seed)
-    data = shared_description(describe(str(plan), str(listed[0].imu), str(table or _TABLE), site))
+    stand = SeveralOnTable(steps, stands, units, place, options, seed)
+    data = shared_description(describe(str(plan), str(listed[0].imu), str(table or _TABLE), place))
     for one in listed:
         data |= unit_description(one.topic, one.imu, one.serial_number)
         if one.turned:

@@ -8,13 +8,19 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..calibration import Calibration
 from ..errors import ImuCalibError, InputError, NotObservable
 from ..lifetime import ENDS_WITH
 from ..paths import user_path
+from . import keywords
+from .keywords import with_keywords
 from .named import Named
 from .stated import TRUE_TABLE
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 _COMMAND = 'imu_calib.cli.main'
 _ERRORS = {error.exit_code: error for error in (InputError, NotObservable)}
@@ -40,6 +46,7 @@ class Stood:
     true_table: Path | None
 
 
+@with_keywords(keywords.Stood)
 def stand(
     plan: Named,
     output: Named = 'stand',
@@ -48,19 +55,12 @@ def stand(
     table: Named = 'three_axis',
     truth: Named | None = None,
     azimuth: float = 0.0,
-    method: str | None = None,
-    terms: str | None = None,
     serial: str | None = None,
     sample_rate: float | None = None,
     imperfections: Named | None = None,
     seed: int = 0,
     speed: float | None = None,
-    latitude: float | None = None,
-    latitude_std: float | None = None,
-    height: float | None = None,
-    height_std: float | None = None,
-    gravity: float | None = None,
-    gravity_std: float | None = None,
+    **stated: Unpack[keywords.Stood],
 ) -> Stood:
     """Run a plan on a simulated stand, live: nodes in processes of their own, which talk by DDS.
 
@@ -74,19 +74,12 @@ def stand(
         table: The turntable.
         truth: The unit's true parameters; None for those of the default IMU.
         azimuth: True heading of the table's zero, deg.
-        method: The estimator; None for the joint estimate where it applies, else the plan's own.
-        terms: To be estimated too: names with commas between.
         serial: Serial number of the unit.
         sample_rate: Hz; None for the IMU's own.
         imperfections: What is wrong with the stand; None for nothing.
         seed: Same seed, same errors.
         speed: Times real time at most; None for as fast as the nodes follow.
-        latitude: deg; None for Luoyang's.
-        latitude_std: deg.
-        height: Above the ellipsoid, m.
-        height_std: m.
-        gravity: As measured, m/s^2.
-        gravity_std: m/s^2.
+        **stated: `method`, `terms` and the site, as of `calibrate`; Luoyang's latitude by default.
 
     Raises:
         InputError: A file is missing or broken, the folder exists already, they do not fit each
@@ -100,22 +93,16 @@ def stand(
         'table': table,
         'truth': truth,
         'azimuth': azimuth,
-        'method': method,
-        'terms': terms,
         'serial': serial,
-        'sample-rate': sample_rate,
+        'sample_rate': sample_rate,
         'imperfections': imperfections,
         'seed': seed,
         'speed': speed,
-        'latitude': latitude,
-        'latitude-std': latitude_std,
-        'height': height,
-        'height-std': height_std,
-        'gravity': gravity,
-        'gravity-std': gravity_std,
+        **stated,
     }
     folder = user_path(output)
-    words = [f'--{name}={value}' for name, value in options.items() if value is not None]
+    given = {name.replace('_', '-'): value for name, value in options.items()}
+    words = [f'--{name}={value}' for name, value in given.items() if value is not None]
     _run(['stand', f'--output={folder}', *words, '--', str(plan)])
     drawn = folder / TRUE_TABLE
     return Stood(

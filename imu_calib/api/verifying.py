@@ -18,13 +18,13 @@ from ..compensation.thermal import (
 from ..errors import InputError, NotStated
 from ..imu import ImuSpec
 from ..methods.free_positions import NAME as FREE_POSITIONS
-from ..plan import UNPLANNED, Plan
+from ..plan import UNPLANNED
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.thermometer import Temperature
 from ..threads import by_one_thread
-from ..turntable import Table
 from ..verification import Verification, observe
 from ..verification import verify as judge
+from .keywords import Verified, with_keywords
 from .named import Named, as_applied
 from .progress import Progress, silent
 from .stated import (
@@ -38,6 +38,8 @@ from .stated import (
 )
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from ..calibrator import Result
 
 _OTHER_TEMPERATURE = 5.0
@@ -50,50 +52,24 @@ _THE_SAME = (
 )
 
 
+@with_keywords(Verified)
 def verify(
     calibration: Result | AnyCalibration | Named,
     bag: Named,
     *,
-    plan: Plan | Named | None = None,
-    imu: ImuSpec | Named | None = None,
-    table: Table | Named | None = None,
-    azimuth: float | None = None,
-    latitude: float | None = None,
-    latitude_std: float | None = None,
-    height: float | None = None,
-    height_std: float | None = None,
-    gravity: float | None = None,
-    gravity_std: float | None = None,
-    serial: str | None = None,
-    imu_topic: str | None = None,
-    joint_topic: str | None = None,
-    setpoint_topic: str | None = None,
-    imu_only: bool = False,
     another_unit: bool = False,
     progress: Progress = silent,
+    **stated: Unpack[Verified],
 ) -> Verification:
     """Hold a calibration against a recording.
 
     Args:
         calibration: calibration.yaml, single or combined, or what was read from one.
         bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
-        plan: As for `calibrate`, as are all below but the last two.
-        imu: What the IMU's numbers mean; by default as the calibration says.
-        table: The turntable.
-        azimuth: deg.
-        latitude: deg.
-        latitude_std: deg.
-        height: m.
-        height_std: m.
-        gravity: m/s^2.
-        gravity_std: m/s^2.
-        serial: Serial number of the unit.
-        imu_topic: Of sensor_msgs/Imu.
-        joint_topic: Of sensor_msgs/JointState.
-        setpoint_topic: Of imu_calib_msgs/TurntableSetpoint.
-        imu_only: Use the IMU and the order of the plan alone.
         another_unit: Compare where calibration and recording name different units, too.
         progress: Shows how far it is; nothing by default.
+        **stated: The session, by the keywords of `calibrate` but `method` and `terms`; by default
+            the IMU is as the calibration says.
 
     Returns:
         The verdict on gyros and accelerometers, and what it rests on.
@@ -103,24 +79,8 @@ def verify(
         NotObservable: The recording holds nothing to compare with.
 
     """
-    stated = Stated(
-        plan=plan,
-        imu=imu,
-        table=table,
-        azimuth=azimuth,
-        imu_topic=imu_topic,
-        joint_topic=joint_topic,
-        setpoint_topic=setpoint_topic,
-        imu_only=imu_only,
-        latitude=latitude,
-        latitude_std=latitude_std,
-        height=height,
-        height_std=height_std,
-        gravity=gravity,
-        gravity_std=gravity_std,
-        serial=serial,
-    )
-    return verified(calibration, bag, stated, another_unit=another_unit, progress=progress)
+    known = Stated(**stated)
+    return verified(calibration, bag, known, another_unit=another_unit, progress=progress)
 
 
 @by_one_thread

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from ..api.keywords import Session, with_keywords
 from ..api.progress import Progress, silent
 from ..api.stated import Stated
 from ..errors import InputError
@@ -19,6 +20,7 @@ from .task import CALIBRATED, Done, lost, run
 
 if TYPE_CHECKING:
     from distributed import Client
+    from typing_extensions import Unpack
 
 Task: TypeAlias = Callable[[Job, frozenset[str]], Done]
 
@@ -55,34 +57,19 @@ class Batch:
     seconds: float
 
 
+@with_keywords(Session)
 def batch(
     sources: str | Path | Sequence[str | Path],
     catalogue: str | Path,
     *,
-    plan: str | Path | None = None,
-    imu: str | Path | None = None,
     imus: str | Path | None = None,
-    table: str | Path | None = None,
-    azimuth: float | None = None,
-    latitude: float | None = None,
-    latitude_std: float | None = None,
-    height: float | None = None,
-    height_std: float | None = None,
-    gravity: float | None = None,
-    gravity_std: float | None = None,
-    method: str | None = None,
-    terms: str | None = None,
-    serial: str | None = None,
-    imu_topic: str | None = None,
-    joint_topic: str | None = None,
-    setpoint_topic: str | None = None,
-    imu_only: bool = False,
     scheduler: str | None = None,
     workers: int | None = None,
     memory: str = MEMORY,
     retry: bool = False,
     progress: Progress = silent,
     connected: Callable[[str], None] = lambda _: None,
+    **stated: Unpack[Session],
 ) -> Batch:
     """Calibrate from many recordings side by side; each ends as a row of a catalogue.
 
@@ -94,32 +81,16 @@ def batch(
     Args:
         sources: Recordings, folders, patterns, manifests or URLs (docs/fleet.md).
         catalogue: Its folder; made where it is not there.
-        plan: As of `calibrate`, and so on to `imu_only`: what holds for every recording whose
-            manifest does not say otherwise; files by name or path.
-        imu: See plan.
         imus: File of several units on one table (docs/files/units.md), of every recording whose
             manifest states neither one nor several.
-        table: See plan.
-        azimuth: See plan, deg.
-        latitude: See plan, deg.
-        latitude_std: See plan, deg.
-        height: See plan, m.
-        height_std: See plan, m.
-        gravity: See plan, m/s^2.
-        gravity_std: See plan, m/s^2.
-        method: See plan.
-        terms: See plan.
-        serial: See plan.
-        imu_topic: See plan.
-        joint_topic: See plan.
-        setpoint_topic: See plan.
-        imu_only: See plan.
         scheduler: Address of a Dask scheduler (tcp://host:8786); None starts workers here.
         workers: How many to start here; None for one a core.
         memory: Of each worker that is started here ('2GiB').
         retry: Do again what failed.
         progress: Shows how far it is.
         connected: Called with the address of Dask's dashboard when work begins.
+        **stated: By the keywords of `calibrate`: what holds for every recording whose manifest does
+            not say otherwise; files by name or path.
 
     Returns:
         What it came to.
@@ -129,27 +100,9 @@ def batch(
             Dask is not installed. Recordings that cannot be read are rows.
 
     """
-    stated = Stated(
-        plan=plan,
-        imu=imu,
-        table=table,
-        azimuth=azimuth,
-        imu_topic=imu_topic,
-        joint_topic=joint_topic,
-        setpoint_topic=setpoint_topic,
-        imu_only=imu_only,
-        latitude=latitude,
-        latitude_std=latitude_std,
-        height=height,
-        height_std=height_std,
-        gravity=gravity,
-        gravity_std=gravity_std,
-        method=method,
-        terms=terms,
-        serial=serial,
-    )
+    session = Stated(**stated)
     listed = [sources] if isinstance(sources, str | Path) else list(sources)
-    jobs = find_jobs(listed, stated, _units_file(imus, stated))
+    jobs = find_jobs(listed, session, _units_file(imus, session))
     kept = Catalogue(catalogue, create=True)
     engine = Engine(scheduler, workers, memory)
     return run_batch(jobs, kept, engine, retry=retry, progress=progress, connected=connected)

@@ -1,0 +1,130 @@
+"""Keywords that functions have in common: what may be stated of a session, of which `Stated` is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from functools import wraps
+from inspect import Parameter, signature
+from typing import TYPE_CHECKING, ParamSpec, TypedDict, TypeVar
+
+from .stated import Stated
+
+if TYPE_CHECKING:
+    from ..imu import ImuSpec
+    from ..plan import Plan
+    from ..turntable import Table
+    from .named import Named
+
+Arguments = ParamSpec('Arguments')
+Returned = TypeVar('Returned')
+
+
+class AtPlace(TypedDict, total=False):
+    """Where it is, for what is predicted."""
+
+    latitude: float | None
+    height: float | None
+    height_std: float | None
+    gravity: float | None
+    gravity_std: float | None
+
+
+class AtSite(AtPlace, total=False):
+    """Where it is, and how well that is known."""
+
+    latitude_std: float | None
+
+
+class OnTable(TypedDict, total=False):
+    """What turns the unit."""
+
+    table: Table | Named | None
+    azimuth: float | None
+
+
+class Solved(TypedDict, total=False):
+    """How the parameters are estimated."""
+
+    method: str | None
+    terms: str | None
+
+
+class OfUnit(TypedDict, total=False):
+    """What a unit is, and where its samples are."""
+
+    imu: ImuSpec | Named | None
+    serial: str | None
+    imu_topic: str | None
+    imu_only: bool
+
+
+class Predicted(AtPlace, OnTable, Solved, total=False):
+    """A session before it is run."""
+
+
+class Optimised(AtPlace, OnTable, total=False):
+    """A session whose plan is sought."""
+
+
+class Repeated(AtSite, OnTable, Solved, total=False):
+    """A session that is simulated."""
+
+
+class Stood(AtSite, Solved, total=False):
+    """A session that is run live."""
+
+
+class OfSeveral(AtSite, OnTable, Solved, total=False):
+    """A recorded session of several units."""
+
+    plan: Plan | Named | None
+    joint_topic: str | None
+    setpoint_topic: str | None
+
+
+class Session(OfSeveral, OfUnit, total=False):
+    """A recorded session of one unit."""
+
+
+class Verified(AtSite, OnTable, OfUnit, total=False):
+    """A recorded session that nothing is estimated from."""
+
+    plan: Plan | Named | None
+    joint_topic: str | None
+    setpoint_topic: str | None
+
+
+def with_keywords(
+    kind: type[object],
+) -> Callable[[Callable[Arguments, Returned]], Callable[Arguments, Returned]]:
+    """Show keywords of a kind one by one in the signature of a function that takes them by `**`.
+
+    Help, completion, documentation and the command line read them there.
+    """
+
+    def of(function: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
+        own = signature(function)
+        *named, kept = own.parameters.values()
+        more = [
+            Parameter(f.name, Parameter.KEYWORD_ONLY, default=f.default, annotation=f.type)
+            for f in fields(Stated)
+            if f.name in kind.__annotations__
+        ]
+
+        @wraps(function)
+        def called(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
+            if unknown := set(kwargs) - set(whole.parameters):
+                name = function.__name__
+                raise TypeError(f'{name}() got an unexpected keyword argument {unknown.pop()!r}')
+            return function(*args, **kwargs)
+
+        whole = own.replace(parameters=[*named, *more])
+        called.__signature__ = whole  # type: ignore[attr-defined]
+        # What cannot be looked up (`Unpack` is for mypy) would keep the others from it.
+        called.__annotations__ = {
+            n: a for n, a in function.__annotations__.items() if n != kept.name
+        }
+        return called
+
+    return of
