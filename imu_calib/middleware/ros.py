@@ -12,11 +12,8 @@ from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
     ParameterDescriptor,
-    SetParametersResult,
 )
 from rclpy import (
-    create_node,
-    get_default_context,
     ok,
     shutdown,
     spin,
@@ -27,22 +24,16 @@ from rclpy import (
 from rclpy.action import ActionClient
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import (
     InvalidParameterTypeException,
-    InvalidParameterValueException,
     ParameterAlreadyDeclaredException,
-    ParameterException,
     ParameterNotDeclaredException,
 )
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.impl.rcutils_logger import RcutilsLogger as Logger
-from rclpy.logging import LoggingSeverity, get_logger
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -54,7 +45,6 @@ from rclpy.qos import (
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from rclpy.time import Time
 from std_srvs.srv import Trigger
 
@@ -70,44 +60,31 @@ __all__ = [
     'ActionClient',
     'Clock',
     'ClockType',
-    'Context',
     'DurabilityPolicy',
-    'Duration',
     'ExternalShutdownException',
     'FloatingPointRange',
-    'Future',
     'GoalServer',
     'HistoryPolicy',
     'IntegerRange',
     'InvalidParameterTypeException',
-    'InvalidParameterValueException',
-    'Logger',
-    'LoggingSeverity',
     'ManagedNode',
     'Node',
-    'Parameter',
     'ParameterAlreadyDeclaredException',
     'ParameterDescriptor',
-    'ParameterException',
     'ParameterNotDeclaredException',
-    'PublisherEventCallbacks',
     'QoSOverridingOptions',
     'QoSPolicyKind',
     'QoSProfile',
     'ReliabilityPolicy',
-    'SetParametersResult',
     'SingleThreadedExecutor',
     'SubscriptionEventCallbacks',
     'Time',
     'Trigger',
     'acknowledged',
     'actions',
-    'create_node',
     'deserialize_message',
     'drain',
     'drain_sources',
-    'get_default_context',
-    'get_logger',
     'init',
     'messages',
     'ok',

@@ -55,14 +55,6 @@ class Arguments:
     levels: tuple[tuple[str, str], ...] = ()
     others: tuple[str, ...] = ()
 
-    def followed_by(self, general: Arguments) -> Arguments:
-        """Return a node's own arguments in front of those of the process."""
-        return Arguments(
-            general.parameters + self.parameters,
-            self.remaps + general.remaps,
-            general.levels + self.levels,
-        )
-
     def special(self, key: str, node: str) -> str | None:
         """Return the target of a rule for __node or __ns, None without one."""
         for rule in self.remaps:

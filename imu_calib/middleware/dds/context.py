@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...errors import ImuCalibError
 from ...security import refuse_to_pretend
-from ..domain import LAST_DOMAIN, domain_id
+from ..domain import domain_id
 from . import logging
 from .arguments import Arguments, parse
 from .graph import Graph
@@ -30,7 +30,7 @@ class Context:
         """Tell whether it stands between init and shutdown."""
         return self.participant is not None
 
-    def init(self, args: Sequence[str] | None = None, domain: int | None = None) -> None:
+    def init(self, args: Sequence[str] | None = None) -> None:
         """Join the domain.
 
         Raises:
@@ -44,10 +44,7 @@ class Context:
         for logger, level in self.arguments.levels:
             logging.set_logger_level(logger, _severity(level))
         refuse_to_pretend()
-        number = domain_id() if domain is None else domain
-        if not 0 <= number <= LAST_DOMAIN:
-            raise ImuCalibError(f'The domain is {number}, expected 0 to {LAST_DOMAIN}.')
-        self.participant = Participant(number)
+        self.participant = Participant(domain_id())
         self.graph = Graph(self.participant)
 
     def joined(self) -> Participant:
@@ -85,43 +82,32 @@ def _severity(text: str) -> logging.LoggingSeverity:
         raise ImuCalibError(f'--log-level {text!r}, expected one of {known}.') from None
 
 
-_default = Context()
+CONTEXT = Context()
+"""That of this process."""
 
 
-def get_default_context() -> Context:
-    """Return the context of init() and shutdown() without arguments."""
-    return _default
-
-
-def init(
-    *,
-    args: Sequence[str] | None = None,
-    context: Context | None = None,
-    domain_id: int | None = None,
-    signal_handler_options: Any = None,  # noqa: ARG001 (no handlers are installed here)
-) -> None:
+def init(*, args: Sequence[str] | None = None) -> None:
     """Join the domain; arguments as rclpy's, errors as `Context.init`."""
-    (context or _default).init(args, domain_id)
+    CONTEXT.init(args)
 
 
-def ok(*, context: Context | None = None) -> bool:
-    """Tell whether a context stands between init and shutdown."""
-    return (context or _default).ok()
+def ok() -> bool:
+    """Tell whether the process stands between init and shutdown."""
+    return CONTEXT.ok()
 
 
-def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:  # noqa: ARG001
+def shutdown() -> None:
     """Destroy all nodes and leave the domain.
 
     Raises:
         ImuCalibError: init was not called, or shutdown before.
 
     """
-    chosen = context or _default
-    if not chosen.ok():
+    if not CONTEXT.ok():
         raise ImuCalibError('shutdown() without init().')
-    chosen.shutdown()
+    CONTEXT.shutdown()
 
 
-def try_shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:  # noqa: ARG001
+def try_shutdown() -> None:
     """Shut down where that is not done yet."""
-    (context or _default).shutdown()
+    CONTEXT.shutdown()

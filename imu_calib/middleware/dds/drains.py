@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from .clock import Duration
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
@@ -111,4 +109,4 @@ def acknowledged(publisher: Publisher, timeout_sec: float) -> bool:
         Whether they have.
 
     """
-    return publisher.wait_for_all_acked(Duration(seconds=timeout_sec))
+    return publisher.writer.acknowledged(int(timeout_sec * 1e9))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from .clock import Duration
 from .codec import deserialize_message, serialize_message
 from .messages import Message
 from .qos import QoSPolicyKind
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
 
     from .logging import Logger
     from .participant import Participant
-    from .qos import PublisherEventCallbacks, QoSProfile, SubscriptionEventCallbacks
+    from .qos import QoSProfile, SubscriptionEventCallbacks
 
 
 _AT_ONCE = 4096
@@ -33,7 +32,7 @@ class _TopicEnd:
         msg_type: type[Message],
         topic: str,
         qos: QoSProfile,
-        events: PublisherEventCallbacks | SubscriptionEventCallbacks | None,
+        events: SubscriptionEventCallbacks | None,
         end: Reader | Writer,
     ) -> None:
         self._logger = logger
@@ -78,10 +77,9 @@ class Publisher(_TopicEnd):
         msg_type: type[Message],
         topic: str,
         qos: QoSProfile,
-        events: PublisherEventCallbacks | None,
     ) -> None:
         self.writer = Writer(participant, f'rt{topic}', msg_type.TYPE_NAME, qos)
-        super().__init__(logger, msg_type, topic, qos, events, self.writer)
+        super().__init__(logger, msg_type, topic, qos, None, self.writer)
 
     def publish(self, msg: Message | bytes) -> None:
         """Send a message, or the bytes of a serialised one.
@@ -104,19 +102,6 @@ class Publisher(_TopicEnd):
     def get_subscription_count(self) -> int:
         """Return how many subscriptions match."""
         return self.writer.matched()
-
-    def wait_for_all_acked(self, timeout: Duration | None = None) -> bool:
-        """Wait until all reliable subscriptions have all messages.
-
-        Args:
-            timeout: How long at most; none waits for ever.
-
-        Returns:
-            Whether they have.
-
-        """
-        nanoseconds = 2**63 - 1 if timeout is None else timeout.nanoseconds
-        return self.writer.acknowledged(nanoseconds)
 
 
 class Subscription(_TopicEnd):

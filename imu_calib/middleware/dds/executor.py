@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import TYPE_CHECKING
 
-from .context import Context, get_default_context
+from .context import CONTEXT
 from .wire import WaitSet
 
 if TYPE_CHECKING:
@@ -34,8 +35,7 @@ class SingleThreadedExecutor:
     `spin_once` runs all that is ready rather than one callback, as rclpy does.
     """
 
-    def __init__(self, *, context: Context | None = None) -> None:
-        self._context = context or get_default_context()
+    def __init__(self) -> None:
         self._nodes: list[Node] = []
         self._waitset: WaitSet | None = None
         self._participant: Participant | None = None
@@ -60,16 +60,6 @@ class SingleThreadedExecutor:
         self._forget()
         return True
 
-    def spin(self) -> None:
-        """Run callbacks until shutdown.
-
-        Raises:
-            ExternalShutdownException: The context is shut down.
-
-        """
-        while not self._shut:
-            self.spin_once(timeout_sec=None)
-
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Run what is ready, waiting for it if need be.
 
@@ -83,21 +73,12 @@ class SingleThreadedExecutor:
         endless = timeout_sec is None or timeout_sec < 0
         end = time.monotonic_ns() + (0 if endless else int(timeout_sec * 1e9))  # type: ignore[operator]
         while not self._shut:
-            if not self._context.ok():
+            if not CONTEXT.ok():
                 self._forget()
                 raise ExternalShutdownException
             left = _SLICE if endless else min(end - time.monotonic_ns(), _SLICE)
             if self._run(self._wait(left)) or (not endless and left <= 0):
                 return
-
-    def spin_until_future_complete(self, future: Future, timeout_sec: float | None = None) -> None:
-        """Run callbacks until a future is done or the time is over."""
-        end = None if timeout_sec is None or timeout_sec < 0 else time.monotonic() + timeout_sec
-        while not future.done() and not self._shut:
-            left = 0.05 if end is None else end - time.monotonic()
-            if left <= 0:
-                return
-            self.spin_once(timeout_sec=min(left, 0.05))
 
     def _run(self, ready: list[_Awaited]) -> bool:
         """Call back for what is ready and for timers that are due; return whether any was."""
@@ -107,7 +88,7 @@ class SingleThreadedExecutor:
             if not one.destroyed:
                 ran |= one.execute(_PER_ROUND)
         for node in list(self._nodes):
-            if node in self._context.nodes:
+            if node in CONTEXT.nodes:
                 ran |= node.run_timers()
         return ran
 
@@ -128,13 +109,13 @@ class SingleThreadedExecutor:
         except DDSException:
             # Another thread has shut down, or destroyed an endpoint, in the meantime.
             self._forget()
-            if self._context.ok() and not self._shut:
+            if CONTEXT.ok() and not self._shut:
                 raise
             return []
 
     def _attached(self) -> WaitSet:
         """Return the wait set, made anew where the readers have changed."""
-        participant = self._context.participant
+        participant = CONTEXT.participant
         if participant is None:
             raise ExternalShutdownException
         awaited = [one for node in self._nodes for one in node.awaited()]
@@ -172,20 +153,14 @@ def spin_once(node: Node, *, timeout_sec: float | None = None) -> None:
 
 def spin(node: Node) -> None:
     """Run the callbacks of one node until shutdown."""
-    while node.context.ok():
+    while CONTEXT.ok():
         spin_once(node, timeout_sec=None)
 
 
 def spin_until_future_complete(
-    node: Node,
-    future: Future,
-    executor: SingleThreadedExecutor | None = None,
-    timeout_sec: float | None = None,
+    node: Node, future: Future, *, timeout_sec: float | None = None
 ) -> None:
     """Run the callbacks of one node until a future is done or the time is over."""
-    chosen = executor or _executor()
-    chosen.add_node(node)
-    try:
-        chosen.spin_until_future_complete(future, timeout_sec)
-    finally:
-        chosen.remove_node(node)
+    end = math.inf if timeout_sec is None else time.monotonic() + timeout_sec
+    while not future.done() and (left := end - time.monotonic()) > 0:
+        spin_once(node, timeout_sec=min(left, 0.05))

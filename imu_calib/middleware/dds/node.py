@@ -7,26 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 from ...errors import ImuCalibError
 from . import names
-from .arguments import parse
-from .clock import Clock, ClockType
-from .context import Context, get_default_context
+from .clock import NS, Clock, ClockType
+from .context import CONTEXT
 from .endpoints import Publisher, Subscription
-from .logging import Logger, get_logger
+from .logging import Logger
 from .messages import Message, message_class
-from .node_parameters import Parameter, ParameterDescriptor, Parameters, SetParametersResult
+from .node_parameters import Parameter, ParameterDescriptor, Parameters
 from .qos import QoSProfile, ReliabilityPolicy, overridden, profile
 from .services import Client, Service
 from .timer import Timer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from .graph import TopicEndpointInfo
-    from .qos import (
-        PublisherEventCallbacks,
-        QoSOverridingOptions,
-        SubscriptionEventCallbacks,
-    )
+    from .qos import QoSOverridingOptions, SubscriptionEventCallbacks
 
 _TEND_PERIOD = 0.5
 """Seconds between two looks at peers whose quality of service does not match: each asks every
@@ -44,36 +39,26 @@ class Node:
         self,
         node_name: str,
         *,
-        context: Context | None = None,
-        cli_args: Sequence[str] | None = None,
         namespace: str | None = None,
-        use_global_arguments: bool = True,
-        parameter_overrides: Iterable[Parameter] | None = None,
-        start_parameter_services: bool = False,  # noqa: ARG002 (there are none)
-        enable_rosout: bool = False,  # noqa: ARG002 (there is none)
     ) -> None:
-        self.context = context or get_default_context()
-        if not self.context.ok():
+        if not CONTEXT.ok():
             raise ImuCalibError(f'The node {node_name} is made before init().')
-        own = parse([] if cli_args is None else cli_args)
-        if use_global_arguments:
-            own = own.followed_by(self.context.arguments)
+        own = CONTEXT.arguments
         self._remaps = own.remaps
         self._name = names.check_node_name(own.special('__node', node_name) or node_name)
         self._namespace = names.namespace_of(own.special('__ns', node_name) or namespace or '')
         overrides = own.parameters_of(self.get_fully_qualified_name())
-        overrides |= {p.name: p.value for p in parameter_overrides or ()}
         self._parameters = Parameters(overrides, self.get_fully_qualified_name())
-        self._logger = get_logger(self.get_fully_qualified_name()[1:].replace('/', '.'))
+        self._logger = Logger(self.get_fully_qualified_name()[1:].replace('/', '.'))
         self._clock = Clock(clock_type=ClockType.ROS_TIME)
         self.publishers_: list[Publisher] = []
         self.subscriptions_: list[Subscription] = []
         self.timers_: list[Timer] = []
         self.services_: list[Service | Client] = []
         self._tended = 0.0
-        self.context.nodes.append(self)
+        CONTEXT.nodes.append(self)
         self._follow_clock()
-        self.context.announce()
+        CONTEXT.announce()
 
     def get_name(self) -> str:
         """Return the name."""
@@ -108,18 +93,15 @@ class Node:
         topic: str,
         qos_profile: QoSProfile | int,
         *,
-        event_callbacks: PublisherEventCallbacks | None = None,
         qos_overriding_options: QoSOverridingOptions | None = None,
     ) -> Publisher:
         """Publish a type on a topic; its publish takes messages and serialised bytes."""
         name = self.resolve_topic_name(topic)
         prefix = f'qos_overrides.{name}.publisher'
         qos = self._overridden(qos_profile, qos_overriding_options, prefix)
-        publisher = Publisher(
-            self.context.joined(), self._logger, msg_type, name, qos, event_callbacks
-        )
+        publisher = Publisher(CONTEXT.joined(), self._logger, msg_type, name, qos)
         self.publishers_.append(publisher)
-        self.context.announce()
+        CONTEXT.announce()
         return publisher
 
     def create_subscription(
@@ -138,10 +120,10 @@ class Node:
         prefix = f'qos_overrides.{name}.subscription'
         qos = self._overridden(qos_profile, qos_overriding_options, prefix)
         subscription = Subscription(
-            self.context.joined(), self._logger, msg_type, name, callback, qos, event_callbacks, raw
+            CONTEXT.joined(), self._logger, msg_type, name, callback, qos, event_callbacks, raw
         )
         self.subscriptions_.append(subscription)
-        self.context.announce()
+        CONTEXT.announce()
         return subscription
 
     def _overridden(
@@ -169,29 +151,23 @@ class Node:
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any]
     ) -> Service:
         """Serve; peers on rmw_fastrtps cannot call it."""
-        service = Service(
-            self.context.joined(), srv_type, self.resolve_service_name(srv_name), callback
-        )
+        service = Service(CONTEXT.joined(), srv_type, self.resolve_service_name(srv_name), callback)
         self.services_.append(service)
-        self.context.announce()
+        CONTEXT.announce()
         return service
 
     def create_client(self, srv_type: Any, srv_name: str) -> Client:
         """Ask a service; one on rmw_fastrtps never answers."""
-        client = Client(self.context.joined(), srv_type, self.resolve_service_name(srv_name))
+        client = Client(CONTEXT.joined(), srv_type, self.resolve_service_name(srv_name))
         self.services_.append(client)
-        self.context.announce()
+        CONTEXT.announce()
         return client
 
     def declare_parameter(
-        self,
-        name: str,
-        value: Any = None,
-        descriptor: ParameterDescriptor | None = None,
-        ignore_override: bool = False,
+        self, name: str, value: Any, descriptor: ParameterDescriptor | None = None
     ) -> Parameter:
         """Declare a parameter; arguments and errors as `Parameters.declare`."""
-        return self._parameters.declare(name, value, descriptor, ignore_override)
+        return self._parameters.declare(name, value, descriptor)
 
     def has_parameter(self, name: str) -> bool:
         """Tell whether a parameter is declared."""
@@ -201,32 +177,20 @@ class Node:
         """Return a declared parameter."""
         return self._parameters.get(name)
 
-    def set_parameters(self, parameter_list: Iterable[Parameter]) -> list[SetParametersResult]:
-        """Change parameters; each result says whether, or why not."""
-        results = self._parameters.set(parameter_list)
-        self._follow_clock()
-        return results
-
-    def add_on_set_parameters_callback(
-        self, callback: Callable[[list[Parameter]], SetParametersResult]
-    ) -> None:
-        """Let a callback accept or refuse changes."""
-        self._parameters.callbacks.append(callback)
-
     def count_publishers(self, topic_name: str) -> int:
         """Return how many publishers a topic has, here and elsewhere; names are not remapped."""
         name = self.resolve_topic_name(topic_name, only_expand=True)
-        return self.context.graph.count_writers(f'rt{name}')
+        return CONTEXT.graph.count_writers(f'rt{name}')
 
     def count_subscribers(self, topic_name: str) -> int:
         """Return how many subscriptions a topic has, here and elsewhere; names are not remapped."""
         name = self.resolve_topic_name(topic_name, only_expand=True)
-        return self.context.graph.count_readers(f'rt{name}')
+        return CONTEXT.graph.count_readers(f'rt{name}')
 
     def get_publishers_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
         """Return the publishers of a topic, here and elsewhere; names are not remapped."""
         name = self.resolve_topic_name(topic_name, only_expand=True)
-        return self.context.graph.writers(f'rt{name}')
+        return CONTEXT.graph.writers(f'rt{name}')
 
     def get_node_names(self) -> list[str]:
         """Return the names of all nodes that are there."""
@@ -234,7 +198,7 @@ class Node:
 
     def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
         """Return (name, namespace) of all nodes that are there."""
-        return self.context.graph.nodes()
+        return CONTEXT.graph.nodes()
 
     def destroy_publisher(self, publisher: Publisher) -> bool:
         """Remove a publisher; return whether it was this node's."""
@@ -261,21 +225,21 @@ class Node:
             return False
         among.remove(entity)
         entity.destroy()
-        self.context.announce()
+        CONTEXT.announce()
         return True
 
     def destroy_node(self) -> None:
         """Remove the node and all that it has."""
-        if self not in self.context.nodes:
+        if self not in CONTEXT.nodes:
             return
-        self.context.nodes.remove(self)
+        CONTEXT.nodes.remove(self)
         for timer in self.timers_:
             timer.cancel()
         for entity in (*self.publishers_, *self.subscriptions_, *self.services_):
             entity.destroy()
         for kind in (self.publishers_, self.subscriptions_, self.services_, self.timers_):
             kind.clear()
-        self.context.announce()
+        CONTEXT.announce()
 
     def readers(self) -> Iterator[Any]:
         """Yield all DDS readers of the node."""
@@ -308,23 +272,11 @@ class Node:
 
     def _follow_clock(self) -> None:
         """Listen to /clock where use_sim_time says so."""
-        if not self.has_parameter('use_sim_time'):
-            self.declare_parameter('use_sim_time', False)
-        if not self.get_parameter('use_sim_time').value:
-            self._clock.simulated = None
-            return
-        if self._clock.simulated is None:
+        if self.declare_parameter('use_sim_time', False).value:
             self._clock.simulated = 0
-        if not any(s.callback == self._on_clock for s in self.subscriptions_):
             qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
             kind = message_class('rosgraph_msgs/msg/Clock')
             self.create_subscription(kind, '/clock', self._on_clock, qos)
 
     def _on_clock(self, msg: Any) -> None:
-        if self._clock.simulated is not None:
-            self._clock.simulated = msg.clock.sec * 1_000_000_000 + msg.clock.nanosec
-
-
-def create_node(node_name: str, **options: Any) -> Node:
-    """Return a new node."""
-    return Node(node_name, **options)
+        self._clock.simulated = msg.clock.sec * NS + msg.clock.nanosec

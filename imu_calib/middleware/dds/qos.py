@@ -73,19 +73,11 @@ class QoSOverridingOptions:
     """
 
     policy_kinds: Sequence[QoSPolicyKind]
-    callback: Callable[[QoSProfile], Any] | None = None
-    entity_id: str | None = None
 
     @classmethod
-    def with_default_policies(
-        cls,
-        *,
-        callback: Callable[[QoSProfile], Any] | None = None,
-        entity_id: str | None = None,
-    ) -> QoSOverridingOptions:
+    def with_default_policies(cls) -> QoSOverridingOptions:
         """Let history, depth and reliability be overridden."""
-        kinds = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY)
-        return cls(kinds, callback, entity_id)
+        return cls((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY))
 
 
 @dataclass(frozen=True)
@@ -100,13 +92,6 @@ class QoSIncompatibleInfo:
 @dataclass
 class SubscriptionEventCallbacks:
     """What a subscription calls when a publisher offers less than it requests."""
-
-    incompatible_qos: Callable[[QoSIncompatibleInfo], None] | None = None
-
-
-@dataclass
-class PublisherEventCallbacks:
-    """What a publisher calls when a subscription requests more than it offers."""
 
     incompatible_qos: Callable[[QoSIncompatibleInfo], None] | None = None
 
@@ -143,8 +128,6 @@ def overridden(
     """
     if options is None:
         return qos
-    if options.entity_id:
-        prefix = f'{prefix}_{options.entity_id}'
     values: dict[str, Any] = {}
     for kind in options.policy_kinds:
         name = kind.name.lower()
@@ -157,10 +140,7 @@ def overridden(
                 raise InputError(f'Parameter {prefix}.{name} is {value!r}, expected {words}.')
             value = known[value.upper()]
         values[name] = value
-    qos = replace(qos, **values)
-    if options.callback is not None and not getattr(options.callback(qos), 'successful', True):
-        raise InputError(f'The overrides {prefix}.* are refused.')
-    return qos
+    return replace(qos, **values)
 
 
 def to_dds(qos: QoSProfile, user_data: str) -> Any:
