@@ -156,11 +156,6 @@ def _interpolated(rate: float) -> str:
 
 
 def _check_that_it_was(opened: Opened, session: Segmented) -> None:
-    """Refuse to take a session for one in the hand that was none.
-
-    Raises:
-        NotStated: A hand does not hold a unit still for so long.
-
-    """
+    """Refuse to take a session for one in the hand that was none."""
     if not was_in_the_hand(session):
         raise NotStated(ask_for_plan(opened.recording.path))

@@ -75,12 +75,7 @@ def certificate(
 
 
 def _single(calibration: Result | AnyCalibration | Named) -> Calibration:
-    """Return a calibration at one temperature.
-
-    Raises:
-        InputError: It combines several.
-
-    """
+    """Return a calibration at one temperature."""
     if isinstance(calibration, str | Path):
         calibration = load_calibration(calibration)
     if isinstance(calibration, ThermalCalibration):

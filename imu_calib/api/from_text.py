@@ -120,12 +120,7 @@ def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
 def _of_two(
     stamps: Stamps, rates: Floats, known: Stamps, forces: Floats, said: list[str], *, exactly: bool
 ) -> tuple[Stamps, Floats, Floats]:
-    """Return rates and forces of two files at the stamps of the rates, and say how in `said`.
-
-    Raises:
-        InputError: The files share no time, or pulses or counts have stamps of their own.
-
-    """
+    """Return rates and forces of two files at the stamps of the rates, and say how in `said`."""
     shared = np.isin(stamps, known)
     if exactly and not shared.all():
         raise InputError(
@@ -161,12 +156,7 @@ def _left_out(text: Text, rows: int) -> list[str]:
 
 
 def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
-    """Return the time of each row, ns.
-
-    Raises:
-        InputError: No such column or unit, no rate, or times that no IMU has.
-
-    """
+    """Return the time of each row, ns."""
     if rate is not None:
         # A number alone is in Hz, as it is in `sample_rate`.
         hertz = parse(f'{rate} Hz' if _is_bare(rate) else rate, Dimension.FREQUENCY, '`rate`')
@@ -195,12 +185,7 @@ def _is_bare(rate: str) -> bool:
 
 
 def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
-    """Refuse stamps, ns, that do not grow, or not at the rate of an IMU.
-
-    Raises:
-        InputError: They are such; the file and the column are named.
-
-    """
+    """Refuse stamps, ns, that do not grow, or not at the rate of an IMU."""
     intervals = np.diff(stamps)
     if not len(intervals):
         return
@@ -230,12 +215,7 @@ def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
 def _columns(
     text: Text, stated: str, option: str, units: Mapping[str, float], count: int
 ) -> tuple[Floats, str]:
-    """Return columns in SI (pulses and counts as they are), (n, count), and their unit.
-
-    Raises:
-        InputError: Not so many names with a unit, or no such column.
-
-    """
+    """Return columns in SI (pulses and counts as they are), (n, count), and their unit."""
     parts, unit = _parted(stated)
     if unit not in units or len(parts) != count or not all(parts):
         form = ','.join(['NAME'] * count)

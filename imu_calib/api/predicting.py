@@ -291,12 +291,7 @@ def shortest(
 def _wanted(
     name: str, value: str | float, parameters: Mapping[str, Parameter]
 ) -> tuple[str, float]:
-    """Read a standard deviation of a parameter.
-
-    Raises:
-        InputError: No such parameter, or not a standard deviation in a unit of its own.
-
-    """
+    """Read a standard deviation of a parameter."""
     parameter = parameters.get(name.strip())
     if parameter is None or value == '':
         known = ', '.join(parameters)

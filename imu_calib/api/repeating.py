@@ -128,12 +128,7 @@ def montecarlo(
 def _study(
     stated: Stated, plan: Plan, imu: ImuSpec, truth: Calibration | Named, *, drifting: bool
 ) -> Study:
-    """Return what is repeated.
-
-    Raises:
-        InputError: What is stated does not fit together.
-
-    """
+    """Return what is repeated."""
     table, site = stated.simulated_table(), stated.site(LUOYANG)
     terms, changes = stated.sensor_terms, stated.changes
     if stated.method is not None:

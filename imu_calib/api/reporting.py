@@ -115,12 +115,7 @@ def _write(path: Path, text: str) -> None:
 def _refuse_with_combined(
     calibration: Result | AnyCalibration | Named, bag: Named | None, compare: Sequence[object]
 ) -> None:
-    """Refuse what a combined file cannot be reported with.
-
-    Raises:
-        InputError: Says what to do.
-
-    """
+    """Refuse what a combined file cannot be reported with."""
     name = calibration if isinstance(calibration, str | Path) else 'the calibration'
     if bag is not None:
         raise InputError(
@@ -149,12 +144,7 @@ def _terms(calibration: Calibration) -> str:
 def _recalibrate(
     bag: Named, stated: Stated, calibration: Calibration, name: str, progress: Progress
 ) -> Result:
-    """Run the recording through the calibrator again, as it was run for the calibration.
-
-    Raises:
-        InputError: It is another recording, or does not give the same numbers.
-
-    """
+    """Run the recording through the calibrator again, as it was run for the calibration."""
     origin = calibration.provenance
     method = origin.get('method') if stated.method is None else stated.method
     terms = _terms(calibration) if stated.terms is None and method in JOINT else stated.terms

@@ -212,12 +212,7 @@ def save_true_table(folder: Path, options: StandOptions, table: Table | None) ->
 def _at(
     options: StandOptions, start: str | datetime | None, temperature: float | None
 ) -> StandOptions:
-    """Return options with the date and the temperature that are stated.
-
-    Raises:
-        InputError: No date, or no temperature.
-
-    """
+    """Return options with the date and the temperature that are stated."""
     if start is not None:
         options = replace(options, start_time=_stamp_of(start))
     if temperature is not None:
@@ -264,12 +259,7 @@ def _in_the_hand(
 
 
 def _refuse_table(plan: Plan, table: Named | None, azimuth: float | None) -> None:
-    """Refuse options of a table for a plan that is run without one.
-
-    Raises:
-        InputError: Names the option.
-
-    """
+    """Refuse options of a table for a plan that is run without one."""
     for name, found in (('table', table), ('azimuth', azimuth)):
         if found is not None:
             raise InputError(

@@ -115,13 +115,7 @@ def stand(
 
 
 def _run(words: list[str]) -> None:
-    """Run a command line to its end, in a process that ends with this one.
-
-    Raises:
-        ImuCalibError: What the command says, as the error of its exit code.
-        KeyboardInterrupt: It was interrupted.
-
-    """
+    """Run a command line to its end, in a process that ends with this one."""
     process = subprocess.Popen(
         [sys.executable, '-m', 'imu_calib.lifetime', sys.executable, '-m', _COMMAND, *words],
         stdin=subprocess.DEVNULL,

@@ -109,12 +109,7 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
 
 
 def _decoded(path: AnyPath) -> str:
-    """Return the text of a file.
-
-    Raises:
-        InputError: It cannot be read, or is no text.
-
-    """
+    """Return the text of a file."""
     try:
         with path.open('rb') as file:
             data = file.read()

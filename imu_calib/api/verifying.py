@@ -143,12 +143,7 @@ def _verify(
 def _check_identity(
     calibration: AnyCalibration, name: str, imu: ImuSpec, where: str, serial: str
 ) -> None:
-    """Refuse the calibration of another unit than the recording's, where both say whose they are.
-
-    Raises:
-        InputError: Names the key, what was found and what was expected, and what to do.
-
-    """
+    """Refuse another unit's calibration than the recording's, where both say whose they are."""
     try:
         check_identity(calibration, name, imu.id, where, serial)
     except InputError as error:

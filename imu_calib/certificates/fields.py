@@ -261,12 +261,7 @@ def _signature(section: Section) -> Signature:
 
 
 def _check_order(fields: Fields, section: Section) -> None:
-    """Refuse dates that no calibration has.
-
-    Raises:
-        InputError: Names the two.
-
-    """
+    """Refuse dates that no calibration has."""
     first, last = fields.calibrated or (None, None)
     steps = [('received', fields.received), ('calibrated: from', first)]
     steps += [('calibrated: to', last), ('issued', fields.issued)]

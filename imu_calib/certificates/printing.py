@@ -80,12 +80,7 @@ def _by_chromium(html: str, browser: str) -> bytes:
 
 
 def _run(command: list[str], *, oldest: bool = False) -> None:
-    """Run a browser.
-
-    Raises:
-        InputError: It cannot be run, failed, or is too old to number pages.
-
-    """
+    """Run a browser."""
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=_PATIENCE, check=True

@@ -134,12 +134,7 @@ def recorded(calibration: Calibration) -> date | None:
 
 
 def _check(fields: Fields, calibration: Calibration) -> None:
-    """Refuse fields of another unit or another session.
-
-    Raises:
-        InputError: Names the key, what was found and what was expected.
-
-    """
+    """Refuse fields of another unit or another session."""
     found, expected = fields.item.serial_number, calibration.serial_number
     if found and expected and found != expected:
         raise InputError(

@@ -57,12 +57,7 @@ def run_several(arguments: argparse.Namespace) -> Outcome:
 
 
 def _judged(found: UnitResults) -> dict[str, Conformity]:
-    """Hold each unit against the specification of its type.
-
-    Raises:
-        InputError: A type states none.
-
-    """
+    """Hold each unit against the specification of its type."""
     return {u.serial_number: conformity(u.result) for u in found.units if u.result is not None}
 
 

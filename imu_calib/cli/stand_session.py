@@ -342,9 +342,6 @@ def _follow(
         board: Keeps what is shown.
         control: Whether somebody can have a table that has stopped go on.
 
-    Raises:
-        InputError: A node has ended, or nothing comes.
-
     """
     from .monitor import watching
 

@@ -80,12 +80,7 @@ def export(source: ExportSource) -> Exported:
 
 
 def _with_terms(model: SensorModel, imu: ImuSpec, per_interval: str) -> dict[str, str]:
-    """Return the parts of the header that depend on terms which are not linear.
-
-    Raises:
-        NotObservable: They outgrow the linear part within the range.
-
-    """
+    """Return the parts of the header that depend on terms which are not linear."""
     if model.linear:
         body = _BODY.format(per_interval=per_interval, of_accel='', of_gyro='')
         return {'formula': '', 'terms': '', 'more': '', 'body': body}
@@ -114,12 +109,7 @@ def _with_terms(model: SensorModel, imu: ImuSpec, per_interval: str) -> dict[str
 
 
 def _slope(model: SensorModel, imu: ImuSpec) -> tuple[float, str]:
-    """Return by how much a round makes an error smaller at the ends of the range, and the ends.
-
-    Raises:
-        NotObservable: Not by half.
-
-    """
+    """Return by how much a round makes an error smaller at the ends of the range, and the ends."""
     rate, force = (
         min(spec.range, widest)
         for spec, widest in ((imu.gyro, _WIDEST_RATE), (imu.accel, _WIDEST_FORCE))

@@ -73,12 +73,7 @@ def export(source: ExportSource) -> Exported:
 
 
 def _lower(response: Floats, name: str) -> tuple[Floats, Floats]:
-    """Split a response into a lower triangular matrix and a rotation.
-
-    Raises:
-        InputError: No rotation does it: the axes are mirrored.
-
-    """
+    """Split a response into a lower triangular matrix and a rotation."""
     rotation, upper = np.linalg.qr(response.T)
     signs = np.where(np.diag(upper) < 0, -1.0, 1.0)
     rotation = (rotation * signs).T
@@ -88,12 +83,7 @@ def _lower(response: Floats, name: str) -> tuple[Floats, Floats]:
 
 
 def _noise(source: ExportSource) -> tuple[dict[str, float], list[str]]:
-    """Return densities and random walks of Kalibr, and what of them is no measured value.
-
-    Raises:
-        InputError: Neither the calibration nor a data sheet tells.
-
-    """
+    """Return densities and random walks of Kalibr, and what of them is no measured value."""
     calibration, sheet = source.calibration, source.sheet
     walk = np.array(calibration.provenance.get('random_walk', np.zeros(6)), dtype=float)
     # Of a stream without noise the session shows the rounding of numbers, which is no density.

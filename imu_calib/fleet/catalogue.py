@@ -263,12 +263,7 @@ class Catalogue:
 
 
 def _make_room(folder: Path) -> None:
-    """Refuse a place where no catalogue can be.
-
-    Raises:
-        InputError: The folder that it is to be in does not exist, or something else is there.
-
-    """
+    """Refuse a place where no catalogue can be."""
     if not folder.parent.is_dir():
         raise InputError(f'{folder}: the folder {folder.parent} does not exist.')
     if folder.exists() and not folder.is_dir():
@@ -276,12 +271,7 @@ def _make_room(folder: Path) -> None:
 
 
 def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
-    """Return a part with today's columns, as far as it has them, and none else.
-
-    Raises:
-        InputError: Broken, or of a newer version.
-
-    """
+    """Return a part with today's columns, as far as it has them, and none else."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -109,12 +109,7 @@ def batch(
 
 
 def _units_file(imus: str | Path | None, stated: Stated) -> str:
-    """Return the file of several units; empty without one.
-
-    Raises:
-        InputError: It is broken, or the same is stated for one unit.
-
-    """
+    """Return the file of several units; empty without one."""
     if imus is None:
         return ''
     for name in OF_ONE:

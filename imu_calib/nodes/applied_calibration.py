@@ -143,12 +143,7 @@ class AppliedCalibration:
         )
 
     def _check_serial(self, calibration: AnyCalibration, name: str, *, stated: bool) -> None:
-        """Refuse the calibration of another unit than the one that is being compensated.
-
-        Raises:
-            InputError: Says in what they differ.
-
-        """
+        """Refuse the calibration of another unit than the one that is being compensated."""
         expected, who = self._serial, 'the parameter serial_number says'
         if not expected and self.compensator is not None:
             expected = first_of(self.compensator.calibration).serial_number

@@ -161,13 +161,7 @@ def _in_no_field(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
 
 
 def _parameters(message: Any) -> tuple[Parameter, ...]:
-    """Return the parameters of a calibration by what the message says that it has.
-
-    Raises:
-        InputError: It has parameters that this version does not know, in other units, or not all
-            of a term.
-
-    """
+    """Return the parameters of a calibration by what the message says that it has."""
     try:
         further = by_name(message.term_parameters)
     except KeyError as error:
@@ -233,13 +227,7 @@ def _add_changes(message: Any, changes: Changes | None) -> None:
 
 
 def _changes(message: Any) -> Changes | None:
-    """Return how parameters changed during the session; None where the message states nothing.
-
-    Raises:
-        InputError: A coefficient that this version does not know, in another unit, or numbers that
-            do not belong together.
-
-    """
+    """Return how parameters changed during the session; None where the message states nothing."""
     if not message.change_terms:
         return None
     name = f'The calibration of {message.imu_id or "no name"}'
