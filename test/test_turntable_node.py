@@ -176,7 +176,7 @@ class Watcher(ros.Node):
         self.progress.publish(message)
 
 
-MAIN = 'import sys\nfrom imu_calib.nodes.turntable_node import main\nsys.exit(main())'
+MAIN = 'import sys\nfrom imu_calib.nodes.programs import turntable_node\nsys.exit(turntable_node())'
 BROKEN = """
 import sys
 from imu_calib.middleware import run

@@ -111,10 +111,5 @@ class AsciiTableNode(Node):
         )
 
 
-def main() -> int:
-    """Run the node; return the exit code."""
-    return entry_point(AsciiTableNode)
-
-
 if __name__ == '__main__':
-    raise SystemExit(main())
+    raise SystemExit(entry_point(AsciiTableNode))

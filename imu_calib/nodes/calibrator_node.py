@@ -336,10 +336,5 @@ class CalibratorNode(ros.Node):
         return response
 
 
-def main() -> int:
-    """Run the node; return the exit code."""
-    return entry_point(CalibratorNode)
-
-
 if __name__ == '__main__':
-    raise SystemExit(main())
+    raise SystemExit(entry_point(CalibratorNode))

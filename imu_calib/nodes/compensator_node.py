@@ -216,10 +216,5 @@ class CompensatorNode(ros.ManagedNode):
         )
 
 
-def main() -> int:
-    """Run the node; return the exit code."""
-    return entry_point(CompensatorNode)
-
-
 if __name__ == '__main__':
-    raise SystemExit(main())
+    raise SystemExit(entry_point(CompensatorNode))

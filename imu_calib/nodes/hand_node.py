@@ -153,10 +153,5 @@ class HandNode(ros.Node):
         self._diagnostics.report('IMU', level, text, frames=frames)
 
 
-def main() -> int:
-    """Run the node; return the exit code."""
-    return entry_point(HandNode)
-
-
 if __name__ == '__main__':
-    raise SystemExit(main())
+    raise SystemExit(entry_point(HandNode))

@@ -268,10 +268,5 @@ class ImuNode(ManagedNode):
             self._diagnostics.report(word.part, Level(word.severity), word.text, **word.figures)
 
 
-def main() -> int:
-    """Run the node; return the exit code."""
-    return entry_point(ImuNode)
-
-
 if __name__ == '__main__':
-    raise SystemExit(main())
+    raise SystemExit(entry_point(ImuNode))

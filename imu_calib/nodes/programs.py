@@ -13,14 +13,17 @@ from ..errors import ImuCalibError
 def start(node: str) -> int:
     """Load a node and run it; return the exit code.
 
-    The runtime is chosen, and its messages are looked for, while the node's module loads.
+    The runtime is chosen, and its messages are looked for, while the node's module loads. Its class
+    is called as the program is: turntable_node is TurntableNode.
     """
     try:
-        main: Callable[[], int] = import_module(f'{__package__}.{node}').main
+        from .entry import entry_point
+
+        kind = getattr(import_module(f'{__package__}.{node}'), node.title().replace('_', ''))
     except ImuCalibError as error:
         print(f'{node}: {error}', file=sys.stderr)  # noqa: T201
         return error.exit_code
-    return main()
+    return entry_point(kind)
 
 
 def __getattr__(name: str) -> Callable[[], int]:

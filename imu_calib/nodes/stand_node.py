@@ -301,10 +301,5 @@ class _Pace:
         return min(max(0.0, due - wall), _LONGEST_REST)
 
 
-def main() -> int:
-    """Run the node; return the exit code."""
-    return entry_point(StandNode)
-
-
 if __name__ == '__main__':
-    raise SystemExit(main())
+    raise SystemExit(entry_point(StandNode))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -413,10 +412,5 @@ def _holds(payload: bytes) -> bool:
     return all(setpoint.mode is Mode.HOLD for block in blocks for setpoint in block.setpoints)
 
 
-def main() -> int:
-    """Run the node; return the exit code."""
-    return entry_point(TurntableNode)
-
-
 if __name__ == '__main__':
-    sys.exit(main())
+    raise SystemExit(entry_point(TurntableNode))

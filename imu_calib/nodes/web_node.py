@@ -295,10 +295,5 @@ def _answered(name: str, response: Any) -> str:
     return f'{name.capitalize()} was refused: {said}'
 
 
-def main() -> int:
-    """Run the node; return the exit code."""
-    return entry_point(WebNode)
-
-
 if __name__ == '__main__':
-    raise SystemExit(main())
+    raise SystemExit(entry_point(WebNode))
