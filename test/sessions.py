@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 from loopback import until
@@ -78,6 +79,31 @@ def in_parallel(function: Callable[[int], Any], seeds: Iterable[int]) -> list[An
         return [function(seed) for seed in seeds]
     with single_threaded(), ProcessPoolExecutor(os.cpu_count(), get_context('spawn')) as pool:
         return list(pool.map(function, seeds))
+
+
+class Alone:
+    """The live session of a unit that is alone on its table, as the node runs it."""
+
+    def __init__(self, setup: Setup, folder: Path, said: dict[str, str], topics: Any) -> None:
+        # Imported here: most tests need no live session.
+        from imu_calib.bags import Journal
+        from imu_calib.nodes.sessions import LiveUnit, Sessions
+
+        journal = Journal(folder, said, {topic: kind for kind, topic in topics.items()})
+        self.sessions = Sessions([LiveUnit('', setup, topics)], journal, {})
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.sessions.all[0], name)
+
+    @property
+    def rested(self) -> bool:
+        return self.sessions.rested
+
+    def poll(self) -> bool:
+        return bool(self.sessions.poll())
+
+    def close(self) -> None:
+        self.sessions.close()
 
 
 def ended(session: Any) -> Any:

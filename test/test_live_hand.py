@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from live import Stand
 from rich.console import Console
-from sessions import SITE, ended
+from sessions import SITE, Alone, ended
 
-from imu_calib.bags import Journal, open_recording
+from imu_calib.bags import open_recording
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.calibrator.by_hand import HandCalibrator
@@ -23,7 +23,7 @@ from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
 from imu_calib.methods.free_positions import FREE
 from imu_calib.model import PARAMETER_NAMES, ParameterKind
-from imu_calib.nodes.live import LiveSession, SessionPhase
+from imu_calib.nodes.live import SessionPhase
 from imu_calib.plan import load_plan
 from imu_calib.share import named_file
 from imu_calib.simulation import ImuOptions
@@ -205,8 +205,7 @@ def test_six_holds_and_three_turns_by_hand_live_are_those_of_the_recording(tmp_p
         Site.at(49.6 * DEG, gravity=normal_gravity(49.6 * DEG)),
     )
     topics = {Kind.IMU: '/imu/pulses'}
-    names = {topic: kind for kind, topic in topics.items()}
-    session = LiveSession(setup, Journal(tmp_path / 'journal', {}, names), topics)
+    session = Alone(setup, tmp_path / 'journal', {}, topics)
     offline = Calibrator(setup)
     with open_recording(recording) as held:
         for _, block in held.read({'/imu/raw': Kind.IMU}):

@@ -9,16 +9,16 @@ from extent import ALL
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from loopback import patience, until
-from sessions import SITE, at_one_rate, ended, paper_imu, quick_plan, stand
+from sessions import SITE, Alone, at_one_rate, ended, paper_imu, quick_plan, stand
 
-from imu_calib.bags import Journal, open_recording
+from imu_calib.bags import open_recording
 from imu_calib.budget import Source
 from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints
 from imu_calib.errors import InputError
 from imu_calib.model import SensorModel
 from imu_calib.nodes.diagnostics import Level
-from imu_calib.nodes.live import LiveSession, SessionPhase
+from imu_calib.nodes.live import SessionPhase
 from imu_calib.nodes.session_words import report
 from imu_calib.simulation import simulate
 from imu_calib.stream import ImuBlock, JointBlock, SetpointBlock
@@ -77,8 +77,7 @@ def fed_at_once(wire, setup):
 
 
 def begin(folder, description=DESCRIPTION):
-    topics = {topic: kind for kind, topic in TOPICS.items()}
-    return LiveSession(SETUP, Journal(folder, description, topics), TOPICS)
+    return Alone(SETUP, folder, description, TOPICS)
 
 
 def send(session, wire, rng, start=0.0, stop=1.0):

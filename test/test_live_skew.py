@@ -5,17 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sessions import SITE, ended, stand
+from sessions import SITE, Alone, ended, stand
 
 from imu_calib import calibrate
-from imu_calib.bags import Journal
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.cdr import Kind, encode_imu, encode_joints, encode_setpoints
 from imu_calib.imu import load_imu
 from imu_calib.metadata import describe
 from imu_calib.nodes import calibrator_feed
-from imu_calib.nodes.live import LiveSession, SessionPhase
+from imu_calib.nodes.live import SessionPhase
 from imu_calib.plan import RateTest, load_plan
 from imu_calib.share import named_file
 from imu_calib.simulation import simulate
@@ -54,11 +53,7 @@ def wire():
 
 
 def begin(folder, setup=SETUP):
-    journal = Journal(folder, describe('skewed', 'fog_skewed', 'three_axis', SITE), NAMES)
-    return LiveSession(setup, journal, TOPICS)
-
-
-NAMES = {topic: kind for kind, topic in TOPICS.items()}
+    return Alone(setup, folder, describe('skewed', 'fog_skewed', 'three_axis', SITE), TOPICS)
 
 
 def send(session, wire, without=frozenset()):

@@ -11,7 +11,6 @@ from enum import IntEnum
 import scipy.linalg
 import scipy.special  # noqa: F401
 
-from ..bags import Journal
 from ..calibration import Calibration
 from ..calibrator import Review, Setup
 from ..calibrator.by_hand import HandReview
@@ -23,9 +22,7 @@ from ..stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
 from .calibrator_feed import CalibratorFeed
 from .former_session import FormerSession
 from .intake import TopicIntake
-from .journal_keeper import JournalKeeper
 from .shared import JournalPart, SolverPart
-from .solving import Solver
 
 _LATE = 500_000_000
 """ns by which the last samples may be older than the table's last word: half a second of delay."""
@@ -51,6 +48,7 @@ class LiveSession:
 
     Attributes:
         setup: What is calibrated, and how.
+        journal: Its part of the recording.
         intakes: The topics by what they carry.
         phase: How far it has come.
         failure: Why it failed, else empty.
@@ -64,29 +62,29 @@ class LiveSession:
 
     Args:
         setup: What is calibrated, and how.
-        journal: Open; what it holds from before a crash is taken in first.
+        journal: Its part of the recording.
         topics: Full topic names by what they carry; a skewed gyro is awaited where its topic is
             among them.
-        solver: What solves; None for one of its own.
-        solved: As what the session is solved where that is not how the table runs: without the
-            plan, of a unit whose axes are not as the plan has them.
+        solver: What solves.
+        solved: As what the session is solved: without the plan, of a unit whose axes are not as the
+            plan has them.
 
     Raises:
-        InputError: The journal holds what does not go with the set-up.
+        InputError: The method cannot solve the plan.
 
     """
 
     def __init__(
         self,
         setup: Setup,
-        journal: Journal | JournalPart,
+        journal: JournalPart,
         topics: dict[Kind, str],
-        solver: Solver | SolverPart | None = None,
-        solved: Setup | None = None,
+        solver: SolverPart,
+        solved: Setup,
     ) -> None:
         self.setup = setup
-        self._solved = solved or setup
-        self._keeper = JournalKeeper(journal)
+        self.journal = journal
+        self._solved = solved
         now = time.monotonic()
         self.intakes = {k: TopicIntake(k, topic, Malformed(), now) for k, topic in topics.items()}
         self.phase = SessionPhase.WAITING
@@ -97,27 +95,17 @@ class LiveSession:
         self.worked_until = 0
         self.frame_id = ''
         self.steps_seen = 0
-        self._feed = CalibratorFeed(self._solved, topics)
-        self._solver = solver or Solver()
+        self._feed = CalibratorFeed(solved, topics)
+        self._solver = solver
         self._ending = False
         self._done_at: int | None = None
         self._done_heard = 0.0
         self._former: FormerSession | None = None
-        kinds = {topic: kind for kind, topic in topics.items()}
-        for topic, block in journal.replay():
-            self.feed_former(kinds[topic], block)
-        if journal.resumed:
-            self.go_on(journal.losses)
-
-    @property
-    def journal(self) -> Journal | JournalPart:
-        """The recording."""
-        return self._keeper.journal
 
     @property
     def trouble(self) -> str:
         """What is wrong with the journal at the moment, else empty."""
-        return self._keeper.trouble
+        return self.journal.trouble
 
     @property
     def without_skew(self) -> bool:
@@ -175,7 +163,7 @@ class LiveSession:
         if self._former is not None and (why := self._former.set_back(intake, blocks)):
             self.fail(why, finished=False)
             return
-        self._keeper.write(intake.topic, kind.type_name, messages, now)
+        self.journal.write(intake.topic, kind.type_name, messages, now)
         intake.heard = time.monotonic()
         for block in blocks:
             if isinstance(block, ImuBlock) and len(block):
@@ -195,7 +183,7 @@ class LiveSession:
     def record(self, topic: str, type_name: str, payload: bytes, now: int) -> None:
         """Keep a message that is not calibrated from."""
         if not self._closed:
-            self._keeper.write(topic, type_name, Messages.join([payload]), now)
+            self.journal.write(topic, type_name, Messages.join([payload]), now)
 
     def backwards(self, kind: Kind, payloads: Sequence[bytes]) -> bool:
         """Tell whether messages are older than what came in before: a second publisher's."""
@@ -207,7 +195,7 @@ class LiveSession:
 
     def flush(self) -> None:
         """Secure what came in, and try again what a full disk refused."""
-        if not self.over and not self._keeper.flush():
+        if not self.over and not self.journal.flush():
             self.fail(f'{self.trouble} The buffer in memory is full, too.')
 
     def table_done(self, stamp: int) -> None:
@@ -226,11 +214,6 @@ class LiveSession:
             if self._feed.calibrator is None:
                 self._fail_if(self._feed.begin(with_skew=self.intakes[Kind.SKEW].count > 0))
             self.solve()
-
-    @property
-    def rested(self) -> bool:
-        """Whether as much time has gone by since the last solving as that took."""
-        return self._solver.rested
 
     def solve(self) -> None:
         """Begin to solve with what is here, unless it is being done already."""
@@ -267,13 +250,13 @@ class LiveSession:
         self.phase = SessionPhase.FAILED
         self.failure = reason
         self.calibration = None
-        self._keeper.close(finished=finished)
+        self.journal.close(finished=finished)
 
     def close(self) -> None:
         """Leave the journal such that it can be gone on with."""
         self._solver.close()
         if not self.over:
-            self._keeper.close(finished=False)
+            self.journal.close(finished=False)
 
     def _all_here(self, done_at: int) -> bool:
         """Say whether all data up to the table's last word has come in."""
@@ -304,7 +287,7 @@ class LiveSession:
     def _finish(self, review: Review) -> None:
         if review.result is None:
             self.fail(review.refusal)
-        elif self._keeper.close(finished=True):
+        elif self.journal.close(finished=True):
             self.phase = SessionPhase.FINISHED
             self.calibration = self._with_notes(review.result.calibration)
         else:

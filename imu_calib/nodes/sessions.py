@@ -102,6 +102,11 @@ class Sessions:
         """Those of the units that were not left out."""
         return [s for k, s in enumerate(self.all) if k not in self.left_out]
 
+    @property
+    def rested(self) -> bool:
+        """Whether as much time has gone by since the last round of reviews as that took."""
+        return self._solver.rested
+
     def take_common(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
         """Take messages of the table in; see `LiveSession.take`."""
         for session in self.all:
@@ -135,7 +140,7 @@ class Sessions:
 
     def solve(self) -> None:
         """Begin a round of reviews, one of each session, where the last one is long enough ago."""
-        if self._solver.rested:
+        if self.rested:
             for session in self.all:
                 session.solve()
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..bags import Journal
 from ..calibrator import Calibrator, HandCalibrator, Review
 from ..cdr import Messages
 from ..errors import ImuCalibError, InputError
-from ..stream import Block
-from .solving import Solved
 
 AnyCalibrator = Calibrator | HandCalibrator
 Concluding = Callable[[Sequence[AnyCalibrator], Sequence[str]], Sequence[Review | ImuCalibError]]
@@ -77,54 +76,74 @@ class SharedJournal:
 
 
 class JournalPart:
-    """The journal as one of several sessions sees it; see `Journal`.
+    """The journal as one session sees it; what a full disk refuses is held and tried again.
 
     Attributes:
         open: Whether the session still writes.
         finished: Whether it came to its end.
+        trouble: Why the disk does not take what it is given, else empty.
 
     """
-
-    resumed = False
-    """What was left is fed to all sessions in one pass (`Sessions`), not read by each."""
 
     def __init__(self, shared: SharedJournal) -> None:
         self._shared = shared
         self.open = True
         self.finished = False
+        self.trouble = ''
 
     @property
     def path(self) -> Path:
         """Folder of the recording."""
         return self._shared.journal.path
 
-    @property
-    def losses(self) -> list[str]:
-        """What could not be read of what was left."""
-        return []
-
-    @property
-    def overfull(self) -> bool:
-        """Whether more is held in memory than a machine should be asked to hold."""
-        return self._shared.journal.overfull
-
-    def replay(self) -> Iterator[tuple[str, Block]]:
-        """Yield nothing: see `resumed`."""
-        yield from ()
-
     def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
-        """Append messages of a topic, unless another session does."""
+        """Keep messages that came in at `now`, host time in ns, unless another session does."""
         if self._shared.writes(self, topic):
-            self._shared.journal.write(topic, type_name, messages, now)
+            try:
+                self._shared.journal.write(topic, type_name, messages, now)
+            except InputError as error:
+                # Held in memory, and written with the next flush that succeeds.
+                self.trouble = str(error)
 
-    def flush(self) -> None:
-        """Bring everything to where a killed program does not lose it."""
-        self._shared.flush(self)
+    def flush(self) -> bool:
+        """Secure what came in; return whether the memory still takes what the disk does not."""
+        self.trouble = ''
+        try:
+            self._shared.flush(self)
+        except InputError as error:
+            self.trouble = str(error)
+        return not self._shared.journal.overfull
 
-    def close(self, *, finished: bool) -> None:
-        """End this session's part; the recording ends with the last one."""
+    def close(self, *, finished: bool) -> bool:
+        """End this session's part, and the recording with the last; return whether it is saved.
+
+        Args:
+            finished: Whether it is kept to be looked into alone; else it can be gone on with.
+
+        """
         self.open, self.finished = False, finished
-        self._shared.settle()
+        try:
+            self._shared.settle()
+        except InputError as error:
+            self.trouble = str(error)
+            return False
+        return True
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A review: one that is being made, or has come to its end.
+
+    Attributes:
+        future: What it found, or the error that it raised.
+        final: Whether it was the session's last.
+        until: Stamp up to which it reaches, ns.
+
+    """
+
+    future: Future[Review]
+    final: bool
+    until: int
 
 
 class SharedSolver:
@@ -194,7 +213,7 @@ class SharedSolver:
 
 
 class SolverPart:
-    """The solver as one of several sessions sees it; see `Solver`.
+    """The solver as one session sees it: it solves snapshots of a calibrator, which goes on.
 
     Args:
         shared: Of all.
@@ -222,11 +241,6 @@ class SolverPart:
     def concludes(self) -> bool:
         """Whether it solves for the last time."""
         return self._work is not None and self._work.final
-
-    @property
-    def rested(self) -> bool:
-        """Whether as much time has gone by since the last round as that took."""
-        return self._shared.rested
 
     def begin(self, calibrator: AnyCalibrator, until: int, *, final: bool) -> None:
         """Begin to solve what a calibrator has taken in, up to a stamp in ns; not while busy."""
