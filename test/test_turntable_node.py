@@ -802,7 +802,7 @@ class FakeSteady:
         self.seconds = now
 
     def now(self):
-        return ros.Time(nanoseconds=round(self.seconds * 1e9), clock_type=ros.ClockType.STEADY_TIME)
+        return ros.Time(nanoseconds=round(self.seconds * 1e9))
 
 
 @pytest.mark.parametrize('timeout', [0.5, 3.0])
