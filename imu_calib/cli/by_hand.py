@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from rich.console import Group
 from rich.live import Live
-from rich.table import Table as Rows
 from rich.text import Text
 
 from ..errors import InputError
+from ..plain_table import plain_table
 from ..units import ARCMIN, PPM, significant
 from .processes import Outcome, Processes
 from .terminal import ERRORS, OUTPUT
@@ -67,10 +67,7 @@ def view(progress: Any, refusal: str = '') -> Group:
 
     """
     best = max(progress.next_gains, default=0.0)
-    rows = Rows(box=None, pad_edge=False, header_style='bold')
-    rows.add_column('next')
-    rows.add_column('gain', justify='right')
-    rows.add_column('')
+    rows = plain_table(('next', 'gain', ''), 'lrl')
     pairs = list(zip(progress.next_attitudes, progress.next_gains, strict=True))
     for words, gain in pairs[:_SHOWN]:
         bar = '#' * round(_BAR * gain / best) if best > 0 else ''

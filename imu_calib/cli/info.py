@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table as Rows
 
 from ..api.looking import Look, look_inside, topics
+from ..plain_table import plain_table
 from ..units import DEG, DEG_H, STANDARD_GRAVITY, counted
 from . import options
 from .outcome import WRONG_INPUT, Outcome, add_json_option
@@ -16,8 +17,6 @@ from .terminal import OUTPUT, progress_bar, sentence_list
 if TYPE_CHECKING:
     # Loaded where somebody says how the streams are to be read.
     from ..api.inside import Inside
-
-_WORDS = {'topic', 'type', 'up', 'position'}
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +53,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 
 def _show_topics(found: Look) -> None:
-    rows = _table('topic', 'type', 'messages', 'rate, Hz')
+    rows = plain_table(('topic', 'type', 'messages', 'rate, Hz'), 'llrr')
     for topic in found.topics:
         rate = '-' if topic.rate is None else f'{topic.rate:.1f}'
         rows.add_row(topic.name, topic.type, str(topic.messages), rate)
@@ -90,17 +89,10 @@ def _show(inside: Inside) -> None:
     sentence_list('Lost', inside.lost)
 
 
-def _table(*headings: str) -> Rows:
-    """Begin a table: words are flush left, numbers flush right."""
-    rows = Rows(box=None, pad_edge=False, header_style='bold')
-    for text in headings:
-        rows.add_column(text, justify='left' if text in _WORDS else 'right')
-    return rows
-
-
 def _dwells(inside: Inside) -> Rows:
     """List every static dwell: when, how long, how the unit stood, and what the plan calls it."""
-    rows = _table('dwell', 'at, s', 'for, s', 'left out', 'up', 'heading, deg', 'position')
+    headings = ('dwell', 'at, s', 'for, s', 'left out', 'up', 'heading, deg', 'position')
+    rows = plain_table(headings, 'rrrrlrl')
     for k, dwell in enumerate(inside.dwells):
         rows.add_row(
             str(k + 1),
@@ -116,7 +108,7 @@ def _dwells(inside: Inside) -> Rows:
 
 def _outputs(inside: Inside) -> Rows:
     """List what the sensors read at every dwell."""
-    rows = _table('dwell', 'fx, g', 'fy, g', 'fz, g', 'wx', 'wy', 'wz, deg/h')
+    rows = plain_table(('dwell', 'fx, g', 'fy, g', 'fz, g', 'wx', 'wy', 'wz, deg/h'), 'r' * 7)
     for k, dwell in enumerate(inside.dwells):
         rows.add_row(
             str(k + 1),
@@ -128,7 +120,9 @@ def _outputs(inside: Inside) -> Rows:
 
 def _turns(inside: Inside) -> Rows:
     """List every measurement of whole turns: when, about what, how fast, how many."""
-    rows = _table('turn', 'at, s', 'for, s', 'up', 'rate, deg/s', 'turns', 'position')
+    rows = plain_table(
+        ('turn', 'at, s', 'for, s', 'up', 'rate, deg/s', 'turns', 'position'), 'rrrlrrl'
+    )
     for k, turn in enumerate(inside.turns):
         rows.add_row(
             str(k + 1),

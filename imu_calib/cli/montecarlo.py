@@ -10,6 +10,7 @@ from rich.table import Table as Rows
 
 from ..api.repeating import montecarlo
 from ..methods import METHODS
+from ..plain_table import plain_table
 from ..repetition import Outcome
 from ..reports.parameter_table import decimals, engineering
 from . import options
@@ -97,9 +98,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _table(outcome: Outcome) -> Rows:
-    rows = Rows(box=None, pad_edge=False, header_style='bold')
-    for heading in _HEADINGS:
-        rows.add_column(heading, justify='left' if heading in {'parameter', 'unit'} else 'right')
+    rows = plain_table(_HEADINGS, 'lrrrrrrl')
     normalised, worst = outcome.rms, outcome.worst
     last = outcome.parameters[0]
     for k, parameter in enumerate(outcome.parameters):

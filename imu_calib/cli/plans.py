@@ -15,6 +15,7 @@ from ..calibrator import Setup
 from ..errors import InputError, NotObservable
 from ..methods import METHODS, free_positions
 from ..model import Parameter, SensorModel, parameters_of, terms_of
+from ..plain_table import plain_table
 from ..plan import Plan, Position, Step, load_plan
 from ..prediction import ChangeForecast, Forecast, TermForecast, duration
 from ..reports.parameter_table import decimals, engineering
@@ -210,9 +211,7 @@ def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel)
     wanted = dict(_parted(text) for text in arguments.reach)
     reached = shortest(setup, truth, wanted, arguments.scheduler)
     _show_forecast(reached.forecast, reached.wanted)
-    rows = Rows(box=None, pad_edge=False, header_style='bold')
-    for heading in ('position', 'dwell, s', 'instead of'):
-        rows.add_column(heading, justify='left' if heading == 'position' else 'right')
+    rows = plain_table(('position', 'dwell, s', 'instead of'), 'lrr')
     for position in reached.plan.positions:
         before = setup.plan.position(position.id).dwell
         if before:
@@ -232,14 +231,12 @@ def _parted(text: str) -> tuple[str, str]:
 def _show_forecast(
     found: Forecast, wanted: Mapping[str, float] | None = None, *, best: str = 'best'
 ) -> None:
-    rows = Rows(box=None, pad_edge=False, header_style='bold')
     on_a_table = not found.evidence.plan.by_hand
     bounded = bool(np.isfinite(found.best).any())
     headings = ['parameter', found.method, *[best] * bounded, 'unit']
     if wanted is not None:
         headings.insert(-1, 'wanted')
-    for heading in headings:
-        rows.add_column(heading, justify='left' if heading in {'parameter', 'unit'} else 'right')
+    rows = plain_table(headings, f'l{"r" * (len(headings) - 2)}l')
     last: Parameter | None = None
     for parameter, std, least in zip(found.parameters, found.std, found.best, strict=True):
         if last is not None and parameter.triad != last.triad:
@@ -268,9 +265,8 @@ _TURNS_AND_DWELLS = 'the same dwells and turns early and late'
 def _show_terms(found: Sequence[TermForecast], changes: Sequence[ChangeForecast]) -> None:
     if not found and not changes:
         return
-    rows = Rows(box=None, pad_edge=False, header_style='bold')
-    for heading in ('term', 'std', 'unit', 'effect on the others, or what it requires'):
-        rows.add_column(heading, justify='right' if heading == 'std' else 'left')
+    headings = ('term', 'std', 'unit', 'effect on the others, or what it requires')
+    rows = plain_table(headings, 'lrll')
     for one in found:
         shown = engineering(one.term.parameters[0])
         worst = float(one.std.max()) / shown.scale if one.determined else np.nan
@@ -322,11 +318,8 @@ def _show_time(plan: Plan, table: Table) -> None:
 
 
 def _list_plans(table: Table) -> None:
-    rows = Rows(box=None, pad_edge=False, header_style='bold')
-    for heading in ('plan', 'positions', 'turns', 'time, min', 'method', 'what it is'):
-        rows.add_column(
-            heading, justify='right' if heading in {'positions', 'turns', 'time, min'} else 'left'
-        )
+    headings = ('plan', 'positions', 'turns', 'time, min', 'method', 'what it is')
+    rows = plain_table(headings, 'lrrrll')
     for path in sorted((share_folder() / 'config' / 'plans').glob('*.yaml')):
         plan = load_plan(path)
         turns = sum(len(p.rate_test.rates) or 1 for p in plan.positions if p.rate_test)
@@ -372,13 +365,9 @@ def _in_words(position: Position) -> str:
 
 
 def _step_rows(steps: tuple[Step, ...], table: Table) -> Rows:
-    rows = Rows(box=None, pad_edge=False, header_style='bold')
-    for heading in ('step', 'position', 'does'):
-        rows.add_column(heading)
-    for name in table.names:
-        rows.add_column(f'{name}, deg', justify='right')
-    for heading in ('rate, deg/s', 'turns', 'dwell, s'):
-        rows.add_column(heading, justify='right')
+    angles = [f'{name}, deg' for name in table.names]
+    headings = ['step', 'position', 'does', *angles, 'rate, deg/s', 'turns', 'dwell, s']
+    rows = plain_table(headings, f'lll{"r" * len(angles)}rrr')
     for step in steps:
         turning = step.mode is Mode.RATE
         rate = next((r for r in step.rates if r), 0.0)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from rich.table import Table as Rows
 
 from ..api.named import load_truth
 from ..calibration import Calibration
@@ -19,6 +18,7 @@ from ..errors import InputError
 from ..imu import load_imu
 from ..mounted import PULSES, TRUTHS, MountedUnit, load_units, remaining
 from ..paths import user_path
+from ..plain_table import plain_table
 from ..plan import load_plan
 from ..reports.parameter_table import engineering
 from ..share import named_file
@@ -174,9 +174,7 @@ def print_results(
         true: What simulated units truly are; none of real ones.
 
     """
-    rows = Rows(box=None, pad_edge=False, header_style='bold')
-    for heading in ('unit', 'type', 'samples', 'least known', 'file'):
-        rows.add_column(heading, no_wrap=True)
+    rows = plain_table(('unit', 'type', 'samples', 'least known', 'file'), 'lllll', no_wrap=True)
     if true:
         rows.add_column('largest error/std', justify='right', no_wrap=True)
         (folder / TRUTHS).mkdir(exist_ok=True)

@@ -14,6 +14,7 @@ from rich.table import Table
 from ..budget import PROBABILITY, Budget, Source
 from ..calibration import Calibration
 from ..model import Parameter
+from ..plain_table import plain_table
 from ..stream import Floats
 from .html import paragraph, scrolling, table
 from .parameter_table import decimals, engineering
@@ -161,10 +162,7 @@ def budget_tables(calibration: Calibration) -> list[Table | str]:
     if calibration.budget is None:
         return [_NONE]
     shown = _Shown.of(calibration, calibration.budget)
-    expanded = Table(box=None, pad_edge=False, header_style='bold')
-    for heading in _EXPANDED:
-        left = heading in {'parameter', 'unit'}
-        expanded.add_column(heading, justify='left' if left else 'right')
+    expanded = plain_table(_EXPANDED, 'lrrrrl')
     for row in shown.expanded_rows():
         expanded.add_row(*row)
     parts: list[Table | str] = [
@@ -193,10 +191,7 @@ def _share_tables(shown: _Shown) -> list[Table | str]:
     while first < len(headings):
         last = int(np.searchsorted(ends, before + _COLUMNS - _NAME, side='right'))
         some, first, before = slice(first, last), last, int(ends[last - 1])
-        part = Table(box=None, pad_edge=False, header_style='bold')
-        part.add_column('parameter')
-        for heading in headings[some]:
-            part.add_column(heading, justify='right')
+        part = plain_table(['parameter', *headings[some]], 'l' + 'r' * len(headings[some]))
         for parameter, row in zip(shown.parameters, fractions, strict=True):
             part.add_row(parameter.name, *(_percent(float(f)) for f in row[some]))
         found.append(part)

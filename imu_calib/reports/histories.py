@@ -9,12 +9,15 @@ from rich.table import Table
 
 from ..histories.results import Population, UnitHistory
 from ..model import PARAMETER_NAMES, PARAMETERS
+from ..plain_table import plain_table
 from .parameter_table import decimals, engineering
 
 _NEVER = np.datetime64('9999-12-31', 'D')
 _UNKNOWN = '-'
-_LAST = ('first', 'drifts', 'steps', 'out of control')
-_COUNTED = ('sessions', 'drifts', 'steps', 'out of control')
+_OF_UNITS = (
+    *('serial', 'type', 'sessions', 'newest', 'specification', 'recalibrate by'),
+    *('first', 'drifts', 'steps', 'out of control'),
+)
 _SIZES = ('units', 'median', 'robust std', '5 %', '95 %', 'turn-on', 'per month', 'std')
 _HEADS = (*_SIZES, 'outside', 'outliers')
 
@@ -32,10 +35,7 @@ def by_urgency(units: Sequence[UnitHistory]) -> list[UnitHistory]:
 
 def unit_table(units: Sequence[UnitHistory]) -> Table:
     """Return one row for each unit."""
-    table = _table(
-        ('serial', 'type', 'sessions', 'newest', 'specification', 'recalibrate by', *_LAST),
-        right=_COUNTED,
-    )
+    table = plain_table(_OF_UNITS, 'llrllllrrr', no_wrap=True)
     for unit in units:
         due = unit.forecast
         table.add_row(
@@ -56,10 +56,8 @@ def unit_table(units: Sequence[UnitHistory]) -> Table:
 def course_table(unit: UnitHistory) -> Table:
     """Return one row for each session of a unit."""
     charts = unit.charts
-    table = _table(
-        ('date', 'stand', 'largest score', 'of', 'T^2', 'limit', 'chance'),
-        right=('largest score', 'T^2', 'limit', 'chance'),
-    )
+    headings = ('date', 'stand', 'largest score', 'of', 'T^2', 'limit', 'chance')
+    table = plain_table(headings, 'llrlrrr', no_wrap=True)
     for i, date in enumerate(unit.date):
         score = np.nan_to_num(charts.score[i])
         k = int(np.argmax(np.abs(score)))
@@ -79,8 +77,9 @@ def course_table(unit: UnitHistory) -> Table:
 def parameter_course_table(unit: UnitHistory, confidence: float) -> Table:
     """Return one row for each parameter of a unit."""
     share = f'{100 * confidence:g} %'
-    heads = ('value', 'std', 'limit', 'turn-on', share, 'per month', share)
-    table = _table(('', *heads, 'unit', 'leaves', 'inside until'), right=heads)
+    numbers = ('value', 'std', 'limit', 'turn-on', share, 'per month', share)
+    headings = ('', *numbers, 'unit', 'leaves', 'inside until')
+    table = plain_table(headings, 'lrrrrrrrlll', no_wrap=True)
     trend, scatter, due = unit.trend, unit.scatter, unit.forecast
     for k, parameter in enumerate(PARAMETERS):
         if not np.isfinite(unit.values[-1, k]):
@@ -111,7 +110,7 @@ def parameter_course_table(unit: UnitHistory, confidence: float) -> Table:
 
 def population_table(one: Population) -> Table:
     """Return one row for each parameter of a type."""
-    table = _table(('', *_HEADS, 'unit'), right=_HEADS)
+    table = plain_table(('', *_HEADS, 'unit'), f'l{"r" * len(_HEADS)}l', no_wrap=True)
     for k, parameter in enumerate(PARAMETERS):
         shown = engineering(parameter)
         places = decimals(one.robust_std[k] / shown.scale / 10)
@@ -136,13 +135,6 @@ def population_table(one: Population) -> Table:
             str(sum(apart.parameter == parameter.name for apart in one.outliers)),
             shown.unit,
         )
-    return table
-
-
-def _table(heads: Sequence[str], right: Sequence[str]) -> Table:
-    table = Table(box=None, pad_edge=False, header_style='bold')
-    for head in heads:
-        table.add_column(head, justify='right' if head in right else 'left', no_wrap=True)
     return table
 
 

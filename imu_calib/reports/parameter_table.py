@@ -10,6 +10,7 @@ from rich.table import Table
 from ..alignment import SCALE, SHOWN
 from ..calibration import Calibration
 from ..model import AXES, TERMS, Parameter
+from ..plain_table import plain_table
 
 _OF_TERMS = {term.kind for term in TERMS}
 
@@ -49,9 +50,7 @@ def change_table(calibration: Calibration) -> Table | None:
     """Return what terms of the session found; None where none were asked for."""
     if calibration.changes is None:
         return None
-    table = Table(box=None, pad_edge=False, header_style='bold')
-    for heading in ('term', 'of', 'value', 'std', 'unit'):
-        table.add_column(heading, justify='right' if heading in {'value', 'std'} else 'left')
+    table = plain_table(('term', 'of', 'value', 'std', 'unit'), 'llrrl')
     for term, name, value, deviation, unit in calibration.changes.shown():
         places = decimals(deviation)
         table.add_row(term, name, f'{value:.{places}f}', f'{deviation:.{places}f}', unit)
@@ -106,10 +105,8 @@ def parameter_table(calibration: Calibration, truth: Calibration | None = None) 
 
 def _headed(first: str, *, against_truth: bool) -> Table:
     """Return a table of values whose rows begin with a name."""
-    table = Table(box=None, pad_edge=False, header_style='bold')
-    for heading in (first, 'value', 'std', 'unit', *(['truth', 'error/std'] * against_truth)):
-        table.add_column(heading, justify='left' if heading in {first, 'unit'} else 'right')
-    return table
+    headings = (first, 'value', 'std', 'unit', *(['truth', 'error/std'] * against_truth))
+    return plain_table(headings, 'lrrlrr'[: len(headings)])
 
 
 def _cells(value: float, deviation: float, unit: str, true: float | None) -> list[str]:

@@ -10,6 +10,7 @@ from rich.table import Table
 from ..calibration import Calibration
 from ..estimation.several import TableSeen
 from ..model import Parameter
+from ..plain_table import plain_table
 from ..units import ARCSEC, DEG
 from .parameter_table import decimals, engineering
 
@@ -37,9 +38,7 @@ def comparison_tables(units: Sequence[tuple[str, Calibration]]) -> Iterator[Tabl
 
 def seen_table(seen: TableSeen) -> Table:
     """Return what several units found of their table, beside what was known beforehand."""
-    table = Table(box=None, pad_edge=False, header_style='bold')
-    for heading in ('unknown', 'value', 'std', 'beforehand', 'unit'):
-        table.add_column(heading, justify='left' if heading in {'unknown', 'unit'} else 'right')
+    table = plain_table(('unknown', 'value', 'std', 'beforehand', 'unit'), 'lrrrl')
     for name, value, std, prior in zip(seen.names, seen.values, seen.std, seen.prior, strict=True):
         unit, size = ('deg', DEG) if std > _COARSE else ('arcsec', ARCSEC)
         places = decimals(std / size)
@@ -49,11 +48,8 @@ def seen_table(seen: TableSeen) -> Table:
 
 
 def _table(units: Sequence[tuple[str, Calibration]], parameters: Sequence[Parameter]) -> Table:
-    table = Table(box=None, pad_edge=False, header_style='bold')
-    table.add_column('parameter')
-    for serial, _ in units:
-        table.add_column(serial, justify='right')
-    table.add_column('unit')
+    serials = [serial for serial, _ in units]
+    table = plain_table(['parameter', *serials, 'unit'], f'l{"r" * len(serials)}l')
     known = [
         {
             p: (float(value), float(std))

@@ -13,6 +13,7 @@ from ..calibration import Calibration
 from ..errors import InputError
 from ..model import AXES, PARAMETERS, Parameter, ParameterKind
 from ..model.motion import OF_MOTION
+from ..plain_table import plain_table
 from ..stream import Floats, Units
 from ..units import ARCSEC, PPM, STANDARD_GRAVITY
 from .parameter_table import Shown, decimals, engineering, section_of
@@ -74,12 +75,10 @@ def comparison_table(beside: SideBySide, names: Sequence[str]) -> Table:
     """
     calibrations, found, std = beside.calibrations, beside.agreement, beside.std
     two = len(calibrations) == 2
-    table = Table(box=None, pad_edge=False, header_style='bold')
-    between = ('difference', 'in std') if two else ('chi-square',)
-    for heading in ('Table 1', 'here', *names, *between, 'unit', ''):
-        left = heading in {'Table 1', 'here', 'unit', ''}
-        # What does not fit into a line goes on in the next: no number and no unit is cut.
-        table.add_column(heading, justify='left' if left else 'right', no_wrap=True)
+    numbers = (*names, *(('difference', 'in std') if two else ('chi-square',)))
+    sides = f'll{"r" * len(numbers)}ll'
+    # What does not fit into a line goes on in the next: no number and no unit is cut.
+    table = plain_table(('Table 1', 'here', *numbers, 'unit', ''), sides, no_wrap=True)
     differ = dict(zip(found.parameters, found.differ, strict=True))
     last = None
     for parameter in sorted(found.parameters, key=_table_order):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Table
 
+from ..plain_table import plain_table
 from ..units import ARCSEC, DEG, DEG_H, MICRO_G
 from ..verification import ComparedQuantity, Quantity, ShiftedParameter, Verdict, Verification
 from .parameter_table import Shown, decimals, engineering
@@ -76,10 +77,7 @@ def turn_table(verification: Verification) -> Table | None:
 
 def moved_table(moved: Sequence[ShiftedParameter]) -> Table:
     """Return the parameters that a session sees elsewhere, by how much they are."""
-    table = Table(box=None, pad_edge=False, header_style='bold')
-    for heading in ('parameter', 'moved by', 'std', 'unit', 'in std'):
-        left = heading in {'parameter', 'unit'}
-        table.add_column(heading, justify='left' if left else 'right')
+    table = plain_table(('parameter', 'moved by', 'std', 'unit', 'in std'), 'lrrlr')
     for one in sorted(moved, key=lambda m: -abs(m.difference / m.std)):
         shown = engineering(one.parameter)
         std = one.std / shown.scale
@@ -99,14 +97,10 @@ def _table(verification: Verification, quantities: Sequence[Quantity]) -> Table 
         return None
     present = [q for q in quantities if any(c.quantity is q for c in mine)]
     turns = quantities is _IN_TURNS
-    table = Table(box=None, pad_edge=False, header_style='bold')
-    table.add_column('position')
-    table.add_column('rate, deg/s' if turns else 'at, s', justify='right')
+    headings = ['position', 'rate, deg/s' if turns else 'at, s']
     for quantity in present:
-        table.add_column(f'{quantity.value}, {_SHOWN[quantity].unit}', justify='right')
-        table.add_column('std', justify='right')
-    table.add_column('worst/std', justify='right')
-    table.add_column('')
+        headings += [f'{quantity.value}, {_SHOWN[quantity].unit}', 'std']
+    table = plain_table([*headings, 'worst/std', ''], f'l{"r" * len(headings)}l')
     places = {q: _places([c for c in mine if c.quantity is q]) for q in present}
     for row in sorted(_rows(mine), key=lambda r: -_worst(r)):
         first = row[0]
