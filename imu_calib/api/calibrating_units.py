@@ -104,6 +104,7 @@ class UnitResults:
 
 
 @with_keywords(OfSeveral)
+@by_one_thread
 def calibrate_units(
     bag: Named,
     imus: Named | Sequence[MountedUnit] | None = None,
@@ -130,26 +131,9 @@ def calibrate_units(
             are not stated.
 
     """
-    return calibrated_units(bag, imus, Stated(**stated), progress, separate=separate)
-
-
-@by_one_thread
-def calibrated_units(
-    bag: str | AnyPath,
-    imus: Named | Sequence[MountedUnit] | None,
-    stated: Stated,
-    progress: Progress = silent,
-    *,
-    separate: bool = False,
-) -> UnitResults:
-    """Calibrate several units, with what is stated of the session as one value.
-
-    Raises:
-        InputError: As `calibrate_units`.
-
-    """
     with recording_at(bag) as recording:
-        return units_of_recording(recording, imus, stated, progress, separate=separate)
+        session = Stated(**stated)
+        return units_of_recording(recording, imus, session, progress, separate=separate)
 
 
 def units_of_recording(

@@ -20,20 +20,15 @@ Arguments = ParamSpec('Arguments')
 Returned = TypeVar('Returned')
 
 
-class AtPlace(TypedDict, total=False):
-    """Where it is, for what is predicted."""
+class AtSite(TypedDict, total=False):
+    """Where it is, and how well that is known."""
 
     latitude: float | None
+    latitude_std: float | None
     height: float | None
     height_std: float | None
     gravity: float | None
     gravity_std: float | None
-
-
-class AtSite(AtPlace, total=False):
-    """Where it is, and how well that is known."""
-
-    latitude_std: float | None
 
 
 class OnTable(TypedDict, total=False):
@@ -59,16 +54,12 @@ class OfUnit(TypedDict, total=False):
     imu_only: bool
 
 
-class Predicted(AtPlace, OnTable, Solved, total=False):
-    """A session before it is run."""
+class Planned(AtSite, OnTable, Solved, total=False):
+    """A session that is predicted, or simulated."""
 
 
-class Optimised(AtPlace, OnTable, total=False):
+class Optimised(AtSite, OnTable, total=False):
     """A session whose plan is sought."""
-
-
-class Repeated(AtSite, OnTable, Solved, total=False):
-    """A session that is simulated."""
 
 
 class Stood(AtSite, Solved, total=False):

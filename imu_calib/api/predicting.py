@@ -36,8 +36,7 @@ from ..prediction.optimise import optimise as best_plan
 from ..threads import by_one_thread
 from ..units import DEG, parse
 from ..views import predicted_frame
-from . import keywords
-from .keywords import with_keywords
+from .keywords import Optimised, Planned, with_keywords
 from .named import Named, as_imu, as_plan, as_truth
 from .outputs import output_path
 from .progress import Progress, silent
@@ -99,14 +98,14 @@ class Prediction:
         return predicted_frame(found.parameters, found.std, found.best)
 
 
-@with_keywords(keywords.Predicted)
+@with_keywords(Planned)
 def predict(
     plan: Plan | Named,
     imu: ImuSpec | Named,
     *,
     truth: Calibration | Named = 'cao2022_table1',
     bias_instability: bool = False,
-    **stated: Unpack[keywords.Predicted],
+    **stated: Unpack[Planned],
 ) -> Prediction:
     """Predict the standard deviations of a session.
 
@@ -127,7 +126,8 @@ def predict(
     return predicted(setup_of(session), as_truth(truth).model, drifting=bias_instability)
 
 
-@with_keywords(keywords.Optimised)
+@with_keywords(Optimised)
+@by_one_thread
 def optimise(
     imu: ImuSpec | Named,
     minutes: float,
@@ -136,7 +136,7 @@ def optimise(
     truth: Calibration | Named = 'cao2022_table1',
     rate: float | None = None,
     progress: Progress = silent,
-    **stated: Unpack[keywords.Optimised],
+    **stated: Unpack[Optimised],
 ) -> Optimum:
     """Find the plan that tells most in a time on a table.
 
@@ -156,22 +156,8 @@ def optimise(
             too short for any plan, the table reaches too few attitudes, or cannot turn that fast.
 
     """
-    session = Stated(imu=imu, **stated)
-    return optimised(session, truth, minutes, rate, output, progress)
-
-
-@by_one_thread
-def optimised(
-    stated: Stated,
-    truth: Calibration | Named,
-    minutes: float,
-    rate: float | None = None,
-    output: Named | None = None,
-    progress: Progress = silent,
-) -> Optimum:
-    """Find a plan; as `optimise`, with what is stated as one value, whose plan does not count."""
     target = None if output is None else plan_file(output)
-    setup, model = setup_of(replace(stated, plan=_ANY_PLAN)), as_truth(truth).model
+    setup, model = setup_of(Stated(plan=_ANY_PLAN, imu=imu, **stated)), as_truth(truth).model
     if rate is None:
         slowest = () if setup.table is None else (j.max_rate / DEG for j in setup.table.joints)
         rate = min((_USUAL_RATE, *slowest))
@@ -195,7 +181,7 @@ def plan_file(output: Named) -> Path:
     return path
 
 
-@with_keywords(keywords.Predicted)
+@with_keywords(Planned)
 def reach(
     plan: Plan | Named,
     imu: ImuSpec | Named,
@@ -203,7 +189,7 @@ def reach(
     *,
     truth: Calibration | Named = 'cao2022_table1',
     scheduler: str | None = None,
-    **stated: Unpack[keywords.Predicted],
+    **stated: Unpack[Planned],
 ) -> Reached:
     """Find the shortest dwells that reach standard deviations.
 

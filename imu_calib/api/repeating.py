@@ -17,8 +17,7 @@ from ..repetition import Outcome, Study, economical, repeat
 from ..simulation import StandOptions
 from ..threads import by_one_thread
 from ..views import draw_normalised, repeated_frame
-from . import keywords
-from .keywords import with_keywords
+from .keywords import Planned, with_keywords
 from .named import Named, as_imu, as_plan, load_truth
 from .progress import Progress, silent
 from .stated import Stated
@@ -69,7 +68,7 @@ class Repeated:
         return draw_normalised(title, outcome)
 
 
-@with_keywords(keywords.Repeated)
+@with_keywords(Planned)
 @by_one_thread
 def montecarlo(
     plan: Plan | Named,
@@ -82,7 +81,7 @@ def montecarlo(
     truth: Calibration | Named = 'cao2022_table1',
     bias_instability: bool = False,
     progress: Progress = silent,
-    **stated: Unpack[keywords.Repeated],
+    **stated: Unpack[Planned],
 ) -> Repeated:
     """Simulate a session with many seeds, calibrate from each, and compare with the truth.
 

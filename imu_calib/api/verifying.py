@@ -53,6 +53,7 @@ _THE_SAME = (
 
 
 @with_keywords(Verified)
+@by_one_thread
 def verify(
     calibration: Result | AnyCalibration | Named,
     bag: Named,
@@ -79,23 +80,9 @@ def verify(
         NotObservable: The recording holds nothing to compare with.
 
     """
-    known = Stated(**stated)
-    return verified(calibration, bag, known, another_unit=another_unit, progress=progress)
-
-
-@by_one_thread
-def verified(
-    calibration: Result | AnyCalibration | Named,
-    bag: Named,
-    stated: Stated,
-    *,
-    another_unit: bool = False,
-    progress: Progress = silent,
-) -> Verification:
-    """Hold a calibration against a recording, with what is stated of it as one value."""
     loaded, name = as_applied(calibration)
     with open_recording(bag) as recording:
-        return _verify(loaded, name, recording, stated, another_unit, progress)
+        return _verify(loaded, name, recording, Stated(**stated), another_unit, progress)
 
 
 def _verify(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..api.calibrating_units import UnitResult, UnitResults, calibrated_units, holds_several
+from ..api.calibrating_units import UnitResult, UnitResults, calibrate_units, holds_several
 from ..api.conforming import Conformity, conformity
 from ..api.outputs import output_or_default
 from ..reports.assessment import summary
@@ -40,13 +40,8 @@ def of_several(arguments: argparse.Namespace) -> bool:
 def run_several(arguments: argparse.Namespace) -> Outcome:
     """Calibrate all units, and print them side by side."""
     folder = Path(output_or_default(arguments.output, FOLDER))
-    found = calibrated_units(
-        arguments.bag,
-        arguments.imus,
-        options.stated(arguments),
-        progress_bar,
-        separate=arguments.separate,
-    )
+    stated = options.keywords(calibrate_units, arguments)
+    found = calibrate_units(arguments.bag, arguments.imus, **stated, progress=progress_bar)
     files = found.save(folder)
     judged = _judged(found) if arguments.specification else {}
     _show(found, judged)

@@ -10,7 +10,7 @@ import numpy as np
 from rich.table import Table as Rows
 
 from ..api.named import as_truth
-from ..api.predicting import optimised, plan_file, predicted, setup_of, shortest
+from ..api.predicting import optimise, plan_file, predicted, setup_of, shortest
 from ..calibrator import Setup
 from ..errors import InputError, NotObservable
 from ..methods import METHODS, free_positions
@@ -147,8 +147,9 @@ def _check_optimise(arguments: argparse.Namespace) -> None:
 
 def _optimise(arguments: argparse.Namespace) -> None:
     """Find a plan, write it, and show what it gives."""
-    target, stated = plan_file(arguments.output), options.stated(arguments)
-    optimised(stated, arguments.truth, arguments.optimise, arguments.rate, target, progress_bar)
+    target, stated = plan_file(arguments.output), options.keywords(optimise, arguments)
+    stated['output'] = target
+    optimise(arguments.imu, arguments.optimise, **stated, progress=progress_bar)
     arguments.plan = str(target)
     _predict(arguments)
     OUTPUT.print(f'written to {target}', markup=False, highlight=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..api.verifying import verified
+from ..api.verifying import verify
 from ..reports.verification import (
     dwell_table,
     limits_line,
@@ -47,13 +47,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         NotObservable: The calibration cannot be judged.
 
     """
-    verification = verified(
-        arguments.calibration,
-        arguments.bag,
-        options.stated(arguments),
-        another_unit=arguments.another_unit,
-        progress=progress_bar,
-    )
+    stated = options.keywords(verify, arguments)
+    verification = verify(arguments.calibration, arguments.bag, **stated, progress=progress_bar)
     _show(verification)
     if verification.verdict is Verdict.FAIL:
         message = f'{arguments.calibration} is rejected by {arguments.bag}.'
