@@ -87,10 +87,11 @@ class Alone:
     def __init__(self, setup: Setup, folder: Path, said: dict[str, str], topics: Any) -> None:
         # Imported here: most tests need no live session.
         from imu_calib.bags import Journal
-        from imu_calib.nodes.sessions import LiveUnit, Sessions
+        from imu_calib.nodes.session_parameters import StatedUnit
+        from imu_calib.nodes.sessions import Sessions
 
         journal = Journal(folder, said, {topic: kind for kind, topic in topics.items()})
-        self.sessions = Sessions([LiveUnit('', setup, topics)], journal, {})
+        self.sessions = Sessions([StatedUnit(setup, '', '')], [topics], journal, {})
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.sessions.all[0], name)

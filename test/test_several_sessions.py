@@ -14,7 +14,8 @@ from imu_calib.cdr import Kind, encode_imu, encode_joints, encode_setpoints
 from imu_calib.metadata import LEFT_OUT
 from imu_calib.model import SensorModel
 from imu_calib.nodes.live import SessionPhase
-from imu_calib.nodes.sessions import LiveUnit, Sessions
+from imu_calib.nodes.session_parameters import StatedUnit
+from imu_calib.nodes.sessions import Sessions
 from imu_calib.simulation import SeveralOnTable, SimulatedUnit
 from imu_calib.stream import ImuBlock, JointBlock, SetpointBlock
 from imu_calib.turntable import load_table
@@ -31,10 +32,7 @@ LIMIT = 4.5
 
 def units():
     setup = Setup(paper_imu(), PLAN, TABLE, SITE)
-    return [
-        LiveUnit(f'unit_{serial}', replace(setup, serial_number=serial), {Kind.IMU: topic})
-        for serial, topic in TOPICS.items()
-    ]
+    return [StatedUnit(replace(setup, serial_number=s), f'unit_{s}', '') for s in SERIALS]
 
 
 @pytest.fixture(scope='module')
@@ -57,7 +55,8 @@ def wire():
 def begin(folder):
     topics = {topic: kind for kind, topic in COMMON.items()}
     topics |= dict.fromkeys(TOPICS.values(), Kind.IMU)
-    return Sessions(units(), Journal(folder, DESCRIPTION, topics), COMMON)
+    own = [{Kind.IMU: topic} for topic in TOPICS.values()]
+    return Sessions(units(), own, Journal(folder, DESCRIPTION, topics), COMMON)
 
 
 def send(sessions, wire, start=0.0, stop=1.0, without=()):

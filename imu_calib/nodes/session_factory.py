@@ -9,7 +9,7 @@ from ..bags import Journal
 from ..cdr import Kind
 from ..metadata import mount_description, unit_description
 from .session_parameters import StatedUnit
-from .sessions import LiveUnit, Sessions
+from .sessions import Sessions
 from .turntable_state import STATE_TYPE
 
 
@@ -56,11 +56,7 @@ class SessionFactory:
         journal = Journal(path, self._described(of_units), kinds)
         if self._state is not None:
             journal.add_latched_topic(self._state, STATE_TYPE)
-        units = [
-            LiveUnit(unit.name, unit.setup, dict(topics), unit.mount is not None)
-            for unit, topics in zip(self._units, of_units, strict=True)
-        ]
-        return Sessions(units, journal, dict(common))
+        return Sessions(self._units, of_units, journal, common)
 
     def _described(self, of_units: Sequence[Mapping[Kind, str]]) -> dict[str, str]:
         """Return the set-up, with that of each unit where there are several."""

@@ -14,7 +14,7 @@ from ..middleware import Node
 from ..model import AUTO_TERMS, asks_for_search, named_terms
 from ..model.session_terms import split_terms
 from ..mounted import load_units, remaining
-from ..plan import load_plan
+from ..plan import UNPLANNED, load_plan
 from ..stream import Floats
 from ..turntable import load_table
 from ..units import DEG
@@ -39,6 +39,15 @@ class StatedUnit:
     imu: str
     topic: str = ''
     mount: Floats | None = None
+
+    @property
+    def solved(self) -> Setup:
+        """As what its session is solved.
+
+        One whose axes are not as the plan has them is solved by the attitudes that joint states
+        give, without the plan.
+        """
+        return self.setup if self.mount is None else replace(self.setup, plan=UNPLANNED)
 
 
 def declared_units(node: Node) -> tuple[tuple[StatedUnit, ...], dict[str, str]]:

@@ -2,47 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ..bags import Journal
-from ..calibrator import Result, Review, Setup
+from ..calibrator import Result, Review
 from ..calibrator.together import together
 from ..cdr import Kind
 from ..errors import ImuCalibError
 from ..metadata import LEFT_OUT
 from ..mounted import namespace
-from ..plan import UNPLANNED
 from .live import LiveSession, SessionPhase
+from .session_parameters import StatedUnit
 from .shared import AnyCalibrator, SharedJournal, SharedSolver, SolverPart
 
 _LEFT_OUT = 'The unit was left out of the session.'
-
-
-@dataclass(frozen=True, eq=False)
-class LiveUnit:
-    """A unit that is listened to.
-
-    Attributes:
-        name: Of its namespace; empty for a unit that is alone on the table.
-        setup: What is calibrated, and how.
-        topics: Its own topics, full names, by what they carry.
-        turned: Whether its axes are not as the plan has them: it is then calibrated by the
-            attitudes that joint states give, without the plan.
-
-    """
-
-    name: str
-    setup: Setup
-    topics: dict[Kind, str]
-    turned: bool = False
-
-    @property
-    def solved(self) -> Setup:
-        """As what its session is solved."""
-        return replace(self.setup, plan=UNPLANNED) if self.turned else self.setup
 
 
 class Sessions:
@@ -54,6 +30,7 @@ class Sessions:
 
     Args:
         units: At least one.
+        topics: Of each, its own, full names, by what they carry.
         journal: Open; what it holds from before a crash is taken in first, in one pass.
         common: Topics of the table, full names, by what they carry.
 
@@ -63,7 +40,11 @@ class Sessions:
     """
 
     def __init__(
-        self, units: Sequence[LiveUnit], journal: Journal, common: dict[Kind, str]
+        self,
+        units: Sequence[StatedUnit],
+        topics: Sequence[Mapping[Kind, str]],
+        journal: Journal,
+        common: Mapping[Kind, str],
     ) -> None:
         self.left_out: set[int] = set()
         self.journal = journal
@@ -72,8 +53,8 @@ class Sessions:
         self._parts = [SolverPart(self._solver, unit.setup.serial_number) for unit in units]
         shared = SharedJournal(journal, frozenset(common.values()))
         self.all = tuple(
-            LiveSession(unit.setup, shared.part(), {**common, **unit.topics}, part, unit.solved)
-            for unit, part in zip(units, self._parts, strict=True)
+            LiveSession(unit.setup, shared.part(), {**common, **own}, part, unit.solved)
+            for unit, own, part in zip(units, topics, self._parts, strict=True)
         )
         if journal.resumed:
             self._go_on()
