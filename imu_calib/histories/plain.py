@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from ..model import PARAMETER_NAMES, PARAMETERS
-from .results import QUANTILES, History, LotShift, Outlier, Population, Signal, StandShift, Step
+from .results import QUANTILES, History, Population, Signal, Step
 from .results import UnitHistory as Unit
 
 
@@ -17,11 +17,7 @@ def plain_history(history: History) -> dict[str, Any]:
     rules, limits, stands = history.rules, history.limits, history.stands
     return {
         'rules': {
-            'false_alarm': rules.false_alarm,
-            'confidence': rules.confidence,
-            'inside': rules.inside,
-            'smoothing': rules.smoothing,
-            'horizon': rules.horizon,
+            **asdict(rules),
             'individuals_limit': limits.individuals,
             'ewma_limit': limits.ewma,
             'parameter_run': limits.parameter_run,
@@ -43,7 +39,10 @@ def plain_history(history: History) -> dict[str, Any]:
                 for k, name in enumerate(stands.names)
             ],
             'reproducibility': stands.reproducibility.tolist(),
-            'shifts': [_shift(one) for one in stands.shifts],
+            'shifts': [
+                {**asdict(one), 'others': list(one.others), 'parameters': list(one.parameters)}
+                for one in stands.shifts
+            ],
         },
         'findings': list(history.findings),
     }
@@ -176,22 +175,6 @@ def _population(one: Population) -> dict[str, Any]:
             }
             for k, name in enumerate(PARAMETER_NAMES)
         ],
-        'outliers': [
-            _named(one, ('serial', 'parameter', 'value', 'score')) for one in one.outliers
-        ],
-        'lots': [
-            _named(one, ('lot', 'parameter', 'units', 'shift', 'std', 'chance')) for one in one.lots
-        ],
+        'outliers': [asdict(outlier) for outlier in one.outliers],
+        'lots': [asdict(lot) for lot in one.lots],
     }
-
-
-def _shift(one: StandShift) -> dict[str, Any]:
-    names = (
-        'stand', 'alone', 'what', 'unit', 'shift', 'std', 'low', 'high', 'chance', 'units'
-    )  # fmt: skip
-    lists = {'others': list(one.others), 'parameters': list(one.parameters)}
-    return {**_named(one, names), **lists}
-
-
-def _named(one: Outlier | LotShift | StandShift, names: tuple[str, ...]) -> Mapping[str, Any]:
-    return {name: getattr(one, name) for name in names}

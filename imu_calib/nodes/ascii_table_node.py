@@ -104,11 +104,7 @@ class AsciiTableNode(Node):
             bad_replies=str(status.bad),
             line_breaks=str(status.breaks),
         )
-        self._diagnostics.report(
-            'setpoints',
-            Level.ERROR if status.refusal else Level.OK,
-            status.refusal or 'No setpoint is refused.',
-        )
+        self._diagnostics.judge('setpoints', status.refusal, 'No setpoint is refused.')
 
 
 if __name__ == '__main__':

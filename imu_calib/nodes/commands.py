@@ -11,7 +11,7 @@ from ..middleware import drain_sources, messages, open_drain
 from ..stream import Setpoint
 from ..tables import OneSource
 from . import qos
-from .diagnostics import Diagnostics, Level
+from .diagnostics import Diagnostics
 from .heartbeat import Heartbeat
 from .publishers import names_of
 
@@ -48,12 +48,11 @@ class Commands:
 
     def report(self, diagnostics: Diagnostics) -> None:
         """Say whose setpoints are followed, or why none are."""
-        words = self._gate.words
         publishers = names_of(self._listed())
-        diagnostics.report(
+        diagnostics.judge(
             'source',
-            Level.ERROR if words else Level.OK,
-            words or 'Setpoints of one source are followed.',
+            self._gate.words,
+            'Setpoints of one source are followed.',
             publishers=', '.join(publishers) or 'none',
             heartbeat='required' if self._heartbeat.required else 'not required',
             malformed=f'{self._malformed.count} messages',

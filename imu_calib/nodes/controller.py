@@ -10,7 +10,7 @@ from ..middleware import ActionClient, GoalStatus, Node, actions
 from ..sequencing import Lead, Overtaken, Sequencer
 from ..stream import Mode, Setpoint
 from .convert import trajectory_message
-from .diagnostics import Diagnostics, Level
+from .diagnostics import Diagnostics
 
 _ANSWER_TIMEOUT = 0.5
 """s for the controller to accept a goal: as long as joint states may be silent, and shorter than
@@ -96,11 +96,8 @@ class Controller:
         if self._asked_at is not None and now - self._asked_at > _ANSWER_TIMEOUT:
             self._asked_at = None
             self._fail(f'has not answered a goal within {_ANSWER_TIMEOUT:g} s')
-        diagnostics.report(
-            'controller',
-            Level.ERROR if missing or self._fault else Level.OK,
-            missing or self._fault or 'The joint_trajectory_controller accepts goals.',
-        )
+        fine = 'The joint_trajectory_controller accepts goals.'
+        diagnostics.judge('controller', missing or self._fault, fine)
 
     def _on_answer(self, number: int, future: Any) -> None:
         handle, newest = future.result(), number == self._number

@@ -58,6 +58,19 @@ class Diagnostics:
         """
         self.report_of('', part, level, text, figures)
 
+    def judge(self, part: str, fault: str, otherwise: str, **figures: str) -> None:
+        """Replace what is said of a part: an error where something is wrong; see `report`.
+
+        Args:
+            part: As of `report`.
+            fault: What is wrong, a sentence; empty where nothing is.
+            otherwise: What is said then.
+            **figures: As of `report`.
+
+        """
+        level = Level.ERROR if fault else Level.OK
+        self.report(part, level, fault or otherwise, **figures)
+
     def report_of(
         self, hardware_id: str, part: str, level: Level, text: str, figures: dict[str, str]
     ) -> None:

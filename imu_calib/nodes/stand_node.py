@@ -225,10 +225,8 @@ class StandNode(ros.Node):
     def _report(self) -> None:
         self._commands.report(self._diagnostics)
         refusals, self._hardware.refusals = self._hardware.refusals, []
-        if refusals:
-            self._diagnostics.report('table', Level.ERROR, refusals[-1])
-        else:
-            self._diagnostics.report('table', Level.OK, 'The table follows its setpoints.')
+        last = refusals[-1] if refusals else ''
+        self._diagnostics.judge('table', last, 'The table follows its setpoints.')
         text = (
             'The frames are read.'
             if self._lines.unread is None

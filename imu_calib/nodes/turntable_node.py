@@ -320,19 +320,14 @@ class TurntableNode(Node):
         if self._heartbeat.required:
             self._look_for_heartbeat()
         words = ' '.join(filter(None, found.values()))
-        self._diagnostics.report(
-            'publishers',
-            Level.ERROR if words else Level.OK,
-            words or 'Every topic of the table has one publisher.',
-        )
+        fine = 'Every topic of the table has one publisher.'
+        self._diagnostics.judge('publishers', words, fine)
         self._send_what_is_due(now)
 
     def _look_for_heartbeat(self) -> None:
         words = self._heartbeat.words
         self._sequencer.forbid('heartbeat', words)
-        self._diagnostics.report(
-            'heartbeat', Level.ERROR if words else Level.OK, words or 'The heartbeat is received.'
-        )
+        self._diagnostics.judge('heartbeat', words, 'The heartbeat is received.')
 
     def _on_foreign(self, name: str, payload: bytes) -> None:
         """Take a message of this node's own topics that another has sent."""
@@ -353,13 +348,8 @@ class TurntableNode(Node):
         self._send_what_is_due(self._steady.now().nanoseconds * 1e-9)
 
     def _report_stop(self) -> None:
-        words = self._estop.words
-        self._diagnostics.report(
-            'stop',
-            Level.ERROR if words else Level.OK,
-            words or 'The emergency stop is not pressed.',
-            kept_in=self._estop.kept_in,
-        )
+        fine = 'The emergency stop is not pressed.'
+        self._diagnostics.judge('stop', self._estop.words, fine, kept_in=self._estop.kept_in)
 
     def _release(self) -> str:
         """Take the emergency stop back: the one way to do so."""

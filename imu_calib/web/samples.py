@@ -7,7 +7,7 @@ missing here alone.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -64,6 +64,9 @@ class Streams:
 class Dwells:
     """Takes samples, and sums those of the dwells.
 
+    Attributes:
+        streams: What the samples show now.
+
     Args:
         imu: What the numbers mean.
 
@@ -78,18 +81,14 @@ class Dwells:
         self._looked_at = 0
         self._statistics: list[Statistics] = []
         self._last: int | None = None
-        self._taken = self._missing = 0
-        self._rate = float('nan')
-        self._means = np.full(6, np.nan)
-        self._noise: Mapping[str, ChannelNoise] = {}
-        self._revision = 0
+        self.streams = Streams()
 
     def take(self, block: ImuBlock) -> None:
         """Take samples; what lies before the newest is a second publisher's, and left out."""
         if len(block) == 0 or (self._last is not None and int(block.stamp[0]) <= self._last):
             return
         self._last = int(block.stamp[-1])
-        self._taken += len(block)
+        self.streams = replace(self.streams, taken=self.streams.taken + len(block))
         self._recent.append(block)
         if self._since is not None:
             self._kept.append(block)
@@ -129,19 +128,6 @@ class Dwells:
         else:
             self._look([found])
 
-    @property
-    def streams(self) -> Streams:
-        """What the samples show now."""
-        return Streams(
-            self._rate,
-            self._means,
-            self._taken,
-            self._missing,
-            self._noise,
-            len(self._statistics),
-            self._revision,
-        )
-
     def _count_rates(self) -> None:
         """Count rates and missing samples over the last two seconds."""
         begin, end = int(self._recent[0].stamp[0]), int(self._recent[-1].stamp[-1])
@@ -151,10 +137,10 @@ class Dwells:
         self._recent = self._recent[-1:]
         period = sample_period(stamp)
         steps = np.rint(np.diff(stamp) * 1e-9 / period)
-        self._missing += int((steps[steps > 1] - 1).sum())
-        self._rate = 1 / period
+        missing = self.streams.missing + int((steps[steps > 1] - 1).sum())
         whole = self._imu.units is Units.PULSES
-        self._means = values.mean(axis=0) * (self._rate if whole else 1.0)
+        means = values.mean(axis=0) * (1 / period if whole else 1.0)
+        self.streams = replace(self.streams, rate=1 / period, means=means, missing=missing)
 
     def _of_the_dwell(self, until: int | None) -> Statistics | None:
         if not self._kept or self._since is None:
@@ -174,8 +160,12 @@ class Dwells:
         found = [*self._statistics, *going_on]
         walk = np.sqrt(pooled_walk(found).square)
         walk = np.where(np.isfinite(walk) & (walk > 0), walk, self._walk)
-        self._noise = session_noise(found, walk)
-        self._revision += 1
+        self.streams = replace(
+            self.streams,
+            noise=session_noise(found, walk),
+            dwells=len(self._statistics),
+            revision=self.streams.revision + 1,
+        )
 
 
 def _columns(blocks: list[ImuBlock]) -> tuple[Stamps, Floats]:
