@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from dataclasses import fields as keys_of
 from datetime import date
 from itertools import pairwise
 
@@ -19,6 +20,9 @@ _DATE = re.compile(r'[0-9]{4}-[0-9]{2}-[0-9]{2}')
 _COUNTRY = re.compile(r'[A-Z]{2}')
 LOCATIONS = ('laboratory', 'customer', 'laboratoryBranch', 'customerBranch', 'other')
 """Where a calibration is made, in the words of the DCC."""
+_OF_PERSON = ('name', 'role')
+_OF_ITEM = ('description', 'manufacturer', 'model', 'serial_number', 'condition')
+"""What ISO/IEC 17025 asks for of the unit in one clause."""
 CONDITIONS = {
     'temperature': ('air temperature', '\u00b0C'),
     'relative_humidity': ('relative humidity', '%'),
@@ -192,15 +196,7 @@ def _contact(section: Section, name: str) -> Contact:
 
 def _item(section: Section) -> Item:
     own = _below(section, 'item')
-    found = Item(
-        own.text('description', ''),
-        own.text('manufacturer', ''),
-        own.text('model', ''),
-        own.text('serial_number', ''),
-        own.text('customer_id', ''),
-        own.text('condition', ''),
-        own.text('adjustment', ''),
-    )
+    found = Item(**{key.name: own.text(key.name, '') for key in keys_of(Item)})
     own.finish()
     return found
 
@@ -285,11 +281,7 @@ def missing(fields: Fields, *, dcc: bool, limits: bool) -> list[str]:
         ('number', '7.8.2.1 d', fields.number),
         *((f'laboratory: {k}', '7.8.2.1 b', getattr(lab, k)) for k in ('name', 'street', 'city')),
         *((f'customer: {k}', '7.8.2.1 e', getattr(customer, k)) for k in ('name', 'city')),
-        ('item: description', '7.8.2.1 g', item.description),
-        ('item: manufacturer', '7.8.2.1 g', item.manufacturer),
-        ('item: model', '7.8.2.1 g', item.model),
-        ('item: serial_number', '7.8.2.1 g', item.serial_number),
-        ('item: condition', '7.8.2.1 g', item.condition),
+        *((f'item: {k}', '7.8.2.1 g', getattr(item, k)) for k in _OF_ITEM),
         ('item: adjustment', '7.8.4.1 d', item.adjustment),
         ('received', '7.8.2.1 h', fields.received),
         ('calibrated', '7.8.2.1 i', fields.calibrated),
@@ -304,10 +296,7 @@ def missing(fields: Fields, *, dcc: bool, limits: bool) -> list[str]:
     for k, one in enumerate(fields.equipment):
         asked += [(f'equipment[{k}]: {n}', '7.8.4.1 c', getattr(one, n)) for n in references]
     for k, person in enumerate(fields.signatures):
-        asked += [
-            (f'signatures[{k}]: name', '7.8.2.1 o', person.name),
-            (f'signatures[{k}]: role', '7.8.2.1 o', person.role),
-        ]
+        asked += [(f'signatures[{k}]: {n}', '7.8.2.1 o', getattr(person, n)) for n in _OF_PERSON]
     if fields.rule is not None:
         asked.append(('conformity: requirement', '7.8.6.2', fields.requirement))
         asked.append(('a specification of the unit (`imu`)', '7.8.6.2', limits))

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import argparse
 import os
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.table import Table as Rows
 
+from ..api.outputs import output_path
 from ..api.repeating import montecarlo
+from ..errors import InputError
 from ..methods import METHODS
 from ..plain_table import plain_table
 from ..repetition import Outcome
 from ..reports.parameter_table import decimals, engineering
+from ..views import empty_figure
 from . import options
-from .plot import plot_path, save_plot
 from .terminal import OUTPUT, progress_bar, sentence_list
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _HEADINGS = (
     'parameter',
@@ -77,7 +84,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Simulate, calibrate, and print what came out."""
-    target = plot_path('--output', arguments.output) if arguments.output else None
+    target = _plot_path(arguments.output) if arguments.output else None
     repeated = montecarlo(
         arguments.plan,
         arguments.imu,
@@ -93,7 +100,7 @@ def run(arguments: argparse.Namespace) -> None:
     )
     sentence_list('Worth knowing', repeated.findings)
     if target is not None:
-        save_plot(repeated.plot(), target)
+        _save_plot(repeated.plot(), target)
         OUTPUT.print(f'\ndrawn to {target}', markup=False)
 
 
@@ -122,3 +129,23 @@ def _table(outcome: Outcome) -> Rows:
             shown.unit,
         )
     return rows
+
+
+def _plot_path(text: str) -> Path:
+    """Return where a plot goes that can be drawn and written; asked before anything is computed."""
+    target = output_path(text)
+    figure = empty_figure(1.0, 1.0, f'--output {text}: a plot')
+    known = sorted(figure.canvas.get_supported_filetypes())
+    if target.suffix.removeprefix('.').lower() not in known:
+        raise InputError(
+            f'--output {text}: found the ending {target.suffix!r}, expected one of '
+            f'{", ".join(known)}.'
+        )
+    return target
+
+
+def _save_plot(figure: Figure, target: Path) -> None:
+    try:
+        figure.savefig(target)
+    except OSError as error:
+        raise InputError(f'{target}: cannot be written ({error.strerror}).') from None

@@ -88,14 +88,14 @@ def sessions_of(table: pa.Table) -> tuple[Sessions, list[str], dict[str, Floats]
 
     """
     columns = {name: [one or '' for one in table[name].to_pylist()] for name in _TEXTS}
-    at = _times(table['at'].to_pylist())
+    at = times_of(table['at'].to_pylist())
     done = [k for k, status in enumerate(columns['status']) if status == CALIBRATED]
     last: dict[tuple[str, str, str], int] = {}
     for k in sorted(done, key=lambda k: at[k]):
         last[_of_recording(columns, k)] = k
     rows = sorted(last.values())
     findings = _left_out(columns, len(done) - len(rows))
-    date = _times(table['date'].to_pylist())
+    date = times_of(table['date'].to_pylist())
     kept = table.take(np.array(rows, dtype=np.int64))
     stated = kept['limits'].to_pylist()
     limits: dict[str, Floats] = {}
@@ -126,7 +126,7 @@ def _of_recording(columns: Mapping[str, list[str]], k: int) -> tuple[str, str, s
     return name, columns['imu'][k], columns['serial'][k]
 
 
-def _times(stamps: list[datetime | None]) -> np.ndarray[tuple[int], np.dtype[np.datetime64]]:
+def times_of(stamps: list[datetime | None]) -> np.ndarray[tuple[int], np.dtype[np.datetime64]]:
     """Return dates without their zone, which is UTC."""
     plain = [None if one is None else one.replace(tzinfo=None) for one in stamps]
     return np.array(plain, dtype='datetime64[s]')
@@ -160,8 +160,7 @@ def _only_failed(table: pa.Table, serial: str) -> str:
 
 def _numbers(table: pa.Table) -> tuple[Floats, Floats]:
     """Return values (n, 24), NaN where not estimated, and covariances (n, 24, 24)."""
-    values = _columns(table, PARAMETER_NAMES)
-    std = _columns(table, [f'std_{name}' for name in PARAMETER_NAMES])
+    values, std = columns_of(table, ''), columns_of(table, 'std_')
     # A deviation that is NaN is of what was not estimated; none at all is not stated.
     stated = np.column_stack([table[f'std_{n}'].is_valid().to_numpy() for n in PARAMETER_NAMES])
     values = np.where(stated & np.isnan(std), np.nan, values)
@@ -182,9 +181,10 @@ def _numbers(table: pa.Table) -> tuple[Floats, Floats]:
     return values, covariance
 
 
-def _columns(table: pa.Table, names: Sequence[str]) -> Floats:
-    found = [table[name].to_numpy().astype(np.float64) for name in names]
-    return np.column_stack(found)
+def columns_of(table: pa.Table, prefix: str) -> Floats:
+    """Return the columns of the parameters, (n, 24), NaN for what is not there."""
+    columns = [table[f'{prefix}{name}'].to_numpy().astype(np.float64) for name in PARAMETER_NAMES]
+    return np.column_stack(columns)
 
 
 def _limits_of(imus: Sequence[ImuSpec | Named]) -> dict[str, Floats]:

@@ -16,15 +16,14 @@ from ..api.outputs import output_path
 from ..api.progress import Progress, silent
 from ..extras import require
 from ..histories.looking_back import look_back
-from ..histories.results import USUAL, Dates, History, Rules, Sessions
+from ..histories.results import USUAL, History, Rules, Sessions
 from ..imu import ImuSpec
 from ..model import PARAMETER_NAMES
 from ..paths import write_whole
 from ..reports.fleet.contents import AHEAD, Fleet, Recordings
 from ..reports.fleet.page import page
-from ..stream import Floats
 from .catalogue import Catalogue
-from .history import history
+from .history import columns_of, history, times_of
 from .task import CALIBRATED
 
 if TYPE_CHECKING:
@@ -141,27 +140,16 @@ def recordings_of(table: pa.Table, folder: Path, base: Path) -> Recordings:
         imu=texts('imu'),
         serial=texts('serial'),
         stand=texts('stand'),
-        date=_dates(table),
+        date=times_of(table['date'].to_pylist()),
         calibrated=np.array([one == CALIBRATED for one in table['status'].to_pylist()], bool),
         error=texts('error'),
         verdict=texts('verdict'),
-        values=_numbers(table, ''),
-        std=_numbers(table, 'std_'),
+        values=columns_of(table, ''),
+        std=columns_of(table, 'std_'),
         findings=[one or [] for one in table['findings'].to_pylist()],
         calibration=[_link(file, base) for file in files],
         report=[_link(file, base) for file in reports],
     )
-
-
-def _dates(table: pa.Table) -> Dates:
-    plain = [None if d is None else d.replace(tzinfo=None) for d in table['date'].to_pylist()]
-    return np.array(plain, dtype='M8[s]')
-
-
-def _numbers(table: pa.Table, prefix: str) -> Floats:
-    """Return (n, 24), NaN for what is not there."""
-    columns = [table[f'{prefix}{name}'].to_numpy().astype(np.float64) for name in PARAMETER_NAMES]
-    return np.column_stack(columns)
 
 
 def _link(file: Path | None, base: Path) -> str:

@@ -25,9 +25,9 @@ from ..imu import load_imu
 from ..model import PARAMETER_NAMES, PARAMETERS, indices_of
 from ..mounted import MountedUnit, load_units
 from ..paths import user_path
-from ..reports.assessment import assess
+from ..reports.assessment import assess, worst
 from ..share import named_file
-from ..specification import Specification, Verdict
+from ..specification import Specification
 from ..version import version
 from .recordings import OF_ONE, Job
 
@@ -302,8 +302,7 @@ def _calibrated(result: Result) -> dict[str, Any]:
     found = result.calibration
     setup, session = found.provenance, result.session
     mine = indices_of(PARAMETERS, found.parameters)
-    verdicts = [one.verdict for one in assess(found, found.imu.specification)]
-    worst = next((v for v in (Verdict.FAIL, Verdict.MARGINAL, Verdict.PASS) if v in verdicts), None)
+    verdict = worst(assess(found, found.imu.specification))
     temperature = session.temperature
     return {
         'serial': found.serial_number,
@@ -311,7 +310,7 @@ def _calibrated(result: Result) -> dict[str, Any]:
         'table': str(setup.get('table') or ''),
         'plan': str(setup.get('plan') or ''),
         'method': str(setup['method']),
-        'verdict': '' if worst is None else worst.value,
+        'verdict': '' if verdict is None else verdict.value,
         'findings': list(found.findings),
         'latitude': float(setup['latitude_deg']),
         'temperature': float('nan') if temperature is None else float(temperature.mean),
