@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import json
-import math
 from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from ..api.outputs import output_path
 from ..errors import InputError
 from ..fleet.catalogue import Catalogue, rows_of
+from .row_files import row_file, write_rows
 from .terminal import OUTPUT
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 _SHOWN = ('date', 'imu', 'serial', 'stand', 'status', 'verdict', 'recording', 'error')
-_WRITERS = ('.csv', '.json')
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -49,9 +44,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Print or write the answer."""
-    path = None if arguments.output is None else output_path(arguments.output)
-    if path is not None and path.suffix not in _WRITERS:
-        raise InputError(f'{path}: found {path.suffix or "no ending"}, expected .csv or .json.')
+    path = row_file(arguments.output)
     if arguments.sql is not None and (arguments.where or arguments.columns):
         raise InputError('--sql is a whole query: leave --where and --columns out.')
     catalogue = Catalogue(arguments.catalogue)
@@ -64,7 +57,8 @@ def run(arguments: argparse.Namespace) -> None:
     if path is None:
         _show(found)
     else:
-        _write(found, path)
+        rows = [{name: _plain(one) for name, one in row.items()} for row in rows_of(found)]
+        write_rows(path, found.column_names, rows, rows)
         OUTPUT.print(f'{_rows(found)} written to {path}', markup=False)
 
 
@@ -94,23 +88,4 @@ def _text(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON has it, which has no NaN."""
-    if isinstance(value, list):
-        return [_plain(one) for one in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
     return value.isoformat() if isinstance(value, datetime) else value
-
-
-def _write(found: pa.Table, path: Path) -> None:
-    rows = [{name: _plain(value) for name, value in row.items()} for row in rows_of(found)]
-    with path.open('w', encoding='utf-8', newline='') as file:
-        if path.suffix == '.json':
-            json.dump(rows, file, indent=1)
-            return
-        writer = csv.DictWriter(file, found.column_names)
-        writer.writeheader()
-        for row in rows:
-            writer.writerow(
-                {k: json.dumps(v) if isinstance(v, list) else v for k, v in row.items()}
-            )

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import json
-import math
 from datetime import date
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..api.outputs import output_path
-from ..errors import InputError
 from ..fleet.history import history
 from ..histories.plain import unit_rows
 from ..histories.words import listed
@@ -25,12 +19,12 @@ from ..reports.histories import (
     unit_table,
 )
 from .outcome import OUTSIDE, Outcome, add_json_option
+from .row_files import row_file, write_rows
 from .terminal import OUTPUT, print_whole, sentence_list
 
 if TYPE_CHECKING:
     from ..histories.results import History, UnitHistory
 
-_WRITERS = ('.csv', '.json')
 _SHOWN = 25
 """Units of a table on the screen, the most urgent; a file has all."""
 
@@ -75,9 +69,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Print tables and sentences, and write a file where one is wanted."""
-    path = None if arguments.output is None else output_path(arguments.output)
-    if path is not None and path.suffix not in _WRITERS:
-        raise InputError(f'{path}: found {path.suffix or "no ending"}, expected .csv or .json.')
+    path = row_file(arguments.output)
     found = history(
         arguments.catalogue, serial=arguments.serial, where=arguments.where, imu=arguments.imu
     )
@@ -89,7 +81,12 @@ def run(arguments: argparse.Namespace) -> Outcome:
             _print_unit(unit, found)
     plain = found.to_dict()
     if path is not None:
-        _write(found, plain, path)
+        rows = [
+            {'serial': unit.serial, 'imu': unit.imu, **row}
+            for unit in found.units
+            for row in unit_rows(unit)
+        ]
+        write_rows(path, list(rows[0]) if rows else [], rows, plain)
         OUTPUT.print(f'\nwritten to {path}', markup=False)
     outside = [unit.serial for unit in found.outside]
     if not outside:
@@ -150,30 +147,6 @@ def _print_unit(unit: UnitHistory, found: History) -> None:
     print_whole(course_table(unit))
     sentence_list('Findings', list(unit.findings))
     sentence_list('Stands and catalogue', list(found.findings))
-
-
-def _write(found: History, plain: dict[str, Any], path: Path) -> None:
-    with path.open('w', encoding='utf-8', newline='') as file:
-        if path.suffix == '.json':
-            json.dump(_finite(plain), file, indent=1, allow_nan=False)
-            return
-        rows = [
-            {'serial': unit.serial, 'imu': unit.imu, **row}
-            for unit in found.units
-            for row in unit_rows(unit)
-        ]
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(_finite(row) for row in rows)
-
-
-def _finite(value: Any) -> Any:
-    """Return plain values with None for what is no finite number."""
-    if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, list):
-        return [_finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _day(text: str) -> date:

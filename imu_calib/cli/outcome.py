@@ -67,7 +67,7 @@ def write_document(command: str, outcome: Outcome, error: Mapping[str, str] | No
         'result': outcome.result,
     }
     # Not by rich, which would break long lines; JSON has no word for what is no finite number.
-    sys.stdout.write(json.dumps(_finite(document), ensure_ascii=False, allow_nan=False) + '\n')
+    sys.stdout.write(json.dumps(finite(document), ensure_ascii=False, allow_nan=False) + '\n')
 
 
 def judged_outcome(result: Mapping[str, Any], found: Conformity | None) -> Outcome:
@@ -87,12 +87,12 @@ def kind_of(error: ImuCalibError) -> str:
     return 'not_observable' if isinstance(error, NotObservable) else 'input'
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """Return plain values with null for what is no finite number."""
     if isinstance(value, Mapping):
-        return {str(key): _finite(one) for key, one in value.items()}
+        return {str(key): finite(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
+        return [finite(one) for one in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
