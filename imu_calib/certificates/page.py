@@ -7,7 +7,7 @@ from html import escape
 
 from ..reports import provenance
 from ..reports.budget import budget_parts, freedom_words
-from ..reports.html import bullets, named_rows, paragraph, section, table
+from ..reports.html import bullets, document, named_rows, paragraph, section, table
 from ..reports.parameter_table import decimals, engineering
 from ..reports.svg import tag
 from ..stream import Units
@@ -17,7 +17,6 @@ from .fields import CONDITIONS, Contact, Equipment
 from .statement import PROBABILITY, Certificate, Stated, groups
 from .style import style
 
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 _MISSING = 'MISSING'
 _UNCERTAINTY = (
     'U is the expanded uncertainty: the standard uncertainty multiplied by the coverage factor k, '
@@ -57,16 +56,7 @@ def certificate_page(certificate: Certificate) -> str:
             _signatures(certificate),
         ]
     )
-    head = ''.join(
-        [
-            tag('meta', charset='utf-8'),
-            tag('meta', http_equiv='Content-Security-Policy', content=_POLICY),
-            tag('meta', name='viewport', content='width=device-width, initial-scale=1'),
-            tag('title', escape(title)),
-            tag('style', style(title, laboratory, mark)),
-        ]
-    )
-    return f'<!DOCTYPE html>\n{tag("html", tag("head", head) + tag("body", body), lang="en")}\n'
+    return document(title, body, style(title, laboratory, mark))
 
 
 def _said(value: object) -> str:

@@ -8,6 +8,31 @@ from html import escape
 
 from .svg import tag
 
+_STATIC = "default-src 'none'; style-src 'unsafe-inline'"
+"""What a page may load that is read only: nothing but the style in it."""
+
+
+def document(title: str, body: str, style: str, policy: str = _STATIC) -> str:
+    """Return a whole HTML file.
+
+    Args:
+        title: Plain text.
+        body: HTML.
+        style: CSS.
+        policy: Its Content-Security-Policy.
+
+    """
+    head = ''.join(
+        [
+            tag('meta', charset='utf-8'),
+            tag('meta', http_equiv='Content-Security-Policy', content=policy),
+            tag('meta', name='viewport', content='width=device-width, initial-scale=1'),
+            tag('title', escape(title)),
+            tag('style', style),
+        ]
+    )
+    return f'<!DOCTYPE html>\n{tag("html", tag("head", head) + tag("body", body), lang="en")}\n'
+
 
 def table(
     headings: Sequence[str], rows: Sequence[Sequence[str]], kind: str = '', numbers: str = ''

@@ -12,13 +12,11 @@ from ..imu import ImuSpec
 from . import allan_plot, attitudes, provenance, repeatability, residuals, timeline
 from .assessment import LIMITS, angles_table, assess, badge, summary, tables, worst
 from .budget import budget_section
-from .html import bullets, facts, paragraph, section, table
+from .html import bullets, document, facts, paragraph, section, table
 from .parameter_table import FREE_OF_FRAME, change_note, decimals
 from .style import STYLE
 from .svg import tag
 from .terms import terms_section
-
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +52,7 @@ def page(contents: Contents) -> str:
     title = f'Calibration of {calibration.imu.id}'
     body = ''.join(
         [
+            tag('h1', escape(title)),
             _head(contents),
             section('Findings', bullets(calibration.findings)),
             _parameters(contents),
@@ -67,22 +66,7 @@ def page(contents: Contents) -> str:
             section('Provenance', provenance.provenance(calibration)),
         ]
     )
-    return document(title, body)
-
-
-def document(title: str, body: str) -> str:
-    """Return a whole HTML file with a heading that its title repeats."""
-    head = ''.join(
-        [
-            tag('meta', charset='utf-8'),
-            tag('meta', http_equiv='Content-Security-Policy', content=_POLICY),
-            tag('meta', name='viewport', content='width=device-width, initial-scale=1'),
-            tag('title', escape(title)),
-            tag('style', STYLE),
-        ]
-    )
-    inside = tag('body', tag('h1', escape(title)) + body)
-    return f'<!DOCTYPE html>\n{tag("html", tag("head", head) + inside, lang="en")}\n'
+    return document(title, body, STYLE)
 
 
 def _head(contents: Contents) -> str:

@@ -11,10 +11,10 @@ from ..compensation.thermal import ThermalCalibration, temperature_range
 from ..imu import ImuSpec
 from . import provenance
 from .assessment import LIMITS, Assessed, assess, badge, worst
-from .html import bullets, facts, paragraph, section, table
-from .page import document
+from .html import bullets, document, facts, paragraph, section, table
 from .parameter_table import decimals, engineering
 from .small import panels, small
+from .style import STYLE
 from .svg import tag
 
 _SIDE_BY_SIDE = 4
@@ -43,7 +43,8 @@ def thermal_page(combined: ThermalCalibration, name: str, imu: ImuSpec | None = 
     sessions = ''.join(_session(combined, k) for k in range(len(combined.calibrations)))
     return document(
         title,
-        _head(combined, name, each)
+        tag('h1', escape(title))
+        + _head(combined, name, each)
         + section(
             'Parameters',
             *_values(combined, each),
@@ -52,6 +53,7 @@ def thermal_page(combined: ThermalCalibration, name: str, imu: ImuSpec | None = 
         )
         + section('Over temperature', panels(_curves(combined)), kind='page')
         + section('Sessions', _sessions(combined), sessions, kind='page'),
+        STYLE,
     )
 
 

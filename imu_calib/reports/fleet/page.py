@@ -10,7 +10,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from ..html import facts, paragraph, section
+from ..html import document, facts, paragraph, section
 from ..style import STYLE
 from ..svg import tag
 from .attention import matters, remarks
@@ -35,15 +35,6 @@ def page(fleet: Fleet) -> str:
     library = bokeh_script()
     # In JavaScript's strict mode, and without names that others see.
     script = files(__package__).joinpath('page.js').read_text(encoding='utf-8')
-    head = ''.join(
-        [
-            tag('meta', charset='utf-8'),
-            tag('meta', http_equiv='Content-Security-Policy', content=_policy(script, library)),
-            tag('meta', name='viewport', content='width=device-width, initial-scale=1'),
-            tag('title', escape(title)),
-            tag('style', STYLE + FLEET_STYLE),
-        ]
-    )
     needing = matters(fleet)
     body = ''.join(
         [
@@ -71,8 +62,7 @@ def page(fleet: Fleet) -> str:
             tag('script', script),
         ]
     )
-    whole = tag('head', head) + tag('body', body)
-    return f'<!DOCTYPE html>\n<html lang="en">{whole}</html>\n'
+    return document(title, body, STYLE + FLEET_STYLE, _policy(script, library))
 
 
 def _policy(*scripts: str) -> str:
