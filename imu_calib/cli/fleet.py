@@ -9,27 +9,15 @@ from ..errors import InputError
 from ..fleet.report import written
 from ..histories.results import USUAL
 from ..reports.fleet.contents import AHEAD, Flag, Fleet
+from . import options
 from .terminal import OUTPUT, progress_bar
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
-    parser.add_argument('catalogue', metavar='CATALOGUE', help='the folder')
+    options.add_history_options(parser)
     parser.add_argument(
         '-o', '--output', default='fleet.html', metavar='FILE', help='default: %(default)s'
-    )
-    parser.add_argument(
-        '--where', metavar='SQL', help='rows that count: "imu = \'fog_medium\'" (default: all)'
-    )
-    parser.add_argument(
-        '--imu',
-        action='append',
-        default=[],
-        metavar='NAME|FILE',
-        help=(
-            'IMU file whose specification counts for its type, instead of that of its newest '
-            'calibration; may be given several times'
-        ),
     )
     parser.add_argument('--on', metavar='DATE', help='date of the page (default: today)')
     parser.add_argument(

@@ -18,6 +18,7 @@ from ..reports.histories import (
     population_table,
     unit_table,
 )
+from . import options
 from .outcome import OUTSIDE, Outcome, add_json_option
 from .row_files import row_file, write_rows
 from .terminal import OUTPUT, print_whole, sentence_list
@@ -31,24 +32,11 @@ _SHOWN = 25
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
-    parser.add_argument('catalogue', metavar='CATALOGUE', help='the folder')
+    options.add_history_options(parser)
     parser.add_argument(
         '--serial',
         metavar='NUMBER',
         help='show one unit, parameter by parameter; the others still define the usual scatter',
-    )
-    parser.add_argument(
-        '--where', metavar='SQL', help='rows that count: "imu = \'fog_medium\'" (default: all)'
-    )
-    parser.add_argument(
-        '--imu',
-        action='append',
-        default=[],
-        metavar='NAME|FILE',
-        help=(
-            'IMU file whose specification counts for its type, instead of that by which its newest '
-            'calibration was judged; may be given several times'
-        ),
     )
     parser.add_argument(
         '--on',

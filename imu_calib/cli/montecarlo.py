@@ -66,11 +66,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'another heading, which the calibrator does not know',
     )
     options.add_method_option(parser)
-    parser.add_argument(
-        '--bias-instability',
-        action='store_true',
-        help="let the biases drift as the IMU's file states",
-    )
+    options.add_bias_instability_option(parser)
     parser.add_argument(
         '-o',
         '--output',

@@ -114,6 +114,33 @@ def refuse_beside_imus(arguments: argparse.Namespace, *names: str) -> None:
             )
 
 
+def add_bias_instability_option(parser: argparse._ActionsContainer) -> None:
+    """Add --bias-instability, of what is simulated or predicted."""
+    parser.add_argument(
+        '--bias-instability',
+        action='store_true',
+        help="let the biases drift as the IMU's file states",
+    )
+
+
+def add_history_options(parser: argparse.ArgumentParser) -> None:
+    """Add the catalogue that is looked back on, its rows, and specifications of types."""
+    parser.add_argument('catalogue', metavar='CATALOGUE', help='the folder')
+    parser.add_argument(
+        '--where', metavar='SQL', help='rows that count: "imu = \'fog_medium\'" (default: all)'
+    )
+    parser.add_argument(
+        '--imu',
+        action='append',
+        default=[],
+        metavar='NAME|FILE',
+        help=(
+            'IMU file whose specification counts for its type, instead of that by which its newest '
+            'calibration was judged; may be given several times'
+        ),
+    )
+
+
 def add_scheduler_option(parser: argparse._ActionsContainer) -> None:
     """Add --scheduler, of work that otherwise runs on this machine."""
     parser.add_argument(

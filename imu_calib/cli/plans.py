@@ -101,11 +101,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--azimuth', type=float, metavar='DEG', help="heading of the table's zero, where known"
     )
     options.add_method_option(parser)
-    parser.add_argument(
-        '--bias-instability',
-        action='store_true',
-        help="let the biases drift as the IMU's file states",
-    )
+    options.add_bias_instability_option(parser)
     options.add_site_options(parser)
     parser.epilog = f'Methods: {", ".join(sorted(METHODS))}.'
     parser.set_defaults(run=run)

@@ -36,11 +36,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='DEG',
         help="true heading of the table's zero against north, about up (default: 0)",
     )
-    parser.add_argument(
-        '--bias-instability',
-        action='store_true',
-        help="let the biases drift as the IMU's file states",
-    )
+    options.add_bias_instability_option(parser)
     options.add_imperfections_option(parser)
     parser.add_argument('--seed', type=int, default=0, help='same seed, same bits (default: 0)')
     parser.add_argument(
