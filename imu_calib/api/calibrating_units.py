@@ -22,7 +22,8 @@ from .keywords import OfSeveral, with_keywords
 from .named import Named
 from .opening import Opened, recording_at, session_of
 from .progress import Progress, silent
-from .stated import Stated, units_of
+from .stated import Stated
+from .streams import units_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

@@ -29,7 +29,8 @@ from ..stream import ImuBlock, Stamps
 from .named import Named, as_applied
 from .outputs import new_folder, whole_or_not_at_all
 from .progress import Progress, silent
-from .stated import Stated, imu_topic, serial_of, skew_topic, stated_imu, temperature_topic
+from .stated import Stated, serial_of, stated_imu
+from .streams import imu_topic, skew_topic, temperature_topic
 
 if TYPE_CHECKING:
     from ..calibrator import Result

@@ -14,15 +14,14 @@ from .assumed import SAID_BY_HAND, SAID_SI, plan_by_hand, taken_as_si
 from .progress import Progress, silent
 from .stated import (
     Stated,
-    Streams,
     mounted_on,
     plan_of,
     serial_of,
     site_of,
     stated_imu,
-    streams_of,
     table_of,
 )
+from .streams import Streams, streams_of
 
 
 @dataclass(frozen=True)

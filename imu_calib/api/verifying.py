@@ -27,15 +27,8 @@ from ..verification import verify as judge
 from .keywords import Verified, with_keywords
 from .named import Named, as_applied
 from .progress import Progress, silent
-from .stated import (
-    Stated,
-    serial_of,
-    site_of,
-    stated_imu,
-    stated_plan,
-    streams_of,
-    table_of,
-)
+from .stated import Stated, serial_of, site_of, stated_imu, stated_plan, table_of
+from .streams import streams_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

@@ -14,7 +14,8 @@ from typing import Any
 from ..api.calibrating import solve
 from ..api.calibrating_units import serials_in, units_of_recording
 from ..api.opening import recording_at, session_of
-from ..api.stated import NO_PLAN, units_of
+from ..api.stated import NO_PLAN
+from ..api.streams import units_of
 from ..bags import AnyPath, Recording, located
 from ..bags.files import find_files
 from ..bags.recording import content_hash

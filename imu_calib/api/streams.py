@@ -1,0 +1,166 @@
+"""Which topics of a recording are read: those that are stated, or the only candidates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..cdr import Kind
+from ..errors import InputError, NotStated
+from ..metadata import LEFT_OUT, serial_key
+from ..mounted import namespace
+
+if TYPE_CHECKING:
+    # Costs more to load than most commands need.
+    from ..bags import Recording, Topic
+    from .stated import Stated
+
+_SKEW = 'imu/skew'
+_TEMPERATURE = 'imu/temperature'
+
+
+@dataclass(frozen=True)
+class Streams:
+    """Names of the topics to read; None where the recording has none."""
+
+    imu: str
+    joints: str | None
+    setpoints: str | None
+    skew: str | None = None
+    temperature: str | None = None
+
+    def kinds(self) -> dict[str, Kind]:
+        """Return what each topic carries."""
+        named = {
+            self.imu: Kind.IMU,
+            self.joints: Kind.JOINTS,
+            self.setpoints: Kind.SETPOINTS,
+            self.skew: Kind.SKEW,
+            self.temperature: Kind.TEMPERATURES,
+        }
+        return {topic: kind for topic, kind in named.items() if topic is not None}
+
+
+def streams_of(stated: Stated, recording: Recording) -> Streams:
+    """Choose the topics: those that are stated, or the only candidate of each type.
+
+    Raises:
+        InputError: No IMU topic, or several candidates; they are listed.
+
+    """
+    imu = imu_topic(stated.imu_topic, recording, stated.serial)
+    skew = skew_topic(recording, imu)
+    temperature = temperature_topic(recording)
+    if stated.imu_only:
+        return Streams(imu, None, None, skew, temperature)
+    joints = _choose(recording, Kind.JOINTS, stated.joint_topic, '`joint_topic`')
+    setpoints = _choose(recording, Kind.SETPOINTS, stated.setpoint_topic, '`setpoint_topic`')
+    return Streams(imu, joints, setpoints, skew, temperature)
+
+
+def imu_topic(wanted: str | None, recording: Recording, serial: str | None = None) -> str:
+    """Return the topic of the IMU: the one that is stated, or the only candidate.
+
+    Args:
+        wanted: As it is stated.
+        recording: The recording.
+        serial: Number of the unit: of several it chooses the one that the recording says has it.
+
+    Raises:
+        InputError: There is none, or several; they are listed.
+
+    """
+    wanted = wanted or _topic_of_unit(serial, recording)
+    imu = _choose(recording, Kind.IMU, wanted, '`imu_topic`')
+    if imu is None:
+        listed = ', '.join(f'{t.name} ({t.type})' for t in recording.topics) or 'none at all'
+        raise NotStated(
+            f'{recording.path}: no topic of type {Kind.IMU.type_name}; its topics: {listed}.'
+        )
+    return imu
+
+
+def _topic_of_unit(serial: str | None, recording: Recording) -> str | None:
+    """Return the topic of the unit with a serial number, if the recording says which it is."""
+    kind, data = Kind.IMU.type_name, recording.custom_data
+    mine = [
+        t.name
+        for t in recording.topics
+        if t.type == kind and serial is not None and data.get(serial_key(t.name)) == serial
+    ]
+    return mine[0] if len(mine) == 1 else None
+
+
+def units_of(recording: Recording) -> tuple[str, ...]:
+    """Return the topics of several units of which the recording says which they are.
+
+    None where there is one unit at most. Those that were left out of the session are not among
+    them.
+    """
+    kind, data = Kind.IMU.type_name, recording.custom_data
+    topics = [t.name for t in recording.topics if t.type == kind and serial_key(t.name) in data]
+    left_out = data.get(LEFT_OUT, '').split(',')
+    kept = [topic for topic in topics if namespace(data[serial_key(topic)]) not in left_out]
+    return tuple(sorted(kept)) if len(topics) > 1 else ()
+
+
+def skew_topic(recording: Recording, imu: str) -> str | None:
+    """Return the topic of a skewed gyro beside an IMU's; None without one, or with several."""
+    skewed = [
+        t.name
+        for t in recording.topics
+        if t.type == Kind.IMU.type_name
+        and t.name.endswith(_SKEW)
+        and t.name != imu
+        and t.count != 0
+    ]
+    return skewed[0] if len(skewed) == 1 else None
+
+
+def temperature_topic(recording: Recording) -> str | None:
+    """Return the topic of the unit's thermometer: the only one, or the one that is called so."""
+    kind = Kind.TEMPERATURES.type_name
+    filled = [t.name for t in recording.topics if t.type == kind and t.count != 0]
+    if len(filled) > 1:
+        filled = [name for name in filled if name.endswith(_TEMPERATURE)]
+    return filled[0] if len(filled) == 1 else None
+
+
+def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -> str | None:
+    candidates = [t for t in recording.topics if t.type == kind.type_name]
+    if wanted is not None:
+        return _named(recording, candidates, wanted, kind)
+    filled = [t for t in candidates if t.count != 0 and not t.name.endswith(_SKEW)]
+    filled = filled or candidates
+    if not filled:
+        return None
+    if len(filled) > 1:
+        listed = ', '.join(t.name for t in filled)
+        several = ''
+        if kind is Kind.IMU:
+            several = (
+                ' Where they are units on one table, `serial` chooses one whose number the '
+                'recording holds, and a calibration with `imus` takes all.'
+            )
+        raise NotStated(
+            f'{recording.path}: {len(filled)} topics of type {kind.type_name}: {listed}. '
+            f'Choose with {option}.{several}'
+        )
+    return filled[0].name
+
+
+def _named(recording: Recording, candidates: list[Topic], wanted: str, kind: Kind) -> str:
+    name = wanted if wanted.startswith('/') else f'/{wanted}'
+    for topic in recording.topics:
+        if topic.name in {wanted, name}:
+            if topic.type != kind.type_name:
+                raise InputError(
+                    f'{recording.path}: topic {wanted}: found {topic.type}, '
+                    f'expected {kind.type_name}.'
+                )
+            return topic.name
+    listed = ', '.join(t.name for t in candidates) or 'none'
+    raise InputError(
+        f'{recording.path}: topic {wanted}: there is no such topic; '
+        f'of type {kind.type_name} there are: {listed}.'
+    )
