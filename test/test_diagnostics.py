@@ -33,25 +33,30 @@ def first_texts(path, name, at=0):
     return {value for value in values if isinstance(value, str)}
 
 
+def reported(path):
+    """Return the parts that a source reports, or judges."""
+    return first_texts(path, 'report') | first_texts(path, 'judge')
+
+
 def spoken():
     """Return node and part of everything that the sources report."""
     words = CHECKOUT / 'imu_calib' / 'nodes' / 'session_words.py'
     parts = {
         ('calibrator_node', part)
         for file in (words, *map(words.with_name, ('unit_results.py', 'turntable_state.py')))
-        for part in first_texts(file, 'report')
+        for part in reported(file)
     }
     for taken in ('controller.py', 'calibrator_progress.py'):
-        told = first_texts(words.with_name(taken), 'report')
+        told = reported(words.with_name(taken))
         parts |= {('turntable_node', part) for part in told}
     for taken in ('applied_calibration.py', 'compensator_reports.py'):
-        said = first_texts(words.with_name(taken), 'report')
+        said = reported(words.with_name(taken))
         parts |= {('compensator_node', part) for part in said}
     for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*_node.py'):
-        parts |= {(path.stem, part) for part in first_texts(path, 'report')}
+        parts |= {(path.stem, part) for part in reported(path)}
         if 'Commands(' in path.read_text():
             taken = path.with_name('commands.py')
-            parts |= {(path.stem, part) for part in first_texts(taken, 'report')}
+            parts |= {(path.stem, part) for part in reported(taken)}
     return parts | {('imu_node', part) for part in first_texts(HEALTH, 'PartStatus')}
 
 
