@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
-import numpy as np
 from rich.table import Table as Rows
 
-from ..api.named import as_truth
-from ..api.predicting import optimise, plan_file, predicted, setup_of, shortest
-from ..calibrator import Setup
-from ..errors import InputError, NotObservable
-from ..methods import METHODS, free_positions
-from ..model import Parameter, SensorModel, parameters_of, terms_of
+from ..api.predicting import optimise, plan_file
+from ..errors import InputError
+from ..methods import METHODS
 from ..plain_table import plain_table
 from ..plan import Plan, Position, Step, load_plan
-from ..prediction import ChangeForecast, Forecast, TermForecast, duration
-from ..reports.parameter_table import decimals, engineering
+from ..prediction import duration
 from ..share import share_folder
 from ..stream import Mode
 from ..turntable import Table, load_table
-from ..units import DEG, PPM
+from ..units import DEG
 from . import options
+from .predicted import show_prediction, show_time
 from .terminal import OUTPUT, progress_bar
 
 _OF_A_PREDICTION = (
@@ -32,21 +26,11 @@ _OF_A_PREDICTION = (
     'azimuth',
     'bias_instability',
     'latitude',
+    'latitude_std',
     'height',
     'height_std',
     'gravity',
     'gravity_std',
-)
-_ON_A_TABLE = (
-    'Predicted standard deviations: by the method named, and the least that the session '
-    'allows (Fisher information; azimuth and tilts unknown), which the joint estimate reaches.'
-)
-_IN_THE_HAND = (
-    'Predicted standard deviations by the noise, for turns of two seconds, each about one axis.'
-)
-_LEANING = (
-    'Holds that lean add to that: E_a errs by half of the angle, E_g by all of what a turn leans, '
-    'and by the closed form D_a by g times a sixth.'
 )
 
 
@@ -126,7 +110,7 @@ def run(arguments: argparse.Namespace) -> None:
         _refuse_without_imu(arguments)
         _lay_out(load_plan(arguments.plan), table)
     else:
-        _predict(arguments)
+        show_prediction(arguments)
 
 
 def _check_optimise(arguments: argparse.Namespace) -> None:
@@ -147,7 +131,7 @@ def _optimise(arguments: argparse.Namespace) -> None:
     stated['output'] = target
     optimise(arguments.imu, arguments.optimise, **stated, progress=progress_bar)
     arguments.plan = str(target)
-    _predict(arguments)
+    show_prediction(arguments)
     OUTPUT.print(f'written to {target}', markup=False, highlight=False)
 
 
@@ -158,160 +142,6 @@ def _refuse_without_imu(arguments: argparse.Namespace) -> None:
     if given:
         option = f'--{given[0].replace("_", "-")}'
         raise InputError(f'{option} is for the prediction of a plan: give PLAN and --imu, too.')
-
-
-def _predict(arguments: argparse.Namespace) -> None:
-    setup = setup_of(options.stated(arguments))
-    truth = as_truth(arguments.truth).model
-    plan, imu, held, site = setup.plan, setup.imu, setup.table, setup.site
-    OUTPUT.print(f'{plan.title} ({plan.source})')
-    where = 'by hand' if held is None else f'on table {held.name}'
-    OUTPUT.print(f'{where} with IMU {imu.id}, latitude {site.latitude / DEG:.3f} deg\n')
-    if held is not None and held.assumption:
-        OUTPUT.print(f'{held.assumption}\n')
-    if arguments.reach:
-        _show_reach(arguments, setup, truth)
-        return
-    prediction = predicted(setup, truth, drifting=arguments.bias_instability)
-    found, own = prediction.forecast, prediction.closed_form
-    if own is None:
-        _show_forecast(found)
-    elif own.refusal:
-        _show_forecast(found)
-        OUTPUT.print(f'closed form {own.method}: {own.refusal}', markup=False)
-    else:
-        _show_forecast(_side_by_side(own, found), best=found.method)
-    if not arguments.bias_instability and imu.gyro.bias_instability + imu.accel.bias_instability:
-        OUTPUT.print(
-            'Biases are constant here; with --bias-instability they drift by the data sheet'
-            f'{"." if plan.by_hand else ", as the joint estimate allows for."}'
-        )
-    _show_terms(prediction.terms, prediction.changes)
-    if held is not None:
-        _show_time(plan, held)
-    if found.refusal:
-        raise NotObservable(f'Plan {plan.name}, method {found.method}: {found.refusal}')
-
-
-def _side_by_side(own: Forecast, joint: Forecast) -> Forecast:
-    """Put a joint estimate's deviations beside those of a closed form, by parameter.
-
-    Either may estimate terms that the other does not.
-    """
-    parameters = parameters_of(terms_of((*own.parameters, *joint.parameters)))
-    columns = [dict(zip(f.parameters, f.std.tolist(), strict=True)) for f in (own, joint)]
-    std, best = (np.array([c.get(p, np.nan) for p in parameters]) for c in columns)
-    return replace(own, parameters=parameters, std=std, best=best)
-
-
-def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel) -> None:
-    wanted = dict(_parted(text) for text in arguments.reach)
-    reached = shortest(setup, truth, wanted, arguments.scheduler)
-    _show_forecast(reached.forecast, reached.wanted)
-    rows = plain_table(('position', 'dwell, s', 'instead of'), 'lrr')
-    for position in reached.plan.positions:
-        before = setup.plan.position(position.id).dwell
-        if before:
-            rows.add_row(position.id, f'{position.dwell:.0f}', f'{before:.0f}')
-    OUTPUT.print()
-    OUTPUT.print(rows)
-    if setup.table is not None:
-        _show_time(reached.plan, setup.table)
-
-
-def _parted(text: str) -> tuple[str, str]:
-    """Part NAME=STD; where it is something else, what reads the name says so."""
-    name, _, value = text.partition('=')
-    return name.strip(), value
-
-
-def _show_forecast(
-    found: Forecast, wanted: Mapping[str, float] | None = None, *, best: str = 'best'
-) -> None:
-    on_a_table = not found.evidence.plan.by_hand
-    bounded = bool(np.isfinite(found.best).any())
-    headings = ['parameter', found.method, *[best] * bounded, 'unit']
-    if wanted is not None:
-        headings.insert(-1, 'wanted')
-    rows = plain_table(headings, f'l{"r" * (len(headings) - 2)}l')
-    last: Parameter | None = None
-    for parameter, std, least in zip(found.parameters, found.std, found.best, strict=True):
-        if last is not None and parameter.triad != last.triad:
-            rows.add_section()
-        last = parameter
-        shown = engineering(parameter)
-        cells = [_cell(value / shown.scale) for value in (std, *[least] * bounded)]
-        if wanted is not None:
-            cells.append(_cell(wanted.get(parameter.name, np.nan) / shown.scale, empty=''))
-        rows.add_row(parameter.name, *cells, shown.unit)
-    OUTPUT.print(rows)
-    OUTPUT.print(f'\n{_ON_A_TABLE if on_a_table else _IN_THE_HAND}')
-    if not on_a_table and found.method != free_positions.NAME:
-        OUTPUT.print(_LEANING)
-    doubt = found.evidence.site.gravity_doubt
-    if doubt:
-        OUTPUT.print(
-            f'Gravity is known to {doubt / PPM:.3g} ppm, which is in K_a: --height, or --gravity '
-            'as measured, make it less.'
-        )
-
-
-_TURNS_AND_DWELLS = 'the same dwells and turns early and late'
-
-
-def _show_terms(found: Sequence[TermForecast], changes: Sequence[ChangeForecast]) -> None:
-    if not found and not changes:
-        return
-    headings = ('term', 'std', 'unit', 'effect on the others, or what it requires')
-    rows = plain_table(headings, 'lrll')
-    for one in found:
-        shown = engineering(one.term.parameters[0])
-        worst = float(one.std.max()) / shown.scale if one.determined else np.nan
-        words = _costs(one.worsened) if one.determined else f'requires {one.term.needs}'
-        rows.add_row(one.term.name, _cell(worst), shown.unit, words)
-    for each in changes:
-        first = each.changes[0]
-        per, scale = first.course.shown_per
-        shown = engineering(first.parameters[0])
-        worst = float(each.std.max()) / (shown.scale * scale)
-        words = _costs(each.worsened) if each.determined else f'requires {_TURNS_AND_DWELLS}'
-        kind = f'{first.parameters[0].kind.value.symbol}_{first.parameters[0].triad}'
-        rows.add_row(f'{first.course.value}:{kind}', _cell(worst), f'{shown.unit}{per}', words)
-    OUTPUT.print(
-        '\nPredicted standard deviation of each term when it is added alone (worst channel).'
-    )
-    OUTPUT.print(rows)
-    if changes:
-        OUTPUT.print(
-            'warm_up fades within a quarter of the session here. thermal requires a temperature '
-            'that is recorded and moves.'
-        )
-    OUTPUT.print()
-
-
-def _costs(dearer: Sequence[tuple[Parameter, float]]) -> str:
-    """Say by how many times a term takes others' deviations, the worst of each kind."""
-    worst: dict[str, float] = {}
-    for parameter, times in dearer:
-        kind = f'{parameter.kind.value.symbol}_{parameter.triad}'
-        worst[kind] = max(times, worst.get(kind, 0.0))
-    return ', '.join(f'{kind} {times:.1f} times' for kind, times in worst.items())
-
-
-def _cell(value: float, empty: str = '-') -> str:
-    return f'{value:.{decimals(value)}f}' if np.isfinite(value) else empty
-
-
-def _show_time(plan: Plan, table: Table) -> None:
-    if plan.by_hand:
-        return
-    steps = plan.steps(table)
-    standing = sum(step.dwell for step in steps)
-    total = duration(steps, table)
-    OUTPUT.print(
-        f'{total / 60:.1f} min on table {table.name}: {standing / 60:.1f} min of dwells, the rest '
-        'moves, turns with their run-ups, and settling'
-    )
 
 
 def _list_plans(table: Table) -> None:
@@ -349,7 +179,7 @@ def _lay_out(plan: Plan, table: Table) -> None:
     steps = plan.steps(table)
     OUTPUT.print(_step_rows(steps, table))
     OUTPUT.print()
-    _show_time(plan, table)
+    show_time(plan, table)
 
 
 def _in_words(position: Position) -> str:
