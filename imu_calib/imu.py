@@ -14,10 +14,11 @@ from .stream import Units
 from .units import PPM, Dimension
 from .yaml_text import dump
 
-_PER_KELVIN = {
-    Dimension.RATE: Dimension.RATE_PER_KELVIN,
-    Dimension.ACCELERATION: Dimension.ACCELERATION_PER_KELVIN,
-}
+FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
+"""Largest counts of 16, 24 and 32 bits, of either sign."""
+NEARLY = 0.999
+"""Share of its range from which on a reading counts as at its end: a range is stated to three
+digits, and converters clip a little early. A judgement."""
 
 
 @dataclass(frozen=True)
@@ -156,41 +157,11 @@ def read_imu(section: Section) -> ImuSpec:
     rate = None
     if section.has('sample_rate'):
         rate = section.quantity('sample_rate', Dimension.FREQUENCY, above=0)
-    gyro_scale, accel_scale = {
-        Units.PULSES: (Dimension.ANGLE_PER_PULSE, Dimension.VELOCITY_PER_PULSE),
-        Units.COUNTS: (Dimension.RATE_PER_COUNT, Dimension.ACCELERATION_PER_COUNT),
-        Units.SI: (None, None),
-    }[units]
-    gyro = _read_triad(
-        section,
-        'gyro',
-        gyro_scale,
-        'angle_random_walk',
-        Dimension.ANGLE_RANDOM_WALK,
-        Dimension.RATE,
-        Dimension.ANGLE_PER_PULSE,
-    )
-    accel = _read_triad(
-        section,
-        'accelerometer',
-        accel_scale,
-        'velocity_random_walk',
-        Dimension.VELOCITY_RANDOM_WALK,
-        Dimension.ACCELERATION,
-        Dimension.VELOCITY_PER_PULSE,
-    )
-    skewed = None
+    gyro = _read_triad(section, 'gyro', _OF_GYROS, units)
+    accel = _read_triad(section, 'accelerometer', _OF_ACCELS, units)
+    skewed, limits = None, None
     if section.has('skewed_gyro'):
-        skewed = _read_triad(
-            section,
-            'skewed_gyro',
-            gyro_scale,
-            'angle_random_walk',
-            Dimension.ANGLE_RANDOM_WALK,
-            Dimension.RATE,
-            Dimension.ANGLE_PER_PULSE,
-        )
-    limits = None
+        skewed = _read_triad(section, 'skewed_gyro', _OF_GYROS, units)
     if section.has('specification'):
         limits = read_specification(section.section('specification'))
     spec = ImuSpec(section.text('id'), units, rate, gyro, accel, skewed, limits)
@@ -198,26 +169,50 @@ def read_imu(section: Section) -> ImuSpec:
     return spec
 
 
-def _read_triad(
-    parent: Section,
-    name: str,
-    scale: Dimension | None,
-    walk_key: str,
-    walk: Dimension,
-    value: Dimension,
-    pulse: Dimension,
-) -> TriadSpec:
-    if scale is None and not parent.has(name):
+@dataclass(frozen=True)
+class _Kind:
+    """The key of a triad's random walk, and the dimensions of what its section states."""
+
+    walk_key: str
+    walk: Dimension
+    value: Dimension
+    per_kelvin: Dimension
+    per_pulse: Dimension
+    per_count: Dimension
+
+
+_OF_GYROS = _Kind(
+    'angle_random_walk',
+    Dimension.ANGLE_RANDOM_WALK,
+    Dimension.RATE,
+    Dimension.RATE_PER_KELVIN,
+    Dimension.ANGLE_PER_PULSE,
+    Dimension.RATE_PER_COUNT,
+)
+_OF_ACCELS = _Kind(
+    'velocity_random_walk',
+    Dimension.VELOCITY_RANDOM_WALK,
+    Dimension.ACCELERATION,
+    Dimension.ACCELERATION_PER_KELVIN,
+    Dimension.VELOCITY_PER_PULSE,
+    Dimension.ACCELERATION_PER_COUNT,
+)
+
+
+def _read_triad(parent: Section, name: str, kind: _Kind, units: Units) -> TriadSpec:
+    si = units is Units.SI
+    if si and not parent.has(name):
         return TriadSpec()
     section = parent.section(name)
+    step = kind.per_pulse if units is Units.PULSES else kind.per_count
     spec = TriadSpec(
-        1.0 if scale is None else section.quantity('scale_factor', scale, above=0),
-        section.quantity(walk_key, walk, 0.0, least=0),
-        section.quantity('bias_instability', value, 0.0, least=0),
-        section.quantity('range', value, math.inf, above=0),
-        section.quantity('pulse', pulse, 0.0, least=0) if scale is None else 0.0,
+        1.0 if si else section.quantity('scale_factor', step, above=0),
+        section.quantity(kind.walk_key, kind.walk, 0.0, least=0),
+        section.quantity('bias_instability', kind.value, 0.0, least=0),
+        section.quantity('range', kind.value, math.inf, above=0),
+        section.quantity('pulse', kind.per_pulse, 0.0, least=0) if si else 0.0,
         section.quantity('scale_factor_temperature', Dimension.RATIO_PER_KELVIN, 0.0, least=0),
-        section.quantity('bias_temperature', _PER_KELVIN[value], 0.0, least=0),
+        section.quantity('bias_temperature', kind.per_kelvin, 0.0, least=0),
     )
     section.finish()
     return spec

@@ -38,7 +38,7 @@ METHOD_NAMES = (
 )
 """The names of `methods.METHODS`, which know plans: a test compares."""
 
-_BODY_AXES = {'X': np.array([1.0, 0, 0]), 'Y': np.array([0, 1.0, 0]), 'Z': np.array([0, 0, 1.0])}
+BODY_AXES = {'X': np.array([1.0, 0, 0]), 'Y': np.array([0, 1.0, 0]), 'Z': np.array([0, 0, 1.0])}
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +299,7 @@ def _read_attitude(section: Section) -> Floats:
         raise InputError(f'{where}: X, Y, Z along {letters} do not form a right-handed frame.')
     if section.has('turned'):
         turned = section.section('turned')
-        axis = turned.choice('about', _BODY_AXES)
+        axis = turned.choice('about', BODY_AXES)
         attitude = attitude @ rotation(axis, turned.quantity('by', Dimension.ANGLE))
         turned.finish()
     return attitude

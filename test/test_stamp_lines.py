@@ -330,7 +330,7 @@ def test_a_segment_off_the_line_begins_another_piece() -> None:
     parts = [np.array(firsts[:3]), np.array(firsts[3:])]
     spread = sum(((part - part.mean()) ** 2).sum() for part in parts)
     assert pace._long()[1] == pytest.approx(own / sqrt(spread))
-    assert (pace._pieces + pace._pieces).freedom == 4
+    assert (pace._pieces + pace._pieces)[0] == 4
     for by, knots in ((0.0024, 4), (-0.0024, 4), (0.0026, 1), (-0.0026, 1)):
         assert len(session([0.0, 0.0, 0.0, by], FIRSTS)._knots) == knots
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..calibration import Calibration
 from ..errors import NotObservable
-from ..imu import TriadSpec
+from ..imu import FULL_SCALES, NEARLY, TriadSpec
 from ..model import PRODUCTS, Parameter, Product, SensorModel, terms_of
 from ..model.inversion import inverted
 from ..model.motion import has_motion_terms
@@ -25,16 +25,12 @@ _LINEAR = tuple(Product(factors) for factors in ((0,), (1,), (2,), (), (3,), (4,
 
 _ELEMENTS = tuple((i, j) for i in range(_AXES) for j in range(_AXES))
 
-_NEARLY = 0.999
-"""Share of the range from which on a value counts as saturated: converters clip a little early."""
 _BEYOND = 1.05
 """Times the highest rate of the calibration up to which it is held to be valid; a choice."""
 _PARITY = 6.0
 """Standard deviations of the parity of four gyros: false in 2e-9 of Gaussian samples."""
 _AT_ONCE = 512
 """Samples at once: their intermediate arrays fit into a processor's cache."""
-_FULL_SCALES = np.array([32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0])
-"""Largest counts of 16, 24 and 32 bits, of either sign."""
 
 _BITS = {mark: np.uint8(mark) for mark in Mark}
 _RATE_UNKNOWN = np.uint8(Mark.GYRO_RANGE | Mark.NO_NUMBER)
@@ -105,7 +101,9 @@ class Compensation:
         self._of_six, self._gain = mine, self._to_both[mine].T.copy()
         self._levers = _levers(calibration.parameters)
         self._pairs = tuple(combinations_with_replacement(range(len(self._levers)), 2))
-        self._covariance = self._covariances(rate, force, through)
+        # What `_terms` are to be multiplied with, (t, 18): nine of rate, nine of force.
+        both = ((rate, through), (nothing, force))
+        self._covariance = np.hstack([self._propagated(*of, _ELEMENTS) for of in both])
         self._parity_vector: Floats | None = None
         if channels is not None:
             self._set_parity(response, sensitivity, force)
@@ -117,7 +115,7 @@ class Compensation:
         self._unmarked = np.full(_AT_ONCE, mark, np.uint8)
         self._unmarked.flags.writeable = False
         self._plain = channels is None and model.linear and len(self._levers) == len(_LINEAR)
-        full = np.inf if self._units is Units.SI else float(_FULL_SCALES[0])
+        full = np.inf if self._units is Units.SI else FULL_SCALES[0]
         self._channels = [
             (*map(float, one), full)
             for one in zip(self._scale, self._bias, self._limit, strict=True)
@@ -168,9 +166,7 @@ class Compensation:
     def _apply_one(self, raw: list[float], interval: float) -> CompensatedSamples | None:
         """Compensate one sample, in plain numbers: the way of a live stream, with the same bits.
 
-        Returns:
-            None for one that is to be looked at closely: nothing else is marked.
-
+        None stands for one that is to be looked at closely: nothing else is marked.
         """
         tau = interval / self._faster
         if not tau > 0:
@@ -250,7 +246,7 @@ class Compensation:
 
     def _set_channels(self, specs: list[TriadSpec], bias: Floats) -> None:
         self._scale = np.array([spec.scale_factor for spec in specs])
-        self._limit = _NEARLY * np.array([spec.range for spec in specs])
+        self._limit = NEARLY * np.array([spec.range for spec in specs])
         self._bias = bias
         steps = {Units.PULSES: 1 / 6, Units.COUNTS: 1 / 12, Units.SI: 0.0}
         self._quantisation_variance = self._scale**2 * steps[self._units]
@@ -268,29 +264,13 @@ class Compensation:
         rows = self._propagated(vector[None], accel[None], ((0, 0),))
         self._covariance = np.hstack([self._covariance, rows])
 
-    def _covariances(self, rate: Floats, force: Floats, through: Floats) -> Floats:
-        """Return what `_terms` are to be multiplied with, (t, 18): nine of rate, nine of force."""
-        nothing = np.zeros((_AXES, self._gyros))
-        return np.hstack(
-            [
-                self._propagated(rate, through, _ELEMENTS),
-                self._propagated(nothing, force, _ELEMENTS),
-            ]
-        )
-
     def _propagated(
         self, gyros: Floats, accels: Floats, elements: tuple[tuple[int, int], ...]
     ) -> Floats:
-        """Return the coefficients of covariance elements of an output.
+        """Return the coefficients of e elements of the covariance (m, m) of an output, (t, e).
 
-        Args:
-            gyros: (m, channels) how the output takes the error of each gyro channel.
-            accels: (m, 3) how it takes the error of each accelerometer channel.
-            elements: Which of the (m, m) covariances.
-
-        Returns:
-            (t, e): a row per pair of levers, then one per channel's variance.
-
+        A row per pair of levers, then one per channel's variance. The output takes the errors of
+        the gyro channels by `gyros` (m, channels), those of the accelerometers by `accels` (m, 3).
         """
         parameters = self.calibration.parameters
         square = np.nan_to_num(self.calibration.covariance)
@@ -331,7 +311,7 @@ class Compensation:
         # A comparison with what is no number is false.
         sound = size < self._limit
         if self._units is not Units.SI:
-            sound &= np.abs(raw) < _FULL_SCALES[0]
+            sound &= np.abs(raw) < FULL_SCALES[0]
         if np.count_nonzero(sound) == sound.size and (
             self._highest == np.inf or np.count_nonzero(np.abs(rate) <= self._highest) == rate.size
         ):
@@ -343,7 +323,7 @@ class Compensation:
             far &= np.abs(raw) > 1
             highest = highest + self._scale[: self._gyros].max() / tau
         if self._units is not Units.SI:
-            far |= np.isin(np.abs(raw), _FULL_SCALES)
+            far |= np.isin(np.abs(raw), FULL_SCALES)
         marks = marks | far[:, : self._gyros].any(axis=1) * _BITS[Mark.GYRO_RANGE]
         marks |= far[:, self._gyros :].any(axis=1) * _BITS[Mark.ACCEL_RANGE]
         marks |= (np.abs(rate) > highest).any(axis=1) * _BITS[Mark.RATE]
@@ -378,12 +358,7 @@ def _mix(columns: Floats, matrix: Floats) -> Floats:
 
 
 def _inverse(response: Floats, weights: Floats) -> Floats:
-    """Return the weighted least-squares inverse of (m, 3) responses, (3, m).
-
-    Raises:
-        NotObservable: The responses do not span three axes.
-
-    """
+    """Return the weighted least-squares inverse of (m, 3) responses, (3, m)."""
     weighted = response * weights[:, None]
     try:
         if len(response) == _AXES:

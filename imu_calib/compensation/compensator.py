@@ -65,9 +65,7 @@ class _Timed:
 
     def cut(self, start: int, stop: int) -> _Timed:
         part = slice(start, stop)
-        b = self.block
-        block = ImuBlock(b.stamp[part], b.gyro[part], b.accel[part], b.frame_id)
-        return _Timed(block, self.interval[part], self.instant[part])
+        return _Timed(_rows(self.block, start, stop), self.interval[part], self.instant[part])
 
 
 class Compensator:
@@ -116,7 +114,7 @@ class Compensator:
         self._used: float | None = None
         self._mark = 0
         self._in_motion = InMotion()
-        self._set(calibration)
+        self.replace(calibration)
 
     def replace(self, calibration: AnyCalibration) -> None:
         """Go on with another calibration from the next sample on.
@@ -125,7 +123,15 @@ class Compensator:
             NotObservable: It cannot be inverted; the one before stays.
 
         """
-        self._set(calibration)
+        single = first_of(calibration)
+        ready = {skewed: Compensation(single, skewed=skewed) for skewed in _ways(single)}
+        self._calibration = calibration
+        self._range = temperature_range(calibration)
+        self._ready = ready
+        self._takes_skewed = single.model.skewed is not None
+        celsius, self._used = self._used, None
+        if celsius is not None:
+            self._use(celsius)
 
     @property
     def calibration(self) -> AnyCalibration:
@@ -216,17 +222,6 @@ class Compensator:
             or self._ready[False].moving
         )
 
-    def _set(self, calibration: AnyCalibration) -> None:
-        single = first_of(calibration)
-        ready = {skewed: Compensation(single, skewed=skewed) for skewed in _ways(single)}
-        self._calibration = calibration
-        self._range = temperature_range(calibration)
-        self._ready = ready
-        self._takes_skewed = single.model.skewed is not None
-        celsius, self._used = self._used, None
-        if celsius is not None:
-            self._use(celsius)
-
     def _use(self, celsius: float) -> None:
         """Prepare for a temperature, unless it is the one that is prepared for."""
         if self._used is not None and abs(celsius - self._used) < _STEP:
@@ -239,8 +234,7 @@ class Compensator:
         elif self._used is not None and mark == self._mark:
             self._used = celsius
             return
-        self._mark = mark
-        self._used = celsius
+        self._mark, self._used = mark, celsius
         self._ready = {s: Compensation(single, skewed=s, mark=mark) for s in _ways(single)}
 
     def _take_temperature(self, block: TemperatureBlock) -> None:

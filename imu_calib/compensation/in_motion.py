@@ -111,14 +111,7 @@ class InMotion:
 
 
 def _freed(before: Applied | None, samples: Applied, after: Applied | None) -> Applied:
-    """Take off what motion adds to samples.
-
-    Args:
-        before: The sample before them, or None.
-        samples: The samples.
-        after: The sample after them, or None.
-
-    """
+    """Take off what motion adds to samples, by the one before and the one after them, if any."""
     values, model = samples.values, samples.ready.calibration.model
     changes = _Changes.of(before, samples, after)
     spin, change = changes.of_each(lambda v: v.rate), changes.of_each(lambda v: v.force)
@@ -158,20 +151,16 @@ def _doubt(samples: Applied, by_each: Floats, seconds: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Changes:
-    """Samples with the ones beside them.
-
-    Attributes:
-        all: Those before, themselves, those after.
-        earlier: (n,) index of the sample from which a change is counted.
-        later: (n,) to which.
-        seconds: (n,) between them; 0 where there is none beside.
-
-    """
+    """Samples with the ones beside them."""
 
     all: list[Applied]
+    """Those before, themselves, those after."""
     earlier: NDArray[np.intp]
+    """(n,) index of the sample from which a change is counted."""
     later: NDArray[np.intp]
+    """(n,) to which."""
     seconds: Floats
+    """(n,) between them; 0 where there is none beside."""
 
     @classmethod
     def of(cls, before: Applied | None, samples: Applied, after: Applied | None) -> _Changes:

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..segmentation.bunches import MANY, SHORT, pattern, spread, usual_interval
+from ..segmentation.bunches import MANY, SHORT, Pattern, pattern, spread, usual_interval
+from ..segmentation.lateness import JITTER
 from ..stream import Floats, Stamps
 
 _LEARNT = 32
@@ -19,13 +20,12 @@ _FEW = 4
 """Samples up to which one at a time is faster than arrays."""
 _TYPICAL = 0.5
 """Of the usual interval: a step that is longer by more has lost samples, or they are late."""
-_JITTER = 6 * 1.4826
-"""Times the median absolute deviation: six standard deviations of a Gaussian one (1.4826)."""
 _GAINS = 0.05
 """Of the interval: a step after a long one that is shorter by more gains on the clock. A judgement:
 of a queue that gains less the interval is wrong by less."""
-_LONGEST = 5_000_000_000
-"""ns: more than a line is held up (`segmentation/bunches`); what comes then may be another rate."""
+LONGEST = 5_000_000_000
+"""ns: more than a line is held up (`segmentation/bunches`); what comes after such a silence stands
+by itself, and may be of another rate."""
 _FASTEST = 1000.0
 """ns: no IMU samples at a megahertz; samples that share a stamp are set apart by less."""
 _PACKETS = 240
@@ -160,9 +160,7 @@ class SampleClock:
             return True
         bunches = pattern(stamp) if steps.min() >= 0 else None
         if bunches is not None:
-            self._set_pace(bunches.interval, 0.0)
-            self._slack = _SLACK_POLLED if bunches.size is None else _SLACK_PACKETS
-            self._bunch = _Bunch(bunches.size or 0)
+            self._set_bunches(bunches)
         elif interval > _FASTEST and (last or len(stamp) >= _WINDOW):
             # As of a queue, whose steps are short.
             self._set_pace(min(interval, float(steps.mean())), 0.0)
@@ -181,14 +179,19 @@ class SampleClock:
         return Times(np.full(len(first), self._interval), instants)
 
     def _set_pace(self, typical: float, jitter: float) -> None:
-        self._typical, self._tolerance = typical, _TYPICAL * typical + _JITTER * jitter
+        self._typical, self._tolerance = typical, _TYPICAL * typical + JITTER * jitter
         # Jitter must not look as if samples gained on the clock.
-        self._gains = typical - min(_TYPICAL * typical, max(_GAINS * typical, _JITTER * jitter))
+        self._gains = typical - min(_TYPICAL * typical, max(_GAINS * typical, JITTER * jitter))
         self._slack = _SLACK_PACKETS
         self._bunch, self._behind, self._run = None, 0, 0
         self._recent.clear()
         self._sums[0], self._known = 0, 1
         self._interval = typical * 1e-9
+
+    def _set_bunches(self, found: Pattern) -> None:
+        self._set_pace(found.interval, 0.0)
+        self._slack = _SLACK_POLLED if found.size is None else _SLACK_PACKETS
+        self._bunch = _Bunch(found.size or 0)
 
     def _set_typical(self, steps: Stamps) -> None:
         """Take steps for what is usual."""
@@ -247,7 +250,7 @@ class SampleClock:
                 self._recent.append(step)
                 self._run += 1
                 self._odd += 1
-                if self._typical < step <= _LONGEST:
+                if self._typical < step <= LONGEST:
                     self._behind, self._passed = 1, step
         self._add(elapsed, count)
         instant = stamp
@@ -301,10 +304,7 @@ class SampleClock:
         if short < MANY and np.median(latest) > _FASTEST:
             self._set_typical(latest)
         elif recent.min() >= 0 and (found := pattern(np.cumsum(recent))) is not None:
-            size = found.size
-            self._set_pace(found.interval, 0.0)
-            self._slack = _SLACK_POLLED if size is None else _SLACK_PACKETS
-            self._bunch = _Bunch(size or 0)
+            self._set_bunches(found)
         self._interval = interval if self._known > 1 else self._interval
 
     def _make_room(self, count: int) -> int:
@@ -332,9 +332,7 @@ class SampleClock:
 class _Bunch:
     """Spreads samples that come many at a time over the time since the bunch before.
 
-    Args:
-        size: Samples of a whole packet; 0 where a reader takes what has come.
-
+    `size` is that of a whole packet; 0 where a reader takes what has come.
     """
 
     def __init__(self, size: int) -> None:
@@ -343,22 +341,14 @@ class _Bunch:
         self._number = 0
 
     def place(self, stamp: int, before: int, interval: float, *, within: bool) -> int:
-        """Return when a sample was made, ns.
-
-        Args:
-            stamp: Of it, ns.
-            before: That of the sample before, ns.
-            interval: Between samples, ns.
-            within: Whether it came with the one before.
-
-        """
+        """Return when a sample was made, all ns; `within` says that it came with the one before."""
         if within:
             self._number += 1
         else:
             self._begins = self._came or before
             self._came, self._number = stamp, 1
         passed, size = self._came - self._begins, self._size
-        if not 0 < passed <= _LONGEST:
+        if not 0 < passed <= LONGEST:
             made = self._came - (max(size, self._number) - self._number) * interval
             self._instant = self._instant if within else round(made) - 1
         else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -349,9 +349,7 @@ def check_unit(
         'gyro: scale_factor': (own.gyro.scale_factor, imu.gyro.scale_factor),
         'accelerometer: scale_factor': (own.accel.scale_factor, imu.accel.scale_factor),
     }
-    for key, (found, expected) in compared.items():
-        if not _same(found, expected):
-            raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {where}.')
+    _check_same(compared, name, where)
 
 
 def check_identity(
@@ -371,19 +369,22 @@ def check_identity(
 
     """
     own = first_of(calibration)
-    pairs = {'imu': (own.imu.id, imu)}
+    compared: dict[str, tuple[str | float, str | float]] = {'imu': (own.imu.id, imu)}
     if own.serial_number and serial_number:
-        pairs['serial_number'] = (own.serial_number, serial_number)
-    for key, (found, expected) in pairs.items():
-        if found != expected:
-            raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {where}.')
+        compared['serial_number'] = (own.serial_number, serial_number)
+    _check_same(compared, name, where)
 
 
-def _same(found: str | float, expected: str | float) -> bool:
+def _check_same(
+    compared: Mapping[str, tuple[str | float, str | float]], name: str, where: str
+) -> None:
     """Compare texts exactly, and numbers but for how they were written down."""
-    if isinstance(found, float) and isinstance(expected, float):
-        return math.isclose(found, expected, rel_tol=_WRITTEN)
-    return found == expected
+    for key, (found, expected) in compared.items():
+        same = found == expected
+        if isinstance(found, float) and isinstance(expected, float):
+            same = math.isclose(found, expected, rel_tol=_WRITTEN)
+        if not same:
+            raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {where}.')
 
 
 def _check_alike(calibration: Calibration, name: str, first: Calibration, other: str) -> None:

@@ -14,13 +14,12 @@ from ..segmentation.grid import read_grid
 from ..segmentation.lateness import surely_late
 from ..segmentation.shared_stamps import SharedStamps
 from ..stream import ImuBlock, Stamps
+from .sample_clock import LONGEST
 
 _LONG = 1.5
 """Of the median step: a longer one comes before a sample that is late, or after lost ones."""
 _AROUND = 512
 """Samples on either side of irregular steps that tell the interval (`bunches`, `_AHEAD`)."""
-_APART = 5_000_000_000
-"""ns: more than a line is held up; what comes after such a silence stands by itself."""
 _FEWEST = 32
 """Samples that tell an interval (`sample_clock`)."""
 
@@ -57,7 +56,7 @@ class WholeStream:
 def made_at(stamp: Stamps) -> Stamps:
     """Return when samples were made, (n,) ns, by their stamps as they came."""
     steps = np.diff(stamp)
-    pieces = np.split(stamp, np.flatnonzero((steps <= 0) | (steps > _APART)) + 1)
+    pieces = np.split(stamp, np.flatnonzero((steps <= 0) | (steps > LONGEST)) + 1)
     return np.concatenate([_made(piece) for piece in pieces])
 
 

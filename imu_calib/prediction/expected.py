@@ -17,7 +17,7 @@ from ..calibrator import Setup
 from ..courses import Course
 from ..errors import InputError
 from ..estimation.bias_drift import STATED_TIME, BiasDrift
-from ..imu import ImuSpec, TriadSpec
+from ..imu import NEARLY, ImuSpec, TriadSpec
 from ..methods.free_positions import NAME as FREE_POSITIONS
 from ..model import BIASES, SensorModel, Skewed
 from ..model.motion import has_motion_terms
@@ -35,19 +35,9 @@ from ..segmentation.clock import ClockFit
 from ..segmentation.moves import COARSEST
 from ..segmentation.segment import Segment, Statistics, Turn
 from ..segmentation.segmented import Move
-from ..segmentation.sensor import NEARLY
 from ..stream import Floats, Mode
 from ..turntable import TURN
-from .readings import (
-    SPARE,
-    each_turn,
-    period_of,
-    reading,
-    skewed_alone,
-    triads,
-    unread,
-    walk_of,
-)
+from .readings import SPARE, each_turn, period_of, reading, skewed_alone, triads, unread, walk_of
 from .schedule import SETTLE, schedule
 
 _UNSEEN = 0.5
@@ -135,20 +125,13 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         moves = [ideal_move_by_hand(a, b, truth, setup.site) for a, b in pairwise(segments)]
     else:
         around = session.surroundings(state)
+        world = around.rate, around.force
         moves = [
-            move
-            for before, after, course in zip(
-                segments, segments[1:], times.courses[1:], strict=False
-            )
-            if course is not None
-            and setup.table is not None
-            and _followed(
-                move := ideal_move(
-                    before, after, course, setup.table, truth, (around.rate, around.force)
-                ),
-                setup.imu,
-            )
+            ideal_move(before, after, course, setup.table, truth, world)
+            for (before, after), course in zip(pairwise(segments), times.courses[1:], strict=True)
+            if course is not None and setup.table is not None
         ]
+        moves = [move for move in moves if _followed(move, setup.imu)]
     return replace(bare, segments=tuple(segments), turns=tuple(turns), moves=tuple(moves))
 
 
@@ -246,11 +229,9 @@ def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
     """
     dwells, turns = evidence.segments, evidence.turns
     moves = [link.move for link in evidence.links.links]
-    spans = [(s.start, s.end) for s in dwells]
-    spans += [(t.start, t.end) for t in turns]
-    spans += [(m.start, m.end) for m in moves]
-    begin, end = (np.array(spans).reshape(-1, 2).T) * 1e-9
-    none = np.zeros((len(spans), 3, 3)), np.zeros(len(spans), dtype=bool)
+    parts: list[Segment | Turn | Move] = [*dwells, *turns, *moves]
+    begin, end = np.array([(p.start, p.end) for p in parts]).reshape(-1, 2).T * 1e-9
+    none = np.zeros((len(parts), 3, 3)), np.zeros(len(parts), dtype=bool)
     means = BiasDrift.over(begin, end - begin, *none).of_one(STATED_TIME)
     askew = [len(dwells) + k for k, t in enumerate(turns) if t.skewed is not None]
     which = np.concatenate([evidence.layout.segment, np.array(askew, dtype=int)])

@@ -20,7 +20,7 @@ from ..errors import ImuCalibError, InputError
 from ..model import PARAMETERS, SensorModel
 from ..observation.equations import Equations
 from ..observation.information import log_determinant
-from ..plan import Plan, Position, RateTest
+from ..plan import BODY_AXES, COMPASS, Plan, Position, RateTest
 from ..rotations import rotation
 from ..stream import Floats
 from ..turntable import Table
@@ -33,8 +33,6 @@ _SENSORS = len(PARAMETERS)
 _SLANTS = (0.0, 45.0)
 """Angles by which candidates are turned from cube-aligned attitudes, deg: half way to the next
 mixes two axes as much as can be."""
-_COMPASS = dict(zip('ENUWSD', [*np.eye(3), *-np.eye(3)], strict=True))
-_AXES = dict(zip('XYZ', np.eye(3), strict=True))
 _TRIAL_DWELL = 60.0
 """s, while attitudes are compared; the dwells follow."""
 _SHORTEST_DWELL = 20.0
@@ -115,13 +113,13 @@ def candidates(table: Table) -> list[Attitude]:
     """List attitudes that a table reaches: cube-aligned ones, and those slanted by 45 deg."""
     found: list[Attitude] = []
     for letters in permutations('ENUWSD', 3):
-        matrix = np.array([_COMPASS[letter] for letter in letters]).T
+        matrix = np.array([COMPASS[letter] for letter in letters]).T
         if abs(np.linalg.det(matrix) - 1) > 1e-9:
             continue
         for by, about in product(_SLANTS, 'XYZ'):
             if not by and about != 'X':
                 continue
-            turned = matrix @ rotation(_AXES[about], by * DEG)
+            turned = matrix @ rotation(BODY_AXES[about], by * DEG)
             if any(np.allclose(turned, other.matrix) for other in found):
                 continue
             try:
@@ -171,7 +169,9 @@ def optimise(
             f'{highest / DEG:g} deg/s of the slowest joint of table {table.name}.'
         )
     choices = candidates(table)
-    missing = [name for axis, name in enumerate(_AXES) if not any(_is_up(c, axis) for c in choices)]
+    missing = [
+        name for axis, name in enumerate(BODY_AXES) if not any(_is_up(c, axis) for c in choices)
+    ]
     if missing:
         raise InputError(
             f'Table {table.name} brings {" and ".join(missing)} of the unit never up: an optimised '
@@ -250,11 +250,7 @@ def _exchange(blocks: Floats, prior: Floats, choices: list[Attitude], size: int)
 
 
 def _timed(
-    setup: Setup,
-    truth: SensorModel,
-    attitudes: list[Attitude],
-    test: RateTest,
-    seconds: float,
+    setup: Setup, truth: SensorModel, attitudes: list[Attitude], test: RateTest, seconds: float
 ) -> Optimum | None:
     """Give the dwells what time is left, and look at what that gives."""
     table = setup.table

@@ -50,11 +50,8 @@ def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = N
                 mean_rate(pulses, period, walk)
                 if spare is None
                 else rate_between(pulses, period, first, len(pulses) - first, walk)
-            )
-            gain[c], quantisation[c] = (
-                found.walk_gain,
-                found.quantisation_variance * triad.scale_factor**2,
-            )
+            ).scaled(triad.scale_factor)
+            gain[c], quantisation[c] = found.walk_gain, found.quantisation_variance
     return replace(
         unread(seconds),
         samples=round(seconds / period),

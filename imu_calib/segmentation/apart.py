@@ -72,10 +72,7 @@ def offset_by_pattern(
     # Beyond the samples nothing turns, and what the table does there is unlike.
     by_gyros[(around[:-1] < at[0]) | (around[1:] > at[-1])] = 0.0
     least = _MOVING * _CELL
-    by_table, by_gyros = (
-        np.where(by_table < least, 0.0, by_table),
-        np.where(by_gyros < least, 0.0, by_gyros),
-    )
+    by_table[by_table < least] = by_gyros[by_gyros < least] = 0.0
     windows = np.lib.stride_tricks.sliding_window_view(by_gyros, cells)
     common = np.array([np.minimum(by_table, window).sum() for window in windows])
     either = by_table.sum() + windows.sum(axis=1) - common

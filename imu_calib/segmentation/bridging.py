@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats
+from .counter import READING_VARIANCE
 from .statistics import Samples, gap_free
 
 LONGEST = 0.1
@@ -32,8 +33,6 @@ _PLAIN = 8
 """The same for values that are no pulses: their noise falls with the root, and this adds 3 % of
 what a lost sample costs anyhow."""
 
-_READING_VARIANCE = 1 / 12
-"""Pulses squared: what a reading of whole pulses leaves, uniform over one."""
 _UNKNOWN = 0.25
 """Variance of a count between two readings of a counter whose phase is not known, at most."""
 
@@ -101,7 +100,9 @@ def bridged(samples: Samples, walk: Floats, reach: int | None = None) -> Bridged
 
     """
     runs = gap_free(samples.stamp, samples.period)
-    gaps = [_steps(samples, first) - 1 for first, _ in runs[1:]]
+    starts = [first for first, _ in runs[1:]]
+    intervals = np.diff(samples.stamp)[np.array(starts, dtype=int) - 1] * 1e-9 / samples.period
+    gaps = (np.rint(intervals).astype(int) - 1).tolist()
     short = [0 < m <= max(1, round(LONGEST / samples.period)) for m in gaps]
     lost = sum(m for m, fits in zip(gaps, short, strict=True) if fits)
     if not lost or lost > _MOST * (len(samples.stamp) + lost):
@@ -125,11 +126,7 @@ def bridged(samples: Samples, walk: Floats, reach: int | None = None) -> Bridged
         else:
             variance[c] = _average(increments[:, c], rows, holes, reach or _PLAIN) * noise[c] ** 2
     whole = replace(
-        samples,
-        stamp=stamps,
-        increments=increments,
-        filled=rows < 0,
-        bridged=variance / len(holes),
+        samples, stamp=stamps, increments=increments, filled=rows < 0, bridged=variance / len(holes)
     )
     return Bridged(whole, rows)
 
@@ -139,11 +136,6 @@ def steadily(samples: Samples, walk: Floats) -> Samples:
     if samples.filled is None or not samples.filled.any():
         return samples
     return bridged(replace(samples.at(~samples.filled), filled=None), walk).samples
-
-
-def _steps(samples: Samples, after: int) -> int:
-    """Return how many intervals there are between a sample and the one before it."""
-    return round(float(samples.stamp[after] - samples.stamp[after - 1]) * 1e-9 / samples.period)
 
 
 @dataclass(frozen=True)
@@ -196,14 +188,9 @@ def _average(increments: Floats, rows: NDArray[np.intp], holes: list[_Hole], rea
 
 
 def _count(counts: Floats, holes: list[_Hole], noise: float, reach: int | None) -> float:
-    """Fill holes of a counter with whole pulses, in place; return the variance that is left.
+    """Fill holes of (n,) pulses with whole ones, in place; return the variance that is left.
 
-    Args:
-        counts: (n,) pulses per sample.
-        holes: To be filled.
-        noise: Random walk in a sample, pulses.
-        reach: Samples on either side to read from; None: chosen, at a steady rate.
-
+    The noise is a sample's random walk, pulses; the reach is chosen, at a steady rate, if None.
     """
     empty = np.zeros(len(counts), dtype=bool)
     for hole in holes:
@@ -232,7 +219,8 @@ def _count(counts: Floats, holes: list[_Hole], noise: float, reach: int | None) 
     carried = 0.0
     for hole, mean in zip(holes, means.tolist(), strict=True):
         # Rounded one by one, gaps that cannot be read would all err to the same side.
-        counts[hole.start : hole.stop] = _spread(mean + carried, hole)
+        edges = np.linspace(0.0, round(mean + carried), hole.stop - hole.start + 1)
+        counts[hole.start : hole.stop] = np.diff(np.rint(edges))
         carried += mean - float(counts[hole.start : hole.stop].sum())
     return total
 
@@ -240,12 +228,6 @@ def _count(counts: Floats, holes: list[_Hole], noise: float, reach: int | None) 
 def _summed(pulses: Floats) -> Floats:
     """Return what a counter shows at the ends of intervals, 0 at first."""
     return np.concatenate([[0.0], np.cumsum(pulses)])
-
-
-def _spread(pulses: float, hole: _Hole) -> Floats:
-    """Return whole pulses spread evenly over the samples that are missing."""
-    edges = np.linspace(0.0, round(pulses), hole.stop - hole.start + 1)
-    return np.diff(np.rint(edges))
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,21 +248,14 @@ class _Gain:
     walked: float
 
     def variance(self, rate: float, noise: float, reach: int) -> float:
-        """Return the variance, pulses squared.
-
-        Args:
-            rate: Pulses per sample.
-            noise: Random walk in a sample, pulses.
-            reach: Samples on either side.
-
-        """
+        """Return the variance, pulses squared, of pulses per sample, their walk, and the reach."""
         # Whole pulses per sample tell nothing of the phase.
         passed = reach * abs(rate - round(rate))
         phase = min(_UNKNOWN, _PHASE / passed**2 if passed else _UNKNOWN)
         # What walks by a pulse passes one, too.
         if noise * math.sqrt(reach) > 1:
             phase = 0.0
-        return max(phase, _RESONANT * self.read * _READING_VARIANCE) + self.walked * noise**2
+        return max(phase, _RESONANT * self.read * READING_VARIANCE) + self.walked * noise**2
 
 
 @lru_cache(maxsize=64)
@@ -307,16 +282,11 @@ def _best_reach(rate: float, noise: float) -> int:
 def _likely(pulses: float, variance: float, expected: float, walked: float) -> tuple[float, float]:
     """Weigh what the counts around a gap say against the mean rate: mean and variance, pulses.
 
-    Args:
-        pulses: As the counts around the gap have it.
-        variance: Of that.
-        expected: By the mean rate; its phase is not known.
-        walked: Variance that the walk adds to that.
-
+    The variance is that of `pulses`; `walked` is what the walk adds to that of `expected`.
     """
     variance = max(variance, _LEAST_VARIANCE)
     if variance + walked > _WIDE**2:
-        own, other = 1 / variance, 1 / (walked + 2 * _READING_VARIANCE)
+        own, other = 1 / variance, 1 / (walked + 2 * READING_VARIANCE)
         return (own * pulses + other * expected) / (own + other), 1 / (own + other)
     whole = round(expected) + np.arange(-8.0, 9.0)
     standard, weights = _quadrature()

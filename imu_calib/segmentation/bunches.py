@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..stream import Floats, Stamps
 
-_LAG = 240
+LAG = 240
 """Most samples whose time tells what a step is on average: several bunches, and short enough that
 half of such spans are without a long gap."""
 
@@ -95,7 +95,7 @@ def usual_interval(stamp: Stamps) -> tuple[float, float]:
 
     """
     steps = np.diff(stamp)
-    lag = min(_LAG, -(-len(steps) // 2))
+    lag = min(LAG, -(-len(steps) // 2))
     short = steps < SHORT * float(np.median(stamp[lag:] - stamp[:-lag])) / lag
     apart = steps[~short]
     return (float(np.median(apart)) if len(apart) else 0.0), float(short.mean())
@@ -188,10 +188,7 @@ def _out_of_queue(stamp: Stamps) -> Stamps:
 
 
 def _interval_in_queue(steps: Stamps) -> float | None:
-    """Return the interval of samples that queue now and then, ns, by the steps of their stamps.
-
-    None where they do not queue, or where it is known too badly to lead stamps by.
-    """
+    """Return the interval of samples that queue, ns, by their steps; None if unknown or none do."""
     if not len(steps):
         return None
     mean = float(steps.mean())
@@ -210,7 +207,7 @@ def _interval_in_queue(steps: Stamps) -> float | None:
 def _bunches(stamp: Stamps) -> NDArray[np.intp] | None:
     """Return with which samples bunches begin, in order, the first at 0; None without a pattern."""
     steps = np.diff(stamp)
-    lag = min(_LAG, len(steps) // 2)
+    lag = min(LAG, len(steps) // 2)
     if not lag:
         return None
     spans = stamp[lag:] - stamp[:-lag]

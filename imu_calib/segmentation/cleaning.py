@@ -159,19 +159,11 @@ class _Means:
         windows: Floats,
         pulses: Floats,
     ) -> ShiftingDisturbance | None:
-        """Find the first run of bad windows within first to last that turned the unit for good.
+        """Find the first run of bad windows (w,), first to last, that turned the unit for good.
 
         A floor that shakes leaves sums, too: what is sampled of a vibration beyond half the sample
-        rate adds up like noise. A turn has to stand out of that, and to have tilted the unit.
-
-        Args:
-            bad: (w,) windows that are not sound.
-            first: First window after the settling.
-            last: First window of what is cut at the end.
-            floor: (6,) what the edges of a window's pulses may do to its sum.
-            windows: (w, n, 6) samples.
-            pulses: (6,) of counters, rad and m/s; 0 where there are none.
-
+        rate adds up like noise. A turn has to stand out of that, and to have tilted the unit. The
+        floor (6,) is what the edges of a window's pulses may do to its sum; windows are (w, n, 6).
         """
         length = windows.shape[1]
         inside = np.flatnonzero(bad[first:last]) + first
@@ -224,17 +216,11 @@ class _Means:
 
 
 def _one_way(samples: Floats, total: Floats, turned: Floats, pulses: Floats) -> NDArray[np.bool_]:
-    """Say of each gyro whether its samples went one way instead of to and fro.
+    """Say of each gyro whether its samples (n, 3) went one way instead of to and fro.
 
     Vibration of n samples adds up to the root of the sum of their squares; where they are many
-    enough for a turn to stand out of that, it has to.
-
-    Args:
-        samples: (n, 3) of a run of windows.
-        total: (3,) their sum.
-        turned: (3,) what the run turned by, beyond the line through the windows beside it.
-        pulses: (3,) a counter goes to and fro by one, and carries the remainder on.
-
+    enough for a turn to stand out of that, it has to. What they turned by is beyond the line
+    through the windows beside; a counter goes to and fro by a pulse, and carries the remainder on.
     """
     free = samples - (total - turned) / len(samples)
     flips = len(samples) * (_FLIPPING * pulses) ** 2
@@ -295,22 +281,18 @@ def find_step(statistics: Statistics, walk: Floats) -> tuple[tuple[float, float]
 
 @dataclass(frozen=True)
 class _Step:
-    """The largest step of a row of blocks.
-
-    Attributes:
-        score: Its size in standard deviations.
-        cut: Index of the first block after it.
-        size: rad/s or m/s^2.
-        left: Weighted sum of squares about the two levels.
-        left_by_drift: The same about a line.
-
-    """
+    """The largest step of a row of blocks."""
 
     score: float
+    """Its size in standard deviations."""
     cut: int
+    """Index of the first block after it."""
     size: float
+    """rad/s or m/s^2."""
     left: float
+    """Weighted sum of squares about the two levels."""
     left_by_drift: float
+    """The same about a line."""
 
 
 def _largest_step(blocks: Floats, walk: float) -> _Step | None:

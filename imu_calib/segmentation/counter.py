@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 
@@ -24,7 +24,7 @@ from ..stream import Floats
 END_POINT_VARIANCE = 1 / 6
 """Variance of the difference of two readings of a counter, pulses squared, mean over phases."""
 
-_READING_VARIANCE = 1 / 12
+READING_VARIANCE = 1 / 12
 """Pulses squared: what a reading of whole pulses leaves, uniform over one."""
 _PASSAGES_NEEDED = 3
 """Of levels: two ends and one that checks them."""
@@ -66,6 +66,10 @@ class MeanRate:
         """Return the variance for a random-walk coefficient (per root second)."""
         return walk * walk * self.walk_gain + self.quantisation_variance
 
+    def scaled(self, pulse: float) -> MeanRate:
+        """Return a rate in pulses per second in the unit of a pulse."""
+        return MeanRate(self.rate * pulse, self.walk_gain, self.quantisation_variance * pulse**2)
+
 
 def mean_rate(pulses: Floats, period: float, walk: float) -> MeanRate:
     """Estimate the mean rate of a counter from its increments.
@@ -86,7 +90,7 @@ def mean_rate(pulses: Floats, period: float, walk: float) -> MeanRate:
     remainder = pulses - whole
     other = _by_all_samples(remainder, period, walk)
     best = best_passages(remainder, period, walk, other) or other
-    return MeanRate(best.rate + whole / period, best.walk_gain, best.quantisation_variance)
+    return replace(best, rate=best.rate + whole / period)
 
 
 def best_passages(
@@ -123,7 +127,7 @@ def _if_best(
         return None
     # One level is lost: part of it before the first passage, the other after the last.
     duration = (1 - 1 / levels) * whole
-    left = 2 * (passed.rate * period) ** 2 * _READING_VARIANCE / duration**2
+    left = 2 * (passed.rate * period) ** 2 * READING_VARIANCE / duration**2
     expected = MeanRate(passed.rate, 1 / duration, left).variance(walk)
     other = other or _by_all_samples(pulses, period, walk)
     return passed if expected < other.variance(walk) else None
@@ -204,7 +208,7 @@ def _from_end_to_end(found: Passages, period: float) -> MeanRate:
 def _between(found: Passages, first: int, last: int, period: float) -> MeanRate:
     duration = float(found.index[last] - found.index[first]) * period
     rate = math.copysign(float(found.level[last] - found.level[first]) / duration, found.drift)
-    return MeanRate(rate, 1 / duration, 2 * found.drift**2 * _READING_VARIANCE / duration**2)
+    return MeanRate(rate, 1 / duration, 2 * found.drift**2 * READING_VARIANCE / duration**2)
 
 
 def smoothed_ends(pulses: Floats, period: float, walk: float) -> MeanRate | None:
@@ -220,7 +224,7 @@ def smoothed_ends(pulses: Floats, period: float, walk: float) -> MeanRate | None
         None without a walk.
 
     """
-    growth = walk * walk * period / _READING_VARIANCE
+    growth = walk * walk * period / READING_VARIANCE
     if growth <= 0:
         return None
     kappa = math.acosh(1 + growth / 2)
@@ -260,18 +264,16 @@ def _faded_error(step: float, fade: float, growth: float) -> float:
     harmonics keep their phase for a while: covariance at lag j is the sum over m of
     Re(z^j) / (2 pi^2 m^2) with z = exp(2 pi i m step - 2 pi^2 m^2 growth).
     """
-    power, turns = _harmonics(step, growth)
-    z = np.exp(turns)
+    z = np.exp(_phases(step, growth))
     alone = (1 - fade) / (1 + fade)
     together = alone * ((1 + fade * z) / (1 - fade * z)).real
-    return float(power @ together) + (_READING_VARIANCE - float(power.sum())) * alone
+    return float(_POWERS @ together) + (READING_VARIANCE - float(_POWERS.sum())) * alone
 
 
-def _harmonics(step: float, growth: float) -> tuple[Floats, NDArray[np.complex128]]:
-    """Return power and log z of the first harmonics of a reading error (see `_faded_error`)."""
-    m = _ORDERS
-    turns = 2j * np.pi * m * step - 2 * np.pi**2 * m**2 * growth
-    return _POWERS, turns.astype(np.complex128)
+def _phases(step: float, growth: float) -> NDArray[np.complex128]:
+    """Return log z of the first harmonics of a reading error (see `_faded_error`)."""
+    turns = 2j * np.pi * _ORDERS * step - 2 * np.pi**2 * _ORDERS**2 * growth
+    return turns.astype(np.complex128)
 
 
 def rate_between(pulses: Floats, period: float, first: float, last: float, walk: float) -> MeanRate:
@@ -295,34 +297,28 @@ def rate_between(pulses: Floats, period: float, first: float, last: float, walk:
     """
     n = len(pulses)
     growth = walk * walk * period
-    kappa = math.acosh(1 + growth / _READING_VARIANCE / 2)
+    kappa = math.acosh(1 + growth / READING_VARIANCE / 2)
     step = float(pulses[math.floor(first) : math.ceil(last)].mean())
     read = _both_ends(n, first, last, kappa)
     error = _windows_error(read.windows, step, growth)
     seconds = read.samples * period
     return MeanRate(
         float(read.on_increments @ pulses) / seconds,
-        period * read.squares / seconds**2,
+        period * float(read.on_increments @ read.on_increments) / seconds**2,
         error / seconds**2,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _BothEnds:
-    """How counts at two instants are read from the samples around them.
-
-    Attributes:
-        windows: The weights around either.
-        on_increments: (n,) weights of the samples.
-        samples: Sample intervals between the instants that the weights are centred on.
-        squares: Sum of the squares of `on_increments`.
-
-    """
+    """How counts at two instants are read from the samples around them."""
 
     windows: tuple[Floats, Floats]
+    """The weights around either."""
     on_increments: Floats
+    """(n,) weights of the samples."""
     samples: float
-    squares: float
+    """Sample intervals between the instants that the weights are centred on."""
 
 
 # Channels of a triad follow each other, with one random walk and the same cuts.
@@ -334,30 +330,20 @@ def _both_ends(n: int, first: float, last: float, kappa: float) -> _BothEnds:
     for instant, sign in ((first, -1.0), (last, 1.0)):
         k = np.arange(max(0, math.ceil(instant - reach)), min(n, math.floor(instant + reach)) + 1)
         away = np.abs(k - instant)
-        window = np.exp(-kappa * away) * _faded(kappa, reach - away)
+        # sinh(kappa left) exp(-kappa left), and what is proportional to it without a walk.
+        left = reach - away
+        window = np.exp(-kappa * away) * (-np.expm1(-2 * kappa * left) if kappa > 0 else left)
         window /= window.sum()
         weights[k] += sign * window
         windows.append(window)
     on_increments = -np.cumsum(weights)[:-1]
-    return _BothEnds(
-        (windows[0], windows[1]),
-        on_increments,
-        float(weights @ np.arange(n + 1)),
-        float(on_increments @ on_increments),
-    )
-
-
-def _faded(kappa: float, left: Floats) -> Floats:
-    """Return sinh(kappa left) exp(-kappa left), and what is proportional to it without a walk."""
-    return np.asarray(-np.expm1(-2 * kappa * left) if kappa > 0 else left)
+    between = float(weights @ np.arange(n + 1))
+    return _BothEnds((windows[0], windows[1]), on_increments, between)
 
 
 def _windows_error(windows: Sequence[Floats], step: float, growth: float) -> float:
-    """Return the sum of the variances of reading errors, each averaged over a window.
-
-    Source: see `_faded_error`.
-    """
-    power, turns = _harmonics(step, growth)
+    """Return the sum of the variances of reading errors (`_faded_error`) averaged over windows."""
+    turns = _phases(step, growth)
     error, powers = 0.0, 0
     for window in windows:
         alike = np.correlate(window, window, mode='full')[len(window) - 1 :]
@@ -369,7 +355,7 @@ def _windows_error(windows: Sequence[Floats], step: float, growth: float) -> flo
         lags = np.zeros(width * width)
         lags[1 : len(alike)] = 2 * alike[1:]
         together = ((coarse @ lags.reshape(width, width)) * fine).sum(axis=1).real
-        error += float(power @ together) + _READING_VARIANCE * float(alike[0])
+        error += float(_POWERS @ together) + READING_VARIANCE * float(alike[0])
     return error
 
 
@@ -409,7 +395,7 @@ def block_rates(
         parts = [_between(found, a, b, period) for a, b in pairwise(cuts)]
         middles = [(found.index[a] + found.index[b]) / 2 + 1 for a, b in pairwise(cuts)]
         return [
-            (m * period, MeanRate(p.rate + whole / period, p.walk_gain, p.quantisation_variance))
+            (m * period, replace(p, rate=p.rate + whole / period))
             for m, p in zip(middles, parts, strict=True)
         ]
     edges = block_edges(len(pulses), period, seconds)

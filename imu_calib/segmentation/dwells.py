@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ _MOSTLY = 0.5
 """Share of saturated samples."""
 _NOTHING: Stamps = np.empty(0, dtype=np.int64)
 
+_Found: TypeAlias = Segment | Rejected | MountShift
+
 
 def read_dwell(  # noqa: PLR0911 (each names another reason)
     sensor: Sensor,
@@ -32,7 +35,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     attitude_error: float = 0.0,
     *,
     left_out: Stamps = _NOTHING,
-) -> list[Segment | Rejected | MountShift]:
+) -> list[_Found]:
     """Turn samples at rest into segments, or say why not.
 
     A shock that left the unit turned parts the dwell in two where the table's angles tell its
@@ -54,6 +57,11 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     stamp = samples.stamp
     if len(stamp) < 2 or (stamp[-1] - stamp[0]) * 1e-9 < _SHORTEST_DWELL:
         return []
+
+    def again(part: slice | NDArray[np.bool_], left_out: Stamps) -> list[_Found]:
+        left = samples.at(part), values[part], angles, attitude, attitude_error
+        return read_dwell(sensor, *left, left_out=left_out)
+
     saturated = sensor.saturated(values, samples)
     # The end of a range repeats itself, too.
     frozen = repeating_samples(values, counted=sensor.counted)
@@ -63,8 +71,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     if frozen.any():
         seconds = frozen.sum() * samples.period
         note = f'its samples are frozen for {seconds:.1f} s, repeating one'
-        kept = samples.at(~frozen), values[~frozen]
-        rest = read_dwell(sensor, *kept, angles, attitude, attitude_error, left_out=stamp[frozen])
+        rest = again(~frozen, stamp[frozen])
         if not rest:
             return [Rejected(int(stamp[0]), int(stamp[-1]), note)]
         return [_with_note(f'{note}; left out', thing) for thing in rest]
@@ -74,16 +81,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     if sound.mount_shift is not None and angles is not None:
         start, stop = sound.mount_shift.start, sound.mount_shift.stop
         before, after = (
-            read_dwell(
-                sensor,
-                samples.part(first, last),
-                values[first:last],
-                angles,
-                attitude,
-                attitude_error,
-                left_out=left_out,
-            )
-            for first, last in ((0, start), (stop, len(stamp)))
+            again(part, left_out) for part in (slice(0, start), slice(stop, len(stamp)))
         )
         return [*before, MountShift(int(stamp[start]), sound.mount_shift.angle), *after]
     found = _sound_statistics(samples, sound, saturated, sensor.walk, left_out)
@@ -103,9 +101,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     ]
 
 
-def _with_note(
-    note: str, found: Segment | Rejected | MountShift
-) -> Segment | Rejected | MountShift:
+def _with_note(note: str, found: _Found) -> _Found:
     """Add what was found before the rest was read."""
     if isinstance(found, Segment):
         return replace(found, notes=(note, *found.notes))

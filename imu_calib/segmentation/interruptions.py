@@ -8,7 +8,7 @@ import numpy as np
 
 from ..instants import at
 from ..stream import Stamps
-from .bunches import SHORT
+from .bunches import LAG, SHORT
 
 INTERRUPTION = 1_000_000_000
 """A stream that is silent for so long, ns, may come from a program that was started again. A
@@ -16,9 +16,6 @@ judgement: no node starts in less, and a line rarely fails for longer."""
 
 _LAST = 1024
 """Stamps before a silence that tell the sample interval, half of which are late at most."""
-
-_LAG = 240
-"""Most samples whose time does (`bunches`)."""
 
 _OVER = 32
 """Samples that gain nothing on the clock after which a queue is over: a reader that comes back to
@@ -95,15 +92,12 @@ def steps_since(before: int | np.int64, stamp: Stamps) -> Stamps:
 
 
 def _interval(stamp: Stamps) -> float:
-    """Return the sample interval by (n,) stamps, ns; 0 where they tell none.
-
-    Of samples that come many at a time single steps tell too much, and spans do where others are
-    missing.
-    """
+    """Return the sample interval by (n,) stamps, ns; 0 where they tell none."""
     steps = np.diff(stamp)
     if not len(steps):
         return 0.0
-    lag = min(_LAG, -(-len(steps) // 2))
+    # Of samples that come many at a time single steps tell too much; spans do where some are lost.
+    lag = min(LAG, -(-len(steps) // 2))
     apart = steps[steps >= SHORT * float(steps.mean())]
     return min(float(np.median(apart)), float(np.median(stamp[lag:] - stamp[:-lag])) / lag)
 

@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import InputError
 from ..plan import Plan
 from ..rotations import angle_between
-from ..stream import Floats, Mode, Setpoint
+from ..stream import Mode, Setpoint
 from ..turntable import TURN, Table
 from ..units import DEG
 from .naming import attitude_words, unique, up_words
@@ -123,7 +123,9 @@ def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
     """
     segments = [s for s in labelled.segments if s.attitude is not None]
     brief = _brief(segments)
-    beside = np.array([_beside_encoders(s) for s in segments])
+    # The angle between up by the accelerometers and by the encoders, rad.
+    ups = [(up_by_accelerometers(s), s.attitude[2]) for s in segments if s.attitude is not None]
+    beside = np.array([float(np.arccos(np.clip(seen @ up, -1, 1))) for seen, up in ups])
     in_mount = np.count_nonzero(beside < UP_TOLERANCE) > len(beside) / 2
     kept: list[Segment] = []
     passing: list[Segment] = []
@@ -185,13 +187,6 @@ def _brief(segments: Sequence[Segment]) -> float:
     spent = np.cumsum(np.minimum(durations, BLOCK_SECONDS))
     usual = float(durations[np.searchsorted(spent, spent[-1] / 2)])
     return min(BLOCK_SECONDS, SHORT_DWELL * usual)
-
-
-def _beside_encoders(segment: Segment) -> float:
-    """Return the angle between up by the accelerometers and by the encoders, rad."""
-    if segment.attitude is None:
-        return 0.0
-    return float(np.arccos(np.clip(up_by_accelerometers(segment) @ segment.attitude[2], -1, 1)))
 
 
 def _in_one_mount(
@@ -326,9 +321,13 @@ def _by_attitude(segments: Sequence[Segment], plan: Plan) -> list[Segment]:
     """
     named: list[Segment] = []
     short = []
+    known = np.array([p.attitude for p in plan.positions])
     for segment in segments:
-        position = min(plan.positions, key=lambda p, s=segment: _apart(s.attitude, p.attitude))  # type: ignore[misc]
-        near = _apart(segment.attitude, position.attitude) <= _ATTITUDE_TOLERANCE
+        apart = np.full(len(known), np.inf)
+        if segment.attitude is not None:
+            apart = angle_between(segment.attitude, known)
+        position = plan.positions[int(np.argmin(apart))]
+        near = bool(apart.min() <= _ATTITUDE_TOLERANCE)
         seconds = segment.statistics.duration
         enough = seconds >= SHORT_DWELL * position.dwell
         if near and not enough:
@@ -343,13 +342,6 @@ def _by_attitude(segments: Sequence[Segment], plan: Plan) -> list[Segment]:
         if name not in found:
             named[k] = replace(named[k], notes=(*named[k].notes, note))
     return named
-
-
-def _apart(a: Floats | None, b: Floats) -> float:
-    """Return the angle of the rotation between two attitudes."""
-    if a is None:
-        return float('inf')
-    return float(angle_between(a, b))
 
 
 def _named_turn(turn: Turn, setpoints: _Setpoints, plan: Plan) -> Turn:

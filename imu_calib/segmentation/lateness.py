@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..instants import at
 from ..stream import Stamps
 
-_JITTER = 6 * 1.4826
+JITTER = 6 * 1.4826
 """Times the median absolute deviation: six standard deviations of a Gaussian one (1.4826)."""
 
 _FEW = 1e-3
@@ -31,7 +31,7 @@ def surely_late(late: Stamps, period: float) -> NDArray[np.bool_]:
     if not after_next.any():
         return after_next
     scatter = float(np.median(np.abs(late - np.median(late))))
-    return np.asarray(after_next & (late > _JITTER * scatter))
+    return np.asarray(after_next & (late > JITTER * scatter))
 
 
 class Lateness:

@@ -190,14 +190,9 @@ class JointTracker:
     def _moved(
         self, position: Floats, new: int, before: NDArray[np.intp], elapsed: Floats
     ) -> NDArray[np.bool_]:
-        """Say of readings from `new` on, (n,), whether a joint is elsewhere than at those before.
+        """Say of readings (m, k) from `new` on whether a joint is elsewhere than at those before.
 
-        Args:
-            position: (m, k) of all, rad.
-            new: The first of the new ones.
-            before: (n,) with which each is compared.
-            elapsed: (n,) since these, s.
-
+        Each of the n new ones is compared with one `before`, `elapsed` seconds ago; (n,).
         """
         apart = np.abs(position[new:] - position[before])
         # A table at rest is still at rest after a silence: only joint states show a motion.
@@ -225,15 +220,11 @@ class JointTracker:
 
     def _mean(self, start: int, end: int) -> tuple[Floats, float]:
         """Return the mean angles from one instant to another, ns, and their deviation by noise."""
-        return averaged(self._between(start, end)[1][:_SAMPLES_FOR_ANGLES])
+        return averaged(self._rows.between(start - 1, end)[1][:_SAMPLES_FOR_ANGLES])
 
     def _motion(self, end: int) -> Motion:
         start = self._start or 0
-        return Motion(start, end, *self._between(start, end))
-
-    def _between(self, start: int, end: int) -> tuple[Stamps, Floats]:
-        """Return copies of the readings from one instant to another, ns, both included."""
-        return self._rows.between(start - 1, end)
+        return Motion(start, end, *self._rows.between(start - 1, end))
 
     def _forget(self) -> None:
         """Drop what no later decision needs, so that memory does not grow with the session."""

@@ -36,7 +36,6 @@ SATURATED = 'a sensor is at the end of its range'
 COARSE = 'it turns too far from one sample to the next'
 MISSING = 'samples are missing'
 JERK = 'a jerk, too short to be read'
-JERK = 'a jerk, too short to be read'
 """Why a motion is no move."""
 
 _SHORTEST = 4
@@ -235,14 +234,9 @@ def joined(samples: Samples) -> _Steps:
 
 
 def _half_way(angle: Floats, velocity: Floats) -> Floats:
-    """Return what samples gained in the body axes half way through each one's angle, (n, 3).
+    """Return what samples gained in the body axes half way through each one's angle, (n, 3) m/s.
 
-    Rates and forces change as their neighbours say.
-
-    Args:
-        angle: (n, 3) rad.
-        velocity: (n, 3) m/s, in axes that turn with the body.
-
+    Rates and forces change as their neighbours say; velocities are in axes that turn with the body.
     """
     bent, steeper = (
         np.vstack([part[1:], part[-1:]]) - np.vstack([part[:1], part[:-1]])

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..stream import Stamps
+from ..stream import Floats, Stamps
 from .grid import SampleGrid, read_grid
 
 _NEAR_WHOLE = 0.25
@@ -53,24 +53,6 @@ class _Knot:
     std: float
 
 
-@dataclass(frozen=True)
-class _Line:
-    """Sums of a line through the segments of a session, pieces between jumps with levels apart."""
-
-    freedom: int = 0
-    xx: float = 0.0
-    xy: float = 0.0
-    yy: float = 0.0
-
-    def __add__(self, other: _Line) -> _Line:
-        return _Line(
-            self.freedom + other.freedom,
-            self.xx + other.xx,
-            self.xy + other.xy,
-            self.yy + other.yy,
-        )
-
-
 class Pace:
     """Times segments of samples in order; the outcome depends on them alone."""
 
@@ -78,7 +60,8 @@ class Pace:
         self._start = 0
         self._reference = 0.0
         """First interval found, s: lines are about it, for the sake of rounding."""
-        self._pieces = _Line()
+        self._pieces = np.zeros(4)
+        """Sums of a line (`_line`) through the pieces between jumps, each with its own level."""
         self._knots: list[_Knot] = []
         self._known: tuple[float, float] | None = None
         """What `_long` has found since the last segment."""
@@ -113,13 +96,13 @@ class Pace:
         return self._known
 
     def _through_all(self) -> tuple[float, float]:
-        line = self._pieces + _line(self._knots, self._reference)
-        freedom = line.freedom - 1
-        if freedom < _FEWEST_FREE or not line.xx > 0:
+        points, xx, xy, yy = (self._pieces + _line(self._knots, self._reference)).tolist()
+        freedom = points - 1
+        if freedom < _FEWEST_FREE or not xx > 0:
             return 0.0, float('inf')
-        change = line.xy / line.xx
-        squares = max(0.0, line.yy - change * line.xy) / freedom
-        return self._reference + change, float(np.sqrt(max(1.0, squares) / line.xx))
+        change = xy / xx
+        squares = max(0.0, yy - change * xy) / freedom
+        return self._reference + change, float(np.sqrt(max(1.0, squares) / xx))
 
     def _note(self, start: float, grid: SampleGrid) -> None:
         """Add a segment to the line, or begin another where it does not lie on it."""
@@ -147,15 +130,16 @@ class Pace:
         return round(first)
 
 
-def _line(knots: list[_Knot], period: float) -> _Line:
-    """Return the sums of what knots leave of a line of a given interval."""
+def _line(knots: list[_Knot], period: float) -> Floats:
+    """Return of what knots leave of a line of a given interval: their number less one, and sums.
+
+    (4,) with the sums of x^2, x y and y^2 about the mean, each knot by its weight.
+    """
     if len(knots) < 2:
-        return _Line()
+        return np.zeros(4)
     number, time, std = np.array([(k.number, k.time, k.std) for k in knots]).T
     weight = std**-2
     left = time - number * period
     x = number - weight @ number / weight.sum()
     y = left - weight @ left / weight.sum()
-    return _Line(
-        len(knots) - 1, float(weight @ x**2), float(weight @ (x * y)), float(weight @ y**2)
-    )
+    return np.array([len(knots) - 1, weight @ x**2, weight @ (x * y), weight @ y**2])

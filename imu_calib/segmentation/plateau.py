@@ -269,17 +269,8 @@ def _bends(
 
     The square and the cubic part of a fit by Legendre's polynomials, against what the scatter
     about that fit makes of them. No ramp bends half a turn by less than a ten-thousandth: at
-    90 deg/s that is 0.05 deg/s^2.
-
-    Args:
-        time: Of all angles of the motion, s.
-        angle: rad.
-        ranges: (n, 2) first index and the one after the last, of n parts of the motion.
-        cells: In how many the angles of each part are averaged: no more than the part has.
-
-    Returns:
-        (n,) and (n,).
-
+    90 deg/s that is 0.05 deg/s^2. Of each of the n `ranges` (n, 2) of indices the angles are
+    averaged in so many `cells`, no more than there are angles.
     """
     first, last = ranges.T
     edges = first[:, None] + np.arange(cells + 1) * (last - first)[:, None] // cells

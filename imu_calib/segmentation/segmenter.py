@@ -207,10 +207,8 @@ class Segmenter:
             self._watch_stillness(last=last)
         self._split_long_rest()
         while self._pending and self._intake.last_stamp is not None:
-            interval = self._pending[0]
-            if not last and not self._intake.all_here(
-                interval.end + self._offset_ns + 2 * MARGIN_NS
-            ):
+            needed = self._pending[0].end + self._offset_ns + 2 * MARGIN_NS
+            if not last and not self._intake.all_here(needed):
                 break
             if self._awaits_offset(last=last):
                 break
@@ -358,12 +356,8 @@ class Segmenter:
         ends = int(np.searchsorted(np.maximum.accumulate(whole.rows), after))
         self._moves.motion(samples.part(0, ends), values[:ends])
         skew = self._intake.skew
-        around = Around(
-            self._sensor,
-            values,
-            samples,
-            None if skew is None else made_between(skew, start, end)[:2],
-        )
+        skewed = None if skew is None else made_between(skew, start, end)[:2]
+        around = Around(self._sensor, values, samples, skewed)
         if self._table is None or not len(motion.stamp):
             self._take(read_free_motion(around, motion))
             return
@@ -483,9 +477,8 @@ class Segmenter:
     def _frozen_motions(self) -> NDArray[np.bool_]:
         """Say in which of the motions that were looked at the device repeated one sample.
 
-        One that is frozen from its beginning to its end shows nothing beside that: by what chance
-        two samples are alike the motions of the session tell, of which most are sound: where most
-        repeat themselves the unit has no noise, and nothing tells.
+        By what chance two samples are alike the motions of the session tell, of which most are
+        sound: where most repeat themselves the unit has no noise, and nothing tells.
         """
         usual = float(np.median([one.share for one in self._repetitions]))
         found = np.array([one.beyond_chance(usual) for one in self._repetitions])

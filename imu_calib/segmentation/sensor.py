@@ -8,18 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..imu import ImuSpec, TriadSpec
+from ..imu import FULL_SCALES, NEARLY, ImuSpec, TriadSpec
 from ..stream import Floats, Stamps, Units
 from .pace import Pace
 from .statistics import Samples, to_samples
 
-_FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
-"""Largest counts of 16, 24 and 32 bits, of either sign."""
 _WALK_GUESS = 0.05
 """Pulses per root of a sample: weights of the first look; the walk follows from the session."""
-NEARLY = 0.999
-"""Share of its range from which on a reading counts as at its end: a range is stated to three
-digits. A judgement."""
 _FEW_PULSES = 10.0
 """Pulses at the end of a range: with fewer one reading does not resolve it to a tenth."""
 _ENOUGH_PULSES = 100.0
@@ -104,23 +99,17 @@ class Sensor:
             if self.spec.units is not Units.SI:
                 sizes = np.abs(values[:, c])
                 # NaN, of lost samples, is below nothing.
-                if not sizes.max(initial=0.0) < _FULL_SCALES[0]:
-                    clipped |= np.isin(sizes, _FULL_SCALES)
+                if not sizes.max(initial=0.0) < FULL_SCALES[0]:
+                    clipped |= np.isin(sizes, FULL_SCALES)
         return clipped
 
 
 def _at_its_end(increments: Floats, limit: float, pulse: float) -> NDArray[np.bool_]:
     """Say of every increment, (n,), whether its channel stands at the end of its range.
 
-    Of a counter that passes a few pulses in an interval at the end of its range one reading tells
-    too little: it is a whole number, up to a pulse more than what was gained. Then as many are
-    added up as make a hundred pulses.
-
-    Args:
-        increments: rad or m/s.
-        limit: What an interval gains at the end of the range, infinite where none is stated.
-        pulse: Size of a pulse; 0 where there are none.
-
+    There an interval gains the limit, which is infinite where none is stated. Where that is a few
+    pulses one reading tells too little: it is a whole number, up to a pulse more than what was
+    gained. Then as many are added up as make a hundred pulses.
     """
     if not limit < _FEW_PULSES * pulse:
         return np.asarray(np.abs(increments) >= limit)

@@ -102,19 +102,17 @@ def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> S
     scale = np.repeat([spec.gyro.scale_factor, spec.accel.scale_factor], 3)
     if spec.units is not Units.PULSES:
         increments = values * (scale * period)
-        codes = spec.units is Units.COUNTS and bool(np.all(values == np.rint(values)))
-        grid = scale * period if codes else _grid(increments)
+        if spec.units is Units.COUNTS and np.all(values == np.rint(values)):
+            grid = scale * period
+        else:
+            # The smallest difference between values of each channel; 0 where all are the same.
+            distinct = [np.diff(np.unique(column)) for column in increments[:_SAMPLES_FOR_GRID].T]
+            grid = np.array([gaps.min() if len(gaps) else 0.0 for gaps in distinct])
         carried = np.repeat([spec.gyro.pulse, spec.accel.pulse], 3)
         grid = np.where(carried > 0, 0.0, grid)
         return Samples(stamp, increments, np.zeros(6), period, grid, carried)
     whole = [bool(channel.all()) for channel in (values == np.rint(values)).T]
     return Samples(stamp, values * scale, np.where(whole, scale, 0.0), period, np.zeros(6))
-
-
-def _grid(increments: Floats) -> Floats:
-    """Return the smallest difference between values of each channel; 0 where all are the same."""
-    distinct = [np.diff(np.unique(column)) for column in increments[:_SAMPLES_FOR_GRID].T]
-    return np.array([gaps.min() if len(gaps) else 0.0 for gaps in distinct])
 
 
 def sample_period(stamp: Stamps) -> float:
@@ -216,30 +214,23 @@ def _between(samples: Samples, channel: int, first: float, last: float, walk: fl
     if pulse == 0.0:
         total = np.concatenate([[0.0], np.cumsum(increments)])
         ends = np.interp([first, last], np.arange(len(total)), total)
-        duration = (last - first) * samples.period
-        rounding = _left_by_rounding(samples, channel, increments, duration)
-        return MeanRate(float(ends[1] - ends[0]) / duration, 1 / duration, rounding)
+        return _uncounted(samples, channel, ends[1] - ends[0], (last - first) * samples.period)
     pulses = np.rint(increments / pulse)
-    mean = rate_between(pulses, samples.period, first, last, walk / pulse)
-    return MeanRate(mean.rate * pulse, mean.walk_gain, mean.quantisation_variance * pulse**2)
+    return rate_between(pulses, samples.period, first, last, walk / pulse).scaled(pulse)
 
 
 def _channel_mean(samples: Samples, channel: int, walk: float) -> MeanRate:
     increments, pulse = samples.increments[:, channel], float(samples.pulse[channel])
     if pulse == 0.0:
-        duration = len(increments) * samples.period
-        rounding = _left_by_rounding(samples, channel, increments, duration)
-        return MeanRate(float(increments.sum()) / duration, 1 / duration, rounding)
-    pulses = np.rint(increments / pulse)
-    mean = mean_rate(pulses, samples.period, walk / pulse)
-    return MeanRate(mean.rate * pulse, mean.walk_gain, mean.quantisation_variance * pulse**2)
+        return _uncounted(samples, channel, increments.sum(), len(increments) * samples.period)
+    return mean_rate(np.rint(increments / pulse), samples.period, walk / pulse).scaled(pulse)
 
 
-def _left_by_rounding(samples: Samples, channel: int, increments: Floats, duration: float) -> float:
-    """Return the variance of a mean rate that rounding leaves, by an ADC or by a counter."""
+def _uncounted(samples: Samples, channel: int, gained: float, duration: float) -> MeanRate:
+    """Return the mean rate of values that are no pulses: what an ADC or a counter rounds stays."""
     of_ends = END_POINT_VARIANCE * float(samples.carried[channel]) ** 2 / duration**2
-    rounding = _rounding(increments, float(samples.grid[channel])) / samples.period**2
-    return of_ends + rounding
+    rounding = _rounding(samples.increments[:, channel], float(samples.grid[channel]))
+    return MeanRate(float(gained) / duration, 1 / duration, of_ends + rounding / samples.period**2)
 
 
 def _rounding(increments: Floats, grid: float) -> float:
@@ -300,21 +291,15 @@ def _channel_blocks(
     increments, pulse = samples.increments[:, channel], float(samples.pulse[channel])
     period = samples.period
     if pulse == 0.0:
-        edges = block_edges(len(increments), period, seconds)
-        sums = [float(increments[a:b].sum()) for a, b in edges]
         return [
             (
                 (a + b) / 2 * period,
-                MeanRate(s / t, 1 / t, _left_by_rounding(samples, channel, increments, t)),
+                _uncounted(samples, channel, increments[a:b].sum(), (b - a) * period),
             )
-            for s, (a, b) in zip(sums, edges, strict=True)
-            for t in [(b - a) * period]
+            for a, b in block_edges(len(increments), period, seconds)
         ]
-    pulses = np.rint(increments / pulse)
-    return [
-        (middle, MeanRate(m.rate * pulse, m.walk_gain, m.quantisation_variance * pulse**2))
-        for middle, m in block_rates(pulses, period, walk / pulse, seconds)
-    ]
+    blocks = block_rates(np.rint(increments / pulse), period, walk / pulse, seconds)
+    return [(middle, mean.scaled(pulse)) for middle, mean in blocks]
 
 
 def _drifts(blocks: tuple[Floats, ...]) -> tuple[Floats, Floats]:

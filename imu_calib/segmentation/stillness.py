@@ -147,10 +147,7 @@ class StillnessTracker:
         end = self.known_until
         if end is None or self._start is None:
             return []
-        return [
-            *done,
-            Rest(self._start, end) if self._reference is not None else self._motion(end),
-        ]
+        return [*done, Rest(self._start, end) if self._reference is not None else self._motion(end)]
 
     def split_rest(self, end: int) -> Rest | None:
         """Close the rest that goes on at `end` (ns) and go on with another; None in motion."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -156,10 +155,8 @@ def _read_turn(
     if seen.sensor.counted and way and turns.rate_error * way > limit:
         rests = np.array([motion.start, motion.end]) + offset_ns
         cut = float(statistics.mean[:3] @ up) * turns.seconds
-        share = _share_between_cuts(seen, rests, cut, up, turns.seconds)
-        if share is not None:
-            angle = share.turned * way * float(np.sign(turns.angle * sense))
-            whole_way = WholeWay(angle, way, share.by_noise, share.by_pulses)
+        signed = way * float(np.sign(turns.angle * sense))
+        whole_way = _beside_whole_way(seen, rests, signed, cut, up, turns.seconds)
     return Turn(
         int(start),
         int(end),
@@ -190,30 +187,13 @@ def _whole_way(motion: Motion, turns: WholeTurns) -> float:
     return way if abs(apart - way) < max(turns.step, _ARRIVED) else 0.0
 
 
-class _Share(NamedTuple):
-    """What share of a motion is that between the cuts, and how well gyros tell: see `WholeWay`."""
+def _beside_whole_way(
+    seen: Around, rests: Floats, way: float, cut: float, up: Floats, seconds: float
+) -> WholeWay | None:
+    """Hold what gyros turned about up between cuts, `cut` rad in `seconds`, against all of a `way`.
 
-    turned: float
-    by_noise: float
-    by_pulses: float
-
-
-def _share_between_cuts(
-    seen: Around, rests: Floats, cut: float, up: Floats, seconds: float
-) -> _Share | None:
-    """Return what share of the motion between two rests (ns) is that between the cuts.
-
-    Of what the gyros turned about up, less what they read at rest beside the motion. None where
-    they did not see all of it.
-
-    Args:
-        seen: What the sensors delivered.
-        rests: (2,) end of the rest before, begin of the one after, ns.
-        cut: What they turned between the cuts, rad.
-        up: (3,) in body axes.
-        seconds: Between the cuts.
-
-    Source: docs/mathematics.md, 'Rate test'.
+    It is turned between two rests (2,), ns, rad, signed. What gyros read at rest beside the motion
+    is taken off. None where they did not see all of it. Source: docs/mathematics.md, 'Rate test'.
     """
     samples, period = seen.samples, seen.samples.period
     beside = np.array([-_BESIDE, 0.0, 0.0, _BESIDE]) * 1e9
@@ -236,8 +216,9 @@ def _share_between_cuts(
     lever = lasted / whole - seconds / within
     looked = np.array([begin - first, last - end]) * period
     pulse = float(np.linalg.norm(samples.pulse[:3] * up)) * math.sqrt(END_POINT_VARIANCE)
-    return _Share(
-        within / whole,
+    return WholeWay(
+        within / whole * way,
+        abs(way),
         abs(lever) * math.sqrt((1 / looked).sum()) / 2,
         pulse * math.hypot(lever * math.sqrt((1 / looked**2).sum()) / 2, 1 / whole),
     )
