@@ -33,7 +33,7 @@ from imu_calib.estimation.excess_scatter import (
     excess,
 )
 from imu_calib.model.session_terms import session_term
-from imu_calib.observation.components import Component, Dense
+from imu_calib.observation.components import Blocks, Component
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 
@@ -311,9 +311,10 @@ def test_drift_is_the_mean_of_its_posterior() -> None:
 
 
 def dense(component: Component) -> Any:
-    assert isinstance(component.part, Dense)
-    assert component.part.rows.tolist() == list(range(10, 10 + SIZE))
-    return component.part.matrix
+    assert isinstance(component.part, Blocks)
+    (rows,), (matrix,) = component.part.rows, component.part.matrices
+    assert rows.tolist() == list(range(10, 10 + SIZE))
+    return matrix
 
 
 def test_without_a_data_sheet_nothing_is_stated_and_nothing_spared() -> None:
@@ -485,10 +486,10 @@ def test_scatter_of_a_session_is_that_of_both_triads_and_their_positions(
     wanted = [part for _, parts, _, _ in spread for part in parts]
     for one, other in zip(found.extra, wanted, strict=True):
         assert one.source is other.source
-        assert one.part.matrix == pytest.approx(other.part.matrix)  # type: ignore[attr-defined]
+        assert one.part.matrices == pytest.approx(other.part.matrices)  # type: ignore[attr-defined]
     spared = [part for _, _, its, _ in spread for part in its]
     for one, other in zip(found.absent_drift, spared, strict=True):
-        assert one.part.matrix == pytest.approx(other.part.matrix)  # type: ignore[attr-defined]
+        assert one.part.matrices == pytest.approx(other.part.matrices)  # type: ignore[attr-defined]
     assert found.fast_drift == (spread[0][3], spread[1][3])
 
 
@@ -527,7 +528,7 @@ def test_a_session_without_rests_or_without_noise_shows_no_scatter() -> None:
 
 def test_scatter_is_shown_where_something_is_not_known_beforehand() -> None:
     stated, beyond = (
-        Component(source, Dense(np.arange(1), np.eye(1)))
+        Component(source, Blocks(np.arange(1)[None], np.eye(1)[None]))
         for source in (Source.BIAS_STATED, Source.BIAS_FOUND)
     )
     known = ExcessScatter(NO_POSITIONING_ERRORS, np.zeros(6), (stated,))

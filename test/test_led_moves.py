@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
-from imu_calib.observation.gyro_paths import GyroPath, chained
+from imu_calib.observation.gyro_paths import GyroPath, followed
 from imu_calib.observation.moves import (
     LinkedMove,
     Moves,
@@ -23,7 +23,13 @@ from imu_calib.observation.moves import (
     _telling,
     coning_variance,
 )
-from imu_calib.observation.velocity_increments import VelocityIncrement, _change, by_places
+from imu_calib.observation.velocity_increments import (
+    VelocityIncrement,
+    _change,
+    by_delay,
+    by_places,
+)
+from imu_calib.rotations import rotations_last
 from imu_calib.segmentation.segmented import Move, VelocitySteps
 from imu_calib.stream import Floats
 
@@ -223,7 +229,7 @@ def test_a_path_is_the_product_of_its_steps() -> None:
 @pytest.mark.parametrize('count', [1, 2, 3, 4, 5, 8, 9])
 def test_vectors_are_followed_through_any_number_of_steps(count: int) -> None:
     vectors = np.random.default_rng(count).standard_normal((count, 3))
-    (whole,), after = chained(vectors, [count])
+    (whole,), after = followed(rotations_last(-vectors), [count])
     wanted = np.eye(3)
     for k in range(count - 1, -1, -1):
         np.testing.assert_allclose(after[..., k], wanted, atol=1e-12)
@@ -278,7 +284,7 @@ def test_a_velocity_is_the_sum_of_its_steps() -> None:
     late = -sum(
         m @ np.cross(w, f) * s for m, w, f, s in zip(middles, rates, felt, SECONDS, strict=True)
     )
-    np.testing.assert_allclose(found.by_delay, late, atol=1e-12)
+    np.testing.assert_allclose(by_delay([found])[0], late, atol=1e-12)
     by_seconds = -sum(
         m @ np.linalg.solve(MODEL.accel.response, MODEL.accel.bias) * s
         for m, s in zip(middles, SECONDS, strict=True)
@@ -495,7 +501,7 @@ def test_what_many_velocities_feel_alike_is_by_places_delay_and_the_earth() -> N
     (thrust, _) = moves.velocity_increments(MODEL)
     assert thrust is not None
     np.testing.assert_allclose(arms[0, 3:, 3:], 0.03 * after @ by_places([thrust])[0], atol=1e-15)
-    np.testing.assert_allclose(delays[0, 3:, 0], 0.01 * after @ thrust.by_delay, atol=1e-15)
+    np.testing.assert_allclose(delays[0, 3:, 0], 0.01 * after @ by_delay([thrust])[0], atol=1e-15)
     assert not arms[:, :3].any()
     assert not arms[1].any()
     assert not delays[1].any()

@@ -21,9 +21,10 @@ from imu_calib.model.terms import DELAY
 from imu_calib.observation.arms import APART, LONGEST
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.gyro_paths import GyroPath, chained
+from imu_calib.observation.gyro_paths import GyroPath, followed
 from imu_calib.observation.moves import _second_order
-from imu_calib.observation.velocity_increments import VelocityIncrement, by_places
+from imu_calib.observation.velocity_increments import VelocityIncrement, by_delay, by_places
+from imu_calib.rotations import rotations_last
 from imu_calib.segmentation.moves import STEP_ANGLE, MoveReader, joined
 from imu_calib.segmentation.segment import Segment
 from imu_calib.segmentation.segmented import Move, VelocitySteps
@@ -70,13 +71,13 @@ def test_steps_lead_where_the_motion_went() -> None:
     assert len(steps.turned) < 0.7 * len(angles)
     assert steps.counts.sum() == len(angles)
     assert np.linalg.norm(steps.turned, axis=1).max() < 2 * STEP_ANGLE
-    (whole,), _ = chained(steps.turned, [len(steps.turned)])
+    (whole,), _ = followed(rotations_last(-steps.turned), [len(steps.turned)])
     off = whole @ attitude
     assert np.abs(off - np.eye(3)).max() < 0.1 * ARCSEC
     # Sums of angles alone, without what their changing directions add, end far off.
     first = np.concatenate([[0], np.cumsum(steps.counts)[:-1]]).astype(int)
     plain = np.add.reduceat(increments[:, :3], first)
-    (whole,), _ = chained(plain, [len(plain)])
+    (whole,), _ = followed(rotations_last(-plain), [len(plain)])
     assert np.abs(whole @ attitude - np.eye(3)).max() > 5 * ARCSEC
 
 
@@ -203,7 +204,7 @@ def test_accelerometers_that_answer_late_gain_what_gravity_has_turned() -> None:
     samples, attitude = tumbled()
     late, _ = tumbled(late=1)
     moved = pushed(late, attitude).velocity - pushed(samples, attitude).velocity
-    predicted = -PERIOD * pushed(samples, attitude).by_delay
+    predicted = -PERIOD * by_delay([pushed(samples, attitude)])[0]
     # A sample is 0.9 deg at most: the second order is a hundredth of the first.
     assert predicted == pytest.approx(moved, abs=0.02 * np.abs(moved).max())
     assert np.abs(moved).max() > 0.01

@@ -89,7 +89,6 @@ def test_derivatives_are_difference_quotients(units: Units) -> None:
         step[k] = 1e-6
         slope = (equations.predict(state + step) - equations.predict(state - step)) / 2e-6
         assert jacobian[:, k] == pytest.approx(slope, rel=1e-6, abs=1e-7), k
-    np.testing.assert_array_equal(equations.clock_slope(state), jacobian[:, equations.clock])
 
 
 def test_clocks_that_nothing_compares_count_in_timed_turns_alone() -> None:
@@ -97,7 +96,7 @@ def test_clocks_that_nothing_compares_count_in_timed_turns_alone() -> None:
     untold = replace(held, clock=replace(held.clock, rate_std=np.nan))
     turns = (replace(held.turns[0], seconds=None), *held.turns[1:])
     equations, state = at(replace(untold, turns=turns))
-    slope = equations.clock_slope(state)
+    slope = equations.jacobian(state)[:, equations.clock]
     rows = equations.layout.turn[1:].ravel()
     assert slope[rows] == pytest.approx(-equations.predict(state)[rows] / (1 + FASTER))
     assert not np.delete(slope, rows).any()
@@ -310,7 +309,12 @@ def test_moves_feel_a_clock_but_where_pulses_are_compared_with_none(
     units: Units, compared: bool, wanted: float
 ) -> None:
     evidence = SimpleNamespace(units=units, clocks_compared=compared, links=Led())
-    session: Any = SimpleNamespace(evidence=evidence)
-    around: Any = SimpleNamespace(force='force')
-    model: Any = 'model'
-    assert (SessionModel._led_by_clock(session, model, around) == np.full((3, 6), wanted)).all()
+    around = SimpleNamespace(force='force')
+    session = SimpleNamespace(
+        evidence=evidence,
+        model=lambda _: 'model',
+        surroundings=lambda _: around,
+        remembered=lambda _, state, method: method(session, state),
+    )
+    found = SessionModel._by_clock(session, np.zeros(0))
+    assert (found == np.full((3, 6), wanted)).all()

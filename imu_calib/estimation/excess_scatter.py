@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from ..budget import Source
 from ..model import BIASES, indices_of
-from ..observation.components import Component, Dense, Diagonal
+from ..observation.components import Blocks, Component, Diagonal
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE
 from ..observation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
@@ -125,10 +125,7 @@ class _Triad:
     def weigh(self, joints: float = 0.0, stops: float = 0.0) -> tuple[Floats, Floats]:
         """Return log likelihoods for positioning errors of these variances, rad^2.
 
-        Returns:
-            (shares,) for shares of the drift stated, and (taus, ratios) for what comes on top
-            of it.
-
+        (shares,) for shares of the drift stated, and (taus, ratios) for what comes on top of it.
         """
         base = self.positioning_covariance(joints, stops)
         calm = [
@@ -155,10 +152,7 @@ class _Triad:
     def lines(self, drift: Floats, variances: Floats) -> Floats:
         """Return the log likelihoods of positioning errors, (kinds, v), beside a drift (r, r).
 
-        Args:
-            drift: Its covariance.
-            variances: (v,) of positioning errors, rad^2, split into joints and stops by `_KINDS`.
-
+        The variances (v,), rad^2, are split into joints and stops by `_KINDS`.
         """
         base = np.eye(len(self.residuals)) + drift
         shares = _KINDS.tolist()
@@ -245,16 +239,12 @@ def excess(
 
 @dataclass(frozen=True, eq=False)
 class _Drift:
-    """Log likelihoods of drifts: (shares,) of the stated one, (taus, ratios) beyond it.
-
-    Attributes:
-        calm: Log likelihoods with the odds of the data sheet.
-        beyond: Log likelihoods, a weight of one spread over all.
-
-    """
+    """Log likelihoods of drifts."""
 
     calm: Floats
+    """(shares,) of the stated one, with the odds of the data sheet."""
     beyond: Floats
+    """(taus, ratios) of more than that, a weight of one spread over all."""
 
     @classmethod
     def of(cls, triad: _Triad, joints: float = 0.0, stops: float = 0.0) -> _Drift:
@@ -307,10 +297,7 @@ class _Drift:
                 self.known - float(self.calm[calm]) + float(triad.log_odds[calm]),
                 triad.drift_covariance(_SHARES[calm], 0, 0.0),
             ),
-            (
-                self.unknown - self.highest,
-                triad.drift_covariance(1.0, time, float(_RATIOS[ratio])),
-            ),
+            (self.unknown - self.highest, triad.drift_covariance(1.0, time, float(_RATIOS[ratio]))),
         ]
 
 
@@ -383,12 +370,8 @@ def _by_noise(
 ) -> float:
     """Return what the size of the noise gains with the likeliest positioning errors, less without.
 
-    Args:
-        triads: Gyros and accelerometers.
-        hypotheses: Of each, drifts; the first is what is known beforehand.
-        lines: Log likelihoods of positioning errors beside each of them.
-        variances: (v,) of positioning errors.
-
+    The hypotheses of each triad are drifts, the first what is known beforehand; `lines` are the log
+    likelihoods of positioning errors of (v,) variances beside each of them.
     """
     found = _pooled(lines)
     joints, stops = _likeliest(found, variances)
@@ -407,7 +390,7 @@ def _pooled(lines: Sequence[Sequence[Floats]]) -> Floats:
 def _spread_out(
     triad: _Triad, mixture: list[tuple[float, _Drift]]
 ) -> tuple[float, tuple[Component, ...], tuple[Component, ...], bool]:
-    """Return the drift's standard deviation, the posterior's mean of its covariance.
+    """Return the drift's standard deviation, and the posterior's mean of its covariance.
 
     And what that lacks of the drift stated, and whether what is beyond comes and goes swiftly.
     """
@@ -424,12 +407,12 @@ def _spread_out(
             kernel = triad.bias_drift.kernel(time)[:means, :means]
             found += float(by_ratio[k] @ _RATIOS) * triad.typical * kernel
     total = calm * triad.stated + float((by_ratio @ _RATIOS).sum()) * triad.typical
-    parts = []
+    parts, rows = [], triad.rows[None]
     if calm * triad.stated:
-        parts.append(Component(Source.BIAS_STATED, Dense(triad.rows, calm * stated)))
+        parts.append(Component(Source.BIAS_STATED, Blocks(rows, calm * stated[None])))
     if by_ratio.any():
-        parts.append(Component(Source.BIAS_FOUND, Dense(triad.rows, found)))
-    spared = Component(Source.BIAS_STATED, Dense(triad.rows, (1 - calm) * stated))
+        parts.append(Component(Source.BIAS_FOUND, Blocks(rows, found[None])))
+    spared = Component(Source.BIAS_STATED, Blocks(rows, (1 - calm) * stated[None]))
     swift = bool(by_ratio.any()) and int(by_ratio.sum(axis=1).argmax()) == 0
     # In a session of five hours the first of the times is nearest to that of the data sheet.
     swift &= math.sqrt(_TIMES[0] * _TIMES[1]) * triad.bias_drift.span < STATED_TIME
@@ -538,17 +521,10 @@ def _triad(
 def _restricted(
     jacobian: Floats, left: Floats, covariance: Floats, prior: Floats
 ) -> tuple[Floats, Floats]:
-    """Project outputs onto the complement of the parameters, in units of their noise.
+    """Project k outputs onto the complement of p parameters, in units of their noise.
 
-    Args:
-        jacobian: (k, p) of the outputs.
-        left: (k,) of them.
-        covariance: (k, k) of their noise.
-        prior: (q, p + 1) further equations in standard deviations, what they leave last.
-
-    Returns:
-        (k, r) by which the outputs' scatter enters, and (r,) what is left.
-
+    The prior (q, p + 1) is further equations in standard deviations, what they leave last. Returned
+    are (k, r) by which the outputs' scatter enters, and (r,) what is left.
     """
     factor = np.linalg.cholesky(covariance)
     columns = np.column_stack([jacobian, left])
@@ -567,10 +543,7 @@ def _restricted(
 
 
 def _slope_variance(blocks: Floats, walk: float) -> tuple[float, float]:
-    """Return the variance of the line through block means that `Statistics.drift` is.
-
-    That by random walk, and all of it.
-    """
+    """Return the variance of the slope `Statistics.drift`: that by random walk, and all of it."""
     centred = blocks[:, 3] - blocks[:, 3].mean()
     weights = centred / (centred @ centred)
     noise = walk**2 * blocks[:, 1]

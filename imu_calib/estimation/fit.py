@@ -69,12 +69,7 @@ def check_observable(equations: Equations) -> None:
 
 
 def _check_terms(equations: Equations) -> None:
-    """Refuse terms that the session leaves open, though it determines the 24 parameters.
-
-    Raises:
-        NotObservable: Names the terms and what would determine them.
-
-    """
+    """Refuse terms that the session leaves open, though it determines the 24 parameters."""
     parameters = equations.parameters
     known = determined(nominal_information(equations), parameters)
     missing = [p for p, sure in zip(parameters, known, strict=True) if not sure]

@@ -92,11 +92,7 @@ def log_likelihoods_by_ratio(
 
 
 def log_likelihoods_by_columns(
-    base: Floats,
-    columns: Sequence[Floats],
-    factors: Sequence[Floats],
-    left: Floats,
-    ratios: Floats,
+    base: Floats, columns: Sequence[Floats], factors: Sequence[Floats], left: Floats, ratios: Floats
 ) -> Floats:
     """Return the log likelihoods for kernels X X', X several columns side by side.
 

@@ -254,9 +254,14 @@ def with_parameters(
     """Return the equations with the terms of parameters on, and the state with zeros for them."""
     terms = (*terms_of(equations.parameters), *terms_of(parameters))
     on = replace(equations, parameters=parameters_of(terms))
-    values = dict(zip(equations.parameters, state, strict=False))
-    sensors = [values.get(parameter, 0.0) for parameter in on.parameters]
+    sensors = values_of(on.parameters, equations, state)
     return on, np.concatenate([sensors, state[equations.sensors :]])
+
+
+def values_of(parameters: Sequence[Parameter], equations: Equations, state: Floats) -> Floats:
+    """Return the values (p,) of parameters at a state (n,) of equations; 0 where it has none."""
+    values = dict(zip(equations.parameters, state.tolist(), strict=False))
+    return np.array([values.get(parameter, 0.0) for parameter in parameters])
 
 
 @dataclass(frozen=True, eq=False)
@@ -414,7 +419,5 @@ def log_f(value: float, first: float, second: float) -> float:
         return float(np.log(direct))
     a, b = second / 2, first / 2
     x = second / (second + first * value)
-    series = float(special.hyp2f1(a + b, 1, a + 1, x))
-    return float(
-        a * np.log(x) + b * np.log1p(-x) - np.log(a) - special.betaln(a, b) + np.log(series)
-    )
+    series = np.log(special.hyp2f1(a + b, 1, a + 1, x))
+    return float(a * np.log(x) + b * np.log1p(-x) - np.log(a) - special.betaln(a, b) + series)

@@ -40,6 +40,7 @@ from .score import (
     most_significant,
     scores_of,
     times_of,
+    values_of,
 )
 from .undecided_drifts import UndecidedDrifts, undecided
 
@@ -114,12 +115,11 @@ class Search:
     def shares(self) -> dict[Source, Share]:
         """Return the covariance of the parameters by source, rivals included."""
         shares = self.estimate.shares()
-        if self.doubt.any():
-            parts = [(self.doubt, np.inf)]
-            if Source.TERMS in shares:
-                known = shares[Source.TERMS]
-                return {**shares, Source.TERMS: Share(known.covariance + self.doubt, known.freedom)}
-            shares[Source.TERMS] = Share.of_parts(parts)
+        known = shares.get(Source.TERMS)
+        if self.doubt.any() and known is not None:
+            shares[Source.TERMS] = Share(known.covariance + self.doubt, known.freedom)
+        elif self.doubt.any():
+            shares[Source.TERMS] = Share.known(self.doubt)
         return shares
 
 
@@ -160,15 +160,9 @@ class _Model:
         return replace(self, parameters=parameters_of(terms))
 
     def on(self, equations: Equations, state: Floats) -> tuple[Equations, Floats]:
-        """Return equations of a session with what is on here, and their state; new ones are 0.
-
-        Raises:
-            NotObservable: The session does not tell how its parameters change.
-
-        """
+        """Return equations of a session with what is on here, and their state; new ones are 0."""
         evidence = replace(equations.evidence, table=self.evidence.table)
-        values = dict(zip(equations.parameters, state, strict=False))
-        sensors = [values.get(parameter, 0.0) for parameter in self.parameters]
+        sensors = values_of(self.parameters, equations, state)
         here = replace(equations, parameters=self.parameters, doubts=self.doubts, evidence=evidence)
         courses = {change.course for change in self.changes}
         known = dict(zip(equations.changes, state[equations.changing], strict=True))
@@ -230,11 +224,8 @@ def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found
     """Return families one after the other, the most significant first, until none is any more.
 
     Nothing is set aside meanwhile, and again all that the first estimate set aside: a family that
-    is missing makes outliers, and outliers make a family that is not there.
-
-    Raises:
-        NotConverged: Neither comes to an end with what was found.
-
+    is missing makes outliers, and outliers make a family that is not there. Raises `NotConverged`
+    where neither comes to an end with what was found.
     """
     as_kept = (first.without_scatter, first.state)
     views = [(_restored(start, first), first.state)]
@@ -250,12 +241,7 @@ def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found
 def _significant(
     start: _Model, views: list[tuple[Equations, Floats]], rejected: set[Family]
 ) -> tuple[Found, ...]:
-    """Return families one after the other by some views of a session, each with its state.
-
-    Raises:
-        NotConverged: A view comes to no end with what was found.
-
-    """
+    """Return families one after the other by some views of a session, each with its state."""
     found: list[Found] = []
     while True:
         model = start.with_found(found)
@@ -286,12 +272,7 @@ def _likeliest(shown: Sequence[Family], chances: Mapping[Family, float]) -> Fami
     """Return the most significant; of those that are the same to the session the first of all.
 
     What follows a temperature that was recorded is not taken for a drift with time that explains
-    the session alike: it holds in other sessions, too.
-
-    Args:
-        shown: In the order of the terms.
-        chances: Natural logarithms.
-
+    the session alike: it holds in other sessions, too. Chances are natural logarithms.
     """
     family = min(shown, key=lambda f: round(chances[f]))
     if family.course is not None:
@@ -376,9 +357,7 @@ def _confirmed(
 def _size(
     model: _Model, family: Family, score: Score
 ) -> tuple[tuple[tuple[Parameter, float], ...], float, float]:
-    """Return what is given to a family that is not estimated: doubts, or the size of an error.
-
-    The last is what of the error is seen.
+    """Return what a family that is not estimated gets: doubts, the size of an error, what is seen.
 
     What is not seen of it is taken to be as large as what is seen, by Student's t for as many
     directions as were seen.
@@ -400,14 +379,9 @@ def _size(
 def _concluded(
     current: Estimate, found: tuple[Found, ...], plain: Estimate, *, weigh: bool
 ) -> Search:
-    """Score the families that are off under the final weights.
+    """Score the families that are off under the final weights, those of the current estimate.
 
-    Args:
-        current: The last estimate.
-        found: What is on in it.
-        plain: The first.
-        weigh: Whether drifts that are not shown widen the covariance.
-
+    Drifts that are not shown widen the covariance if they are to be weighed.
     """
     equations, state = current.equations, current.state
     named = [one.family for one in found]
@@ -438,10 +412,9 @@ def _concluded(
         doubt += _by_rivals(current, one)
     drifts = UndecidedDrifts({}, np.zeros((n, n)))
     if weigh:
-        possible = {
-            f: list(zip(drifting[f], map(slopes, columns[f]), strict=True)) for f in of_session
-        }
-        drifts = undecided(possible, n)
+        drifts = undecided(
+            {f: list(zip(drifting[f], map(slopes, columns[f]), strict=True)) for f in of_session}, n
+        )
     return Search(
         current,
         found,

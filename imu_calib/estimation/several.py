@@ -20,13 +20,7 @@ from numpy.typing import NDArray
 
 from ..budget import Share, Source
 from ..errors import NotObservable
-from ..observation.common_errors import (
-    SHARED,
-    TABLE_STATE,
-    CommonSizes,
-    CommonTable,
-    dwells_seen,
-)
+from ..observation.common_errors import SHARED, TABLE_STATE, CommonSizes, CommonTable, dwells_seen
 from ..observation.components import Component
 from ..observation.components import parts as parts_of
 from ..observation.equations import Equations
@@ -201,28 +195,24 @@ def _worst(system: _System, kept: Sequence[int]) -> Contradicting | None:
 
 @dataclass(frozen=True, eq=False)
 class _Reduced:
-    """A unit about a state, its own parameters eliminated.
-
-    Attributes:
-        orthonormal: (r, n) basis of what its own parameters do to its equations.
-        inverse: (n, n) of the triangle: parameters by coordinates in that basis.
-        common: (r, c) derivatives by what is common, whitened, less what its own take up.
-        by_common: (n, c) derivatives of its own parameters by what is common.
-        own: (n,) step of its own parameters where what is common stays.
-        pull: (c,) gradient by what is common.
-        square: Sum of squares that its own parameters leave, standard deviations.
-        factor: (m, m) root of the covariance of its outputs.
-
-    """
+    """A unit about a state, its own parameters eliminated."""
 
     orthonormal: Floats
+    """(r, n) basis of what its own parameters do to its equations."""
     inverse: Floats
+    """(n, n) of the triangle: parameters by coordinates in that basis."""
     common: Floats
+    """(r, c) derivatives by what is common, whitened, less what its own take up."""
     by_common: Floats
+    """(n, c) derivatives of its own parameters by what is common."""
     own: Floats
+    """(n,) step of its own parameters where what is common stays."""
     pull: Floats
+    """(c,) gradient by what is common."""
     square: float
+    """Sum of squares that its own parameters leave, standard deviations."""
     factor: Floats
+    """(m, m) root of the covariance of its outputs."""
 
     @property
     def information(self) -> Floats:
@@ -237,13 +227,7 @@ class _Reduced:
 
 
 class _System:
-    """The equations of several units, about the state that is reached.
-
-    Args:
-        alone: What each found by itself.
-        sizes: Of the table's errors.
-
-    """
+    """The equations of several units, about the state that is reached."""
 
     def __init__(self, alone: Sequence[Estimate], sizes: CommonSizes) -> None:
         self._alone = alone
@@ -257,12 +241,7 @@ class _System:
         self._values = np.zeros(len(self._errors.sources))
 
     def solve(self) -> None:
-        """Iterate to the least squares.
-
-        Raises:
-            NotObservable: The iteration does not converge.
-
-        """
+        """Iterate to the least squares."""
         for _ in range(_ROUNDS):
             self._linearise()
             step = self._inverse @ self._gradient

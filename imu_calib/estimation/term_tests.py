@@ -166,12 +166,7 @@ def _moved(
 ) -> tuple[Parameter, float] | None:
     """Return which parameter a coefficient moves most, in its deviations, and by how much.
 
-    Args:
-        search: What was found.
-        amount: Of the coefficient.
-        slopes: (n,) how the parameters follow it.
-        least: Deviations by which the amount must move one to be named.
-
+    The n parameters follow it by `slopes`; an amount must move one by `least` deviations.
     """
     equations = search.estimate.equations
     std = np.sqrt(np.diag(search.estimate.covariance)[: equations.sensors])

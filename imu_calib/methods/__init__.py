@@ -75,11 +75,7 @@ _CHECKS: dict[str, Callable[[Plan, Site], None]] = {
 
 
 def method(
-    name: str,
-    terms: tuple[Term, ...] = (),
-    changes: tuple[Change, ...] = (),
-    *,
-    look: bool = False,
+    name: str, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = (), *, look: bool = False
 ) -> Callable[[Evidence], Solution]:
     """Return the solver of a name.
 

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from ..earth import EARTH_RATE
-from ..errors import Contradiction, InputError
+from ..errors import Contradiction, InputError, NotObservable
 from ..model import AXES, SensorModel
 from ..observation.evidence import Evidence
 from ..stream import Floats
@@ -54,13 +54,17 @@ _TOLD = 0.2
 """Of the Earth's rate: known worse, it tells a latitude to no better than ten degrees."""
 
 
+def no_turn_about(axis: int) -> NotObservable:
+    """Return what is said where nothing turned about a body axis."""
+    name = AXES[axis]
+    return NotObservable(
+        f'No whole turn about {name.upper()} was found: K_g{name} and the responses of the gyros '
+        f'to {name.upper()} cannot be determined.'
+    )
+
+
 def turns_scatter_finding(scatter: float) -> str:
-    """Say by how much turns scatter beyond their noise.
-
-    Args:
-        scatter: Chi-square per degree of freedom.
-
-    """
+    """Say by how much turns scatter beyond their noise, by chi-square per degree of freedom."""
     return (
         f'Between turns the gyros scatter {np.sqrt(scatter):.1f} times more than within them '
         '(a range that ends below the rates, a scale factor that depends on the rate): the '
@@ -69,12 +73,7 @@ def turns_scatter_finding(scatter: float) -> str:
 
 
 def clock_finding(evidence: Evidence) -> list[str]:
-    """Mention clocks that the session does not compare well: their rate goes straight into K_g.
-
-    Returns:
-        One sentence, or none.
-
-    """
+    """Mention clocks that the session does not compare well: their rate goes straight into K_g."""
     std = evidence.turns_clock_std
     if std < _WELL_KNOWN_CLOCKS:
         return []
@@ -85,12 +84,7 @@ def clock_finding(evidence: Evidence) -> list[str]:
 
 
 def encoder_finding(evidence: Evidence) -> list[str]:
-    """Mention encoders whose steps hide what rates turns had.
-
-    Returns:
-        One sentence, or none.
-
-    """
+    """Mention encoders whose steps hide what rates turns had."""
     by_steps = [t.rate_std(evidence.walk) for t in evidence.turns if t.step >= _COARSE_STEP]
     worst = max(by_steps, default=0.0)
     if evidence.encoder_step < _COARSE_STEP or worst < _WELL_KNOWN_CLOCKS:
@@ -104,12 +98,7 @@ def encoder_finding(evidence: Evidence) -> list[str]:
 
 
 def far_scales(model: SensorModel) -> list[str]:
-    """Mention outputs so far from the nominal scale that the description may be another unit's.
-
-    Returns:
-        A sentence for each triad that is.
-
-    """
+    """Mention outputs so far from the nominal scale that the description may be another unit's."""
     scales = {
         'gyros': abs(float(np.linalg.det(model.gyro.response))) ** (1 / 3),
         'accelerometers': abs(float(np.linalg.det(model.accel.response))) ** (1 / 3),

@@ -40,7 +40,7 @@ _OUTSTANDING = 5.0
 12 standard deviations."""
 _LEAST_AZIMUTH = 0.05 * DEG
 """rad: how well a table's zero is set to north without measuring it; a judgement."""
-_SAME_UP = 0.99
+SAME_UP = 0.99
 """Cosine: 8 degrees, far less than positions of a plan differ by."""
 _ON_TURNS = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
 
@@ -91,20 +91,16 @@ class LeastSquares:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Earth rate or gravity as the static dwells see it, by given sensors.
-
-    Attributes:
-        vector: (3,) Earth rate or specific force in the frame of the attitudes.
-        covariance: (3, 3) its covariance.
-        residuals: (s, 3) what is left.
-        scatter: Of what is left where more is free.
-
-    """
+    """Earth rate or gravity as the static dwells see it, by given sensors."""
 
     vector: Floats
+    """(3,) Earth rate or specific force in the frame of the attitudes."""
     covariance: Floats
+    """(3, 3) its covariance."""
     residuals: Floats
+    """(s, 3) what is left."""
     scatter: _Scatter
+    """Of what is left where more is free."""
 
 
 @dataclass(frozen=True)
@@ -165,10 +161,7 @@ def conclude(
     accel = _fit(equations, state, 3) if with_accels else None
     widened = covariance.copy()
     freedom = np.full(len(covariance), np.inf)
-    for fit, mine, name in (
-        (gyro, ~of_accels, 'gyros'),
-        (accel, of_accels, 'accelerometers'),
-    ):
+    for fit, mine, name in ((gyro, ~of_accels, 'gyros'), (accel, of_accels, 'accelerometers')):
         if fit is not None and fit.scatter.significant:
             widened[np.ix_(mine, mine)] *= fit.scatter.ratio
             freedom[mine] = fit.scatter.freedom
@@ -233,14 +226,9 @@ def _tilt(accel: _Fit) -> Tilt:
 def _fit(equations: Equations, state: Floats, first: int) -> _Fit:
     """Free the vector that all static dwells see, and a common offset.
 
-    What scatters is held against more: of accelerometers, whose closed forms weigh all positions
-    alike, responses, biases and tilts are free. What a position of few pulses does to them through
-    its quantisation is no contradiction among the others.
-
-    Args:
-        equations: Of the session without moves.
-        state: (n,) what a closed form made of it.
-        first: Of the channels: 0 for gyros, 3 for accelerometers.
+    What scatters is held against more: of accelerometers (`first` is 3), whose closed forms weigh
+    all positions alike, responses, biases and tilts are free. What a position of few pulses does to
+    them through its quantisation is no contradiction among the others.
 
     Source: docs/mathematics.md, 'Joint estimate' (azimuth and latitude from the session itself).
     """
@@ -264,17 +252,15 @@ def _fit(equations: Equations, state: Floats, first: int) -> _Fit:
         over = (equations.outputs - equations.predict(moved))[rows]
     around = equations.surroundings(state)
     seen = around.force if first else around.rate
+    scatters = [
+        _scatter(equations, means @ tested, means @ over, means @ covariance @ means.T)
+        for means in (np.eye(len(rows)), _means_by_up(equations.evidence))
+    ]
     return _Fit(
         seen + found.step[:3],
         found.covariance[:3, :3],
         (left - columns @ found.step).reshape(-1, 3),
-        max(
-            (
-                _scatter(equations, means @ tested, means @ over, means @ covariance @ means.T)
-                for means in (np.eye(len(rows)), _means_by_up(equations.evidence))
-            ),
-            key=lambda scatter: scatter.ratio,
-        ),
+        max(scatters, key=lambda scatter: scatter.ratio),
     )
 
 
@@ -308,7 +294,7 @@ def _means_by_up(evidence: Evidence) -> Floats:
     other axes is common to them, and hides from the scatter within the group.
     """
     ups = evidence.attitudes()[:, 2]
-    groups = np.argmax(ups @ ups.T > _SAME_UP, axis=1)
+    groups = np.argmax(ups @ ups.T > SAME_UP, axis=1)
     alike = groups == np.unique(groups)[:, None]
     return np.kron(alike / alike.sum(axis=1, keepdims=True), np.eye(3))
 

@@ -70,9 +70,12 @@ class Comparison:
     @property
     def disagrees(self) -> bool:
         """Whether any parameter differs by more than chance makes one in a thousand sessions."""
-        if self.refusal:
-            return False
-        return self.furthest[1] > float(-scipy.special.ndtri(_ONE_IN / 2 / len(self.parameters)))
+        return not self.refusal and self.furthest[1] > self._limit
+
+    @property
+    def _limit(self) -> float:
+        """Standard deviations by which one of the parameters differs by chance in `_ONE_IN`."""
+        return float(-scipy.special.ndtri(_ONE_IN / 2 / len(self.parameters)))
 
     def sentence(self) -> str:
         """Say how far the two are apart, and what the joint estimate gains."""
@@ -91,11 +94,10 @@ class Comparison:
         """Say what a person should know of it: that the two contradict each other, or nothing."""
         if not self.disagrees:
             return []
-        limit = float(-scipy.special.ndtri(_ONE_IN / 2 / len(self.parameters)))
         names = ', '.join(
             f'{p.name} ({off:+.1f})'
             for p, off in zip(self.parameters, self.difference, strict=True)
-            if abs(off) > limit
+            if abs(off) > self._limit
         )
         return [
             f'The closed form {self.method} differs from the joint estimate by more than their '

@@ -81,12 +81,7 @@ def check_turns(evidence: Evidence, model: SensorModel) -> None:
 
 
 def other_latitudes(evidence: Evidence) -> tuple[float, ...]:
-    """Return latitudes, rad, that may be meant: of the other hemisphere, and as the gyros see it.
-
-    Args:
-        evidence: In the attitudes of a solution.
-
-    """
+    """Return latitudes, rad, that may be meant: in the other hemisphere, and as gyros see it."""
     seen = up_rate_seen(evidence.segments)
     found = None if seen is None else latitude_seen(*seen)
     stated = evidence.site.latitude
@@ -96,11 +91,8 @@ def other_latitudes(evidence: Evidence) -> tuple[float, ...]:
 def doubts_latitude(evidence: Evidence) -> bool:
     """Say whether the gyros at rest see the Earth turn otherwise than at the stated latitude.
 
-    By three standard deviations: a doubt, no contradiction.
-
-    Args:
-        evidence: In attitudes whose ups are those of the accelerometers.
-
+    By three standard deviations: a doubt, no contradiction. The attitudes are those that have the
+    ups of the accelerometers.
     """
     seen = up_rate_seen(evidence.segments)
     return seen is not None and abs(seen[0] - evidence.site.up_rate) > _DOUBT * seen[1]
@@ -118,9 +110,7 @@ def wrong_latitude(evidence: Evidence, latitude: float) -> Contradiction:
 def _signed_axes() -> list[Floats]:
     """Return the 48 ways in which three channels can be exchanged or mirrored, few changes first.
 
-    Returns:
-        (3, 3) each: row i the channel, column j the axis that it answers to.
-
+    (3, 3) each: row i the channel, column j the axis that it answers to.
     """
     found = [
         np.eye(3)[list(order)] * np.array(signs)[:, None]

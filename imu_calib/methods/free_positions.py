@@ -22,15 +22,7 @@ from ..budget import Share, Shares
 from ..errors import InputError, NotObservable
 from ..estimation.converge import least_squares
 from ..estimation.estimate import shares
-from ..model import (
-    G_SENSITIVITY,
-    PARAMETERS,
-    Parameter,
-    ParameterKind,
-    SensorModel,
-    Term,
-    Triad,
-)
+from ..model import G_SENSITIVITY, PARAMETERS, Parameter, ParameterKind, SensorModel, Term, Triad
 from ..observation.evidence import Evidence
 from ..observation.free import FreeEquations, led_on
 from ..observation.information import Information
@@ -157,12 +149,7 @@ class _State:
         return replace(self, equations=equations, values=values)
 
     def settled(self) -> _State:
-        """Return the least squares.
-
-        Raises:
-            NotObservable: The iteration does not converge.
-
-        """
+        """Return the least squares."""
         return least_squares(self, _State.rows, _State.moved, _ITERATIONS)
 
     def scattering(self, scatter: Floats) -> _State:
@@ -253,12 +240,7 @@ def solve(evidence: Evidence) -> FreeFit:
 
 
 def _check_latitude(state: _State) -> None:
-    """Refuse a latitude in place of which another explains what a term would.
-
-    Raises:
-        Contradiction: Names the latitude that fits.
-
-    """
+    """Refuse a latitude in place of which another explains what a term would."""
     evidence = state.equations.evidence
     misfit = _square(state)
     for latitude in other_latitudes(evidence):
@@ -368,11 +350,6 @@ def _chance(state: _State, term: Term) -> float:
 
     The F test of nested least squares, under the scatter that was found without the term: what a
     hand that trembles leaves is no sign of it (docs/mathematics.md, 'Free positions').
-
-    Args:
-        state: The least squares without it.
-        term: Whose coefficients are asked for.
-
     """
     try:
         found = state.with_terms((term,)).settled()
@@ -389,12 +366,7 @@ def _chance(state: _State, term: Term) -> float:
 
 
 def _check_observable(state: _State) -> None:
-    """Refuse attitudes and turns that leave parameters open.
-
-    Raises:
-        NotObservable: Names the parameters.
-
-    """
+    """Refuse attitudes and turns that leave parameters open."""
     parameters, evidence = state.equations.parameters, state.equations.evidence
     covariance = Information.of(state.rows()[0]).covariance
     std = np.sqrt(np.diag(covariance)[: len(parameters)])
@@ -498,12 +470,8 @@ def _scatter(state: _State) -> tuple[Floats, Floats, Floats]:
     The square of a factor is that of the state times what it leaves of the group in its standard
     deviations, per degree of freedom (Foerstner 1979, for components of variance). What chance
     explains is asked with the group's own noise as it is known: what another group lends it by
-    weights that were wrong is none of its own.
-
-    Returns:
-        The factors (3,), as standard deviations, the degrees of freedom that they rest on, and the
-        probabilities that chance leaves as much.
-
+    weights that were wrong is none of its own. Returned are the factors (3,), as standard
+    deviations, the degrees of freedom that they rest on, and the probabilities by chance.
     """
     factors, freedom, chances = np.ones(3), np.full(3, np.inf), np.ones(3)
     for k in range(3):
@@ -549,14 +517,8 @@ def _outstanding_turn(state: _State, basis: Floats, left: Floats, limit: float) 
 
     One wild turn bends the fit towards itself, and what is left of the others grows: each is judged
     as the fit without the wildest would have it, by residuals in their own standard deviations
-    (deletion formulae of linear least squares: Cook and Weisberg 1982, sections 2.2 and 3.5).
-
-    Args:
-        state: The least squares.
-        basis: (m, n) orthonormal columns that span the derivatives.
-        left: (m,) residuals in standard deviations.
-        limit: In standard deviations, or in those that usual turns show.
-
+    (deletion formulae of linear least squares: Cook and Weisberg 1982, sections 2.2 and 3.5). The
+    basis (m, n) spans the derivatives; residuals `left` (m,) and the limit are in deviations.
     """
     moves = state.equations.layout.move
     if not len(moves):

@@ -15,7 +15,6 @@ import numpy as np
 from ..budget import Share, Source
 from ..errors import NotObservable
 from ..model import (
-    AXES,
     G_SENSITIVITY,
     PARAMETERS,
     Parameter,
@@ -27,16 +26,14 @@ from ..model import (
 from ..observation.equations import Equations
 from ..observation.evidence import Evidence
 from ..stream import Floats
-from .conclusion import conclude
+from .checks import no_turn_about
+from .conclusion import SAME_UP, conclude
 from .solution import Solution
 
 BIAS = 3
 """Place of the bias among the unknowns of a channel: three responses come before it."""
 ILL_CONDITIONED = 100.0
 """Where two digits are lost, only errors of the attitudes tell the parameters apart."""
-
-_SAME_UP = 0.99
-"""Cosine: 8 degrees, far less than positions of a plan differ by."""
 _INVOLVED = 0.1
 """Of a unit vector: parameters that have this share in what is not determined are named."""
 
@@ -147,7 +144,7 @@ def shares_of(evidence: Evidence, model: SensorModel, rows: Floats) -> dict[Sour
     equations = Equations(replace(evidence, moves=()))
     state = np.concatenate([model.vector(), np.zeros(equations.nuisances)])
     found = equations.shares(state, rows)
-    clock = rows @ equations.clock_slope(state) * evidence.clock_rate()[1]
+    clock = rows @ equations.jacobian(state)[:, equations.clock] * evidence.clock_rate()[1]
     found[Source.CLOCK] = Share.of_parts([(np.outer(clock, clock), evidence.clock_freedom)])
     return found
 
@@ -194,14 +191,11 @@ def rate_test_weights(evidence: Evidence) -> tuple[Floats, float]:
     """
     ups = np.array([turn.up for turn in evidence.turns]).reshape(-1, 3)
     rates = np.array([turn.rate() for turn in evidence.turns])
-    for axis, name in enumerate(AXES):
-        if not np.any(np.abs(ups[:, axis]) > _SAME_UP):
-            raise NotObservable(
-                f'No whole turn about {name.upper()} was found: K_g{name} and the responses of '
-                f'the gyros to {name.upper()} cannot be determined.'
-            )
+    for axis in range(3):
+        if not np.any(np.abs(ups[:, axis]) > SAME_UP):
+            raise no_turn_about(axis)
     inputs = ups * (rates + evidence.site.up_rate)[:, None]
-    attitudes = np.argmax(ups @ ups.T > _SAME_UP, axis=1)
+    attitudes = np.argmax(ups @ ups.T > SAME_UP, axis=1)
     offsets = (attitudes[:, None] == np.unique(attitudes)).astype(float)
     scale = np.abs(rates).max()
     names = [*(response_names('g', axis) for axis in range(3)), *['biases'] * offsets.shape[1]]

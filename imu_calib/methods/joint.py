@@ -130,15 +130,7 @@ def provisional(
 
 
 def _check_that_no_latitude_explains(plain: Estimate) -> None:
-    """Refuse to take for terms what another latitude explains alone, without any.
-
-    Args:
-        plain: The estimate without what was found.
-
-    Raises:
-        WrongLatitude: Says which latitude it is.
-
-    """
+    """Refuse to take for terms what another latitude explains alone, by an estimate without any."""
     equations, evidence = plain.equations, plain.equations.evidence
     try:
         check_latitude(evidence, *observed_earth_rate(plain))
@@ -157,13 +149,6 @@ def _check_that_no_latitude_converges(evidence: Evidence) -> None:
 
     Gyros that turn with the Earth of another latitude leave residuals of hundreds of deviations,
     about which the least squares need not converge.
-
-    Args:
-        evidence: The session, with the site that was given.
-
-    Raises:
-        WrongLatitude: Says which latitude it is.
-
     """
     equations = Equations(evidence)
     rate, _ = _free_earth(equations, equations.nominal())
@@ -180,10 +165,7 @@ def _check_that_no_latitude_converges(evidence: Evidence) -> None:
 def _concluded(found: Estimate, untold: Sequence[str] = ()) -> Solution:
     """Hold an estimate against the world: axes, latitude, what is left over.
 
-    Args:
-        found: The estimate.
-        untold: Errors of the table, in words, that positioning errors may be in truth.
-
+    Errors of the table that positioning errors may be in truth are `untold`, in words.
     """
     equations, evidence = found.equations, found.equations.evidence
     model = equations.model(found.state)
@@ -192,10 +174,10 @@ def _concluded(found: Estimate, untold: Sequence[str] = ()) -> Solution:
     earth, earth_covariance = observed_earth_rate(found)
     if not evidence.plan.by_hand:
         check_latitude(evidence, earth, earth_covariance)
-    azimuth, azimuth_std = found.nuisance(Nuisance.AZIMUTH)
-    if evidence.plan.by_hand:
-        # Each hold has a heading of its own.
-        azimuth, azimuth_std = float('nan'), float('inf')
+    # By hand each hold has a heading of its own.
+    azimuth, azimuth_std = float('nan'), float('inf')
+    if not evidence.plan.by_hand:
+        azimuth, azimuth_std = found.nuisance(Nuisance.AZIMUTH)
     return Solution(
         model,
         found.covariance[: equations.sensors, : equations.sensors],
@@ -369,13 +351,7 @@ def _ways(moves: Sequence[RejectedMove]) -> str:
 
 
 def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
-    """Say what scatters beyond the noise and beyond what table and data sheet state.
-
-    Args:
-        found: The estimate.
-        untold: As in `_concluded`.
-
-    """
+    """Say what scatters beyond the noise and beyond what table and data sheet state."""
     evidence, scatter = found.equations.evidence, found.scatter
     notes = []
     small = evidence.positioning / ARCSEC

@@ -59,11 +59,7 @@ def solve(evidence: Evidence) -> Solution:
 
 
 def check(plan: Plan, parameters: tuple[Parameter, ...] = ESTIMATES) -> None:
-    """Refuse a plan that cannot tell parameters apart, before it is run.
-
-    Args:
-        plan: To be run.
-        parameters: That its method estimates.
+    """Refuse a plan that cannot tell the parameters of its method apart, before it is run.
 
     Raises:
         NotObservable: Names the parameters.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import NotObservable
-from ..model import AXES, SensorModel, Triad
+from ..model import AXES, SensorModel
 from ..observation.evidence import Evidence
 from ..stream import Floats
 from .conclusion import conclude
@@ -41,10 +41,6 @@ class BiasEquation:
 
 def solve_gyros(evidence: Evidence, bias: BiasEquation) -> SolvedTriad:
     """Solve the gyros from the rate test and one equation for the bias.
-
-    Args:
-        evidence: The session.
-        bias: The equation for the biases.
 
     Raises:
         NotObservable: An axis about which nothing turned.
@@ -92,11 +88,6 @@ def solve_accelerometers(evidence: Evidence) -> SolvedTriad:
     return solved
 
 
-def accelerometers(evidence: Evidence) -> Triad:
-    """Return the accelerometers of `solve_accelerometers` alone."""
-    return solve_accelerometers(evidence).triad
-
-
 def _accelerometers(evidence: Evidence, outputs: Floats) -> SolvedTriad:
     """Solve for (s, 3) outputs as if the vertical axis stood exactly so."""
     up_weights, down_weights = _up_and_down(evidence)
@@ -136,11 +127,7 @@ def _up_and_down(evidence: Evidence) -> tuple[Floats, Floats]:
 
 
 def finish(
-    evidence: Evidence,
-    gyros: SolvedTriad,
-    *,
-    findings: Sequence[str] = (),
-    north_known: bool,
+    evidence: Evidence, gyros: SolvedTriad, *, findings: Sequence[str] = (), north_known: bool
 ) -> Solution:
     """Solve the accelerometers too, and hold both triads against the data.
 
@@ -159,5 +146,5 @@ def finish(
         gain=gains.rows(evidence),
         findings=findings,
         north_known=north_known,
-        accelerometers=accelerometers,
+        accelerometers=lambda other: solve_accelerometers(other).triad,
     )

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import NotObservable
-from ..model import AXES
 from ..observation.evidence import Evidence, vertical_axis
 from ..stream import Floats
+from .checks import no_turn_about
 from .linear import BIAS, UNKNOWNS, ChannelSystem
 
 _ONE_RATE = 0.2
@@ -52,12 +51,9 @@ class RateTestEquations:
             axes.append(axis)
             inputs.append(sign * rate)
             off.append(rate * (turn.up - sign * np.eye(3)[axis]))
-        for axis, name in enumerate(AXES):
+        for axis in range(3):
             if axis not in axes:
-                raise NotObservable(
-                    f'No whole turn about {name.upper()} was found: K_g{name} and the responses of '
-                    f'the gyros to {name.upper()} cannot be determined.'
-                )
+                raise no_turn_about(axis)
         outputs = np.array([t.statistics.mean[:3] for t in evidence.turns])
         return cls(outputs, np.array(inputs), np.array(axes), np.array(off))
 

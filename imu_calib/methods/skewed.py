@@ -82,30 +82,23 @@ class RatePoints:
             )
         rates = np.array([t.rate() for t in turns])
         ups = np.array([t.up for t in turns])
-        outputs, own, spread, freedom = [], [], [], []
         walk = np.append(evidence.walk[:3], evidence.walk[:3].mean())
-        for turn in turns:
-            assert turn.skewed is not None
-            outputs.append(np.append(turn.statistics.mean[:3], turn.skewed.mean[0]))
-            gain = np.append(turn.statistics.walk_gain[:3], turn.skewed.walk_gain[0])
-            quantisation = np.append(
-                turn.statistics.quantisation_variance[:3], turn.skewed.quantisation_variance[0]
-            )
-            own.append(walk**2 * gain + quantisation)
-            each = turn.each
-            several = each is not None and each.shape == (len(each), 4) and len(each) > 1
-            scatter = np.full(4, np.nan)
-            if several and each is not None:
-                scatter = each.var(axis=0, ddof=1) / len(each)
-            spread.append(scatter)
-            freedom.append(len(each) - 1 if several and each is not None else 0)
+        both = [(turn.statistics, turn.skewed) for turn in turns if turn.skewed is not None]
+        outputs, gain, quantisation = (
+            np.array([np.append(getattr(s, name)[:3], getattr(k, name)[0]) for s, k in both])
+            for name in ('mean', 'walk_gain', 'quantisation_variance')
+        )
+        spread, freedom = np.full((len(turns), 4), np.nan), np.zeros(len(turns))
+        for k, each in enumerate(turn.each for turn in turns):
+            if each is not None and each.shape == (len(each), 4) and len(each) > 1:
+                spread[k], freedom[k] = each.var(axis=0, ddof=1) / len(each), len(each) - 1
         return cls(
             ups * (rates + evidence.site.up_rate)[:, None],
-            np.array(outputs),
-            np.maximum(np.array(own), SMALLEST_VARIANCE),
+            outputs,
+            np.maximum(walk**2 * gain + quantisation, SMALLEST_VARIANCE),
             _groups(np.abs(rates)),
-            np.array(spread),
-            np.array(freedom, dtype=float),
+            spread,
+            freedom,
             rates,
             np.array([t.rate_std(evidence.walk) for t in turns]),
         )
@@ -179,25 +172,25 @@ def solve(evidence: Evidence) -> Solution:
     # What the noise of one turn explains is the least: a few turns may agree by chance.
     sure = np.maximum(variances, points.own)
     covariance = _covariance(points, weights, unknowns, sure, evidence.turns_clock_std)
-    findings = [
+    findings = (
         'The accelerometers were not calibrated: this method knows the gyros alone.',
         *_parity(points, unknowns, sure),
         *far_scales(model),
         *clock_finding(evidence),
-    ]
-    unknown = float('nan')
+    )
+    nan, gain = float('nan'), _gain(evidence, weights)
     return Solution(
         model,
         covariance,
         (),
-        unknown,
-        unknown,
-        unknown,
-        unknown,
+        nan,
+        nan,
+        nan,
+        nan,
         condition,
-        tuple(findings),
+        findings,
         parameters=_PARAMETERS,
-        gain=_gain(evidence, weights),
+        gain=gain,
     )
 
 

@@ -22,10 +22,7 @@ _LEFT_OVER = 3e-3
 
 
 def solve(evidence: Evidence) -> Solution:
-    """Estimate the 24 parameters.
-
-    Args:
-        evidence: A session; its azimuth is not used.
+    """Estimate the 24 parameters; the session's azimuth is not used.
 
     Raises:
         NotObservable: Names what is missing and what cannot be determined for it.

@@ -41,6 +41,17 @@ SHARED = frozenset(
 )
 """Sources whose errors are the same for all units on a table."""
 
+_KINDS = (
+    Source.POSITIONING_STATED,
+    Source.POSITIONING_STATED,
+    Source.TABLE,
+    Source.LATITUDE,
+    Source.ENCODER_RATE,
+    Source.STOPS,
+    Source.ENCODER_NOISE,
+)
+"""Of joints that stop, by themselves and by the way of whole motions, and of what else errs."""
+
 
 @dataclass(frozen=True, eq=False)
 class CommonErrors:
@@ -115,31 +126,19 @@ class CommonTable:
             self._unit_columns(k, unit, state, joints)
             for k, (unit, state) in enumerate(zip(self._units, states, strict=True))
         ]
-        kinds = [
-            (Source.POSITIONING_STATED, self._joints.names, joints),
-            (Source.POSITIONING_STATED, (), 0.0),
-            (Source.TABLE, (), 0.0),
-            (Source.LATITUDE, (), 0.0),
-            (Source.ENCODER_RATE, (), 0.0),
-            (Source.STOPS, (), 0.0),
-            (Source.ENCODER_NOISE, (), 0.0),
-        ]
-        sources: list[Source] = []
-        names: list[str] = []
-        sizes: list[float] = []
-        for number, (source, its, size) in enumerate(kinds):
-            count = found[0][number].shape[1]
-            sources += [source] * count
-            names += its or ('',) * count
-            sizes += [size] * count
+        sources = [s for s, part in zip(_KINDS, found[0], strict=True) for _ in part.T]
         columns = [np.hstack(parts) for parts in found]
+        # Of joints alone each error has a name and a size.
+        named = len(self._joints.names)
+        names = [*self._joints.names, *[''] * (len(sources) - named)]
+        sizes = np.where(np.arange(len(sources)) < named, joints, 0.0)
         # What none of the units sees is no unknown.
         seen = np.any([part.any(axis=0) for part in columns], axis=0)
         kept = np.flatnonzero(seen)
         return CommonErrors(
             tuple(sources[k] for k in kept),
             tuple(names[k] for k in kept),
-            np.array(sizes)[kept],
+            sizes[kept],
             tuple(part[:, kept] for part in columns),
         )
 
@@ -155,10 +154,14 @@ class CommonTable:
         ways = _summed(unit.by_ways(state), np.array(by_way, dtype=np.intp), _count(self._turns))
         # About the axes that the table mounts, which all units have in common.
         inward = evidence.table.mount.T
-        stops = self._leans(k, np.full(len(evidence.segments), self.positioning.stops), inward)
+        rests, turned = self._rests[k], self._turns[k]
+        count = _count(self._rests)
+        same = np.full(len(evidence.segments), self.positioning.stops)
+        stops = _blocks(rests, count, same, inward)
         reading = np.array([s.attitude_error for s in evidence.segments])
-        noise = self._leans(k, reading, inward)
-        turning = self._turning_leans(k, np.array([t.up_error for t in evidence.turns]), inward)
+        noise = _blocks(rests, count, reading, inward)
+        leaning = np.array([t.up_error for t in evidence.turns])
+        turning = _blocks(turned, _count(self._turns), leaning, inward)
         only_dwells = np.zeros((len(evidence.turns), 3, stops.shape[2]))
         of_dwells = unit.by_attitude_errors(state, noise, only_dwells)
         of_turns = unit.by_attitude_errors(
@@ -173,13 +176,6 @@ class CommonTable:
             unit.by_attitude_errors(state, stops, only_dwells),
             np.hstack([of_dwells, of_turns]),
         ]
-
-    def _leans(self, k: int, sizes: Floats, inward: Floats) -> Floats:
-        """Return three rotations for each dwell that the units have in common, (s, 3, 3 r)."""
-        return _blocks(self._rests[k], _count(self._rests), sizes, inward)
-
-    def _turning_leans(self, k: int, sizes: Floats, inward: Floats) -> Floats:
-        return _blocks(self._turns[k], _count(self._turns), sizes, inward)
 
 
 def shares_a_table(equations: Equations) -> bool:
@@ -279,6 +275,7 @@ def _count(numbers: Sequence[NDArray[np.intp]]) -> int:
 
 
 def _blocks(numbers: NDArray[np.intp], count: int, sizes: Floats, axes: Floats) -> Floats:
+    """Return three rotations for each of `count` that the units have in common, (k, 3, 3 count)."""
     result = np.zeros((len(numbers), 3, 3 * count))
     for k, number in enumerate(numbers.tolist()):
         result[k, :, 3 * number : 3 * number + 3] = sizes[k] * axes

@@ -70,11 +70,11 @@ class Factor:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Errors that three outputs share, independent between such threes.
+    """Errors that some outputs share, independent between k such groups of g.
 
     Attributes:
-        rows: (k, 3) which outputs.
-        matrices: (k, 3, 3) their covariances.
+        rows: (k, g) which outputs.
+        matrices: (k, g, g) their covariances.
 
     """
 
@@ -89,29 +89,6 @@ class Blocks:
         """Return its covariance in parameters, (k, n, n)."""
         weights = np.transpose(gain[:, self.rows], (1, 0, 2))
         return np.asarray(weights @ self.matrices @ np.transpose(weights, (0, 2, 1)))
-
-
-@dataclass(frozen=True, eq=False)
-class Dense:
-    """A covariance of some outputs, of which nothing more is known.
-
-    Attributes:
-        rows: (k,) which outputs.
-        matrix: (k, k).
-
-    """
-
-    rows: NDArray[np.intp]
-    matrix: Floats
-
-    def add_to(self, matrix: Floats) -> None:
-        """Add it to an (m, m) matrix."""
-        matrix[np.ix_(self.rows, self.rows)] += self.matrix
-
-    def through(self, gain: Floats) -> Floats:
-        """Return its covariance in parameters, (1, n, n)."""
-        own = gain[:, self.rows]
-        return np.asarray(own @ self.matrix @ own.T)[None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,6 @@ import numpy as np
 
 from ..earth import EARTH_RATE
 from ..segmentation.segment import Segment
-from ..stream import Floats
 
 _NOMINAL = 0.03
 """Relative: how well nominal scale factors of gyros are known; data sheets of cheap units state it
@@ -40,7 +39,7 @@ def up_rate_seen(segments: Sequence[Segment]) -> tuple[float, float] | None:
     known = [s for s in segments if s.attitude is not None]
     if len(known) < _FEWEST:
         return None
-    rows = np.vstack([_row(np.asarray(s.attitude)) for s in known])
+    rows = np.vstack([np.hstack([np.eye(3), np.asarray(s.attitude).T]) for s in known])
     read = np.concatenate([s.statistics.mean[:3] for s in known])
     solution, _, rank, _ = np.linalg.lstsq(rows, read, rcond=1e-6)
     freedom = len(read) - rows.shape[1]
@@ -50,10 +49,6 @@ def up_rate_seen(segments: Sequence[Segment]) -> tuple[float, float] | None:
     variance = float(np.linalg.inv(rows.T @ rows)[-1, -1]) * scatter
     up = float(solution[-1])
     return up, float(np.hypot(np.sqrt(variance), _NOMINAL * up))
-
-
-def _row(attitude: Floats) -> Floats:
-    return np.hstack([np.eye(3), attitude.T])
 
 
 def latitude_seen(up: float, std: float) -> tuple[float, float] | None:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import cast
+from functools import cached_property, wraps
+from typing import Any, cast
 
 import numpy as np
 import scipy
@@ -37,6 +37,25 @@ and Stability of Numerical Algorithms, theorem 10.7)."""
 
 GIVEN_AZIMUTH = 1 * ARCMIN
 """How well a table's azimuth is known where its configuration states it."""
+
+
+def once_weighed(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Floats], Value]:
+    """Let what is the same of the same weights be worked out once at the last states (n,).
+
+    A fit ends where what follows begins, often with equations that are made anew.
+    """
+
+    @wraps(method)
+    def remembered(self: Equations, state: Floats) -> Value:
+        key = (method.__name__, type(self), state.tobytes(), self.weights)
+        for known, inflation, value in reversed(self.evidence.weighed):
+            if known == key and inflation is self.inflation:
+                return cast(Value, value)
+        found = method(self, state)
+        self.evidence.weighed.append((key, self.inflation, found))
+        return found
+
+    return remembered
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +133,8 @@ class Equations(SessionModel):
         positioning error of the table, and all the error of the latitude.
         """
         evidence, response = self.evidence, self.model(state).gyro.response
-        turning, rates, _ = self._turning
-        ups = np.vstack([self._attitudes[:, 2], turning])
+        turning, rates, _ = evidence.turn_inputs
+        ups = np.vstack([evidence.dwell_attitudes[:, 2], turning])
         found = [
             *encoder_rates(evidence, rates, response, self._pulled(state)),
             unknown_north(evidence, ups, response),
@@ -128,25 +147,23 @@ class Equations(SessionModel):
             columns = self.by_parameters(state, parameters) * np.array(deviations)
             found.append(Component(Source.TERMS, Factor(columns)))
         if self.layout.moves_with_accels:
-            found += self._levers(state)
+            # What lever arms and the accelerometers' delay do to the velocities of moves.
+            known = self.held | {p.kind for p in self.parameters}
+            rate, model = self.surroundings(state).rate, self.model(state)
+            by_moves = evidence.links.shared_velocity_errors(model, rate, known)
+            for source, led in zip((Source.ARM, Source.DELAY), by_moves, strict=True):
+                found.append(Component(source, Factor(self._of_moves(led))))
         if (by_table := self.by_table(state)).shape[1]:
             found.append(Component(Source.TABLE, Factor(by_table)))
         if evidence.site.latitude_std:
             slope = self.latitude_slope(state) * evidence.site.latitude_std
             found.append(Component(Source.LATITUDE, Factor(slope[:, None])))
         if evidence.temperature is not None and evidence.thermal.any():
-            found.append(self._warmth(self.jacobian(state)))
+            # By the coefficients that the data sheet states.
+            changes, sizes = stated_changes(self.parameters, evidence.thermal)
+            warmth = self.columns(changes, self.jacobian(state)) * sizes
+            found.append(Component(Source.TEMPERATURE, Factor(warmth)))
         return tuple(found)
-
-    def _levers(self, state: Floats) -> list[Component]:
-        """Return what lever arms and the accelerometers' delay do to the velocities of moves."""
-        rate = self.surroundings(state).rate
-        known = self.held | {p.kind for p in self.parameters}
-        arms, delays = self.evidence.links.shared_velocity_errors(self.model(state), rate, known)
-        return [
-            Component(Source.ARM, Factor(self._of_moves(arms))),
-            Component(Source.DELAY, Factor(self._of_moves(delays))),
-        ]
 
     def _of_moves(self, led: Floats) -> Floats:
         """Return values (m, 6, ...) of moves in the order of the outputs, those of others zero."""
@@ -155,16 +172,9 @@ class Equations(SessionModel):
         )
         return self.layout.joined(at_rest, turned, led)
 
-    def _warmth(self, derivatives: Floats) -> Component:
-        """Return what the temperature does by the coefficients that the data sheet states."""
-        changes, sizes = stated_changes(self.parameters, self.evidence.thermal)
-        return Component(Source.TEMPERATURE, Factor(self.columns(changes, derivatives) * sizes))
-
+    @once_weighed
     def covariance(self, state: Floats) -> Floats:
         """Return the covariance of the outputs, (m,) square."""
-        return self._once_weighed('covariance', state, self._covariance)
-
-    def _covariance(self, state: Floats) -> Floats:
         result = np.diag(self.own_variances)
         add_all(self.shared(state), result)
         # Without noise what outputs share leaves no more of them than rounding, and no root.
@@ -194,20 +204,17 @@ class Equations(SessionModel):
         )
 
     def _by_positioning(self, state: Floats) -> list[Component]:
-        stated, found = self.evidence.positioning, self.positioning
-        parts = []
-        if stated or found.joints:
-            joints = self.by_positioning(state)[0]
-            for source, size in (
-                (Source.POSITIONING_STATED, stated),
-                (Source.POSITIONING_FOUND, found.joints),
-            ):
-                if size:
-                    parts.append(Component(source, Factor(joints * size)))
-        if found.stops:
-            parts.append(
-                Component(Source.STOPS, Factor(self.by_positioning(state)[1] * found.stops))
-            )
+        found = self.positioning
+        sizes = (
+            (Source.POSITIONING_STATED, 0, self.evidence.positioning),
+            (Source.POSITIONING_FOUND, 0, found.joints),
+            (Source.STOPS, 1, found.stops),
+        )
+        parts = [
+            Component(source, Factor(self.by_positioning(state)[which] * size))
+            for source, which, size in sizes
+            if size
+        ]
         if self.evidence.plan.by_hand and (square := found.joints**2 + found.stops**2):
             parts.append(Component(Source.STOPS, Factor(self._shortened(state) * square)))
         return parts
@@ -237,31 +244,14 @@ class Equations(SessionModel):
         """Return the lower root of `covariance`, (m,) square, by which outputs are whitened."""
         return self._weighed(state)[0]
 
+    @once_weighed
     def _weighed(self, state: Floats) -> tuple[Floats, Floats]:
         """Return the root of the covariance, and the columns that are whitened by it."""
-        return self._once_weighed('weighed', state, self._worked_out)
-
-    def _worked_out(self, state: Floats) -> tuple[Floats, Floats]:
         factor = np.asarray(np.linalg.cholesky(self.covariance(state)), dtype=float)
         return factor, self.whitened_by(factor, state)
 
-    def _once_weighed(
-        self, what: str, state: Floats, worked_out: Callable[[Floats], Value]
-    ) -> Value:
-        """Return what is the same of the same weights: it is worked out once at the last states.
-
-        A fit ends where what follows begins, often with equations that are made anew.
-        """
-        key, latest = (what, type(self), state.tobytes(), self._weights), self.evidence.weighed
-        for known, inflation, value in reversed(latest):
-            if known == key and inflation is self.inflation:
-                return cast(Value, value)
-        found = worked_out(state)
-        latest.append((key, self.inflation, found))
-        return found
-
     @property
-    def _weights(self) -> tuple[object, ...]:
+    def weights(self) -> tuple[object, ...]:
         """All but session, state and `inflation` that the equations depend on."""
         return (
             self.parameters,

@@ -95,8 +95,11 @@ class FreeEquations(Equations):
         result[:, self.north] = (same[:, :, None] * by_level[:, None]).reshape(len(run), -1)
         dwells = len(self.runs)
         about = np.zeros((dwells, 3, dwells, 3))
-        about[np.arange(dwells), :, np.arange(dwells)] = self._to_body
-        turned = self._leaning(state, about.reshape(dwells, 3, -1), np.zeros((0, 3, 3 * dwells)))
+        to_body = np.transpose(self.evidence.dwell_attitudes, (0, 2, 1))
+        about[np.arange(dwells), :, np.arange(dwells)] = to_body
+        turned = self.by_attitude_errors(
+            state, about.reshape(dwells, 3, -1), np.zeros((0, 3, 3 * dwells))
+        )
         result[:, self.north.stop :] = turned[:, self._sought]
         return result
 

@@ -140,11 +140,11 @@ def _led(
     return rates, product(after, halves), wholes
 
 
-def chained(vectors: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
+def followed(passed: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
     """Follow vectors that stand still in the world through m motions, one after the other.
 
     Args:
-        vectors: (n, 3) rotation vectors of the intervals, rad.
+        passed: (3, 3, n) rotations from the start of each interval to its end; used up.
         counts: (m,) how many intervals each motion has.
 
     Returns:
@@ -152,11 +152,6 @@ def chained(vectors: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
         (3, 3, n) from the end of each interval to the end of its motion.
 
     """
-    return followed(rotations_last(-vectors), counts)
-
-
-def followed(passed: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
-    """Return `chained` of rotations (3, 3, n) from the start of each interval to its end."""
     ends = np.cumsum(counts)
     _follow(passed, _order(tuple(counts)))
     after = np.concatenate([passed[..., 1:], np.eye(3)[..., None]], axis=-1)

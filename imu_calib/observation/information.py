@@ -147,17 +147,13 @@ def with_nominal_attitudes(evidence: Evidence) -> Evidence:
     It is made once, and keeps what is worked out of it.
     """
     if 'nominal' not in evidence.cache:
-        evidence.cache['nominal'] = _with_nominal_attitudes(evidence)
+        segments = tuple(
+            s if s.attitude is None else replace(s, attitude=_without_strays(s.attitude))
+            for s in evidence.segments
+        )
+        turns = tuple(replace(t, up=_without_strays(t.up)) for t in evidence.turns)
+        evidence.cache['nominal'] = replace(evidence, segments=segments, turns=turns)
     return cast(Evidence, evidence.cache['nominal'])
-
-
-def _with_nominal_attitudes(evidence: Evidence) -> Evidence:
-    segments = tuple(
-        s if s.attitude is None else replace(s, attitude=_without_strays(s.attitude))
-        for s in evidence.segments
-    )
-    turns = tuple(replace(t, up=_without_strays(t.up)) for t in evidence.turns)
-    return replace(evidence, segments=segments, turns=turns)
 
 
 def _without_strays(directions: Floats) -> Floats:

@@ -71,7 +71,9 @@ def advice(equations: Equations) -> str:
     if not equations.evidence.segments:
         return ''
     additions = _additions(equations.evidence)
-    everything = _all_of(equations, additions)
+    everything = equations
+    for _, thing in additions:
+        everything = _with(everything, thing)
     columns = everything.whitened(everything.nominal())[0][:, : equations.sensors]
     scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0] = 1.0
@@ -133,12 +135,6 @@ def _with(equations: Equations, thing: Segment | Turn) -> Equations:
     else:
         more = replace(evidence, turns=(*evidence.turns, thing))
     return replace(equations, evidence=more)
-
-
-def _all_of(equations: Equations, additions: list[Addition]) -> Equations:
-    for _, thing in additions:
-        equations = _with(equations, thing)
-    return equations
 
 
 def _information(equations: Equations, scale: Floats) -> float:

@@ -139,6 +139,7 @@ def columns(
     derivatives: Floats,
     parameters: Sequence[Parameter],
     time_constant: float,
+    along: Callable[[Evidence, Course, float], Floats] = courses,
 ) -> Floats:
     """Return the derivatives of the outputs by coefficients, (m, k).
 
@@ -148,46 +149,15 @@ def columns(
         derivatives: (m, n) of the outputs by parameters.
         parameters: What the first columns of these stand for.
         time_constant: Of a warm-up, as a fraction of the session.
+        along: `courses`; or `rates`, for how much outputs rise within their segment, per s.
 
     """
-    return _along(evidence, changes, derivatives, parameters, time_constant, courses)
-
-
-def slopes(
-    evidence: Evidence,
-    changes: Sequence[Change],
-    derivatives: Floats,
-    parameters: Sequence[Parameter],
-    time_constant: float,
-) -> Floats:
-    """Return by how much outputs rise within their segment by coefficients, (m, k) per s.
-
-    Args:
-        evidence: The session.
-        changes: As in `columns`.
-        derivatives: Likewise.
-        parameters: Likewise.
-        time_constant: Likewise.
-
-    """
-    return _along(evidence, changes, derivatives, parameters, time_constant, rates)
-
-
-def _along(
-    evidence: Evidence,
-    changes: Sequence[Change],
-    derivatives: Floats,
-    parameters: Sequence[Parameter],
-    time_constant: float,
-    course: Callable[[Evidence, Course, float], Floats],
-) -> Floats:
     found = np.zeros((len(derivatives), len(changes)))
-    known = {c: course(evidence, c, time_constant) for c in {change.course for change in changes}}
+    known = {c: along(evidence, c, time_constant) for c in {change.course for change in changes}}
     for k, change in enumerate(changes):
         own = [parameters.index(p) for p in change.parameters]
-        found[:, k] = known[change.course][evidence.layout.segment] * derivatives[:, own].sum(
-            axis=1
-        )
+        course = known[change.course][evidence.layout.segment]
+        found[:, k] = course * derivatives[:, own].sum(axis=1)
     return found
 
 

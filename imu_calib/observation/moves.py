@@ -26,15 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..directions import cross
-from ..model import (
-    AXES,
-    PARAMETERS,
-    Parameter,
-    ParameterKind,
-    SensorModel,
-    indices_of,
-    regressors,
-)
+from ..model import AXES, PARAMETERS, Parameter, ParameterKind, SensorModel, indices_of, regressors
 from ..model.motion import motion_parameters
 from ..rotations import cross_matrix, rotation_vector, rotations
 from ..segmentation.segment import Segment, Turn

@@ -13,8 +13,8 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
-from typing import TypeVar, cast
+from functools import cached_property, wraps
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from ..stream import Floats, Units
 from .evidence import Evidence
 from .headings import mean_over_turn
 from .layout import OutputLayout
-from .modulation import columns, slopes
+from .modulation import columns, rates
 from .output_noise import encoder_rate_errors
 from .surroundings import Surroundings
 
@@ -42,6 +42,17 @@ class Nuisance(IntEnum):
 
 _Inputs = tuple[Surroundings, Floats, Floats, Floats, Floats]
 Value = TypeVar('Value')
+
+
+def once(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Floats], Value]:
+    """Let what a state (n,) has whatever the weights be worked out once at each state."""
+
+    @wraps(method)
+    def remembered(session: Any, state: Floats) -> Value:
+        found: Value = session.remembered(method.__name__, state, method)
+        return found
+
+    return remembered
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,22 +126,18 @@ class SessionModel:
         """Return the state (n,) of ideal sensors on the table as it is described."""
         return np.zeros(self.sensors + self.nuisances + len(self.changes))
 
+    @once
     def model(self, state: Floats) -> SensorModel:
         """Return the sensors that a state (n,) describes, in the mean over the session."""
-        return self._once('sensors', state, self._model)
-
-    def _model(self, state: Floats) -> SensorModel:
         return SensorModel().with_values(self.parameters, state[: self.sensors])
 
+    @once
     def surroundings(self, state: Floats) -> Surroundings:
         """Return Earth rate and gravity in the frame of the attitudes, by a state (n,).
 
         An azimuth that is given is already in the attitudes: the state holds what is left of it.
         Holds by hand have a heading and a tilt each, and none in common: both are scatter.
         """
-        return self._once('surroundings', state, self._surroundings)
-
-    def _surroundings(self, state: Floats) -> Surroundings:
         if self.evidence.plan.by_hand:
             return Surroundings.vertical(self.evidence.site)
         azimuth, tilt_x, tilt_y = state[self.sensors : self.clock]
@@ -140,47 +147,35 @@ class SessionModel:
         """Return the Earth rate in the frame of each dwell's attitude, (s, 3) rad/s."""
         return np.tile(self.surroundings(state).rate, (len(self.evidence.segments), 1))
 
-    @property
-    def _attitudes(self) -> Floats:
-        return self.evidence.dwell_attitudes
-
-    @property
-    def _turning(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Up in body axes (t, 3), rate by the table's own clock (t,), whether that clock counts."""
-        return self.evidence.turn_inputs
-
-    @property
-    def _headings(self) -> Floats:
-        return self.evidence.headings
-
-    def _once(self, what: Hashable, state: Floats, worked_out: Callable[[Floats], Value]) -> Value:
-        """Return what is the same whatever the weights: it is worked out once at each state."""
+    def remembered(
+        self, what: Hashable, state: Floats, worked_out: Callable[[Any, Floats], Value]
+    ) -> Value:
+        """Return what is remembered of a state (n,), or what is worked out of these and it."""
         key = (what, state.tobytes(), self.time_constant)
         # Most of what is asked for is of the last state.
         for known, parameters, changes, value in reversed(self.evidence.state_cache):
             if known == key and parameters is self.parameters and changes is self.changes:
                 return cast(Value, value)
-        found = worked_out(state)
+        found = worked_out(self, state)
         self.evidence.state_cache.append((key, self.parameters, self.changes, found))
         return found
 
+    @once
     def _inputs(self, state: Floats) -> _Inputs:
         """Return the surroundings, rates and forces at rest (s, 3), those of the turns (t, 8, 3).
 
         Turns are seen at eight headings: of what is linear the mean is the part along the axis.
         """
-        return self._once('inputs', state, self._seen)
-
-    def _seen(self, state: Floats) -> _Inputs:
         around, earth = self.surroundings(state), self.earth(state)
-        ups, rates, _ = self._turning
-        felt = self._headings @ around.force
+        ups, rates, _ = self.evidence.turn_inputs
+        attitudes, headings = self.evidence.dwell_attitudes, self.evidence.headings
+        felt = headings @ around.force
         felt[self.evidence.arms.turns] += self._pulled(state)[:, None]
         return (
             around,
-            np.einsum('si,sij->sj', earth, self._attitudes),
-            around.force @ self._attitudes,
-            self._headings @ around.rate + (ups * rates[:, None])[:, None],
+            np.einsum('si,sij->sj', earth, attitudes),
+            around.force @ attitudes,
+            headings @ around.rate + (ups * rates[:, None])[:, None],
             felt,
         )
 
@@ -190,18 +185,19 @@ class SessionModel:
 
     def predict(self, state: Floats) -> Floats:
         """Return what a state says that should be read, (m,)."""
-        predicted = self._once('prediction', state, self._predicted)
+        predicted = self._predicted(state)
         if not state[self.changing].any():
             return predicted
         return np.asarray(predicted + self.jacobian(state)[:, self.changing] @ state[self.changing])
 
+    @once
     def _predicted(self, state: Floats) -> Floats:
         """Return what is read by the parameters of the session's mean, (m,)."""
         around, model = self.surroundings(state), self.model(state)
         at_rest, turned = self.answers(state)
         led = self.evidence.links.misclosures(model, self.earth(state), around.force)
         if state[self.clock]:
-            led = led + self._once('clock', state, self._by_clock) * state[self.clock]
+            led = led + self._by_clock(state) * state[self.clock]
         predicted = self.layout.joined(at_rest, turned, led)
         predicted[self._divided] /= 1 + state[self.clock]
         return predicted
@@ -213,12 +209,13 @@ class SessionModel:
         at_rest = np.hstack(model.predict(rate, force))
         return at_rest, mean_over_turn(np.concatenate(model.predict(turning, felt), axis=-1))
 
+    @once
     def jacobian(self, state: Floats) -> Floats:
         """Return the derivatives of `predict`, (m, n).
 
         By the table they are those of the mean parameters: what changes of these is parts in 1e5.
         """
-        return self._once('derivatives', state, self._derivatives)
+        return self._derivatives(state)
 
     def _derivatives(self, state: Floats) -> Floats:
         around, _, _, turning, felt = self._inputs(state)
@@ -229,7 +226,7 @@ class SessionModel:
         )
         arms, by_force = self.evidence.arms, model.slopes(turning, felt)[..., 3:]
         turned[arms.turns, :, self.arms] = mean_over_turn(by_force)[arms.turns] @ arms.slopes
-        led[:, :, self.clock] = self._once('clock', state, self._by_clock)
+        led[:, :, self.clock] = self._by_clock(state)
         result = self.layout.joined(at_rest, turned, led)
         faster, divided = 1 + state[self.clock], self._divided
         result[divided] /= faster
@@ -269,17 +266,16 @@ class SessionModel:
             return np.zeros(0, dtype=np.intp)
         if self.evidence.clocks_compared:
             return np.setdiff1d(np.arange(len(self.layout)), self.layout.moving)
-        return self.layout.turn[self._turning[2]].ravel()
+        return self.layout.turn[self.evidence.turn_inputs[2]].ravel()
 
+    @once
     def _by_clock(self, state: Floats) -> Floats:
-        return self._led_by_clock(self.model(state), self.surroundings(state))
-
-    def _led_by_clock(self, model: SensorModel, around: Surroundings) -> Floats:
         """Return the derivatives of the moves by the rate between the clocks, (m, 6)."""
         counted = self.evidence.units is Units.PULSES
         if counted and not self.evidence.clocks_compared:
             return np.zeros((len(self.evidence.links), 6))
-        return self.evidence.links.by_clock(model, around.force, counted=counted)
+        force = self.surroundings(state).force
+        return self.evidence.links.by_clock(self.model(state), force, counted=counted)
 
     def columns(self, changes: Sequence[Change], derivatives: Floats) -> Floats:
         """Return the derivatives by coefficients of a session's terms, on or off, (m, k).
@@ -293,14 +289,11 @@ class SessionModel:
 
     def slopes(self, state: Floats) -> Floats:
         """Return by how much outputs rise within their segment, (m,) per s: by what changes."""
-        jacobian, changes, time = self.jacobian(state), self.changes, self.time_constant
-        found = slopes(self.evidence, changes, jacobian, self.parameters, time)
+        jacobian, known = self.jacobian(state), (self.parameters, self.time_constant)
+        found = columns(self.evidence, self.changes, jacobian, *known, rates)
         return np.asarray(found @ state[self.changing])
 
-    @property
-    def _to_body(self) -> Floats:
-        return np.transpose(self._attitudes, (0, 2, 1))
-
+    @once
     def by_world(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by Earth rate and gravity.
 
@@ -308,13 +301,11 @@ class SessionModel:
             (m, 6), both in the frame of the attitudes.
 
         """
-        return self._once('by world', state, self._by_world)
-
-    def _by_world(self, state: Floats) -> Floats:
         _, rate, force, turning, felt = self._inputs(state)
         model, moves = self.model(state), self.evidence.links
-        at_rest = model.slopes(rate, force) @ _both(self._to_body)
-        turned = mean_over_turn(model.slopes(turning, felt) @ _both(self._headings))
+        to_body = np.transpose(self.evidence.dwell_attitudes, (0, 2, 1))
+        at_rest = model.slopes(rate, force) @ _both(to_body)
+        turned = mean_over_turn(model.slopes(turning, felt) @ _both(self.evidence.headings))
         led = np.concatenate([moves.by_rate(), moves.by_force()], axis=2)
         result = self.layout.joined(at_rest, turned, led)
         result[self._divided] /= 1 + state[self.clock]
@@ -330,7 +321,7 @@ class SessionModel:
         every = len(self.evidence.segments), len(self.evidence.turns)
         # What the unit is turned by, attitudes lean the other way.
         at_rest, turned = (np.broadcast_to(-np.eye(3), (count, 3, 3)) for count in every)
-        return self._leaning(state, at_rest, turned)
+        return self.by_attitude_errors(state, at_rest, turned)
 
     def by_table(self, state: Floats) -> Floats:
         """Return what the errors that the table states do to the outputs, (m, e): one deviation."""
@@ -340,7 +331,9 @@ class SessionModel:
         assert self.evidence.table is not None
         # Trials with other errors of the table share what was worked out of the session.
         what = 'table', self.evidence.table.errors
-        return self._once(what, state, lambda there: self._leaning(there, at_rest, turning))
+        return self.remembered(
+            what, state, lambda me, there: me.by_attitude_errors(there, at_rest, turning)
+        )
 
     def by_attitude_errors(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
         """Return what e errors of attitudes do to the outputs, (m, e).
@@ -351,7 +344,9 @@ class SessionModel:
             turned: (t, 3, e) of the turns.
 
         """
-        return self._leaning(state, at_rest, turned)
+        s, by_each = len(at_rest), self._by_leaning(state)
+        led = self.evidence.links.by_attitudes(self.model(state), at_rest)
+        return self.layout.joined(by_each[:s] @ at_rest, by_each[s:] @ turned, led)
 
     def by_encoder_rates(self, state: Floats) -> Floats:
         """Return what the error of the encoder's rate in each turn does, (m, t): one deviation."""
@@ -369,8 +364,8 @@ class SessionModel:
     def _by_rates(self, state: Floats, relative: Floats) -> Floats:
         evidence, response = self.evidence, self.model(state).gyro.response
         result = np.zeros((len(self.layout), len(evidence.turns)))
-        rates, pulled = self._turning[1], self._pulled(state)
-        for turns, rows, seen in encoder_rate_errors(evidence, relative, rates, response, pulled):
+        turning, pulled = evidence.turn_inputs[1], self._pulled(state)
+        for turns, rows, seen in encoder_rate_errors(evidence, relative, turning, response, pulled):
             result[rows, turns[:, None]] = seen
         return result
 
@@ -379,50 +374,32 @@ class SessionModel:
         by_rate = self.by_world(state)[:, :3]
         return np.asarray(by_rate @ self.surroundings(state).rate_by_latitude)
 
-    def clock_slope(self, state: Floats) -> Floats:
-        """Return the derivatives of `predict` by the rate between the clocks."""
-        return np.asarray(self.jacobian(state)[:, self.clock])
-
+    @once
     def by_positioning(self, state: Floats) -> tuple[Floats, Floats]:
         """Return how positioning errors enter the outputs: (m, errors), per rad.
 
         Those of joints that stop, and what each stop leans of its own.
         """
-        return self._once('positioning', state, self._positioning_columns)
-
-    def _positioning_columns(self, state: Floats) -> tuple[Floats, Floats]:
         both = self.evidence.positioning_leans
         at_rest, turning = (
             np.concatenate(parts, axis=2)
             for parts in zip(*((one.at_rest, one.turning) for one in both), strict=True)
         )
-        leaning = self._leaning(state, at_rest, turning)
+        leaning = self.by_attitude_errors(state, at_rest, turning)
         joints, stops = np.split(leaning, [both[0].at_rest.shape[2]], axis=1)
         return np.hstack([joints, self.by_ways(state)]), stops
 
-    def _leaning(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
-        """Return what attitudes that lean do to the outputs, (m, e).
-
-        Args:
-            state: (n,) of sensors and table.
-            at_rest: (s, 3, e) rotations of the static dwells about the body axes, rad.
-            turned: (t, 3, e) of the turns.
-
-        """
-        s, by_each = len(at_rest), self._once('leaning', state, self._by_leaning)
-        led = self.evidence.links.by_attitudes(self.model(state), at_rest)
-        return self.layout.joined(by_each[:s] @ at_rest, by_each[s:] @ turned, led)
-
+    @once
     def _by_leaning(self, state: Floats) -> Floats:
         """Return the derivatives by rotations about the body axes, (s + t, 6, 3): not of moves."""
         _, rate, force, turning, felt = self._inputs(state)
-        rates, forces = (
-            np.vstack([rate, mean_over_turn(turning)]),
-            np.vstack([force, mean_over_turn(felt)]),
-        )
+        seen = [
+            np.vstack([at_rest, mean_over_turn(turned)])
+            for at_rest, turned in ((rate, turning), (force, felt))
+        ]
         # What is seen is crossed with a rotation of the axes.
-        crossed = [np.tensordot(seen, GENERATORS, axes=1) for seen in (rates, forces)]
-        slopes = self.model(state).slopes(rates, forces)
+        crossed = [np.tensordot(one, GENERATORS, axes=1) for one in seen]
+        slopes = self.model(state).slopes(*seen)
         return np.asarray(slopes @ np.concatenate(crossed, axis=1))
 
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..segmentation.segment import Segment, Statistics, Turn
+from ..segmentation.segment import Statistics, Turn
 from ..segmentation.segmented import Move
 from ..stream import Units
 from .evidence import Evidence
@@ -28,33 +28,31 @@ def in_table_time(evidence: Evidence) -> Evidence:
     rate = evidence.clock_rate()[0]
     if not rate:
         return evidence
-    faster, pulses = 1 + rate, evidence.units is Units.PULSES
+    faster = 1 + rate
+    more, less = (faster, 1.0) if evidence.units is Units.PULSES else (1.0, 1 / faster)
     return replace(
         evidence,
-        segments=tuple(_segment(s, faster, pulses) for s in evidence.segments),
-        turns=tuple(_turn(t, faster, pulses) for t in evidence.turns),
-        moves=tuple(_move(m, faster, pulses) for m in evidence.moves),
+        segments=tuple(
+            replace(s, statistics=_statistics(s.statistics, faster, more))
+            for s in evidence.segments
+        ),
+        turns=tuple(_turn(t, faster, more) for t in evidence.turns),
+        moves=tuple(_move(m, faster, less) for m in evidence.moves),
         clock=replace(evidence.clock, rate=0.0),
     )
 
 
-def _segment(segment: Segment, faster: float, pulses: bool) -> Segment:
-    return replace(segment, statistics=_statistics(segment.statistics, faster, pulses))
-
-
-def _turn(turn: Turn, faster: float, pulses: bool) -> Turn:
-    more = faster if pulses else 1.0
+def _turn(turn: Turn, faster: float, more: float) -> Turn:
     skewed = turn.skewed
     return replace(
         turn,
-        statistics=_statistics(turn.statistics, faster, pulses),
-        skewed=None if skewed is None else _statistics(skewed, faster, pulses),
+        statistics=_statistics(turn.statistics, faster, more),
+        skewed=None if skewed is None else _statistics(skewed, faster, more),
         each=None if turn.each is None else turn.each * more,
     )
 
 
-def _statistics(statistics: Statistics, faster: float, pulses: bool) -> Statistics:
-    more = faster if pulses else 1.0
+def _statistics(statistics: Statistics, faster: float, more: float) -> Statistics:
     return replace(
         statistics,
         duration=statistics.duration / faster,
@@ -65,8 +63,7 @@ def _statistics(statistics: Statistics, faster: float, pulses: bool) -> Statisti
     )
 
 
-def _move(move: Move, faster: float, pulses: bool) -> Move:
-    less = 1.0 if pulses else 1 / faster
+def _move(move: Move, faster: float, less: float) -> Move:
     gained = move.velocity_steps
     if gained is not None:
         gained = replace(gained, velocity=gained.velocity * less, mean=gained.mean * less)

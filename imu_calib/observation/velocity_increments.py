@@ -175,11 +175,6 @@ class VelocityIncrement:
         felt = self.beside @ np.linalg.inv(self.model.accel.response).T
         return -np.asarray(np.einsum('nij,nj->i', self._timed_axes, felt))
 
-    @property
-    def by_delay(self) -> Floats:
-        """What taking a delay of the accelerometers off adds to v, (3,): see `by_delay`."""
-        return np.asarray(by_delay([self])[0])
-
 
 def by_delay(thrusts: Sequence[VelocityIncrement]) -> Floats:
     """Return what taking a delay s of the accelerometers off adds to v, per s, (m, 3) m/s^2.

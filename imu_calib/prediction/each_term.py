@@ -93,13 +93,8 @@ def _of_term(
     more = replace(setup, terms=(*setup.terms, term))
     evidence = replace(found.evidence, coarse=has_motion_terms(more.terms))
     parameters = listed(more)
-    std = dict(
-        zip(
-            parameters,
-            with_parameters(evidence, more, truth, parameters, drifting=drifting).tolist(),
-            strict=True,
-        )
-    )
+    found_std = with_parameters(evidence, more, truth, parameters, drifting=drifting)
+    std = dict(zip(parameters, found_std.tolist(), strict=True))
     before = dict(zip(found.parameters, found.std.tolist(), strict=True))
     times = [(p, std[p] / s) for p, s in before.items() if s > 0]
     dearer = tuple((p, t) for p, t in times if not t <= _DEARER)

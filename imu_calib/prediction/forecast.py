@@ -20,7 +20,7 @@ from ..methods import JOINT, check_plan, free_positions, method, skewed
 from ..methods.skewed import RatePoints
 from ..methods.solution import Solution
 from ..model import AXES, PARAMETERS, Parameter, SensorModel
-from ..observation.components import Component, Dense
+from ..observation.components import Blocks, Component
 from ..observation.equations import Equations
 from ..observation.evidence import Evidence
 from ..observation.free import FreeEquations
@@ -54,11 +54,7 @@ class Forecast:
 
 
 def forecast(
-    setup: Setup,
-    truth: SensorModel,
-    azimuth: float | None = None,
-    *,
-    drifting: bool = False,
+    setup: Setup, truth: SensorModel, azimuth: float | None = None, *, drifting: bool = False
 ) -> Forecast:
     """Predict the standard deviations of a session.
 
@@ -152,10 +148,7 @@ def check_session(setup: Setup) -> None:
 
 
 def _best(
-    evidence: Evidence,
-    truth: SensorModel,
-    parameters: tuple[Parameter, ...],
-    extra: Floats | None,
+    evidence: Evidence, truth: SensorModel, parameters: tuple[Parameter, ...], extra: Floats | None
 ) -> Floats:
     """Return the least standard deviations that a session allows, NaN for what it does not tell."""
     modelled = tuple(p for p in parameters if p.row < len(AXES))
@@ -172,11 +165,9 @@ def _best(
 
 def _in_the_hand(truth: SensorModel, evidence: Evidence) -> Forecast:
     """Ask what holds would tell: the method is the least squares that is the best."""
-    std = np.zeros(len(PARAMETERS))
-    found = information(
-        evidence, free_positions.in_frame_of_accelerometers(truth), free_positions.ESTIMATES
-    )
-    std[free_positions.FREE] = np.sqrt(np.diag(found.covariance)[: len(free_positions.ESTIMATES)])
+    std, sought = np.zeros(len(PARAMETERS)), free_positions.ESTIMATES
+    found = information(evidence, free_positions.in_frame_of_accelerometers(truth), sought)
+    std[free_positions.FREE] = np.sqrt(np.diag(found.covariance)[: len(sought)])
     return Forecast(evidence, free_positions.NAME, PARAMETERS, std, _nothing(PARAMETERS), '')
 
 
@@ -219,8 +210,8 @@ def information_of(equations: Equations, truth: SensorModel, extra: Floats | Non
 
     """
     if extra is not None:
-        modelled = np.arange(len(equations.outputs))
-        part = Dense(modelled, extra[np.ix_(modelled, modelled)])
+        m = len(equations.outputs)
+        part = Blocks(np.arange(m)[None], extra[None, :m, :m])
         equations = replace(equations, extra=(Component(Source.BIAS_STATED, part),))
     return Information.of(equations.whitened(state_at(equations, truth))[0])
 

@@ -25,14 +25,7 @@ from ..observation.evidence import Evidence
 from ..plan import Plan
 from ..stream import Floats
 from ..units import PPM
-from .forecast import (
-    Forecast,
-    forecast,
-    gravity_variances,
-    information,
-    listed,
-    state_at,
-)
+from .forecast import Forecast, forecast, gravity_variances, information, listed, state_at
 
 SHORTEST = 5.0
 """Shortest dwell proposed, s."""
@@ -123,18 +116,9 @@ def _shorter(
 ) -> Plan:
     """Choose dwells by what one look at a session says of its variances.
 
-    Args:
-        plan: That was looked at.
-        found: What it would give.
-        weights: (k, outputs) squares of the weights of the outputs in the k parameters wanted.
-        rows: (k,) which parameters.
-        targets: (k,) their standard deviations.
-        gravities: (k,) variances that the doubt of gravity adds to theirs.
-        weighed: Whether the weights follow the dwells, as those of the joint estimate do.
-
-    Raises:
-        NotObservable: No dwell reaches them; says what stands in the way.
-
+    Of k parameters, `rows` of those that were found: `weights` (k, outputs) are the squares of the
+    weights of the outputs, which follow the dwells if `weighed`, `targets` (k,) the standard
+    deviations wanted, `gravities` (k,) the variances that the doubt of gravity adds.
     """
     evidence = found.evidence
     names = list(dict.fromkeys(str(s.position) for s in evidence.segments))

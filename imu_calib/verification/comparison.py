@@ -173,10 +173,8 @@ def _two(
     """Compare an angle that has two components: chi-square with two degrees of freedom."""
     square = float(vector @ np.linalg.solve(spread, vector))
     # Far out the chance is no number any more, and the square root comes close enough.
-    ratio = (
-        float(-scipy.special.ndtri(np.exp(-square / 2) / 2)) if square < 1000 else np.sqrt(square)
-    )
-    std = float(np.sqrt(np.trace(spread) / 2))
-    return ComparedQuantity(
-        name, at, rate, quantity, float(np.linalg.norm(vector)), std, float(ratio)
-    )
+    ratio = np.sqrt(square)
+    if square < 1000:
+        ratio = -scipy.special.ndtri(np.exp(-square / 2) / 2)
+    size, std = float(np.linalg.norm(vector)), float(np.sqrt(np.trace(spread) / 2))
+    return ComparedQuantity(name, at, rate, quantity, size, std, float(ratio))

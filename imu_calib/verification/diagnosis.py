@@ -51,10 +51,7 @@ _ALL_BUT_ZERO = 1e-9
 """By how much a factor that is one may differ from it: what rounding leaves is far below, any wrong
 unit far above."""
 _FREED = {
-    ParameterKind.BIAS: (
-        'the biases are others',
-        'They have moved: another temperature, or time.',
-    ),
+    ParameterKind.BIAS: ('the biases are others', 'They have moved: another temperature, or time.'),
     ParameterKind.SCALE_FACTOR_ERROR: (
         'the scale factors are others',
         'They have moved: temperature, or time.',
@@ -79,12 +76,11 @@ class ShiftedParameter:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
-        unit = self.parameter.unit.si
         return {
             'name': self.parameter.name,
             'difference': float(self.difference),
             'std': float(self.std),
-            'unit': unit,
+            'unit': self.parameter.unit.si,
         }
 
 
@@ -190,12 +186,8 @@ def _best(
     """Return the fit of least chi-square among those that promise one, and its system.
 
     What promises less than half of what the best has brought is not fitted: twice is left for what
-    is not linear.
-
-    Args:
-        begun: What chi-square would be if all were linear, the fit, and its system.
-        before: Chi-square where they begin.
-
+    is not linear. Each comes with what chi-square would be if all were linear, and `before` is it
+    where they begin.
     """
     (_, fitted, best), *others = sorted(begun, key=lambda one: one[0])
     found = fitted()

@@ -8,14 +8,14 @@ import numpy as np
 
 from ..earth import Site
 from ..errors import NotObservable
-from ..imu import ImuSpec, TriadSpec
+from ..imu import ImuSpec
 from ..observation.evidence import Evidence
 from ..observation.timebase import in_table_time
 from ..plan import Plan
 from ..segmentation.labelling import label
 from ..segmentation.segmented import Segmented
 from ..stamping import StampingClock
-from ..stream import Units
+from ..stream import Floats, Units
 from ..turntable import Table
 
 
@@ -49,24 +49,17 @@ class Observed:
     def reading(self, spec: ImuSpec) -> tuple[float, float]:
         """Return by what the outputs are to be multiplied to be read as another description does.
 
-        Who applies a calibration takes the numbers of the stream for what the calibration says
-        that they are: gyros and accelerometers, dimensionless.
-
-        Args:
-            spec: The calibration's description of the IMU.
-
+        Who applies a calibration takes the numbers of the stream for what the calibration's
+        description of the IMU says that they are: gyros and accelerometers, dimensionless.
         """
-        return (
-            self._si_per_number(spec.units, spec.gyro)
-            / self._si_per_number(self.imu.units, self.imu.gyro),
-            self._si_per_number(spec.units, spec.accel)
-            / self._si_per_number(self.imu.units, self.imu.accel),
-        )
+        gyro, accel = self._si_per_number(spec) / self._si_per_number(self.imu)
+        return float(gyro), float(accel)
 
-    def _si_per_number(self, units: Units, triad: TriadSpec) -> float:
-        if units is Units.SI:
-            return 1.0
-        return triad.scale_factor * (self.sample_rate if units is Units.PULSES else 1.0)
+    def _si_per_number(self, spec: ImuSpec) -> Floats:
+        if spec.units is Units.SI:
+            return np.ones(2)
+        scales = np.array([spec.gyro.scale_factor, spec.accel.scale_factor])
+        return scales * (self.sample_rate if spec.units is Units.PULSES else 1.0)
 
 
 def observe(

@@ -79,9 +79,9 @@ class Fit:
     @property
     def chance(self) -> float:
         """Probability of a chi-square so large where all is well."""
-        return (
-            float(scipy.special.chdtrc(self.freedom, self.chi_square)) if self.freedom > 0 else 1.0
-        )
+        if self.freedom <= 0:
+            return 1.0
+        return float(scipy.special.chdtrc(self.freedom, self.chi_square))
 
 
 class _System(Protocol):
@@ -160,18 +160,17 @@ class TriadSystem:
     def equations(self) -> Equations:
         """Those of the joint estimate, where attitudes are known."""
         rows = self.evidence.layout
-        biases = np.zeros(len(rows))
-        biases[rows.dwell] = (self.bias_drift * self.reading) ** 2
+        drifts = np.zeros(len(rows))
+        drifts[rows.dwell] = self.bias_drift * self.reading
         seconds = np.array([m.move.duration for m in self.evidence.links.links]).reshape(-1, 1)
-        biases[rows.move] = (self.bias_drift * self.reading * seconds) ** 2
-        biases[rows.velocity] = (
-            self.bias_drift * self.reading * seconds[list(rows.moves_with_accels)]
-        ) ** 2
+        drifts[rows.move] = self.bias_drift * self.reading * seconds
+        felt = seconds[list(rows.moves_with_accels)]
+        drifts[rows.velocity] = self.bias_drift * self.reading * felt
         return Equations(
             self.evidence,
             self.sensors.parameters,
             levelled=None if self.gyros else _ANY_TILT,
-            extra=(Component(Source.BIAS_STATED, Diagonal(biases)),),
+            extra=(Component(Source.BIAS_STATED, Diagonal(drifts**2)),),
             doubts=self.doubts,
         )
 
