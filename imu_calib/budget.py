@@ -92,11 +92,7 @@ _ROWS = {
     Source.ARM: ('B', 'lever-arm', 'priors of the lever arms of accelerometers'),
     Source.DELAY: ('B', 'delay', 'delay of accelerometers after gyros'),
     Source.TABLE: ('B', 'table', 'axes, zeros and encoders of the table, as stated or assumed'),
-    Source.NORTH: (
-        'B',
-        'north',
-        'horizontal Earth rate, unknown heading or left by turns',
-    ),
+    Source.NORTH: ('B', 'north', 'horizontal Earth rate, unknown heading or left by turns'),
     Source.CLOCK: ('A', 'clock', 'rate between the clocks of IMU and table'),
     Source.TABLE_CLOCK: ('B', 'table-clock', "the table's own clock, as its description states it"),
     Source.GRAVITY: ('B', 'gravity', 'gravity at the site'),

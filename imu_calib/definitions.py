@@ -130,7 +130,7 @@ _ACTIONS = {
         'trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_desired\n'
         'trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_actual\n'
         'trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error\n'
-    ),
+    )
 }
 _PARTS = ('Goal', 'Result', 'Feedback')
 # What ROS makes of every action (design.ros2.org/articles/actions.html).

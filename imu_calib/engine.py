@@ -87,10 +87,7 @@ def _on_workers(
 
 
 def _in_processes(
-    function: Callable[[Task], Result],
-    tasks: list[Task],
-    jobs: int,
-    take: Callable[[Result], None],
+    function: Callable[[Task], Result], tasks: list[Task], jobs: int, take: Callable[[Result], None]
 ) -> None:
     others = set(active_children())
     spawn = get_context('spawn')

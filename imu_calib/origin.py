@@ -14,9 +14,7 @@ from .errors import InputError
 
 _CHANNELS = 6
 """Channels of an IMU, gx to az."""
-_TEXTS = (
-    *('recording', 'sha256', 'recorded', 'method', 'plan', 'table', 'gravity_source', 'frame'),
-)
+_TEXTS = ('recording', 'sha256', 'recorded', 'method', 'plan', 'table', 'gravity_source', 'frame')
 _LISTS_OF_TEXTS = ('topics', 'terms', 'missing_positions', 'shared_with')
 _FLAGS = ('terms_looked_for', 'height_assumed')
 _COUNTS = ('segments', 'turns', 'samples')
@@ -89,16 +87,13 @@ def _each(section: Section, names: tuple[str, ...]) -> None:
 
 def _clock(section: Section) -> None:
     for name in ('offset_s', 'offset_std_s', 'rate_ppm', 'rate_std_ppm'):
-        if section.has(name):
-            # The deviation of what nothing compares is without an end.
-            _numbers_or_inf(section, name)
+        # Any number: the deviation of what nothing compares is without an end.
+        if section.has(name) and as_number(section.raw(name)) is None:
+            raise InputError(
+                f'{section.key(name)}: found {section.raw(name)!r}, expected a number.'
+            )
     if section.has('motions'):
         section.whole('motions', 0)
-
-
-def _numbers_or_inf(section: Section, name: str) -> None:
-    if as_number(section.raw(name)) is None:
-        raise InputError(f'{section.key(name)}: found {section.raw(name)!r}, expected a number.')
 
 
 def _tests(section: Section) -> None:

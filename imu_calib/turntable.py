@@ -297,8 +297,7 @@ def load_table(name: str | Path) -> Table:
         InputError: File, key, what was found and what was expected.
 
     """
-    path = named_file('tables', name)
-    return read_table(Section.load(path))
+    return read_table(Section.load(named_file('tables', name)))
 
 
 def read_table(section: Section) -> Table:

@@ -47,13 +47,13 @@ def parameter_frame(calibration: Calibration) -> pandas.DataFrame:
 
     """
     columns = {'value': calibration.values, 'std': calibration.std}
-    return _frame(calibration.parameters, columns, {})
+    return compared_frame(calibration.parameters, columns, {})
 
 
 def compared_frame(
     parameters: Sequence[Parameter], shown: dict[str, Floats], plain: dict[str, Floats]
 ) -> pandas.DataFrame:
-    """Return sets of parameters and what is between them, by parameter.
+    """Return columns by parameter: some in the unit of each, some without one.
 
     Args:
         parameters: n of them.
@@ -64,7 +64,14 @@ def compared_frame(
         InputError: pandas is not installed.
 
     """
-    return _frame(parameters, shown, plain)
+    require('pandas', 'A data frame', 'dataframe')
+    import pandas as pd
+
+    scale = np.array([p.unit.scale for p in parameters])
+    index = pd.Index([p.name for p in parameters], name='parameter')
+    columns = {name: values / scale for name, values in shown.items()}
+    units = [p.unit.shown for p in parameters]
+    return pd.DataFrame({**columns, **plain, 'unit': units}, index=index)
 
 
 def repeated_frame(outcome: Outcome) -> pandas.DataFrame:
@@ -80,7 +87,7 @@ def repeated_frame(outcome: Outcome) -> pandas.DataFrame:
         'stated': outcome.mean_stated,
         'worst': outcome.worst,
     }
-    return _frame(outcome.parameters, columns, {'normalised': outcome.rms})
+    return compared_frame(outcome.parameters, columns, {'normalised': outcome.rms})
 
 
 def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) -> pandas.DataFrame:
@@ -90,26 +97,7 @@ def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) 
         InputError: pandas is not installed.
 
     """
-    return _frame(parameters, {'std': std, 'best': best}, {})
-
-
-def _frame(
-    parameters: Sequence[Parameter], shown: dict[str, Floats], plain: dict[str, Floats]
-) -> pandas.DataFrame:
-    """Return columns by parameter: some in the unit of each, some without one.
-
-    Raises:
-        InputError: pandas is not installed.
-
-    """
-    require('pandas', 'A data frame', 'dataframe')
-    import pandas as pd
-
-    scale = np.array([p.unit.scale for p in parameters])
-    index = pd.Index([p.name for p in parameters], name='parameter')
-    columns = {name: values / scale for name, values in shown.items()}
-    units = [p.unit.shown for p in parameters]
-    return pd.DataFrame({**columns, **plain, 'unit': units}, index=index)
+    return compared_frame(parameters, {'std': std, 'best': best}, {})
 
 
 def draw(calibration: Calibration) -> Picture:

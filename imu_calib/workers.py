@@ -166,10 +166,7 @@ class WorkerDied:
 
 
 def outcomes(
-    client: Client,
-    function: Callable[..., Result],
-    tasks: Iterable[Task],
-    *shared: object,
+    client: Client, function: Callable[..., Result], tasks: Iterable[Task], *shared: object
 ) -> Iterator[tuple[int, Result | WorkerDied]]:
     """Run a function on each of independent tasks; yield their numbers and results as they end.
 

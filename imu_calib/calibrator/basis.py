@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..budget import Budget, Source
-from ..calibration import Calibration, ResidualRow
-from ..gravity import with_gravity
+from ..budget import Source
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..observation.evidence import Evidence
@@ -15,7 +13,7 @@ from ..segmentation.segmented import Segmented
 from ..table_clock import clock_share
 from .losses import assumption_findings
 from .provenance import noise, provenance, stamping
-from .results import Result
+from .results import Result, calibrated
 from .setup import Setup
 
 _LATER = (
@@ -57,24 +55,10 @@ class Basis:
             *self.lost,
             *assumption_findings(setup, solution),
         )
-        calibration = Calibration(
-            setup.imu,
-            solution.model,
-            solution.covariance,
-            tuple(
-                ResidualRow(r.position, r.start * 1e-9, r.value[:3], r.value[3:])
-                for r in solution.residuals
-            ),
-            findings,
-            provenance(setup, self.evidence, self.session, solution, comparison)
-            | (noise(self.evidence) if self.final else {}),
-            setup.serial_number,
-            solution.parameters,
-            None if solution.shares is None else Budget.of(solution.shares),
-            solution.changes,
-            stamping(setup, self.evidence),
-        )
-        calibration = with_gravity(calibration, setup.site)
+        origin = provenance(setup, self.evidence, self.session, solution, comparison)
+        origin |= noise(self.evidence) if self.final else {}
+        clock = stamping(setup, self.evidence)
+        calibration = calibrated(setup, solution, origin, findings, clock)
         if setup.table is not None and setup.table.clock:
             share = clock_share(
                 calibration.model, calibration.parameters, setup.imu.units, setup.table.clock

@@ -8,10 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..budget import Budget
-from ..calibration import Calibration, ResidualRow
 from ..errors import InputError, NotObservable
-from ..gravity import gravity_covariance, with_gravity
+from ..gravity import gravity_covariance
 from ..methods import estimated_parameters
 from ..methods.checks import SCALE_LIMIT, far_scales
 from ..methods.free_positions import (
@@ -38,7 +36,7 @@ from ..stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from ..units import DEG, STANDARD_GRAVITY, counted
 from .guidance import CHECKED, HOLD_SECONDS, Guidance, Stage, guide
 from .provenance import provenance
-from .results import Result, Review
+from .results import Result, Review, calibrated
 from .setup import Setup
 
 _LEAST_STD = np.repeat([1e-9, 1e-7], 3)
@@ -142,10 +140,6 @@ class HandCalibrator:
         """Refuse holds at which the accelerometers do not read what is gravity in any unit.
 
         Of sessions that cannot be solved: the others are judged by their solution.
-
-        Raises:
-            InputError: What they read at rest is far from 1 g in most holds.
-
         """
         forces = np.array([s.statistics.mean[3:] for s in evidence.segments])
         length = float(np.median(np.linalg.norm(forces, axis=1))) / evidence.site.gravity
@@ -204,10 +198,7 @@ class HandCalibrator:
         return self.review()
 
     def _guidance(
-        self,
-        session: Segmented,
-        still: tuple[int, int] | None,
-        reached: Floats | None,
+        self, session: Segmented, still: tuple[int, int] | None, reached: Floats | None
     ) -> Guidance:
         segments = session.segments
         holding = None
@@ -225,12 +216,7 @@ class HandCalibrator:
         return guide(evidence, holding=holding, reached=reached)
 
     def _evidence(self, segments: Sequence[Segment], moves: Sequence[Move]) -> Evidence:
-        """Return what holds, numbered, and the turns between them tell.
-
-        Raises:
-            NotObservable: Neither they nor the IMU's description tell the noise.
-
-        """
+        """Return what holds, numbered, and the turns between them tell."""
         setup = self._setup
         holds = tuple(
             replace(
@@ -258,11 +244,10 @@ class HandCalibrator:
             units=setup.imu.units,
             free=True,
         )
+        links, variances = evidence.links.links, evidence.links.variances(walk)[:, :3]
         kept = tuple(
             link.move
-            for link, variance in zip(
-                evidence.links.links, evidence.links.variances(walk)[:, :3], strict=True
-            )
+            for link, variance in zip(links, variances, strict=True)
             if link.move.filled <= _LOST * (variance.mean() - link.move.filled)
         )
         return replace(evidence, moves=kept)
@@ -299,26 +284,12 @@ class HandCalibrator:
             parameters=fit.parameters,
             shares=fit.shares,
         )
-        rows = tuple(
-            ResidualRow(r.position, r.start * 1e-9, r.value[:3], r.value[3:]) for r in residuals
-        )
         origin = provenance(setup, evidence, session, solution)
         origin['turns'] = turns
         origin['frame'] = 'accelerometers'
         # The attitudes of a plan of free positions are proposals: none is missing.
         origin.pop('missing_positions', None)
-        calibration = Calibration(
-            setup.imu,
-            fit.model,
-            fit.covariance,
-            rows,
-            tuple(findings),
-            origin,
-            setup.serial_number,
-            fit.parameters,
-            budget=Budget.of(fit.shares),
-        )
-        calibration = with_gravity(calibration, setup.site)
+        calibration = calibrated(setup, solution, origin, solution.findings)
         return Result(calibration, solution, session, Labelled(segments, (), session.rejected))
 
 

@@ -115,9 +115,8 @@ def guide(
     std[FREE] = _deviations(base) if reached is None else reached
     found = []
     for words, up in _directions():
-        grown = np.vstack(
-            [np.pad(base, ((0, 0), (0, 3))), _further(equations, values, up, hold_seconds)]
-        )
+        further = _further(equations, values, up, hold_seconds)
+        grown = np.vstack([np.pad(base, ((0, 0), (0, 3))), further])
         gain = (log_determinant(grown.T @ grown, len(ESTIMATES)) - now) / 2
         found.append(Candidate(words, up, gain))
     found.sort(key=lambda c: -c.gain)
@@ -169,19 +168,10 @@ def _directions() -> list[tuple[str, Floats]]:
 
 
 def _further(equations: FreeEquations, values: Floats, up: Floats, seconds: float) -> Floats:
-    """Return the rows that a further hold would add, and the turn to it.
+    """Return the rows that a further hold with (3,) `up` would add, and the turn to it.
 
-    North is taken for known by then, and the heading of the last hold with it.
-
-    Args:
-        equations: Of the holds so far.
-        values: (n,) their state.
-        up: (3,) of the further one, body axes.
-        seconds: How long it is held.
-
-    Returns:
-        (9, n + 3) in standard deviations; the rotations of the further hold come last.
-
+    (9, n + 3) in standard deviations; the rotations of the further hold come last. North is taken
+    for known by then, and the heading of the last hold with it.
     """
     evidence = equations.evidence
     last = evidence.segments[-1]

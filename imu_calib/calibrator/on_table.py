@@ -10,12 +10,7 @@ import numpy as np
 
 from ..errors import Contradiction, InputError, NotObservable
 from ..gravity import gravity_covariance
-from ..methods import (
-    check_plan,
-    closed_form_beside,
-    method,
-    provisional,
-)
+from ..methods import check_plan, closed_form_beside, method, provisional
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import AXES, Parameter, SensorModel
@@ -106,23 +101,13 @@ class Calibrator:
         session = self._segmenter.finish()
         labelled = self._labelled(session)
         unsupported = unsupported_steps(session, labelled, self._setup.plan, self._setup.steps)
+        result, refusal = None, ''
         try:
             result = self._solve(session, labelled, final=final)
+            found = result.calibration
+            std = dict(zip(found.parameters, found.std.tolist(), strict=True))
         except NotObservable as error:
-            std = self._reached(labelled, session)
-            return self._review(session, std, unsupported, None, str(error))
-        calibration = result.calibration
-        std = dict(zip(calibration.parameters, calibration.std, strict=True))
-        return self._review(session, std, unsupported, result, '')
-
-    def _review(
-        self,
-        session: Segmented,
-        std: dict[Parameter, float],
-        unsupported: tuple[int, ...],
-        result: Result | None,
-        refusal: str,
-    ) -> Review:
+            refusal, std = str(error), self._reached(labelled, session)
         wanted = self._setup.parameters
         reached = np.array([std.get(parameter, np.nan) for parameter in wanted])
         return Review(session, wanted, reached, unsupported, result, refusal)
@@ -140,7 +125,7 @@ class Calibrator:
         if setup.table is not None:
             clock = clock_share(ideal, parameters, setup.imu.units, setup.table.clock)
             share = share + np.diag(clock.covariance)
-        return dict(zip(parameters, np.sqrt(noise_alone**2 + share), strict=True))
+        return dict(zip(parameters, np.sqrt(noise_alone**2 + share).tolist(), strict=True))
 
     def evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
         """Return a labelled session as what the method works on.
@@ -175,11 +160,6 @@ class Calibrator:
 
         What a closed form finds contradictory is refused: a joint estimate could weigh half of
         the data down until the other half agrees.
-
-        Raises:
-            InputError: The outputs are not in the units that the IMU's description states.
-            NotObservable: The data cannot give all parameters, or contradicts itself.
-
         """
         name = closed_form_beside(self._setup.method_name, self._setup.plan)
         if name is None:

@@ -9,7 +9,7 @@ from ..instants import iso
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import terms_of
-from ..model.session_terms import Change, terms_in_words
+from ..model.session_terms import terms_in_words
 from ..noise import session_noise
 from ..observation.evidence import Evidence
 from ..segmentation.segmented import Segmented
@@ -27,15 +27,15 @@ def provenance(
     comparison: Comparison | None = None,
 ) -> dict[str, object]:
     """Return what the file of a calibration says of its session, by key (docs/parameters.md)."""
-    clock = session.clock
+    clock, seen = session.clock, session.temperature
     residuals = np.array([r.value for r in solution.residuals]).reshape(-1, 6)
     rms = np.sqrt((residuals**2).mean(axis=0)) if len(residuals) else np.full(6, np.nan)
     special: dict[str, object] = {}
-    missing = evidence.missing_positions()
-    if missing:
+    if missing := evidence.missing_positions():
         special['missing_positions'] = missing
     if solution.bias_drift is not None:
         special['bias_wander'] = [float(v) for v in solution.bias_drift]
+    changes = () if solution.changes is None else solution.changes.changes
     if comparison is not None:
         special['closed_form'] = comparison.document()
     if solution.tests:
@@ -43,10 +43,7 @@ def provenance(
     return {
         'recorded': iso(session.start),
         'method': setup.method_name,
-        'terms': [
-            *(t.name for t in terms_of(solution.parameters)),
-            *terms_in_words(_changing(solution)),
-        ],
+        'terms': [*(t.name for t in terms_of(solution.parameters)), *terms_in_words(changes)],
         'terms_looked_for': setup.search_terms and bool(solution.tests),
         'plan': setup.plan.name or None,
         'table': setup.table.name if setup.table is not None else None,
@@ -68,7 +65,7 @@ def provenance(
         'residual_rms': [_or_none(v) for v in rms],
         'condition_number': solution.condition,
         'highest_rate': _highest_rate(evidence, session),
-        'temperature': _temperature(session),
+        'temperature': seen and {'mean': seen.mean, 'lowest': seen.lowest, 'highest': seen.highest},
         **special,
         'clock': {
             'offset_s': clock.offset,
@@ -77,11 +74,7 @@ def provenance(
             'rate_std_ppm': clock.rate_std * 1e6,
             'motions': clock.motions,
         },
-        'versions': {
-            'imu_calib': version(),
-            'numpy': np.__version__,
-            'scipy': scipy.__version__,
-        },
+        'versions': {'imu_calib': version(), 'numpy': np.__version__, 'scipy': scipy.__version__},
     }
 
 
@@ -109,17 +102,6 @@ def _highest_rate(evidence: Evidence, session: Segmented) -> float | None:
     rates = [abs(float(turn.rate())) for turn in evidence.turns]
     rates += [move.fastest for move in session.moves]
     return max(rates, default=None)
-
-
-def _changing(solution: Solution) -> tuple[Change, ...]:
-    return () if solution.changes is None else solution.changes.changes
-
-
-def _temperature(session: Segmented) -> dict[str, float] | None:
-    seen = session.temperature
-    if seen is None:
-        return None
-    return {'mean': seen.mean, 'lowest': seen.lowest, 'highest': seen.highest}
 
 
 def _or_none(value: float) -> float | None:

@@ -7,18 +7,49 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..calibration import Calibration
+from ..budget import Budget
+from ..calibration import Calibration, ResidualRow
 from ..estimation.term_tests import summary
+from ..gravity import with_gravity
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import Parameter, terms_of
 from ..segmentation.labelling import Labelled
 from ..segmentation.segmented import Segmented
+from ..stamping import StampingClock
 from ..stream import Floats
 from ..units import counted
+from .setup import Setup
 
 if TYPE_CHECKING:
     from .basis import Basis
+
+
+def calibrated(
+    setup: Setup,
+    solution: Solution,
+    origin: dict[str, object],
+    findings: tuple[str, ...],
+    clock: StampingClock | None = None,
+) -> Calibration:
+    """Return a solution as a calibration, with the doubt of gravity, of a session's origin."""
+    calibration = Calibration(
+        setup.imu,
+        solution.model,
+        solution.covariance,
+        tuple(
+            ResidualRow(r.position, r.start * 1e-9, r.value[:3], r.value[3:])
+            for r in solution.residuals
+        ),
+        findings,
+        origin,
+        setup.serial_number,
+        solution.parameters,
+        None if solution.shares is None else Budget.of(solution.shares),
+        solution.changes,
+        clock,
+    )
+    return with_gravity(calibration, setup.site)
 
 
 @dataclass(frozen=True, eq=False)

@@ -286,9 +286,7 @@ def _repeated(order: bytes, after_stamp: bytes) -> tuple[Any, ...] | str:
 def _setpoint(payload: bytes) -> tuple[Any, ...] | str:
     """Decode the fields of a setpoint that follow its stamp, or say what is wrong with it."""
     try:
-        reader = LayoutReader(payload)
-        reader.stamp()
-        reader.string()
+        reader = _header(payload)
         plan, step, position = reader.string(), int(reader.number('I')), reader.string()
         content = (
             plan,
