@@ -10,7 +10,6 @@ def host_and_port(url: str) -> tuple[str, int] | None:
 
     >>> host_and_port('socket://10.0.0.3:5000')
     ('10.0.0.3', 5000)
-
     """
     try:
         parts = urlsplit(url)

@@ -35,7 +35,6 @@ class Agreement:
         total: Chi-square of all parameters together, by the whole covariances.
         total_freedom: Its degrees of freedom.
         total_chance: Its probability.
-
     """
 
     parameters: tuple[Parameter, ...]
@@ -82,7 +81,6 @@ def agreement(
 
     Returns:
         The agreement, and the (k - 1, n) standard deviations of the differences from the first.
-
     """
     count, size = len(calibrations) - 1, len(parameters)
     values = np.array([c.model.values(tuple(parameters)) for c in calibrations])

@@ -39,7 +39,6 @@ class Group:
         words: For people.
         names: Of the angles: pairs of channels, or axes.
         triads: What must have been estimated.
-
     """
 
     key: str
@@ -63,7 +62,6 @@ class Angles:
         group: Which.
         values: (3,) rad.
         std: (3,) their standard deviations, rad.
-
     """
 
     group: Group
@@ -80,7 +78,6 @@ def free_of_frame(
         model: The calibrated unit.
         covariance: (n, n) SI units; NaN for a triad that was not estimated.
         parameters: (n,) what the rows stand for; the 24 are among them.
-
     """
     mine = indices_of(_RESPONSES, parameters)
     square = covariance[np.ix_(mine, mine)]

@@ -51,7 +51,6 @@ class AllanSums:
         lengths: Samples of every gap-free run, in order.
         squares: (k, c) sums at 1, 2, 4, ... samples, in (rad)^2 or (m/s)^2.
         counts: (k,) how many second differences each sum holds.
-
     """
 
     period: float
@@ -76,7 +75,6 @@ def second_differences(phase: Floats, clusters: int) -> tuple[float, int]:
     Args:
         phase: (n + 1,) integral at the ends of n samples.
         clusters: Samples per cluster.
-
     """
     first = phase[clusters:] - phase[:-clusters]
     second = first[clusters:] - first[:-clusters]
@@ -104,7 +102,6 @@ def allan_sums(runs: Sequence[Floats], period: float) -> AllanSums:
     Args:
         runs: (n, c) increments each, rad or m/s.
         period: Sample interval, s.
-
     """
     channels = runs[0].shape[1]
     rows = max(octaves(len(run)) for run in runs)
@@ -143,7 +140,6 @@ def unit_variances(factors: Floats, period: float) -> Floats:
     Args:
         factors: (k,) cluster sizes, samples.
         period: s.
-
     """
     each = _covariances(factors, factors, np.zeros(1), period)[:, :, 0]
     return np.asarray(each.T / (2 * (factors * period) ** 2)[:, None])
@@ -162,7 +158,6 @@ def spread(rows: int, lengths: tuple[int, ...], period: float, squares: Floats) 
         lengths: Samples of every run.
         period: s.
         squares: (4,) squared coefficients.
-
     """
     return np.asarray(np.einsum('i,j,ijkl->kl', squares, squares, _forms(rows, lengths, period)))
 
@@ -237,7 +232,6 @@ def counter_share(pulses: float, growth: float, factors: Floats) -> Floats:
         pulses: Mean count per sample.
         growth: Variance that the walk adds per sample, pulses^2.
         factors: (k,) cluster sizes, samples.
-
     """
     h = np.arange(1, _HARMONICS + 1)[:, None]
 

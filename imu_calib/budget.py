@@ -120,7 +120,6 @@ class Share:
     Attributes:
         covariance: (n, n) SI units.
         freedom: (n,) degrees of freedom of its variances; infinite for what is taken as known.
-
     """
 
     covariance: Floats
@@ -172,7 +171,6 @@ class BudgetLine:
         source: Which.
         std: (n,) what it contributes to the standard deviation of each parameter, SI units.
         freedom: (n,) degrees of freedom.
-
     """
 
     source: Source
@@ -186,7 +184,6 @@ class Budget:
 
     Attributes:
         lines: Sources that contribute to any parameter.
-
     """
 
     lines: tuple[BudgetLine, ...]

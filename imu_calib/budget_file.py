@@ -34,7 +34,6 @@ def budget_document(
         budget: Of n parameters.
         parameters: Their names.
         known: (n,) which of them were estimated; the others are left out.
-
     """
 
     def row(values: Floats) -> list[float]:
@@ -74,7 +73,6 @@ def read_budget(
 
     Raises:
         InputError: Other parameters, an unknown source, or no standard deviations.
-
     """
     names = [p.name for p, k in zip(parameters, known, strict=True) if k]
     if section.items('parameters') != names:

@@ -87,7 +87,6 @@ class Calibration:
             that follow the temperature are applied (`compensation/thermal`), others end with it.
         clock: That stamps the samples, where the session compared it with the table's: pulses are
             per second of the table's then, else of the stamps'.
-
     """
 
     imu: ImuSpec
@@ -139,7 +138,6 @@ class Calibration:
 
         Raises:
             InputError: What the file holds is no noise.
-
         """
         return read_noise(self.provenance.get('noise') or {})
 
@@ -161,7 +159,6 @@ class Calibration:
 
         Raises:
             InputError: A parameter that counts as estimated is no finite number.
-
         """
         std = SensorModel.from_vector(self.std[indices_of(PARAMETERS, self.parameters)])
         known = np.isfinite(self.std)
@@ -202,7 +199,6 @@ class Calibration:
 
         Raises:
             InputError: A parameter that counts as estimated is no finite number.
-
         """
         head = (
             '# Calibration of an IMU, SI units: rad, m, s.\n'
@@ -279,7 +275,6 @@ class Calibration:
 
         Raises:
             InputError: No calibration; names file, key, what was found and what was expected.
-
         """
         return cls.read(Section.parse(text, where))
 
@@ -288,7 +283,6 @@ class Calibration:
 
         Raises:
             InputError: pandas is not installed.
-
         """
         from .views import parameter_frame
 
@@ -299,7 +293,6 @@ class Calibration:
 
         Raises:
             InputError: matplotlib is not installed.
-
         """
         from .views import draw
 
@@ -310,7 +303,6 @@ class Calibration:
 
         Raises:
             InputError: matplotlib is not installed.
-
         """
         from .views import draw_residuals
 
@@ -321,7 +313,6 @@ class Calibration:
 
         Raises:
             InputError: matplotlib is not installed, or the calibration carries no noise.
-
         """
         from .views import draw_noise
 
@@ -332,7 +323,6 @@ class Calibration:
 
         Raises:
             InputError: It cannot be written.
-
         """
         write_whole(user_path(path), self.to_yaml())
 
@@ -342,7 +332,6 @@ class Calibration:
 
         Raises:
             InputError: Unreadable, or no calibration.
-
         """
         return cls.read(calibration_section(path))
 
@@ -352,7 +341,6 @@ class Calibration:
 
         Raises:
             InputError: No calibration, or one that no strapdown IMU has.
-
         """
         version = section.number('format')
         if version != _FORMAT:
@@ -483,7 +471,6 @@ def calibration_section(path: str | Path) -> Section:
 
     Raises:
         InputError: Unreadable, a recording, or another file.
-
     """
     file = user_path(path)
     inside = file.iterdir() if file.is_dir() else (file,)

@@ -32,7 +32,6 @@ class Changes:
         covariance: (k, k) of them.
         cross: (n, k) covariance of the parameters of the sensors and them.
         time_constant: Of a warm-up, s; NaN where there is none.
-
     """
 
     changes: tuple[Change, ...]
@@ -102,7 +101,6 @@ def read_changes(section: Section, parameters: Sequence[Parameter]) -> Changes:
 
     Raises:
         InputError: A wrong name or number; names the key.
-
     """
     coefficients, values = [], []
     for row in section.sections('coefficients'):

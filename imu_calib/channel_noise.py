@@ -51,7 +51,6 @@ class ChannelNoise:
         rate_random_walk: (rad/s)/sqrt(s) or (m/s^2)/sqrt(s).
         timed: Whether `tau` holds clusters whose pulses were timed, since single readings of the
             counter hide the noise below its steps.
-
     """
 
     tau: Floats
@@ -101,7 +100,6 @@ def read_noise(document: Mapping[str, Any]) -> dict[str, ChannelNoise]:
 
     Raises:
         InputError: It is no noise.
-
     """
     try:
         return {str(name): ChannelNoise.read(entry) for name, entry in document.items()}
@@ -120,7 +118,6 @@ class TriadUnits:
         walk_scale: Its SI value.
         rate: Unit of the bias instability and of the Allan deviation in words.
         rate_scale: Its SI value.
-
     """
 
     name: str

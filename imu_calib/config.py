@@ -42,7 +42,6 @@ class Section:
 
         Raises:
             InputError: Unreadable, not YAML, or no mapping.
-
         """
         try:
             text = path.read_text(encoding='utf-8')
@@ -204,7 +203,6 @@ class Section:
 
         Raises:
             InputError: Names the unknown and the known keys.
-
         """
         unknown = sorted(set(self._data) - set(self._known))
         if unknown:

@@ -21,7 +21,6 @@ def travel_time(distance: float, rate: float, acceleration: float) -> float:
         distance: rad, of either sign.
         rate: Highest rate, rad/s, above zero.
         acceleration: Highest acceleration, rad/s^2, above zero.
-
     """
     way = abs(distance)
     peak = min(rate, math.sqrt(way * acceleration))
@@ -45,7 +44,6 @@ class Course:
         time: (m,) s from the start, increasing from 0.
         angles: (m, k) rad.
         rates: (m, k) rad/s.
-
     """
 
     time: Floats
@@ -95,7 +93,6 @@ def moving(
         goal: (k,) where they are to stand, rad.
         rates: (k,) highest rates, rad/s.
         accelerations: (k,) highest accelerations, rad/s^2.
-
     """
     courses = []
     for start, end, rate, acceleration in zip(origin, goal, rates, accelerations, strict=True):

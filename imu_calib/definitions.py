@@ -155,7 +155,6 @@ def definition(type_name: str) -> str:
 
     Raises:
         InputError: The definition of one of them is not to be found.
-
     """
     parts = [message_text(type_name)]
     seen = [type_name]
@@ -178,7 +177,6 @@ def message_text(type_name: str) -> str:
 
     Raises:
         InputError: It is not to be found.
-
     """
     if type_name in _BUILT_IN:
         return _BUILT_IN[type_name]

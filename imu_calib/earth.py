@@ -66,7 +66,6 @@ def normal_gravity(latitude: float, height: float = 0.0) -> float:
     Examples:
         >>> round(normal_gravity(0.0), 10)
         9.7803253359
-
     """
     s2 = math.sin(latitude) ** 2
     surface = _GRAVITY_EQUATOR * (1 + _SOMIGLIANA * s2) / math.sqrt(1 - _ECCENTRICITY_SQUARED * s2)
@@ -86,7 +85,6 @@ class Site:
         gravity_std: Its standard deviation, m/s^2; 0 for one that is taken as exact.
         height: Above the ellipsoid, m, where it was stated; None where it was not.
         latitude_std: Standard deviation of the latitude, rad; 0 for one that is taken as exact.
-
     """
 
     latitude: float
@@ -123,7 +121,6 @@ class Site:
         Raises:
             InputError: A value that no place on Earth has, or the deviation of a height that is
                 not stated.
-
         """
         if not abs(latitude) <= math.pi / 2:
             raise InputError(f'latitude: found {math.degrees(latitude):g} deg, expected -90 to 90.')

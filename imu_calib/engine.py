@@ -44,7 +44,6 @@ def run_all(
     Raises:
         InputError: No scheduler answers, Dask is not installed, or what a task raises.
         NotObservable: What a task raises.
-
     """
     results: list[Result] = []
 

@@ -18,7 +18,6 @@ def require(library: str, what: str, extra: str) -> None:
 
     Raises:
         InputError: It is not installed; says how to install it.
-
     """
     if find_spec(library) is None:
         raise InputError(

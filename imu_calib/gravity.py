@@ -45,7 +45,6 @@ def gravity_covariance(model: SensorModel, parameters: Sequence[Parameter], doub
         model: The values of the parameters.
         parameters: What the rows stand for.
         doubt: Standard deviation of gravity over gravity.
-
     """
     deviation = gravity_slope(model, parameters) * doubt
     return np.asarray(np.outer(deviation, deviation))

@@ -35,7 +35,6 @@ class TriadSpec:
         scale_factor_temperature: By how much scale factors follow the temperature, one standard
             deviation, 1/K; 0 when not stated.
         bias_temperature: The same of biases, (rad/s)/K or (m/s^2)/K.
-
     """
 
     scale_factor: float = 1.0
@@ -59,7 +58,6 @@ class ImuSpec:
         accel: The accelerometer triad.
         skewed: A further gyro that lies askew to the three, None where there is none.
         specification: What its parameters may be; None when not stated.
-
     """
 
     id: str
@@ -76,7 +74,6 @@ def load_imu(name: str | Path) -> ImuSpec:
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     return read_imu(Section.load(named_file('imus', name)))
 
@@ -90,7 +87,6 @@ def compensated_imu(spec: ImuSpec, gyro_gain: float, accel_gain: float) -> ImuSp
         spec: The raw numbers.
         gyro_gain: By how much compensation enlarges the noise of a gyro.
         accel_gain: The same of an accelerometer.
-
     """
     return replace(
         spec,
@@ -118,7 +114,6 @@ def imu_text(spec: ImuSpec) -> str:
 
     Raises:
         ValueError: Its numbers are not SI, or it has a skewed gyro.
-
     """
     if spec.units is not Units.SI or spec.skewed is not None:
         raise ValueError(f'IMU {spec.id}: expected SI units and no skewed gyro.')
@@ -151,7 +146,6 @@ def read_imu(section: Section) -> ImuSpec:
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     units = section.choice('units', {u.value: u for u in Units})
     rate = None

@@ -16,7 +16,6 @@ def utc(stamp: int | None) -> datetime | None:
         datetime.datetime(2023, 11, 14, 22, 15, 9, 994000, tzinfo=datetime.timezone.utc)
         >>> utc(5_000_000_000) is None
         True
-
     """
     if stamp is None or not _YEAR_2000 < stamp < _YEAR_2200:
         return None
@@ -36,7 +35,6 @@ def at(stamp: int) -> str:
     Examples:
         >>> at(1_700_000_109_994_000_000), at(12_500_000_000)
         ('2023-11-14 22:15:09.994 UTC', '12.500 s')
-
     """
     date = utc(stamp)
     if date is None:

@@ -52,7 +52,6 @@ def node(*, foreign: bool = False, **options: Any) -> Any:
         foreign: Not of this package: it is started through this package's `lifetime`, which asks
             the kernel for the signal in its place.
         **options: Of the Node.
-
     """
     from launch_ros.actions import Node
 
@@ -69,7 +68,6 @@ def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any
         view: Whether the table is shown, unless an argument says otherwise.
         port: Whether the IMU's port must be there at the start.
         table: Whether a table is led, which is a real one unless the device is simulated.
-
     """
     from launch.actions import OpaqueFunction
 
@@ -94,7 +92,6 @@ class Device:
         namespace: Of its node, below the stand's.
         parameters: Of its node.
         remappings: Of its topics.
-
     """
 
     namespace: str
@@ -111,7 +108,6 @@ def devices(given: Mapping[str, str]) -> list[Device]:
 
     Raises:
         InputError: Neither units nor a port are given, or both, or a unit lacks its device.
-
     """
     if not given.get('units'):
         missing = [name for name in ('port', 'device') if not given.get(name)]
@@ -152,7 +148,6 @@ def _on_its_own() -> list[Any]:
 
     Raises:
         InputError: The domain is the default one.
-
     """
     from launch.actions import LogInfo, SetEnvironmentVariable
 
@@ -210,7 +205,6 @@ def wrong(given: Mapping[str, str]) -> list[str]:
 
     Args:
         given: Arguments by name; those of other names are not looked at.
-
     """
     sentences = []
     for name, check in _CHECKS.items():

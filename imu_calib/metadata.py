@@ -43,7 +43,6 @@ def describe(
 
     Raises:
         InputError: One of the files is not there.
-
     """
     files = {'plan': named_file('plans', plan), 'imu': named_file('imus', imu)}
     if table is not None:
@@ -78,7 +77,6 @@ def unit_description(topic: str, imu: str, serial_number: str) -> dict[str, str]
 
     Raises:
         InputError: There is no such file.
-
     """
     text = named_file('imus', imu).read_text(encoding='utf-8')
     return {imu_key(topic): text, serial_key(topic): serial_number}
@@ -108,7 +106,6 @@ def interpolation_description(topic: str, rate: float) -> dict[str, str]:
     Args:
         topic: The samples.
         rate: Of the accelerometers before, Hz.
-
     """
     return {f'{_INTERPOLATED}:{topic}': f'{rate:.6g}'}
 
@@ -128,7 +125,6 @@ def mount_description(topic: str, mount: Floats) -> dict[str, str]:
     Args:
         topic: Its samples.
         mount: (3, 3) columns are its body axes in those that the table's description mounts.
-
     """
     return {_mount_key(topic): json.dumps(mount.tolist())}
 
@@ -138,7 +134,6 @@ def described_mount(data: Mapping[str, str], topic: str, where: str) -> Floats:
 
     Raises:
         InputError: The entry is broken.
-
     """
     if (text := data.get(_mount_key(topic))) is None:
         return np.eye(3)
@@ -165,7 +160,6 @@ def described_anew(
         topic: The new stream.
         imu: What its numbers mean.
         raw_is_kept: Whether the stream that `data` describes is in the recording too.
-
     """
     kept = {key: text for key, text in data.items() if raw_is_kept or not key.startswith(_IMU)}
     return {**kept, imu_key(topic): imu_text(imu)}
@@ -185,7 +179,6 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
 
     Raises:
         InputError: It tells of none, or of a broken one.
-
     """
     if not tells_site(data):
         raise NotStated(

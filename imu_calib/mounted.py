@@ -53,7 +53,6 @@ class MountedUnit:
         baud: Of a serial port, bit/s; 0: as the device's file says.
         truth: Name or file of its true parameters, of a simulated unit; empty: as for all units.
         seed: Of the noise of a simulated unit; None for one that follows from the session's.
-
     """
 
     serial_number: str
@@ -93,7 +92,6 @@ def load_units(path: str | Path) -> tuple[MountedUnit, ...]:
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     path = user_path(path)
     return read_units(Section.load(path), path.parent)
@@ -108,7 +106,6 @@ def read_units(section: Section, folder: Path | None = None) -> tuple[MountedUni
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     parts = section.sections('units')
     if len(parts) > MOST_UNITS:
@@ -133,7 +130,6 @@ def namespace(serial_number: str) -> str:
 
     >>> namespace('A-1001')
     'unit_A_1001'
-
     """
     return f'unit_{_NO_NAME.sub("_", serial_number)}'
 
@@ -147,7 +143,6 @@ def remaining(units: Sequence[MountedUnit], without: str) -> tuple[MountedUnit, 
 
     Raises:
         InputError: There is no such unit, or none is left.
-
     """
     names = [name.strip() for name in without.split(',') if name.strip()]
     known = [unit.serial_number for unit in units]

@@ -49,7 +49,6 @@ def check_interface(name: str) -> None:
 
     Raises:
         InputError: It has not; names those that it has.
-
     """
     known = [known for _, known in socket.if_nameindex()]
     if name not in known:
@@ -66,7 +65,6 @@ def check_domain(whose: str) -> None:
 
     Raises:
         InputError: ROS_DOMAIN_ID is not set, or 0.
-
     """
     given = os.environ.get(_DOMAIN, '').strip()
     if given not in {'', '0'}:
@@ -83,7 +81,6 @@ def kept_to(interface: str) -> dict[str, str]:
 
     Raises:
         InputError: Nothing but the loopback interface is named, and the user asks for more.
-
     """
     reach = os.environ.get(REACH, '').strip().upper()
     user = os.environ.get(_URI, '').strip()
@@ -108,7 +105,6 @@ def own_domain() -> int:
 
     Raises:
         InputError: All are in use.
-
     """
     for domain in random.sample(_DOMAINS, len(_DOMAINS)):
         claim = _claim(domain)
@@ -143,7 +139,6 @@ def leaving(reach: str, how: str) -> str:
     Args:
         reach: What ROS_AUTOMATIC_DISCOVERY_RANGE is.
         how: What to do, from 'name' or 'set' on.
-
     """
     return (
         f'{REACH} is {reach}, and no network interface is named. Who is on that network could '

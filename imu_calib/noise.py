@@ -48,7 +48,6 @@ def session_noise(statistics: Sequence[Statistics], walk: Floats) -> dict[str, C
 
     Returns:
         By name of the channel; without those that tell nothing.
-
     """
     with_sums = [s for s in statistics if s.allan is not None and len(s.allan.counts)]
     found = {}
@@ -72,7 +71,6 @@ class _Points:
         pulse: Size of a pulse; 0 where quantisation is to be fitted.
         usable: (k,) those to fit noise to.
         timed: See `ChannelNoise`.
-
     """
 
     factors: Floats

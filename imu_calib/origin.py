@@ -31,7 +31,6 @@ def read_origin(section: Section) -> dict[str, Any]:
 
     Raises:
         InputError: Names the key, what was found and what was expected.
-
     """
     if not section.has('provenance'):
         return {}

@@ -13,7 +13,6 @@ def user_path(name: str | Path) -> Path:
 
     Raises:
         InputError: There is no such home folder.
-
     """
     try:
         return Path(name).expanduser()
@@ -29,7 +28,6 @@ def write_whole(path: Path, text: str) -> None:
 
     Raises:
         InputError: It cannot be written.
-
     """
     target = path.resolve()
     temporary = target.with_name(target.name + '.part')

@@ -14,7 +14,6 @@ def plain_table(headings: Sequence[str], sides: str, *, no_wrap: bool = False) -
         headings: Of the columns.
         sides: For every column 'r' where it is aligned at the right, else 'l'.
         no_wrap: Whether no cell goes on in the next line.
-
     """
     table = Table(box=None, pad_edge=False, header_style='bold')
     for heading, side in zip(headings, sides, strict=True):

@@ -48,7 +48,6 @@ class RateTest:
     Attributes:
         rates: Signed rates about up, rad/s, in order; empty when the turn is made by hand.
         turns: Whole turns at each rate.
-
     """
 
     rates: tuple[float, ...]
@@ -64,7 +63,6 @@ class Position:
         attitude: (3, 3) R_nb, columns are the body axes in east, north, up of the table's azimuth.
         dwell: Time to stand still, s; 0 where only turns are made.
         rate_test: Turns made here before the dwell.
-
     """
 
     id: str
@@ -90,7 +88,6 @@ class Step:
         rates: (k,) joint rates, rad/s.
         turns: Whole turns of a RATE step.
         dwell: Time to stand still afterwards, s.
-
     """
 
     index: int
@@ -113,7 +110,6 @@ class Plan:
         method: The solver that this plan is made for.
         positions: In the order of the run.
         by_hand: Turned by hand: the angle of a turn is known, its rate is not.
-
     """
 
     name: str
@@ -133,7 +129,6 @@ class Plan:
 
         Raises:
             KeyError: The plan has no such position.
-
         """
         for position in self.positions:
             if position.id == name:
@@ -151,7 +146,6 @@ class Plan:
 
         Raises:
             InputError: Names position, joint, value and limit.
-
         """
         steps: list[Step] = []
         angles = np.zeros(len(table.joints)) if start is None else start
@@ -223,7 +217,6 @@ def load_plan(name: str | Path) -> Plan:
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     return read_plan(Section.load(named_file('plans', name)))
 
@@ -233,7 +226,6 @@ def read_plan(section: Section) -> Plan:
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     by_hand = section.flag('by_hand', default=False)
     rate_test = _read_rate_test(section, by_hand=by_hand)

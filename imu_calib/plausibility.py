@@ -47,7 +47,6 @@ def check_plausible(calibration: Calibration, name: str) -> None:
 
     Raises:
         InputError: Names the parameter, what was found and what was expected.
-
     """
     _check_scale_factors(calibration, name)
     for parameter, value in zip(calibration.parameters, calibration.values.tolist(), strict=True):

@@ -30,7 +30,6 @@ class Study:
         truth: What the sensors are.
         options: What is wrong with the hardware.
         azimuth: True heading of the table's zero, rad; None draws another for each run.
-
     """
 
     setup: Setup
@@ -49,7 +48,6 @@ class Run:
         error: (n,) estimate less truth, SI units; NaN for a triad that was not estimated.
         std: (n,) standard deviations stated.
         refusal: Why there is no estimate, else empty.
-
     """
 
     seed: int
@@ -65,7 +63,6 @@ class Outcome:
 
     Attributes:
         runs: All, in the order of their seeds.
-
     """
 
     runs: tuple[Run, ...]
@@ -191,7 +188,6 @@ def repeat(
     Raises:
         InputError: The stand cannot run the plan, the method does not exist, or no scheduler
             answers.
-
     """
     seeds = range(seed, seed + runs)
     done = 0

@@ -43,7 +43,6 @@ def rotation(axis: Floats, angle: Floats | float) -> Floats:
 
     Returns:
         (..., 3, 3) matrices.
-
     """
     cross = cross_matrix(axis)
     sine = np.sin(angle)[..., None, None]
@@ -58,7 +57,6 @@ def in_rotated_frame(rows: Floats, axis: Floats, angle: Floats) -> Floats:
         rows: (..., 3) vectors.
         axis: (3,) unit vector.
         angle: (...) rad, or one for all.
-
     """
     return all_in_rotated_frame([rows], axis, angle)[0]
 

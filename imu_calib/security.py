@@ -35,7 +35,6 @@ def refuse_to_pretend() -> None:
 
     Raises:
         InputError: It does, and this is the runtime that has no security plug-ins.
-
     """
     if os.environ.get(_ENABLE, '').strip().lower() == 'true':
         raise InputError(
@@ -64,7 +63,6 @@ def make_keystore(keystore: Path, namespace: str = '', policy: Path | None = Non
         ImuCalibError: sros2 is not installed, or cannot make the keystore.
         InputError: The default domain, a policy that cannot be read, or a keystore of another
             domain.
-
     """
     # The keys of a stand are for its domain; sros2 takes it from the environment.
     check_domain('a secured stand')

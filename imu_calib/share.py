@@ -19,7 +19,6 @@ def share_folder() -> Path:
 
     Raises:
         InputError: None of them holds the package's files.
-
     """
     candidates = [_CHECKOUT, *(p / 'share' / 'imu_calib' for p in _PACKAGE.parents)]
     for folder in candidates:
@@ -36,7 +35,6 @@ def message_folder() -> Path:
 
     Raises:
         InputError: The package's files are not installed.
-
     """
     folder = share_folder()
     for candidate in (folder / 'msg_defs' / 'msg', folder.parent / 'imu_calib_msgs' / 'msg'):
@@ -55,7 +53,6 @@ def named_file(kind: str, name: str | Path) -> Path:
 
     Raises:
         InputError: Neither exists; the message lists the shipped names.
-
     """
     if not isinstance(name, str | Path):
         raise InputError(f'found {name!r}, expected the name or the path of a file ({kind}).')

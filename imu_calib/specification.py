@@ -31,7 +31,6 @@ def judge(value: float, std: float, limit: float) -> Verdict:
         value: As estimated.
         std: Its standard deviation.
         limit: Largest amount allowed.
-
     """
     uncertainty = COVERAGE * std
     if abs(value) + uncertainty <= limit:
@@ -46,7 +45,6 @@ class Specification:
     Attributes:
         limits: Largest amounts, SI units, by kind of parameter and triad ('g' or 'a'); nothing is
             specified of others.
-
     """
 
     limits: Mapping[tuple[ParameterKind, str], float] = field(default_factory=dict)
@@ -64,7 +62,6 @@ def read_specification(section: Section) -> Specification:
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     limits: dict[tuple[ParameterKind, str], float] = {}
     for triad, name in TRIADS.items():

@@ -31,7 +31,6 @@ class StampingClock:
         against: The clock that it is compared with.
         faster: By how much it is faster than that, a ratio less one.
         std: Standard deviation of that.
-
     """
 
     name: str
@@ -61,7 +60,6 @@ def read_clock(section: Section) -> StampingClock:
 
     Raises:
         InputError: A number that no clock has; names the key.
-
     """
     clock = StampingClock(
         section.text('name'),
@@ -79,7 +77,6 @@ def check_clock(clock: StampingClock, where: str) -> None:
 
     Raises:
         InputError: Names what was found and what was expected.
-
     """
     if not abs(clock.faster) < _LARGEST:
         raise InputError(

@@ -45,7 +45,6 @@ class ImuBlock:
         gyro: (n, 3) angular_velocity; the unit is the sensor's (see `Units`).
         accel: (n, 3) linear_acceleration; the unit is the sensor's.
         frame_id: Frame of every sample of the block.
-
     """
 
     stamp: Stamps
@@ -66,7 +65,6 @@ class JointBlock:
         names: Joint names, the columns of `position`.
         position: (n, k) joint angles, rad; NaN where a message carries none.
         velocity: (n, k) joint rates, rad/s; NaN where a message carries none.
-
     """
 
     stamp: Stamps
@@ -105,7 +103,6 @@ class Setpoint:
         rates: Joint rates, rad/s (RATE).
         turns: Whole turns of a RATE step, counted without sign.
         dwell: Seconds to stand after arriving.
-
     """
 
     stamp: int
@@ -148,7 +145,6 @@ class SkewBlock:
     Attributes:
         stamp: (n,) header stamps, ns.
         gyro: (n,) angular_velocity.x; the unit is the sensor's.
-
     """
 
     stamp: Stamps

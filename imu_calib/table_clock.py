@@ -42,7 +42,6 @@ def clock_share(
         parameters: What the rows stand for.
         units: Of the IMU's numbers.
         deviation: Standard deviation of the clock's rate, relative.
-
     """
     slope = clock_slope(model, parameters, units) * deviation
     return Share.known(np.outer(slope, slope))

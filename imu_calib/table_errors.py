@@ -70,7 +70,6 @@ class TableErrors:
             is the tilt.
         wobble: Of an axis about either direction across it, once and twice per turn, each.
         encoder: Error of an encoder within the turn, once and twice per turn, each.
-
     """
 
     zeros: float = 0.0
@@ -96,7 +95,6 @@ def read_doubts(section: Section, joints: int) -> tuple[dict[str, float], tuple[
 
     Raises:
         InputError: Key, what was found and what was expected.
-
     """
     counts = [key for key in ASSUMED if joints > 1 or key not in _BETWEEN_JOINTS]
     sizes = {}
@@ -129,7 +127,6 @@ class JointPoses:
         read: (n,) what its encoder reads, rad.
         turned: (n, 3, 3) by how much it is turned.
         body: (n, 3, 3) takes body axes to the frame that it turns.
-
     """
 
     axis: Floats
@@ -147,7 +144,6 @@ def leaning(joints: Sequence[JointPoses], errors: TableErrors) -> Floats:
 
     Returns:
         (n, 3, e) rad.
-
     """
     columns: list[Floats] = []
     for k, joint in enumerate(joints):

@@ -40,7 +40,6 @@ class Joint:
         upper: Highest encoder angle, rad; inf for a continuous joint.
         max_rate: rad/s.
         max_acceleration: rad/s^2.
-
     """
 
     name: str
@@ -71,7 +70,6 @@ class Table:
         errors: What is left open of its axes, zeros and encoders.
         level: Standard deviation of its tilt about either level axis, rad.
         assumed: Keys that its file leaves out: what stands for them is usual, and not stated.
-
     """
 
     name: str
@@ -104,7 +102,6 @@ class Table:
 
         Returns:
             (..., 3, 3)
-
         """
         result = np.broadcast_to(rotation(_UP, self.azimuth or 0.0), (*angles.shape[:-1], 3, 3))
         for k, joint in enumerate(self.joints):
@@ -119,7 +116,6 @@ class Table:
 
         Returns:
             (n, 3, e) rotations about the body axes by one standard deviation of each error, rad.
-
         """
         poses: list[JointPoses] = []
         body = np.broadcast_to(self.mount, (len(angles), 3, 3))
@@ -139,7 +135,6 @@ class Table:
 
         Returns:
             (..., 3) unit vectors.
-
         """
         axis = np.broadcast_to(np.array(self.joints[index].axis), (*angles.shape[:-1], 3))
         for k in range(index + 1, len(self.joints)):
@@ -169,7 +164,6 @@ class Table:
 
         Raises:
             InputError: The table cannot reach it; says by how much it misses.
-
         """
         start = np.zeros(len(self.joints)) if near is None else near
         base = rotation(_UP, self.azimuth or 0.0)
@@ -225,7 +219,6 @@ class Table:
 
         Raises:
             InputError: Names joint, value and limit.
-
         """
         for joint, angle, rate in zip(self.joints, angles, rates, strict=True):
             if not (joint.lower - 1e-9 <= angle <= joint.upper + 1e-9):
@@ -295,7 +288,6 @@ def load_table(name: str | Path) -> Table:
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     return read_table(Section.load(named_file('tables', name)))
 
@@ -305,7 +297,6 @@ def read_table(section: Section) -> Table:
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     joints = tuple(_read_joint(s) for s in section.sections('joints'))
     if len({joint.name for joint in joints}) != len(joints):

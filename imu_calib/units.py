@@ -121,7 +121,6 @@ def point_for_comma(text: object) -> str:
     Examples:
         >>> point_for_comma('59,9'), point_for_comma('59.9')
         (' The decimal sign is a point: write 59.9.', '')
-
     """
     if not isinstance(text, str) or not _COMMA.fullmatch(text):
         return ''
@@ -139,7 +138,6 @@ def counted(number: int, noun: str, plural: str = '') -> str:
     Examples:
         >>> counted(1, 'turn'), counted(0, 'turn'), counted(2, 'is', 'are')
         ('1 turn', '0 turns', '2 are')
-
     """
     return f'{number} {noun if number == 1 else plural or f"{noun}s"}'
 
@@ -150,7 +148,6 @@ def significant(value: float, digits: int = 2) -> str:
     Examples:
         >>> significant(123.4), significant(0.0123), significant(2.0), significant(3400.0, 3)
         ('120', '0.012', '2', '3400')
-
     """
     if not value or not math.isfinite(value):
         return f'{value:g}'
@@ -173,7 +170,6 @@ def parse(text: object, dimension: Dimension, key: str) -> float:
     Examples:
         >>> parse('180 deg', Dimension.ANGLE, 'mount')
         3.141592653589793
-
     """
     units: Mapping[str, float] = dimension.value
     match = _QUANTITY.match(text) if isinstance(text, str) else None

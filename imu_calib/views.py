@@ -44,7 +44,6 @@ def parameter_frame(calibration: Calibration) -> pandas.DataFrame:
 
     Raises:
         InputError: pandas is not installed.
-
     """
     columns = {'value': calibration.values, 'std': calibration.std}
     return compared_frame(calibration.parameters, columns, {})
@@ -62,7 +61,6 @@ def compared_frame(
 
     Raises:
         InputError: pandas is not installed.
-
     """
     require('pandas', 'A data frame', 'dataframe')
     import pandas as pd
@@ -79,7 +77,6 @@ def repeated_frame(outcome: Outcome) -> pandas.DataFrame:
 
     Raises:
         InputError: pandas is not installed.
-
     """
     columns = {
         'bias': outcome.bias,
@@ -95,7 +92,6 @@ def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) 
 
     Raises:
         InputError: pandas is not installed.
-
     """
     return compared_frame(parameters, {'std': std, 'best': best}, {})
 
@@ -105,7 +101,6 @@ def draw(calibration: Calibration) -> Picture:
 
     Raises:
         InputError: matplotlib is not installed.
-
     """
     groups = _groups(calibration.parameters)
     columns = max(sum(triad == letter for triad, _ in groups) for letter in _TRIADS)
@@ -132,7 +127,6 @@ def draw_residuals(calibration: Calibration) -> Picture:
 
     Raises:
         InputError: matplotlib is not installed.
-
     """
     rows = calibration.residuals
     figure = empty_figure(2 * _HEIGHT, _HEIGHT)
@@ -156,7 +150,6 @@ def draw_noise(calibration: Calibration) -> Picture:
 
     Raises:
         InputError: matplotlib is not installed, or the calibration carries no noise.
-
     """
     seen = calibration.noise
     if not any(len(noise.tau) for noise in seen.values()):
@@ -195,7 +188,6 @@ def draw_differences(title: str, parameters: Sequence[Parameter], normalised: Fl
 
     Raises:
         InputError: matplotlib is not installed.
-
     """
     names = [p.name for p in parameters]
     figure = empty_figure(0.3 * len(names) + 2, _HEIGHT)
@@ -221,7 +213,6 @@ def draw_columns(
 
     Raises:
         InputError: matplotlib is not installed.
-
     """
     quantities: dict[str, list[str]] = {}
     for name in columns:
@@ -253,7 +244,6 @@ def draw_normalised(title: str, outcome: Outcome) -> Picture:
 
     Raises:
         InputError: matplotlib is not installed.
-
     """
     known = np.isfinite(outcome.mean_stated)
     names = [p.name for p, k in zip(outcome.parameters, known, strict=True) if k]
@@ -273,7 +263,6 @@ def empty_figure(width: float, height: float, what: str = 'A plot') -> Picture:
 
     Raises:
         InputError: matplotlib is not installed; begins with what needs it.
-
     """
     require('matplotlib', what, 'plot')
     from .picture import Picture

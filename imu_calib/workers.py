@@ -62,7 +62,6 @@ class Engine:
         scheduler: Address of one that is there; None starts one with workers here.
         workers: To start; None for one a core.
         memory: Of each worker that is started.
-
     """
 
     scheduler: str | None = None
@@ -75,7 +74,6 @@ class Engine:
 
         Raises:
             InputError: No scheduler answers, a value is wrong, or Dask is not installed.
-
         """
         require('distributed', 'Work on workers of Dask', 'fleet')
         if self.workers is not None and self.workers < 1:
@@ -181,7 +179,6 @@ def outcomes(
 
     Raises:
         InputError: The scheduler does not come back, or a worker cannot run the function.
-
     """
     from distributed import as_completed
 
@@ -267,7 +264,6 @@ def _ended(future: Future, number: int) -> Result | WorkerDied:
     Raises:
         CancelledError: It is to be handed over again.
         InputError: A worker could not run it.
-
     """
     from distributed import KilledWorker
 

@@ -20,7 +20,6 @@ def load(text: str) -> Any:
 
     Raises:
         yaml.YAMLError: No YAML, or more than plain values.
-
     """
     return yaml.load(text, Loader=SafeLoader)
 
@@ -32,6 +31,5 @@ def dump(value: Any, dumper: type[SafeDumper] = SafeDumper, **form: Any) -> str:
         value: Of plain values, lists and dictionaries.
         dumper: Takes the place of the plain one.
         form: As `yaml.dump` takes it: `width`, `default_flow_style`.
-
     """
     return str(yaml.dump(value, Dumper=dumper, sort_keys=False, **form))

@@ -30,7 +30,6 @@ def calibrator_of(setup: Setup) -> Calibrator | HandCalibrator:
     Raises:
         InputError: The method does not exist.
         NotObservable: The plan cannot give the method its parameters, however it is run.
-
     """
     if setup.method_name == 'free_positions':
         from .by_hand import HandCalibrator

@@ -34,7 +34,6 @@ class Basis:
         comparison: How the closed form of the plan compares; None where there is none beside.
         lost: Sentences on what was lost.
         final: Whether the session is over.
-
     """
 
     setup: Setup

@@ -68,7 +68,6 @@ class HandReview(Review):
 
     Attributes:
         guidance: What to tell the person.
-
     """
 
     guidance: Guidance
@@ -95,7 +94,6 @@ class HandCalibrator:
         Raises:
             InputError: The outputs are not in the units that the IMU's description states.
             NotObservable: The data cannot give all parameters; says which and why.
-
         """
         return self._solve(self._segmenter.finish())
 
@@ -117,7 +115,6 @@ class HandCalibrator:
 
         Raises:
             NotObservable: Neither they nor the IMU's description tell the noise.
-
         """
         return self._evidence(session.segments, session.moves)
 

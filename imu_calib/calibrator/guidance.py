@@ -74,7 +74,6 @@ class Guidance:
         holds: Holds that count so far.
         std: (24,) standard deviations reached, SI units; NaN where nothing tells yet.
         candidates: Attitudes to hold next, the best first.
-
     """
 
     stage: Stage
@@ -101,7 +100,6 @@ def guide(
         reached: (21,) standard deviations that a solution states, where there is one: what
             scatters more than its noise counts then.
         wanted: When it is enough.
-
     """
     wanted = wanted or Wanted()
     holds, std = len(evidence.segments), np.full(len(PARAMETERS), np.nan)

@@ -38,7 +38,6 @@ class Calibrator:
     Raises:
         InputError: The method does not exist.
         NotObservable: The plan cannot give the method its parameters, however it is run.
-
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -60,7 +59,6 @@ class Calibrator:
         Raises:
             InputError: The data is not what the set-up says it is.
             NotObservable: The data cannot give all parameters; says which and why.
-
         """
         session = self._segmenter.finish()
         if session.strangers:
@@ -84,7 +82,6 @@ class Calibrator:
 
         Raises:
             InputError: The data is not what the set-up says it is.
-
         """
         return self._reviewed(final=False)
 
@@ -93,7 +90,6 @@ class Calibrator:
 
         Raises:
             InputError: The data is not what the set-up says it is.
-
         """
         return self._reviewed(final=True)
 
@@ -132,7 +128,6 @@ class Calibrator:
 
         Raises:
             NotObservable: Neither the data nor the IMU's description tells the noise.
-
         """
         return self._evidence(self._used(labelled), session)
 

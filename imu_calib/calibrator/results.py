@@ -63,7 +63,6 @@ class Result:
         labelled: Its segments by name.
         comparison: How the closed form of the plan compares; None where there is none beside.
         basis: What it was concluded from; None of a unit in the hand.
-
     """
 
     calibration: Calibration
@@ -94,7 +93,6 @@ class Result:
 
         Raises:
             InputError: A parameter that counts as estimated is no finite number.
-
         """
         found = self.calibration
         rows = zip(found.parameters, found.values, found.std, strict=True)
@@ -122,7 +120,6 @@ class Review:
         unsupported: Steps of the plan seen so far that left too little.
         result: The calibration, where the data determines all of it.
         refusal: Why there is none, else empty.
-
     """
 
     session: Segmented

@@ -29,7 +29,6 @@ class Setup:
         terms: To be estimated besides what the method estimates.
         changes: Coefficients of the session's terms, likewise.
         search_terms: Whether terms that the session shows are estimated too.
-
     """
 
     imu: ImuSpec
@@ -55,7 +54,6 @@ class Setup:
 
         Raises:
             InputError: There is no such method, or it knows no terms.
-
         """
         from ..methods import estimated_parameters
 
@@ -79,7 +77,6 @@ class Setup:
         Args:
             unit: Which, and how it sits on the table.
             imu: What its numbers mean.
-
         """
         assert self.table is not None, 'several units are turned by a table'
         mounted = unit.table(self.table)

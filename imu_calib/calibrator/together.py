@@ -41,7 +41,6 @@ class Together:
         table: What the units found of the table; None where fewer than two took part.
         shared: Which took part.
         left_out: Why others did not, by their place.
-
     """
 
     results: tuple[Result | None, ...]
@@ -59,7 +58,6 @@ def together(alone: Sequence[Result | None], names: Sequence[str]) -> Together:
     Args:
         alone: The result of each by itself; None of one that failed.
         names: Of each, for what is said and for the provenance of the others.
-
     """
     results = list(alone)
     parts = {k: part for k, one in enumerate(alone) if one and (part := _part(one))}

@@ -28,7 +28,6 @@ def unsupported_steps(
 
     Returns:
         Indices of steps, ascending; the step that is being run is among them until it is done.
-
     """
     seen = [s.step for s in session.setpoints if s.plan == plan.name and s.mode is not Mode.HOLD]
     # Steps are run in order: one whose setpoints were lost with all else was run as well.

@@ -54,7 +54,6 @@ def decode_imu(messages: Messages, malformed: Malformed | None = None) -> list[I
 
     Raises:
         CdrError: A message is malformed, and malformed ones are not counted.
-
     """
     return _decode(messages, _imu_layout, _imu_block, malformed)
 

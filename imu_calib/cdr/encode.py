@@ -132,7 +132,6 @@ def encode_imu(block: ImuBlock, first_covariances: tuple[float, float, float] = 
 
     Raises:
         CdrError: A stamp does not fit the header.
-
     """
     return _imu(block, first_covariances, None)
 
@@ -150,7 +149,6 @@ def encode_rates(block: ImuBlock, rate_covariance: Floats, force_covariance: Flo
 
     Raises:
         CdrError: A stamp does not fit the header.
-
     """
     return _imu(block, RATES, (rate_covariance, force_covariance))
 
@@ -229,7 +227,6 @@ def encode_joints(block: JointBlock, frame_id: str = '') -> Messages:
 
     Raises:
         CdrError: A stamp does not fit the header.
-
     """
     columns = block.position, block.velocity
     widths = tuple(_carried(values) for values in columns)
@@ -274,7 +271,6 @@ def encode_temperatures(
 
     Raises:
         CdrError: A stamp does not fit the header.
-
     """
     template = _Template()
     template.string(frame_id)
@@ -298,7 +294,6 @@ def encode_setpoints(block: SetpointBlock, frame_id: str = '') -> Messages:
 
     Raises:
         CdrError: A stamp does not fit the header.
-
     """
     known: dict[tuple[object, ...], _Template] = {}
     payloads = []

@@ -38,7 +38,6 @@ class Layout:
         stamp: Offset of the header's stamp.
         columns: Offset and number of the float64 of each column.
         names: The strings of the message, in order.
-
     """
 
     order: str
@@ -67,7 +66,6 @@ class Layout:
 
         Returns:
             (n,) true where all fixed bytes agree.
-
         """
         same = np.ones(len(rows), np.bool_)
         for start, kind, value in self._words:
@@ -116,7 +114,6 @@ class LayoutReader:
 
     Raises:
         CdrError: From every method, where the message ends too early or contradicts its type.
-
     """
 
     def __init__(self, payload: bytes) -> None:

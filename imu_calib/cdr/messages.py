@@ -29,7 +29,6 @@ class Messages:
         buffer: (bytes,) memory that holds the messages, and possibly much else.
         offset: (n,) where each message starts, at its 4-byte encapsulation header.
         size: (n,) bytes of each message, encapsulation header included.
-
     """
 
     buffer: Bytes
@@ -62,7 +61,6 @@ class Messages:
 
         Returns:
             The messages, in the same order.
-
         """
         size = np.fromiter(map(len, payloads), np.int64, len(payloads))
         buffer = np.frombuffer(b''.join(payloads), np.uint8)
@@ -94,7 +92,6 @@ class Messages:
 
         Returns:
             (n, size) bytes, contiguous; the buffer's own where it holds nothing in between.
-
         """
         if self._is_matrix(size):
             start = int(self.offset[0])
@@ -116,7 +113,6 @@ class Messages:
 
         Returns:
             (n, size) bytes in a memory of their own.
-
         """
         if len(self) == 0:
             return np.empty((0, size), np.uint8)
@@ -135,7 +131,6 @@ class Malformed:
     Attributes:
         count: Messages left out so far.
         reason: What was wrong with the first of them.
-
     """
 
     count: int = 0

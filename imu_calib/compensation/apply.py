@@ -66,7 +66,6 @@ class Compensation:
 
     Raises:
         NotObservable: I + M is singular.
-
     """
 
     def __init__(self, calibration: Calibration, *, skewed: bool = False, mark: int = 0) -> None:
@@ -147,7 +146,6 @@ class Compensation:
             accel: (n, 3) likewise.
             interval: (n,) sample intervals, s by the clock that stamps the samples.
             skewed: (n, k) skewed gyros likewise, where the model has any.
-
         """
         if len(interval) == 1 and self._plain:
             alone = self._apply_one([*gyro[0].tolist(), *accel[0].tolist()], interval.item())

@@ -39,7 +39,6 @@ class Reading:
             in bulk of those that came late, when they were made.
         values: What they mean.
         frame_id: As it came in.
-
     """
 
     stamp: Stamps
@@ -94,7 +93,6 @@ class Compensator:
         alone: Samples that went without a skewed gyro's value that was due.
         repeats: Samples that came twice.
         kept: Which samples of the last block are no repeats, (n,); None if all.
-
     """
 
     def __init__(self, calibration: AnyCalibration, instants: Stamps | None = None) -> None:
@@ -121,7 +119,6 @@ class Compensator:
 
         Raises:
             NotObservable: It cannot be inverted; the one before stays.
-
         """
         single = first_of(calibration)
         ready = {skewed: Compensation(single, skewed=skewed) for skewed in _ways(single)}

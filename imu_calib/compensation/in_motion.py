@@ -34,7 +34,6 @@ class Applied:
         frame_id: As it came in.
         interval: (n,) sample intervals, s.
         ready: What was applied.
-
     """
 
     stamp: Stamps

@@ -76,7 +76,6 @@ class SampleClock:
 
     Attributes:
         lost: Samples that could not be timed.
-
     """
 
     def __init__(self, rate: float | None = None) -> None:

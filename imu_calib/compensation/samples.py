@@ -43,7 +43,6 @@ class CompensatedSamples:
         marks: (n,) of `Mark`.
         parity: (n,) what a skewed gyro and the three contradict each other by, rad/s; None
             without one.
-
     """
 
     rate: Floats

@@ -49,7 +49,6 @@ class ThermalCalibration:
     Attributes:
         calibrations: At least two of one unit, coldest first, or one that knows coefficients.
         order: Of the polynomial; None for straight lines.
-
     """
 
     calibrations: tuple[Calibration, ...]
@@ -150,7 +149,6 @@ class ThermalCalibration:
 
         Raises:
             InputError: It cannot be written.
-
         """
         write_whole(user_path(path), self.to_yaml())
 
@@ -175,7 +173,6 @@ def combine(
     Raises:
         InputError: They are not of one unit, a temperature is missing or comes twice, or they
             are too few for the order.
-
     """
     if len(calibrations) < 2:
         raise InputError(
@@ -222,7 +219,6 @@ def load_calibration(path: str | Path) -> AnyCalibration:
 
     Raises:
         InputError: Unreadable, or no calibration; names file and key.
-
     """
     return read_calibration(calibration_section(path))
 
@@ -232,7 +228,6 @@ def read_calibration(section: Section) -> AnyCalibration:
 
     Raises:
         InputError: No calibration; names file and key.
-
     """
     if not section.has('calibrations'):
         calibration = Calibration.read(section)
@@ -261,7 +256,6 @@ def by_temperature(calibration: Calibration, name: str) -> AnyCalibration:
 
     Raises:
         InputError: It follows the temperature and does not state that of its session.
-
     """
     if calibration.changes is None or not calibration.changes.follows_temperature:
         return calibration
@@ -318,7 +312,6 @@ def check_same_unit(
 
     Raises:
         InputError: Names the key, what was found and what was expected.
-
     """
     unit = first_of(other)
     check_unit(calibration, name, unit.imu, other_name, unit.serial_number)
@@ -340,7 +333,6 @@ def check_unit(
 
     Raises:
         InputError: Names the key, what was found and what was expected.
-
     """
     check_identity(calibration, name, imu.id, where, serial_number)
     own = first_of(calibration).imu
@@ -366,7 +358,6 @@ def check_identity(
 
     Raises:
         InputError: Names the key, what was found and what was expected.
-
     """
     own = first_of(calibration)
     compared: dict[str, tuple[str | float, str | float]] = {'imu': (own.imu.id, imu)}

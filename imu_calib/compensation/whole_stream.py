@@ -29,7 +29,6 @@ class WholeStream:
 
     Args:
         rate: Samples per second as stated; None where nothing is.
-
     """
 
     def __init__(self, rate: float | None) -> None:

@@ -28,7 +28,6 @@ class BiasDrift:
         of: (k,) the segment that each mean or slope is of, all means first.
         weights: (k, 8) of its nodes.
         answers: (k, 3, 3) what three outputs make of three biases, for each.
-
     """
 
     nodes: Floats
@@ -48,7 +47,6 @@ class BiasDrift:
             answers: (n, 3, 3) derivatives of the outputs by constant biases. A move carries them
                 along as it turns: at its end they are not what their time alone would make.
             with_slope: (n,) whether the slope counts too.
-
         """
         grid = (np.arange(_NODES) + 0.5) / _NODES
         centred = grid - 0.5
@@ -82,7 +80,6 @@ class BiasDrift:
 
         Args:
             time: Correlation time as a fraction of the session.
-
         """
         alone, rows = self.of_one(time * self.span), self.answers.reshape(-1, 3)
         return np.asarray(np.kron(alone, np.ones((3, 3))) * (rows @ rows.T))
@@ -92,7 +89,6 @@ class BiasDrift:
 
         Args:
             project: (3n, r) by which means of three channels enter it.
-
         """
         parts = project.T.reshape(project.shape[1], -1, 3)
         answers = self.answers[: parts.shape[1]]
@@ -108,7 +104,6 @@ class BiasDrift:
             time: As in `kernel`.
             entering: (3, r, n) of the means.
             slopes: (3s,) factors on the slopes.
-
         """
         alone, (_, seen, count) = self.of_one(time * self.span), entering.shape
         drifting = entering @ alone[:count]

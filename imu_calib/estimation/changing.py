@@ -48,7 +48,6 @@ def with_changes(
 
     Raises:
         NotObservable: Names what the session cannot tell, and what it takes.
-
     """
     if not changes:
         return equations, ()
@@ -107,7 +106,6 @@ def with_time_constant(equations: Equations, state: Floats) -> tuple[Equations, 
     Args:
         equations: With or without a warm-up.
         state: (n,) to start from.
-
     """
     if not _warming(equations):
         return equations, state

@@ -96,7 +96,6 @@ def least_squares(
 
     Raises:
         NotConverged: The steps do not come to an end.
-
     """
     begin = state
     jacobian, left = system(state)

@@ -58,7 +58,6 @@ class Estimate:
         constant: Coefficients of the session's terms that it cannot tell, left out.
         between: (n, n) what the doubt of a warm-up's time constant adds to the covariance, which
             holds it.
-
     """
 
     equations: Equations
@@ -107,7 +106,6 @@ def shares(equations: Equations, state: Floats, gain: Floats) -> dict[Source, Sh
         equations: That were solved.
         state: (n,) where they were.
         gain: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
-
     """
     n, m = equations.sensors, len(equations.outputs)
     factor = equations.factor(state)
@@ -139,7 +137,6 @@ def estimate(
 
     Raises:
         NotObservable: Names what the session cannot observe.
-
     """
     equations = Equations(evidence, parameters, doubts=doubts)
     check_observable(equations)

@@ -100,7 +100,6 @@ class _Triad:
         typical: What a ratio of one stands for, SI units squared.
         stated: Variance of the drift stated, SI units squared.
         log_odds: (shares,) logarithms of the odds of shares of it.
-
     """
 
     rows: NDArray[np.intp]
@@ -175,7 +174,6 @@ class ExcessScatter:
         fast_drift: Of gyros and accelerometers, whether what they show beyond the data sheet comes
             and goes within a thirtieth of the session, and sooner than biases drift by the data
             sheet.
-
     """
 
     positioning: PositioningErrors
@@ -213,7 +211,6 @@ def excess(
         doubted: Whether the size of the noise is in doubt as far as blocks leave it so. Next to
             outputs that do not fit noise seems larger than it is: these are to be found before.
         suspecting: Whether an outlier is held against it.
-
     """
     plain = replace(equations, extra=(), positioning=NO_POSITIONING_ERRORS)
     if not plain.evidence.segments or plain.own_variances.max() <= SMALLEST_VARIANCE:

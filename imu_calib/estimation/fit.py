@@ -55,7 +55,6 @@ def check_observable(equations: Equations) -> None:
 
     Raises:
         NotObservable: Names the parameters and what is missing.
-
     """
     evidence = equations.evidence
     plain = replace(equations, parameters=PARAMETERS)
@@ -110,7 +109,6 @@ def fit(equations: Equations, state: Floats) -> Floats:
 
     Raises:
         NotObservable: The iteration does not converge.
-
     """
     state = least_squares(state, equations.whitened, np.add, _ITERATIONS)
     azimuth = equations.sensors + Nuisance.AZIMUTH

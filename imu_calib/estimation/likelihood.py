@@ -84,7 +84,6 @@ def log_likelihoods_by_ratio(
 
     Returns:
         (n, k).
-
     """
     root, z, size = _rooted(base, left)
     reduced = [scipy.linalg.lapack.dsygst(k, root, itype=1, lower=1)[0] for k in kernels]
@@ -107,7 +106,6 @@ def log_likelihoods_by_columns(
 
     Returns:
         (n, k).
-
     """
     root, z, size = _rooted(base, left)
     basis, triangle = np.linalg.qr(_whitened(root, np.hstack(columns)))

@@ -65,7 +65,6 @@ class Outlier:
         name: Position and kind, for a person.
         rows: Its rows among the equations.
         chi_square: By how much chi-square would fall without it.
-
     """
 
     name: str
@@ -82,7 +81,6 @@ class RejectedMove:
         misclosure: By how much its end by the gyros is off what the encoders show, rad; or how fast
             it is by the accelerometers where it stands, m/s.
         velocity: Whether it is the velocity.
-
     """
 
     positions: tuple[str, str]
@@ -103,7 +101,6 @@ def moves_that_fit(
         resting: The session without moves.
         state: (n,) what they say.
         moves: All of it.
-
     """
     evidence = resting.evidence.with_moves(moves)
     if not len(evidence.links):
@@ -162,7 +159,6 @@ def turns_weighed_down(equations: Equations, state: Floats) -> tuple[Equations, 
 
     Returns:
         The equations, and the largest chi-square per degree of freedom.
-
     """
     jacobian, left = equations.whitened(state)
     norms = np.linalg.norm(jacobian, axis=0)

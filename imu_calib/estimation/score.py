@@ -73,7 +73,6 @@ class Family:
         name: Of the term, or of the field of `TableErrors`.
         term: The term of the sensors, or None.
         course: What a term of the session follows, or None.
-
     """
 
     name: str
@@ -102,7 +101,6 @@ class Family:
             equations: Without it, or with what the table's file states of it.
             size: In place of that.
             alone: Whether the table has no other.
-
         """
         table = equations.evidence.table
         others = TableErrors() if alone or table is None else table.errors
@@ -118,7 +116,6 @@ class Family:
             equations: Without the family.
             state: (n,) their solution.
             time_constant: Of a warm-up, as a fraction of the session.
-
         """
         if self.course is not None:
             there = replace(equations, changes=self.changes, time_constant=time_constant)
@@ -279,7 +276,6 @@ class Score:
         covariance: (k, k) of the coefficients along what is seen, in the covariance assumed.
         tries: Patterns of which it is the most significant, each of which may be it by chance.
         chosen: Which of them.
-
     """
 
     statistic: float
@@ -314,7 +310,6 @@ class Score:
 
         Args:
             chance: By which a family that is not there is taken for one that is.
-
         """
         if not self.tested:
             return np.full(len(self.deviation), np.inf)
@@ -333,7 +328,6 @@ class WhitenedResiduals:
         basis: (m + 4, n) orthonormal, of what the state explains.
         whitened: (m + 4,) residuals less what the state explains.
         factor: (m, m) lower triangle of the covariance of the outputs.
-
     """
 
     equations: Equations

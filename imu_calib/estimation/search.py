@@ -69,7 +69,6 @@ class Found:
         spares: Coefficients that must spare more outputs than they are; 0 for a family that is
             significant beside all that the first estimate set aside.
         rivals: Families that explain the session as well.
-
     """
 
     family: Family
@@ -98,7 +97,6 @@ class Search:
         before_search: The estimate before anything was found.
         by_drifts: (n, n) what of `doubt` is of drifts that are not shown.
         broken_off: Whether it came to no end: nothing is on though something may have to be.
-
     """
 
     estimate: Estimate
@@ -192,7 +190,6 @@ def search_terms(
 
     Raises:
         NotObservable: Names what the session cannot observe.
-
     """
     start = _Model(evidence, parameters, changes)
     first = start.estimate()

@@ -53,7 +53,6 @@ class SharedEstimate(Estimate):
 
     Attributes:
         by_source: The covariance of its parameters by source.
-
     """
 
     by_source: dict[Source, Share] | None = None
@@ -76,7 +75,6 @@ class TableSeen:
         values: (k,) rad.
         std: (k,) standard deviations, rad.
         prior: (k,) those beforehand, rad.
-
     """
 
     names: tuple[str, ...]
@@ -101,7 +99,6 @@ class Contradicting:
         unit: Its place among all.
         chi_square: Of its part, by what the others and the priors say.
         freedom: Degrees of freedom of that.
-
     """
 
     unit: int
@@ -119,7 +116,6 @@ class Joined:
         contradicting: Those that were left out, the worst first.
         partial: Units that saw less than half of the dwells: their place, how many they saw, and
             how many there are.
-
     """
 
     estimates: dict[int, SharedEstimate]
@@ -140,7 +136,6 @@ def join(alone: Sequence[Estimate]) -> Joined:
 
     Raises:
         NotObservable: The iteration does not converge.
-
     """
     seen, of_all = dwells_seen([found.equations for found in alone])
     partial = tuple((k, n, of_all) for k, n in enumerate(seen) if n < _HALF * of_all)

@@ -21,7 +21,6 @@ def temperature_finding(found: Estimate) -> list[str]:
 
     Returns:
         One finding, or none.
-
     """
     equations, evidence = found.equations, found.equations.evidence
     if not warms(evidence) or any(c.of_scale_factor for c in equations.changes):

@@ -82,7 +82,6 @@ class TermTest:
             much per SI unit of it; None where it would move none.
         probability: That a drift is there all the same, by which the standard deviations allow for
             it; None where they do not.
-
     """
 
     name: str
@@ -123,7 +122,6 @@ def tested(
         search: What was found.
         asked: Terms of the sensors that were on whatever the session shows.
         asked_changes: Coefficients of terms of the session, likewise.
-
     """
     result = [TermTest(t.name, TermState.ASKED, parameters=t.parameters) for t in asked]
     for name in names_of(asked_changes):

@@ -36,7 +36,6 @@ class UndecidedDrifts:
     Attributes:
         probability: Of each course, all of its time constants together.
         doubt: (n, n) covariance by what they would make of the parameters.
-
     """
 
     probability: Mapping[Family, float]
@@ -54,7 +53,6 @@ def undecided(courses: Mapping[Family, Sequence[Possible]], count: int) -> Undec
     Args:
         courses: With their time constants, each of which is as likely beforehand.
         count: n of the parameters.
-
     """
     logs: dict[Family, float] = {}
     doubts: dict[Family, Floats] = {}
@@ -90,7 +88,6 @@ def log_bayes_factor(square: float, rank: int) -> float:
     Args:
         square: Chi-square of their score test.
         rank: Its degrees of freedom.
-
     """
     z, b = max(square, _LEAST) / 2, (rank + 1) / 2
     below = float(scipy.special.gammainc(b, z))
@@ -104,7 +101,6 @@ def shrinkage(square: float, rank: int) -> tuple[float, float]:
     Args:
         square: As in `log_bayes_factor`.
         rank: Likewise.
-
     """
     z, b = max(square, _LEAST) / 2, (rank + 1) / 2
     first, second, third = (float(scipy.special.gammainc(b + k, z)) for k in range(3))

@@ -87,7 +87,6 @@ def method(
 
     Raises:
         InputError: No such method, which lists those that exist, or one that knows no terms.
-
     """
     if name not in METHODS:
         raise InputError(f'No method is called {name!r}; there are: {", ".join(sorted(METHODS))}.')
@@ -111,7 +110,6 @@ def provisional(
 
     Raises:
         InputError: As `method`.
-
     """
     if name in JOINT:
         own = (*JOINT[name], *terms)
@@ -128,7 +126,6 @@ def estimated_parameters(name: str, terms: tuple[Term, ...] = ()) -> tuple[Param
 
     Raises:
         InputError: No such method, or one that knows no terms.
-
     """
     method(name, terms)
     if name in JOINT:
@@ -152,7 +149,6 @@ def check_plan(name: str, plan: Plan, site: Site) -> None:
     Raises:
         InputError: No such method, or one that needs a plan where there is none.
         NotObservable: Names the parameters that the plan cannot tell apart.
-
     """
     method(name)
     if not plan.is_stated and name not in JOINT:

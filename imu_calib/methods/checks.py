@@ -130,7 +130,6 @@ def check_axes(response: Floats, name: str, what: str) -> None:
     Raises:
         InputError: The response is many times, or a fraction of, what it should be: other units.
         NotObservable: Axes are swapped, mirrored or turned; says which.
-
     """
     scale = abs(float(np.linalg.det(response))) ** (1 / 3)
     if not 1 / SCALE_LIMIT < scale < SCALE_LIMIT:
@@ -165,7 +164,6 @@ class WrongLatitude(Contradiction):
     Attributes:
         seen: That latitude, rad.
         misfit: By how many standard deviations the whole rate differs from the Earth's.
-
     """
 
     def __init__(self, text: str, seen: float = float('nan'), misfit: float = float('inf')) -> None:
@@ -189,7 +187,6 @@ def check_latitude(
     Raises:
         WrongLatitude: Says what is seen and what was expected, and which latitude would fit.
         Contradiction: No latitude does.
-
     """
     site = evidence.site
     up_std = float(np.sqrt(covariance[2, 2]))

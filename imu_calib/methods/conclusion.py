@@ -54,7 +54,6 @@ class LeastSquares:
         covariance: (k, k) its covariance.
         square: Chi-square of what is left.
         freedom: Its degrees of freedom.
-
     """
 
     step: Floats
@@ -70,7 +69,6 @@ class LeastSquares:
             columns: By the unknowns.
             left: To be explained.
             rank: Least singular value that counts, of the largest, columns of one length.
-
         """
         norms = np.linalg.norm(columns, axis=0)
         scale = np.where(norms > 0, norms, 1.0)
@@ -144,7 +142,6 @@ def conclude(
     Raises:
         InputError: The outputs are not in the units that the IMU's description states.
         NotObservable: Axes are swapped or mirrored, or the data contradicts the latitude.
-
     """
     covariance = total(shares)
     of_accels = np.array([p.triad == 'a' for p in parameters])

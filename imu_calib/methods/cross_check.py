@@ -27,7 +27,6 @@ class Comparison:
             former's own deviation (Hausman 1978, Econometrica 46, 1251).
         ratio: (n,) standard deviation of the joint estimate over that of the closed form.
         refusal: Why the closed form has no answer, else empty; nothing is compared then.
-
     """
 
     method: str

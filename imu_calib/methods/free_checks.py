@@ -51,7 +51,6 @@ def check_turns(evidence: Evidence, model: SensorModel) -> None:
     Raises:
         InputError: Units or scale factor of the gyros are not those of the recording.
         Contradiction: Axes are exchanged or mirrored; says which.
-
     """
     if not len(evidence.links):
         return

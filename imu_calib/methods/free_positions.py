@@ -109,7 +109,6 @@ class FreeFit:
         rejected_moves: Indices of the holds before turns that fit nothing.
         shares: The covariance by source.
         chance: Probability that chance alone would show the terms as clearly; 1 without terms.
-
     """
 
     model: SensorModel
@@ -190,7 +189,6 @@ def solve(evidence: Evidence) -> FreeFit:
         InputError: The outputs are not in the units that the IMU's description states.
         NotObservable: Too few holds, or attitudes that leave parameters open; names them. Or the
             data contradicts itself, or the latitude.
-
     """
     if len(evidence.segments) < FEWEST:
         raise NotObservable(
@@ -268,7 +266,6 @@ def is_clear(evidence: Evidence) -> bool:
 
     Args:
         evidence: As for `solve`.
-
     """
     if len(evidence.segments) < FEWEST:
         return False
@@ -312,7 +309,6 @@ def initial_equations(evidence: Evidence) -> tuple[FreeEquations, Floats]:
 
     Raises:
         NotObservable: The outputs of nine holds or more lie on no ellipsoid.
-
     """
     outputs = evidence.outputs()
     gyro, accel = Triad(bias=outputs[:, :3].mean(axis=0)), Triad()
@@ -391,7 +387,6 @@ def refuse(_: Evidence) -> Solution:
 
     Raises:
         NotObservable: Always.
-
     """
     raise NotObservable(
         'Free positions need every sample between the holds, which segments of a table session '
@@ -445,7 +440,6 @@ def ellipsoid(outputs: Floats, gravity: float) -> Triad:
 
     Raises:
         NotObservable: The outputs lie on no ellipsoid.
-
     """
     x, y, z = (outputs / gravity).T
     columns = [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, x, y, z]

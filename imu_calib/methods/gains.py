@@ -48,7 +48,6 @@ class Gains:
         accel: (4, s), or (3, 4, s), three responses and the bias; None where they are not
             estimated.
         condition: Condition number of what was inverted, columns scaled to unit length.
-
     """
 
     gyro: Floats
@@ -114,7 +113,6 @@ class Gains:
 
         Raises:
             NotObservable: The data contradicts the estimate.
-
         """
         model = self.model(evidence)
         return conclude(
@@ -138,7 +136,6 @@ def shares_of(evidence: Evidence, model: SensorModel, rows: Floats) -> dict[Sour
         model: The sensors.
         rows: (n, m) derivatives of the parameters by the outputs but those of moves, NaN for
             what is not estimated.
-
     """
     # A closed form knows no moves.
     equations = Equations(replace(evidence, moves=()))
@@ -159,7 +156,6 @@ def inverse(design: Floats, names: Sequence[str], what: str) -> tuple[Floats, fl
 
     Raises:
         NotObservable: Columns that cannot be separated; names their parameters.
-
     """
     rows = np.vstack([design, np.zeros((max(0, design.shape[1] - len(design)), design.shape[1]))])
     left, values, vectors = np.linalg.svd(rows, full_matrices=False)

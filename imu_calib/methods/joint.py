@@ -79,7 +79,6 @@ def solve(
     Raises:
         NotObservable: Names what the session cannot observe, or what contradicts itself.
         InputError: The outputs are not in the units that the IMU's description states.
-
     """
     try:
         search = search_terms(evidence, parameters_of(terms), changes, look=look)
@@ -97,7 +96,6 @@ def concluded(search: Search, terms: tuple[Term, ...], changes: tuple[Change, ..
 
     Raises:
         NotObservable: It contradicts itself.
-
     """
     found = _concluded(search.estimate, untold_errors(search))
     return replace(
@@ -123,7 +121,6 @@ def provisional(
     Raises:
         NotObservable: As `solve`.
         InputError: Likewise.
-
     """
     found = estimate(evidence, parameters_of(terms), changes)
     return replace(_concluded(found), shares=found.shares())
@@ -235,7 +232,6 @@ def observed_earth_rate(found: Estimate) -> tuple[Floats, Floats]:
 
     Returns:
         (3,) rad/s, level but at the heading of the attitudes, and (3, 3).
-
     """
     return _free_earth(found.without_scatter, found.state)
 

@@ -28,7 +28,6 @@ class ChannelSystem:
 
     Attributes:
         size: Number of outputs that the weights refer to.
-
     """
 
     size: int
@@ -45,7 +44,6 @@ class ChannelSystem:
 
         Raises:
             NotObservable: The equations do not determine the channel.
-
         """
         matrix, weights = np.array(self.coefficients), np.array(self.weights)
         if matrix.shape != (UNKNOWNS, UNKNOWNS):
@@ -64,7 +62,6 @@ class SolvedTriad:
         triad: The parameters.
         gain: (3, 4, size) weights that make responses and bias of each channel's outputs.
         condition: The worst condition number.
-
     """
 
     triad: Triad
@@ -81,7 +78,6 @@ def solve_triad(systems: Sequence[ChannelSystem], outputs: Floats) -> SolvedTria
 
     Raises:
         NotObservable: The equations do not determine a channel.
-
     """
     solved = [system.solve() for system in systems]
     gain = np.array([weights for weights, _ in solved])

@@ -34,7 +34,6 @@ def solve(evidence: Evidence) -> Solution:
 
     Raises:
         NotObservable: North is unknown, or turns or positions do not tell parameters apart.
-
     """
     if evidence.azimuth is None:
         raise NotObservable(
@@ -63,7 +62,6 @@ def check(plan: Plan, parameters: tuple[Parameter, ...] = ESTIMATES) -> None:
 
     Raises:
         NotObservable: Names the parameters.
-
     """
     held = [p for p in plan.positions if p.dwell > 0]
     ups = np.array([p.up for p in held]).reshape(-1, 3)
@@ -77,7 +75,6 @@ def check_turns(plan: Plan) -> None:
 
     Raises:
         NotObservable: Names the parameters.
-
     """
     turned = [np.abs(p.up) for p in plan.positions if p.rate_test is not None]
     for axis, name in enumerate('XYZ'):

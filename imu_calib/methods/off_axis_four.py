@@ -31,7 +31,6 @@ def solve(evidence: Evidence) -> Solution:
     Raises:
         NotObservable: North is unknown, one of the four positions is missing, or the Earth is
             too slow for the noise.
-
     """
     require_north(evidence)
     weights = _weights(evidence.attitudes(), evidence.site, 'the recording')
@@ -44,7 +43,6 @@ def check(plan: Plan, site: Site) -> None:
 
     Raises:
         NotObservable: Names the position and the parameters.
-
     """
     held = [p.attitude for p in plan.positions if p.dwell > 0]
     _weights(np.array(held).reshape(-1, 3, 3), site, f'plan {plan.name}')

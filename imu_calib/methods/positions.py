@@ -32,7 +32,6 @@ class BiasEquation:
     Attributes:
         weights: (s, 3) of the static dwells, per channel.
         mean_input: (3,) rad/s that these weights leave.
-
     """
 
     weights: Floats
@@ -44,7 +43,6 @@ def solve_gyros(evidence: Evidence, bias: BiasEquation) -> SolvedTriad:
 
     Raises:
         NotObservable: An axis about which nothing turned.
-
     """
     test = RateTestEquations.of(evidence)
     solved = _gyros(evidence, test, bias, test.outputs)
@@ -78,7 +76,6 @@ def solve_accelerometers(evidence: Evidence) -> SolvedTriad:
 
     Raises:
         NotObservable: An axis that was never up, or never down.
-
     """
     outputs = evidence.outputs()[:, 3:]
     off_axis = evidence.site.gravity * evidence.off_axis()
@@ -133,7 +130,6 @@ def finish(
 
     Raises:
         NotObservable: An axis that was never up or down, or data that contradicts the estimate.
-
     """
     accels = solve_accelerometers(evidence)
     model = SensorModel(gyros.triad, accels.triad)

@@ -23,7 +23,6 @@ def solve(evidence: Evidence) -> Solution:
 
     Raises:
         NotObservable: North is unknown, or turns or positions are missing.
-
     """
     if evidence.azimuth is None:
         raise NotObservable(

@@ -28,7 +28,6 @@ class RateTestEquations:
         inputs: (t,) rate about the vertical body axis, Earth included, rad/s.
         axes: (t,) which body axis was vertical.
         off_axis: (t, 3) what the encoders say that the other axes turned, rad/s.
-
     """
 
     outputs: Floats
@@ -42,7 +41,6 @@ class RateTestEquations:
 
         Raises:
             NotObservable: An axis about which nothing turned.
-
         """
         axes, inputs, off = [], [], []
         for turn in evidence.turns:
@@ -68,7 +66,6 @@ class RateTestEquations:
             system: Equations of one channel.
             axis: Body axis.
             first: Index of the first turn among the system's outputs.
-
         """
         mine = np.flatnonzero(self.axes == axis)
         inputs = self.inputs[mine]

@@ -21,7 +21,6 @@ def solve(evidence: Evidence) -> Solution:
 
     Raises:
         NotObservable: North is unknown, or positions are missing.
-
     """
     if evidence.azimuth is None and not evidence.plan.by_hand:
         raise NotObservable(

@@ -53,7 +53,6 @@ class RatePoints:
         freedom: (t,) degrees of freedom of that scatter, 0 where there is one turn only.
         turned: (t,) rate of the table, rad/s.
         rate_error: (t,) standard deviation of that, relative.
-
     """
 
     inputs: Floats
@@ -71,7 +70,6 @@ class RatePoints:
 
         Raises:
             NotObservable: There are none.
-
         """
         turns = [t for t in evidence.turns if t.skewed is not None]
         if not turns:
@@ -111,7 +109,6 @@ class RatePoints:
 
         Raises:
             NotObservable: Names the parameters that the turns cannot tell apart.
-
         """
         scale = float(np.abs(self.inputs).max())
         design = np.column_stack([self.inputs / scale, np.ones(len(self.inputs))])
@@ -136,7 +133,6 @@ class RatePoints:
 
         Args:
             unknowns: (4, 4) responses and bias of each channel by the plain fit.
-
         """
         left = self.outputs - self.inputs @ unknowns[:, :BIAS].T - unknowns[:, BIAS]
         share = len(left) / max(len(left) - unknowns.shape[1], 1)
@@ -157,7 +153,6 @@ def solve(evidence: Evidence) -> Solution:
 
     Raises:
         NotObservable: Turns are missing, or no skewed gyro saw them.
-
     """
     points = RatePoints.of(evidence)
     plain, condition = points.weights()
@@ -214,7 +209,6 @@ def variance_by_weights(evidence: Evidence) -> Floats:
 
     Returns:
         (28,) in the order of the 24 parameters and the four; NaN for accelerometers.
-
     """
     points = RatePoints.of(evidence)
     plain, _ = points.weights()
@@ -238,7 +232,6 @@ def gauss_markov_bound(points: RatePoints, extra: Floats | None = None) -> Float
     Args:
         points: Turns that it saw.
         extra: (t, t) covariance of its outputs beyond walk and pulses, or None.
-
     """
     design = np.column_stack([points.inputs, np.ones(len(points.inputs))])
     covariance = np.diag(points.own[:, 3])
@@ -258,7 +251,6 @@ def parity(outputs: Floats, unknowns: Floats) -> tuple[Floats, Floats]:
 
     Returns:
         (...) residual, rad/s, and (4,) the unit vector that it is the component along.
-
     """
     vector = np.linalg.svd(unknowns[:, :BIAS])[0][:, -1]
     return np.asarray((outputs - unknowns[:, BIAS]) @ vector), vector

@@ -23,7 +23,6 @@ class Residual:
         start: ns, IMU clock.
         value: (6,) rad/s and m/s^2.
         std: (6,) standard deviation of the static dwell's mean.
-
     """
 
     position: str
@@ -59,7 +58,6 @@ class Solution:
             by what they show.
         search: What the joint estimate found, from which several units on a table go on; None for
             other methods, and for a session that goes on.
-
     """
 
     model: SensorModel

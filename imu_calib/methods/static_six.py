@@ -32,7 +32,6 @@ def solve(evidence: Evidence) -> Solution:
     Raises:
         NotObservable: North is unknown, the attitudes do not tell parameters apart, or the Earth
             is too slow for the noise.
-
     """
     require_north(evidence)
     weights, condition = _weights(
@@ -50,7 +49,6 @@ def check(plan: Plan, site: Site) -> None:
 
     Raises:
         NotObservable: Names the parameters.
-
     """
     held = [p for p in plan.positions if p.dwell > 0]
     attitudes = np.array([p.attitude for p in held]).reshape(-1, 3, 3)
@@ -63,7 +61,6 @@ def require_north(evidence: Evidence) -> None:
 
     Raises:
         NotObservable: With what cannot be determined.
-
     """
     if evidence.azimuth is None:
         lost = ', '.join(response_names('g', axis) for axis in range(3))
@@ -78,7 +75,6 @@ def gyros_only(evidence: Evidence, gyro: Floats, condition: float) -> Solution:
 
     Raises:
         NotObservable: A response is known no better than to a tenth.
-
     """
     at_rest = replace(evidence, turns=())
     gains = Gains(gyro, None, condition)

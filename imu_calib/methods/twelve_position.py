@@ -26,7 +26,6 @@ def solve(evidence: Evidence) -> Solution:
 
     Raises:
         NotObservable: Names what is missing and what cannot be determined for it.
-
     """
     weights, findings = _bias_weights(evidence)
     gyros = solve_gyros(evidence, BiasEquation(weights, np.zeros(3)))

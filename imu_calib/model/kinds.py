@@ -29,7 +29,6 @@ class Unit:
         scale: SI value of the unit shown.
         dimension: What a person may write it in.
         limit: Largest amount that a strapdown IMU may have, SI; None where it is judged otherwise.
-
     """
 
     si: str
@@ -51,7 +50,6 @@ class Kind:
             parameter, without a channel.
         units: By triad.
         exports: What each export does with them.
-
     """
 
     symbol: str

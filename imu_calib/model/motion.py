@@ -69,7 +69,6 @@ def slopes(model: SensorModel, rate: Floats, spin: Floats, change: Floats) -> Fl
 
     Returns:
         (n, 3, 7) m/s^2, in the order of the terms' parameters (`MOTION`).
-
     """
     x, y, z = spin.T
     nothing = np.zeros_like(x)

@@ -63,7 +63,6 @@ class Product:
         factors: Indices of the inputs that it is a product of; none for a bias.
         absolute: Indices of those that go in by their amount.
         scale: Constant factor, SI.
-
     """
 
     factors: tuple[int, ...] = ()
@@ -85,7 +84,6 @@ class Product:
 
         Args:
             axis: Stands for the axis of every input; empty: as it is.
-
         """
         names = [f'{"wf"[k // len(AXES)]}_{axis or AXES[k % len(AXES)]}' for k in range(6)]
         factors = [*(names[k] for k in self.factors), *(f'|{names[k]}|' for k in self.absolute)]
@@ -172,7 +170,6 @@ def linear_product(parameter: Parameter) -> Product:
 
     Args:
         parameter: One of `PARAMETERS` or of a skewed gyro.
-
     """
     if parameter.column is None:
         return Product()
@@ -184,7 +181,6 @@ def indices_of(wanted: Sequence[Parameter], among: Sequence[Parameter]) -> list[
 
     Raises:
         KeyError: One is not in it.
-
     """
     places = {parameter: k for k, parameter in enumerate(among)}
     return [places[parameter] for parameter in wanted]

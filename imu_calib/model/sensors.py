@@ -45,7 +45,6 @@ def parameters_of(terms: Sequence[Term] = (), *, skewed: int = 0) -> tuple[Param
     Args:
         terms: What it has besides the 24, in any order.
         skewed: Number of skewed gyros.
-
     """
     chosen = [p for one in TERMS if one in terms for p in one.parameters]
     return (*PARAMETERS, *chosen, *skewed_parameters(skewed))
@@ -62,7 +61,6 @@ def by_name(names: Sequence[str]) -> tuple[Parameter, ...]:
 
     Raises:
         KeyError: A name that no parameter has.
-
     """
     return tuple(_NAMES[name] for name in names)
 
@@ -78,7 +76,6 @@ class Regressors:
         channels: (n,) output that each adds to, as in `Parameter.channel`.
         products: What they are multiplied by, each once.
         index: (n,) which of the products is each one's.
-
     """
 
     channels: NDArray[np.intp]
@@ -120,7 +117,6 @@ class Triad:
         bias: (3,) rad/s or m/s^2.
 
     Source: Cao 2022, eqs. (1)-(2).
-
     """
 
     error_matrix: Floats = field(default_factory=lambda: np.zeros((3, 3)))
@@ -152,7 +148,6 @@ class Skewed:
     Attributes:
         response: (k, 3) to rates about the body axes.
         bias: (k,) rad/s.
-
     """
 
     response: Floats
@@ -178,7 +173,6 @@ class SensorModel:
         terms: Coefficients of further terms by name, in the order of `Term.parameters`, SI.
 
     Source: Cao 2022, eqs. (1)-(2); Luo 2018, section 6.2, for G; `terms` for the others.
-
     """
 
     gyro: Triad = field(default_factory=Triad)
@@ -270,7 +264,6 @@ class SensorModel:
 
         Returns:
             Gyro (..., 3) in rad/s and accelerometer (..., 3) in m/s^2 channels.
-
         """
         gyro = rate @ self.gyro.response.T + self.gyro.bias + force @ self.g_sensitivity.T
         accel = force @ self.accel.response.T + self.accel.bias
@@ -289,7 +282,6 @@ class SensorModel:
             rate: (..., 3) rad/s.
             force: (..., 3) m/s^2.
             parameters: By which.
-
         """
         by = regressors(parameters)
         result = np.zeros((*rate.shape[:-1], 6, len(parameters)))

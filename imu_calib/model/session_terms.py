@@ -69,7 +69,6 @@ class Change:
         name: Of its parameter, or of the triad's scale factors in common: K_g, K_a.
         parameters: What changes by it.
         asked: Whether it was asked for by name; else it goes where the session cannot tell it.
-
     """
 
     course: Course
@@ -111,7 +110,6 @@ def session_term(text: str) -> tuple[Change, ...]:
 
     Raises:
         InputError: No such term, or no such parameter.
-
     """
     name, _, acts_on = text.partition(':')
     course = Course(name)
@@ -130,7 +128,6 @@ def split_terms(text: str) -> tuple[str, tuple[Change, ...]]:
 
     Raises:
         InputError: A name that is wrong, or trend and warm-up at once.
-
     """
     if not isinstance(text, str):
         raise InputError(f'`terms`: found {text!r}, expected names in a text, with commas between.')
@@ -151,7 +148,6 @@ def change(course: Course, name: str) -> Change:
 
     Raises:
         InputError: No such parameter.
-
     """
     found = _changes(course, name, asked=True)
     if len(found) != 1:
@@ -180,7 +176,6 @@ def largest(changes: Sequence[Change], values: Sequence[float | None]) -> str:
     Args:
         changes: The coefficients.
         values: Of each, SI units; None or infinite for one that is not known.
-
     """
     found: dict[str, float] = {}
     shown: dict[str, str] = {}

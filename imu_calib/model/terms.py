@@ -41,7 +41,6 @@ class Term:
         needs: What a session must have to determine it; ends 'it takes'.
         moving: What it adds to channel i where only motion shows it (`motion`), for people; empty
             for others.
-
     """
 
     name: str
@@ -251,7 +250,6 @@ def named_terms(text: str) -> tuple[Term, ...]:
 
     Raises:
         InputError: No such term.
-
     """
     if text == NO_TERMS:
         return ()
@@ -269,7 +267,6 @@ def term(name: str) -> Term:
 
     Raises:
         InputError: No such term; lists those that exist.
-
     """
     for known in TERMS:
         if known.name == name:

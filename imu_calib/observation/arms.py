@@ -45,7 +45,6 @@ class Arms:
         slopes: (f, 3, a) specific force by the arms, body axes, 1/s^2. Each attitude in which the
             unit is turned has three: two across the axis, one along it.
         deviations: (a,) standard deviations of the arms beforehand, m.
-
     """
 
     turns: NDArray[np.intp]
@@ -59,7 +58,6 @@ class Arms:
         Args:
             turns: Of a session.
             up_rate: Vertical Earth rate, rad/s.
-
         """
         which = [k for k, turn in enumerate(turns) if turn.seconds is not None]
         groups: list[int] = []

@@ -62,7 +62,6 @@ class CommonErrors:
         names: Of each, for a person; empty for one that is not determined by itself.
         sizes: (k,) what a deviation of one is of those with a name, rad.
         columns: For each unit (m, k) what one deviation does to its outputs.
-
     """
 
     sources: tuple[Source, ...]
@@ -78,7 +77,6 @@ class CommonSizes:
     Attributes:
         errors: Of its axes, zeros and encoders.
         positioning: What joints and stops err by beyond what its description states.
-
     """
 
     errors: TableErrors
@@ -97,7 +95,6 @@ class CommonTable:
     Args:
         units: Their equations, each on the table with its own mount.
         sizes: Of the table's errors.
-
     """
 
     def __init__(self, units: Sequence[Equations], sizes: CommonSizes) -> None:

@@ -33,7 +33,6 @@ class Diagonal:
 
     Attributes:
         variances: (m,).
-
     """
 
     variances: Floats
@@ -53,7 +52,6 @@ class Factor:
 
     Attributes:
         columns: (m, e) how the outputs change by one standard deviation of each error.
-
     """
 
     columns: Floats
@@ -75,7 +73,6 @@ class Blocks:
     Attributes:
         rows: (k, g) which outputs.
         matrices: (k, g, g) their covariances.
-
     """
 
     rows: NDArray[np.intp]
@@ -99,7 +96,6 @@ class Component:
         source: Where from.
         part: The covariance.
         freedom: Degrees of freedom of its size; infinite where that is known.
-
     """
 
     source: Source

@@ -34,7 +34,6 @@ def up_rate_seen(segments: Sequence[Segment]) -> tuple[float, float] | None:
 
     Returns:
         None where the attitudes do not determine it.
-
     """
     known = [s for s in segments if s.attitude is not None]
     if len(known) < _FEWEST:
@@ -57,7 +56,6 @@ def latitude_seen(up: float, std: float) -> tuple[float, float] | None:
     Args:
         up: rad/s.
         std: Its standard deviation, rad/s.
-
     """
     latitude = float(np.arcsin(np.clip(up / EARTH_RATE, -1.0, 1.0)))
     slope = EARTH_RATE * max(float(np.cos(latitude)), float(np.sin(_TELLS)))

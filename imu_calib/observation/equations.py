@@ -72,7 +72,6 @@ class Equations(SessionModel):
         doubts: Parameters that are not in the state, and the standard deviation about zero of each.
         held: Kinds of parameters of motion that are zero for certain: what is in no state the
             covariance allows for otherwise.
-
     """
 
     levelled: float | None = None
@@ -235,7 +234,6 @@ class Equations(SessionModel):
 
         Returns:
             (m + k, n) derivatives and (m + k,) outputs less prediction.
-
         """
         columns = self._weighed(state)[1]
         return columns[:, :-1], columns[:, -1]

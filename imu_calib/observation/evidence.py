@@ -78,7 +78,6 @@ class Evidence:
         free: Whether the attitudes are unknown: they are estimated, and moves join them.
         coarse: Whether velocities of moves count that tell next to nothing beside the dwells: where
             parameters are sought that only motion shows.
-
     """
 
     segments: tuple[Segment, ...]
@@ -113,7 +112,6 @@ class Evidence:
 
         Raises:
             NotObservable: Neither the data nor the IMU's description tells the noise.
-
         """
         walk, freedom = known_noise(labelled.segments, imu)
         return cls(
@@ -148,7 +146,6 @@ class Evidence:
 
         Raises:
             ValueError: There is no table.
-
         """
         if self.table is None:
             raise ValueError('no table, and none of its errors')
@@ -329,7 +326,6 @@ class Evidence:
 
         Raises:
             NotObservable: An attitude with no body axis vertical.
-
         """
         return [vertical_axis(a[2], s.position) for a, s in zip(self.attitudes(), self.segments)]  # noqa: B905
 
@@ -398,7 +394,6 @@ def vertical_axis(up: Floats, position: str | None) -> tuple[int, int]:
 
     Raises:
         NotObservable: None of the three is.
-
     """
     axis = int(np.argmax(np.abs(up)))
     if abs(up[axis]) < 1 - _AXIS_TOLERANCE:

@@ -133,7 +133,6 @@ def led_on(evidence: Evidence, ups: Floats, model: SensorModel) -> Evidence:
         evidence: The session.
         ups: (s, 3) up in body axes, unit vectors.
         model: Its gyros lead.
-
     """
     east, north = across(ups)
     attitudes = np.stack([east, north, ups], axis=1)

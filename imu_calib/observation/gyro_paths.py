@@ -34,7 +34,6 @@ class GyroPath:
         axes: (n, 3, 3) takes components from the middle of an interval to the end.
         error_transfer: (n, 3, 3) takes an error of the gyros' outputs over an interval, rad, to the
             rotation of the body axes at the end that it feigns.
-
     """
 
     rates: Floats
@@ -58,7 +57,6 @@ class GyroPath:
             seconds: (n,) their lengths, s.
             model: The sensors.
             force: (3,) specific force at rest at the end, body axes, m/s^2; None: of no account.
-
         """
         return cls.of_each([(turned, seconds, force)], model)[0]
 
@@ -106,7 +104,6 @@ class GyroPath:
 
         Returns:
             (3, 3, q) rad: of each channel, the second index, to which it may be added.
-
         """
         return summed(self.timed_transfer, products)
 
@@ -150,7 +147,6 @@ def followed(passed: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
     Returns:
         (m, 3, 3) that take a vector's components from the start of each motion to its end, and
         (3, 3, n) from the end of each interval to the end of its motion.
-
     """
     ends = np.cumsum(counts)
     _follow(passed, _order(tuple(counts)))

@@ -19,7 +19,6 @@ def headings(ups: Floats) -> Floats:
 
     Args:
         ups: (t, 3) up in body axes.
-
     """
     angles = np.arange(_HEADINGS // 2) * (2 * np.pi / _HEADINGS)
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]

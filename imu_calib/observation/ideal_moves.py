@@ -56,7 +56,6 @@ def ideal_move(
         table: Whose.
         truth: The sensors.
         world: (3,) Earth rate and (3,) specific force in the frame of the attitudes, SI.
-
     """
     seconds = (after.start - before.end) * 1e-9
     knots = np.linspace(0.0, course.end, max(2, math.ceil(course.end / _STEP)) + 1)
@@ -78,7 +77,6 @@ def _along(
 
     Returns:
         (n, 3) angles, rad, and (n, 3) velocities, m/s.
-
     """
     earth, force = world
     steps = rotation_vectors(np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:])
@@ -105,7 +103,6 @@ def next_hold(last: Segment, up: Floats, seconds: float) -> Segment:
         last: The hold before, in its attitude.
         up: (3,) in body axes, unit vector.
         seconds: How long it is held.
-
     """
     start = last.end + nanoseconds(BY_HAND_MOVE)
     statistics = replace(last.statistics, duration=seconds, walk_gain=np.full(6, 1 / seconds))

@@ -50,7 +50,6 @@ class Information:
         observed: (n,) whether an entry of the state is observed.
         condition: Largest over smallest singular value of the column-scaled system.
         gain: (n, m) derivatives of the solution by the equations; its square is the covariance.
-
     """
 
     covariance: Floats
@@ -64,7 +63,6 @@ class Information:
 
         Args:
             jacobian: (m, n) derivatives in standard deviations, priors included.
-
         """
         norms = np.linalg.norm(jacobian, axis=0)
         seen = norms > 0
@@ -95,7 +93,6 @@ def log_determinant(information: Floats, first: int) -> float:
     Args:
         information: (n, n) of the whole state.
         first: How many entries are wanted.
-
     """
     scale = 1 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     scaled = information * np.outer(scale, scale)
@@ -114,7 +111,6 @@ def attainable_std(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAM
 
     Returns:
         (n,) SI units; NaN where nothing determines a parameter, or to no use (`determined`).
-
     """
     try:
         information = nominal_information(Equations(evidence, parameters))
@@ -193,7 +189,6 @@ def undetermined_in_words(evidence: Evidence, term: Term, lost: Sequence[Paramet
         evidence: The session, which determines the 24 parameters without the term.
         term: The term.
         lost: All parameters that it does not determine with the term.
-
     """
     mine = [p.name for p in lost if p in term.parameters]
     others = [p.name for p in lost if p not in term.parameters]
@@ -216,7 +211,6 @@ def unobservable_in_words(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
     Args:
         evidence: The session.
         lost: (24,) which parameters.
-
     """
     words = []
     left = {p.name for p, gone in zip(PARAMETERS, lost, strict=True) if gone}

@@ -40,7 +40,6 @@ def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, F
 
     Raises:
         NotObservable: Neither the data nor the IMU's description tells.
-
     """
     found = pooled_walk([s.statistics for s in segments])
     stated = np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
@@ -71,7 +70,6 @@ def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
 
     Returns:
         The same; those found have `unrest`, and the blocks of their accelerometers are left out.
-
     """
     statistics = [s.statistics for s in segments]
     counts = np.array([[len(b) for b in s.blocks[3:]] for s in statistics]).reshape(-1, 3)

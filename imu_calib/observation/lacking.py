@@ -143,7 +143,6 @@ def _information(equations: Equations, scale: Floats) -> float:
     Args:
         equations: The session.
         scale: (n,) what a unit of each parameter is worth, so that units do not matter.
-
     """
     jacobian = equations.whitened(equations.nominal())[0]
     sensors, others = np.split(jacobian, [equations.sensors], axis=1)

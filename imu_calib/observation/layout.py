@@ -28,7 +28,6 @@ class OutputLayout:
         moves: Likewise.
         turns_with_accels: Which of the turns have accelerometers that count.
         moves_with_accels: Which of the moves have.
-
     """
 
     dwells: int
@@ -115,7 +114,6 @@ class OutputLayout:
             dwell: (s, 6, ...).
             turn: (t, 6, ...): of turns whose accelerometers do not count they are left out.
             move: (m, 6, ...), angles, then velocities: likewise.
-
         """
         parts = (
             (dwell, self.dwell),

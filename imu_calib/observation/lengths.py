@@ -76,7 +76,6 @@ class Up:
     Attributes:
         forces: (s, 3) specific forces at rest, m/s^2, as long as gravity.
         covariance: (s, 3, s, 3) of their directions, rad^2: by noise and by their parameters.
-
     """
 
     forces: Floats
@@ -93,7 +92,6 @@ class Up:
             noise: (s, 3, 3) covariances of the outputs.
             factor: (p, k) of the covariance of the parameters.
             gravity: m/s^2.
-
         """
         force, by_outputs, by_parameters = found
         size = np.linalg.norm(force, axis=1)[:, None, None]
@@ -122,7 +120,6 @@ def compare_lengths(
     Returns:
         (m, p) derivatives, (m,) squares of lengths, and rates along up, short of what they should
         be, and their covariance (m, m).
-
     """
     seen, by_outputs, by_parameters = sensors.compensated(values, read, up.forces)
     noise = propagated(by_outputs, noise)
@@ -148,7 +145,6 @@ def squares(vectors: Floats, covariances: Floats) -> tuple[Floats, Floats]:
     Args:
         vectors: With normal noise.
         covariances: (m, 3, 3) of it.
-
     """
     along = np.einsum('mi,mij,mj->m', vectors, covariances, vectors)
     own = np.trace(covariances, axis1=1, axis2=2)

@@ -38,7 +38,6 @@ class Tilt:
     Attributes:
         up: (3,) unit vector in the frame of the attitudes.
         std: Standard deviation of its direction about either level axis, rad.
-
     """
 
     up: Floats
@@ -60,7 +59,6 @@ class Tilt:
         Args:
             vector: (3,).
             covariance: (3, 3) its covariance; that of the tilt comes on top.
-
         """
         turned = shortest(self.up, UP)
         leaning = np.cross(np.eye(3)[:2], vector) * self.std
@@ -99,7 +97,6 @@ def widened_for_tilt(
 
     Returns:
         The covariance, and a sentence or none.
-
     """
     if not tilt.sure:
         return covariance, []

@@ -52,7 +52,6 @@ def courses(evidence: Evidence, course: Course, time_constant: float) -> Floats:
         evidence: The session.
         course: Which.
         time_constant: Of a warm-up, as a fraction of the session.
-
     """
     starts, ends = spans(evidence)
     whole = float(ends.max(initial=0.0))
@@ -73,7 +72,6 @@ def rates(evidence: Evidence, course: Course, time_constant: float) -> Floats:
         evidence: The session.
         course: Which.
         time_constant: Of a warm-up, as a fraction of the session.
-
     """
     starts, ends = spans(evidence)
     lasting = np.maximum(ends - starts, 1e-9)
@@ -95,7 +93,6 @@ def temperatures(evidence: Evidence) -> Floats:
 
     Raises:
         NotObservable: The session has no temperature.
-
     """
     if evidence.temperature is None:
         raise NotObservable(
@@ -121,7 +118,6 @@ def check_temperature(evidence: Evidence) -> None:
 
     Raises:
         NotObservable: Says by how much it moves and by how much it must.
-
     """
     seen = temperatures(evidence)
     if not warms(evidence):
@@ -150,7 +146,6 @@ def columns(
         parameters: What the first columns of these stand for.
         time_constant: Of a warm-up, as a fraction of the session.
         along: `courses`; or `rates`, for how much outputs rise within their segment, per s.
-
     """
     found = np.zeros((len(derivatives), len(changes)))
     known = {c: along(evidence, c, time_constant) for c in {change.course for change in changes}}
@@ -172,7 +167,6 @@ def stated_changes(
 
     Returns:
         The k coefficients, and (k,) standard deviations, SI units per K.
-
     """
     kinds = {ParameterKind.SCALE_FACTOR_ERROR: 0, ParameterKind.BIAS: 1}
     mine = [p for p in parameters if p.kind in kinds]

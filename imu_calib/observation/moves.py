@@ -94,7 +94,6 @@ class Moves:
         attitudes: (s, 3, 3) of all segments.
         gravity: m/s^2.
         rough: What the sensors answer; None where the attitudes are unknown.
-
     """
 
     links: tuple[LinkedMove, ...]
@@ -132,7 +131,6 @@ class Moves:
             walk: (6,) random-walk coefficients of the channels.
             free: Whether the attitudes are sought.
             coarse: Whether such velocities count too: other things than the rest tells are sought.
-
         """
         by_end = {s.end: k for k, s in enumerate(segments) if free or s.angles is not None}
         by_start = {s.start: k for k, s in enumerate(segments) if free or s.angles is not None}
@@ -221,7 +219,6 @@ class Moves:
             model: The sensors.
             earth_rate: In the frame of the attitudes, (3,) or of each of them (s, 3), rad/s.
             force: (3,) specific force at rest, likewise, m/s^2.
-
         """
         found = np.zeros((len(self), 6))
         if not self.links:
@@ -289,7 +286,6 @@ class Moves:
             force: (3,) as in `misclosures`.
             counted: Whether the outputs are pulses, which stay over the shorter seconds. Rates
                 times these turn by less.
-
         """
         found = np.zeros((len(self), 6))
         pushes, mine = self._pushes(model), self._pushed
@@ -333,7 +329,6 @@ class Moves:
 
         Returns:
             (m, 6, e).
-
         """
         found = np.zeros((len(self), 6, leaning.shape[2]))
         if not self.links:
@@ -365,7 +360,6 @@ class Moves:
         Returns:
             (m, 6, 12) by where the unit is and its accelerometers are, 3 where their places are
             known, and (m, 6, 1) by their delay, per standard deviation.
-
         """
         apart, late = (kind not in known for kind in (ParameterKind.PLACE, ParameterKind.DELAY))
         arms = np.zeros((len(self), 6, 12 if apart else 3))

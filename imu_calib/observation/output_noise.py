@@ -32,7 +32,6 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
     Args:
         evidence: The session.
         inflation: (m,) factors on these variances, or None.
-
     """
     # Most equations of a session differ in what comes on top of this.
     if 'own' not in evidence.cache:
@@ -116,7 +115,6 @@ def encoder_rates(
         rates: (t,) of the turns, rad/s.
         response: (3, 3) of the gyros.
         pulled: (f, 3) what the square of the rate adds to accelerometers that count, m/s^2.
-
     """
     found = []
     relative = np.array([t.rate_std(evidence.walk) for t in evidence.turns])
@@ -141,7 +139,6 @@ def encoder_rate_errors(
     Returns:
         For turns of gyros alone, and for those whose accelerometers count: which turns (k,), which
         outputs (k, 3) or (k, 6), and what it does to them.
-
     """
     turns = evidence.turns
     ups = np.array([t.up for t in turns]).reshape(-1, 3)
@@ -165,7 +162,6 @@ def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component
         evidence: The session.
         ups: (t, 3) up in body axes, of the turns.
         levelled: Standard deviation of the table's tilt about either axis, rad.
-
     """
     which, rows = evidence.arms.turns, evidence.layout.turn_accels
     left = [evidence.turns[k].level * levelled * evidence.site.gravity for k in which]
@@ -184,7 +180,6 @@ def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Componen
         evidence: The session.
         ups: (s + t, 3) up in body axes.
         response: (3, 3) of the gyros.
-
     """
     segments, turns = evidence.segments, evidence.turns
     by_hand = 1.0 if evidence.plan.by_hand and not evidence.free else 0.0

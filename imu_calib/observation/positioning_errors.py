@@ -39,7 +39,6 @@ class PositioningErrors:
     Attributes:
         joints: Of a joint that stops, about its axis.
         stops: Of a stop, about each of three axes.
-
     """
 
     joints: float = 0.0
@@ -57,7 +56,6 @@ class Leaning:
     Attributes:
         at_rest: (s, 3, e) of the static dwells.
         turning: (t, 3, e) of the turns.
-
     """
 
     at_rest: Floats

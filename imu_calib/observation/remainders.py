@@ -47,7 +47,6 @@ class RoughAnswers:
     Attributes:
         model: Without terms, and without the Earth rate.
         doubt: (3,) standard deviation of what its accelerometers read on the way, m/s^2.
-
     """
 
     model: SensorModel
@@ -64,7 +63,6 @@ class RoughAnswers:
             turns: That were measured.
             forces: (s, 3) specific force in each segment, body axes, m/s^2.
             walk: (6,) random-walk coefficients of the channels.
-
         """
         at_rest = np.array([s.statistics.mean for s in segments])
         turned = np.array([t.statistics.mean[:3] for t in turns]).reshape(-1, 3)
@@ -103,7 +101,6 @@ def remainder_covariance(
         outputs: (n, 3) what the channels read in them, m/s^2.
         doubt: (3,) standard deviation of that, the same all along, m/s^2.
         pulse: (3,) size of a pulse, m/s; 0 where nothing is counted.
-
     """
     edges = np.concatenate([-directions[:1], -np.diff(directions, axis=0), directions[-1:]])
     found = np.zeros((3, 3))

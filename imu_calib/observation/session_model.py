@@ -66,7 +66,6 @@ class SessionModel:
         parameters: Of the sensors, in the order of the state, which they begin.
         changes: Coefficients by which parameters change during the session: the end of the state.
         time_constant: Of a warm-up among them, as a fraction of the session.
-
     """
 
     evidence: Evidence
@@ -244,7 +243,6 @@ class SessionModel:
         Args:
             state: (n,) of sensors and table.
             parameters: Of the sensors, in the state or not.
-
         """
         _, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
@@ -283,7 +281,6 @@ class SessionModel:
         Args:
             changes: The k coefficients.
             derivatives: (m, n) by the parameters of the sensors, as `jacobian` begins.
-
         """
         return columns(self.evidence, changes, derivatives, self.parameters, self.time_constant)
 
@@ -299,7 +296,6 @@ class SessionModel:
 
         Returns:
             (m, 6), both in the frame of the attitudes.
-
         """
         _, rate, force, turning, felt = self._inputs(state)
         model, moves = self.model(state), self.evidence.links
@@ -316,7 +312,6 @@ class SessionModel:
 
         Returns:
             (m, 3) per rad about the body axes.
-
         """
         every = len(self.evidence.segments), len(self.evidence.turns)
         # What the unit is turned by, attitudes lean the other way.
@@ -342,7 +337,6 @@ class SessionModel:
             state: (n,) of sensors and table.
             at_rest: (s, 3, e) rotations of the static dwells about the body axes, rad.
             turned: (t, 3, e) of the turns.
-
         """
         s, by_each = len(at_rest), self._by_leaning(state)
         led = self.evidence.links.by_attitudes(self.model(state), at_rest)

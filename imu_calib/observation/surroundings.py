@@ -32,7 +32,6 @@ class Surroundings:
         rate_slopes: (3, 3) d rate, one column for each of azimuth and tilts.
         force_slopes: (3, 3) d force.
         level: (3, 3) takes vectors of that frame to level, as far as the heading of its own.
-
     """
 
     rate: Floats

@@ -53,7 +53,6 @@ class VelocityIncrement:
         beside: (n, 3) what biases and terms add to the outputs, m/s^2.
         felt: (n, 3) mean specific force of each step, m/s^2.
         steps: (n, 3) what each step gained, body axes at the end, m/s.
-
     """
 
     path: GyroPath
@@ -72,7 +71,6 @@ class VelocityIncrement:
             gained: Of the steps, as the accelerometers gave it.
             paths: Of the gyros.
             model: The sensors.
-
         """
         if not gained:
             return ()
@@ -141,7 +139,6 @@ class VelocityIncrement:
 
         Returns:
             (3, 3, q) m/s: of each channel, the second index, to which it may be added.
-
         """
         return summed(self.turning, products)
 
@@ -184,7 +181,6 @@ def by_delay(thrusts: Sequence[VelocityIncrement]) -> Floats:
 
     Args:
         thrusts: m of one model.
-
     """
     rates, axes, seconds, starts = _joined(thrusts)
     crossed = cross(rates, np.concatenate([t.felt for t in thrusts])) * seconds[:, None]
@@ -200,7 +196,6 @@ def by_places(thrusts: Sequence[VelocityIncrement]) -> Floats:
 
     Args:
         thrusts: m of one model.
-
     """
     matrix = np.reshape(_kept(thrusts[0].model).reshape(3, 9) @ _by_kept(), (3, 18, 3))
     return np.asarray(_moments(thrusts) @ np.swapaxes(matrix, 0, 1).reshape(18, 9))
@@ -255,7 +250,6 @@ def _change(rates: Floats, seconds: Floats, starts: NDArray[np.intp] = _ONE) -> 
         rates: Of the steps, rad/s.
         seconds: (n,) their lengths.
         starts: Where motions begin, each from rest to rest.
-
     """
     ends, last = np.cumsum(seconds), np.append(starts[1:], len(seconds)) - 1
     middles = ends - seconds / 2

@@ -28,7 +28,6 @@ class TermForecast:
         std: (n,) of its parameters, SI units; NaN for those that the session does not determine.
         worsened: Parameters whose standard deviations it takes more than `_DEARER` times as large,
             and by how many times: NaN for those that the session then does not determine.
-
     """
 
     term: Term
@@ -50,7 +49,6 @@ class ChangeForecast:
         std: (k,) of them, SI units; NaN where the session does not determine them. A warm-up fades
             within a quarter of the session, and its time constant counts as known.
         worsened: As in `TermForecast`.
-
     """
 
     changes: tuple[Change, ...]
@@ -77,7 +75,6 @@ def forecast_terms(
         setup: As the forecast was asked for.
         truth: Likewise.
         drifting: Likewise.
-
     """
     if found.method not in JOINT or found.refusal:
         return ()
@@ -111,7 +108,6 @@ def forecast_changes(
         setup: Likewise.
         truth: Likewise.
         drifting: Likewise.
-
     """
     if found.method not in JOINT or found.refusal:
         return ()

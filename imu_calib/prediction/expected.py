@@ -64,7 +64,6 @@ class _Times:
         turns: Whole turns, of which so much is measured.
         courses: Of each dwell, what leads there from the one before where nothing is turned in
             between.
-
     """
 
     dwells: list[Segment]
@@ -82,7 +81,6 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
 
     Raises:
         InputError: The table cannot run the plan, or the IMU states no noise.
-
     """
     walk = walk_of(setup.imu)
     if not (walk > 0).all():
@@ -225,7 +223,6 @@ def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
     Args:
         evidence: Static dwells and turns in time.
         spec: Bias instabilities.
-
     """
     dwells, turns = evidence.segments, evidence.turns
     moves = [link.move for link in evidence.links.links]

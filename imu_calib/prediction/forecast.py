@@ -42,7 +42,6 @@ class Forecast:
             asked.
         best: (n,) by the Fisher information; NaN for what the session does not observe.
         refusal: Why the method has no answer, else empty.
-
     """
 
     evidence: Evidence
@@ -67,7 +66,6 @@ def forecast(
     Raises:
         InputError: The table cannot run the plan, the IMU states no noise, or there is no such
             method.
-
     """
     evidence = expected(setup, truth, azimuth)
     if setup.method_name == free_positions.NAME:
@@ -137,7 +135,6 @@ def check_session(setup: Setup) -> None:
     Raises:
         InputError: The table cannot run the plan, or there is no such method.
         NotObservable: Says what cannot be determined, and for want of what.
-
     """
     check_plan(setup.method_name, setup.plan, setup.site)
     if setup.table is not None and not setup.plan.by_hand:
@@ -176,7 +173,6 @@ def listed(setup: Setup) -> tuple[Parameter, ...]:
 
     Raises:
         InputError: There is no such method, or it knows no terms.
-
     """
     return tuple(dict.fromkeys((*PARAMETERS, *setup.parameters)))
 
@@ -207,7 +203,6 @@ def information_of(equations: Equations, truth: SensorModel, extra: Floats | Non
         equations: Without bias drift.
         truth: What the sensors are thought to be.
         extra: Covariance of their outputs by bias drift, or None.
-
     """
     if extra is not None:
         m = len(equations.outputs)

@@ -54,7 +54,6 @@ class Attitude:
         about: 'X', 'Y' or 'Z'.
         by: Angle about it, deg.
         matrix: (3, 3) R_nb.
-
     """
 
     letters: str
@@ -79,7 +78,6 @@ class Optimum:
         attitudes: Of its positions, as its file writes them.
         information: Logarithm of the determinant on the 24 parameters.
         seconds: Time on the table, s.
-
     """
 
     plan: Plan
@@ -153,7 +151,6 @@ def optimise(
 
     Raises:
         InputError: The table reaches too few attitudes, or the time is too short for any.
-
     """
     if not 0 < seconds <= _LONGEST:
         raise InputError(

@@ -51,7 +51,6 @@ class Reached:
         plan: The plan with these dwells, its order, attitudes and turns as they were.
         forecast: What it would give.
         wanted: Standard deviations by name of the parameter, SI units.
-
     """
 
     plan: Plan
@@ -73,7 +72,6 @@ def reach(
     Raises:
         InputError: There is no such parameter.
         NotObservable: No dwell reaches it; says what stands in the way.
-
     """
     names = [p.name for p in listed(setup)]
     for name in wanted:

@@ -34,7 +34,6 @@ def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = N
         mean: Outputs, rad/s and m/s^2.
         seconds: How long.
         spare: Of whole turns, beyond which counts are read on both sides, s; None at rest.
-
     """
     gain, quantisation = np.full(6, 1 / seconds), np.zeros(6)
     period = period_of(spec)

@@ -26,7 +26,6 @@ class Visit:
         rest: When it comes to rest, s.
         end: When the next step begins, s.
         angles: (k,) joint angles where it comes to rest, rad.
-
     """
 
     step: Step
@@ -46,7 +45,6 @@ def schedule(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> 
 
     Raises:
         InputError: A joint has no limit of rate or acceleration: its motions have no known length.
-
     """
     for joint in table.joints:
         if not (math.isfinite(joint.max_rate) and math.isfinite(joint.max_acceleration)):

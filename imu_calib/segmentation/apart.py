@@ -50,7 +50,6 @@ def offset_by_pattern(
 
     Returns:
         None where no offset within a minute, or more than one, makes the patterns alike.
-
     """
     origin = max(begin, motions[0].start - round(FARTHEST * 1e9))
     cells = int((motions[-1].end - origin) * 1e-9 / _CELL) + 1

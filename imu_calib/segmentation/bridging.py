@@ -69,7 +69,6 @@ class Bridged:
     Attributes:
         samples: With rows for those that were lost.
         rows: (n,) of the samples as they came; -1 for those that were lost.
-
     """
 
     samples: Samples
@@ -97,7 +96,6 @@ def bridged(samples: Samples, walk: Floats, reach: int | None = None) -> Bridged
         walk: (6,) random-walk coefficients to choose the reach by, rad/sqrt(s) and (m/s)/sqrt(s).
         reach: Samples on either side to read from; chosen by the noise, for a steady rate, if not
             given. One is right wherever the rate changes steadily.
-
     """
     runs = gap_free(samples.stamp, samples.period)
     starts = [first for first, _ in runs[1:]]
@@ -239,7 +237,6 @@ class _Gain:
         after: Of those from the gap onwards.
         read: Multiplies the variance of one reading of the counter.
         walked: Multiplies the variance that the random walk adds in one sample.
-
     """
 
     before: Floats

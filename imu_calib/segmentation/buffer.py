@@ -19,7 +19,6 @@ class RowBuffer:
 
     Args:
         columns: Length of a row of values.
-
     """
 
     def __init__(self, columns: int) -> None:

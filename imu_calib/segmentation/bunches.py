@@ -67,7 +67,6 @@ class Pattern:
     Attributes:
         interval: Sample interval, ns.
         size: Samples of a whole packet; None where a reader takes what has come.
-
     """
 
     interval: float
@@ -79,7 +78,6 @@ def pattern(stamp: Stamps) -> Pattern | None:
 
     Args:
         stamp: (n,) ns, increasing.
-
     """
     starts = _bunches(stamp)
     return None if starts is None else _pattern(stamp, starts)
@@ -92,7 +90,6 @@ def usual_interval(stamp: Stamps) -> tuple[float, float]:
 
     Args:
         stamp: (n,) ns, at least 2.
-
     """
     steps = np.diff(stamp)
     lag = min(LAG, -(-len(steps) // 2))
@@ -109,7 +106,6 @@ def spread(stamp: Stamps) -> Stamps:
 
     Args:
         stamp: (n,) ns, increasing.
-
     """
     return sampling_times(stamp)[0]
 
@@ -122,7 +118,6 @@ def sampling_times(stamp: Stamps) -> tuple[Stamps, Stamps]:
 
     Returns:
         (n,) and (n,) ns.
-
     """
     starts = _bunches(stamp)
     if starts is None:

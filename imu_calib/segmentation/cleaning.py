@@ -78,7 +78,6 @@ def sound_samples(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | No
         samples: A static dwell during which the table stood still.
         walk: (6,) random-walk coefficients expected, rad/sqrt(s) and (m/s)/sqrt(s).
         spoilt: (n,) samples that are known to be unsound, for instance saturated.
-
     """
     length = max(1, round(_WINDOW_SECONDS / samples.period))
     count = len(samples.stamp) // length
@@ -130,7 +129,6 @@ class _Means:
         left: (w, 6) what is left of their sums, rad and m/s.
         scatter: (6,) standard deviation of a sum.
         tolerance: (6,) what rounding may do to a sum.
-
     """
 
     sums: Floats
@@ -260,7 +258,6 @@ def find_step(statistics: Statistics, walk: Floats) -> tuple[tuple[float, float]
         Between which two instants the step lies, s after the dwell began, and the step in
         words; None without a step. A step must be plain against the scatter of neighbouring
         blocks and explain the dwell far better than a drift does.
-
     """
     best: tuple[_Step, int] | None = None
     for channel, blocks in enumerate(statistics.blocks):

@@ -78,7 +78,6 @@ class ClockFit:
         jumps: By how much the offset jumps between motions, s, in order.
         least_jumps: (jumps,) by how much at least, for all that scatters: 0 for one that may be
             none.
-
     """
 
     epoch: float
@@ -113,7 +112,6 @@ def clock_sample(
 
     Returns:
         None where the motion is too short or the two do not describe the same motion.
-
     """
     if len(joint_stamp) < _FEWEST_STATES or np.ptp(joint_angle) < _LEAST_TRAVEL:
         return None
@@ -192,7 +190,6 @@ def seen_by_gyros(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> S
     Returns:
         Each share at the shift within a second where it is largest; None where the motion is too
         short or IMU samples are missing.
-
     """
     if len(joint_stamp) < 2 or len(gap_free(samples.stamp, samples.period)) > 1:
         return None
@@ -227,7 +224,6 @@ def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ())
         samples: One per motion, in order.
         interruptions: Instants, ns, at which the IMU's stream begins anew: its clock may
             have been started again, and then the offset is another one, by however little.
-
     """
     if not samples:
         return NO_CLOCK

@@ -55,7 +55,6 @@ class MeanRate:
         rate: Per second.
         walk_gain: Multiplies the squared random-walk coefficient, 1/s.
         quantisation_variance: Variance left by quantisation, rate squared.
-
     """
 
     rate: float
@@ -82,7 +81,6 @@ def mean_rate(pulses: Floats, period: float, walk: float) -> MeanRate:
 
     Returns:
         The estimate with the smallest variance at such a rate, pulses/s.
-
     """
     # A whole number of pulses per sample carries no information on the fraction: without it, a
     # fast counter looks like the slow one that its readings drift against.
@@ -107,7 +105,6 @@ def best_passages(
         period: Sample interval, s.
         walk: Random walk, pulses/sqrt(s).
         other: The estimate from all samples; worked out if not given.
-
     """
     passed = first_passages(pulses, period, walk)
     return None if passed is None else _if_best(passed, pulses, period, walk, other)
@@ -147,7 +144,6 @@ def end_points(pulses: Floats, period: float) -> MeanRate:
     Args:
         pulses: (n,) pulses per sample.
         period: Sample interval, s.
-
     """
     duration = len(pulses) * period
     return MeanRate(float(pulses.sum()) / duration, 1 / duration, END_POINT_VARIANCE / duration**2)
@@ -169,7 +165,6 @@ def passages(pulses: Floats, period: float, walk: float) -> Passages | None:
         pulses: (n,) pulses per sample.
         period: Sample interval, s.
         walk: Random walk, pulses/sqrt(s).
-
     """
     count = np.cumsum(pulses)
     drift = float(count[-1]) / len(pulses)
@@ -195,7 +190,6 @@ def first_passages(pulses: Floats, period: float, walk: float) -> MeanRate | Non
 
     Returns:
         None where the drift does not clearly lead the walk, or passes too few levels.
-
     """
     found = passages(pulses, period, walk)
     return None if found is None else _from_end_to_end(found, period)
@@ -222,7 +216,6 @@ def smoothed_ends(pulses: Floats, period: float, walk: float) -> MeanRate | None
 
     Returns:
         None without a walk.
-
     """
     growth = walk * walk * period / READING_VARIANCE
     if growth <= 0:
@@ -293,7 +286,6 @@ def rate_between(pulses: Floats, period: float, first: float, last: float, walk:
         last: End, likewise.
         walk: Random-walk coefficient, pulses/sqrt(s), for the weights; the stated variance stays
             true to them.
-
     """
     n = len(pulses)
     growth = walk * walk * period
@@ -381,7 +373,6 @@ def block_rates(
 
     Returns:
         For each block its middle, s after the first sample began, and its rate.
-
     """
     whole = float(np.rint(pulses.mean()))
     remainder = pulses - whole

@@ -52,7 +52,6 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
 
     Returns:
         In order of time; nothing where it was too short to tell.
-
     """
     stamp = samples.stamp
     if len(stamp) < 2 or (stamp[-1] - stamp[0]) * 1e-9 < _SHORTEST_DWELL:

@@ -120,7 +120,6 @@ class SampleGrid:
         period_std: Its standard deviation, s; infinite where they are too few to tell.
         scatter: Of a stamp about the line, s.
         kept: (n,) stamps that have a say in the line.
-
     """
 
     index: NDArray[np.int64]
@@ -145,7 +144,6 @@ def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
     Args:
         stamp: (n,) ns, increasing, at least 2.
         hint: Sample interval as far as it is known, s.
-
     """
     time = (spread(stamp) - stamp[0]) * 1e-9
     period, bunched = _first_period(time)
@@ -178,7 +176,6 @@ def clock_steps(stamp: Stamps, hint: float = 0.0) -> list[int]:
         count ticks so coarse that they go on by one more or less now and then.
 
     Source: docs/mathematics.md, 'Stamps and lost samples'.
-
     """
     if len(stamp) < 2 * _ALONGSIDE:
         return []

@@ -36,7 +36,6 @@ class StreamBuffer:
         samples: IMU samples taken in.
         first_stamp: Of the IMU, ns; None before the first.
         last_stamp: Likewise.
-
     """
 
     def __init__(self, table: Table | None, *, skewed: bool, rate: float | None = None) -> None:

@@ -47,7 +47,6 @@ class Labelled:
         rejected: Static dwells that were not used, and why.
         notes: What else of the session was left out, in sentences.
         passing: Stops on the way from one dwell to another, which are not used.
-
     """
 
     segments: tuple[Segment, ...]
@@ -80,7 +79,6 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
 
     Raises:
         InputError: The setpoints name none of the plan's positions.
-
     """
     clock = session.clock
     offset = 0.0 if np.isnan(clock.offset) else clock.offset
@@ -272,7 +270,6 @@ def _by_setpoint(
 
     Returns:
         All dwells but those that are rejected; those without a position fit none.
-
     """
     named: list[Segment] = []
     rejected: list[Rejected] = []

@@ -25,7 +25,6 @@ def surely_late(late: Stamps, period: float) -> NDArray[np.bool_]:
     Args:
         late: (n,) by how much later they are stamped than made, ns.
         period: Sample interval, s.
-
     """
     after_next = late > period * 1e9
     if not after_next.any():
@@ -49,7 +48,6 @@ class Lateness:
             stamp: (n,) when they were made, ns.
             late: (n,) by how much later they are stamped, ns.
             period: Sample interval, s.
-
         """
         beyond = surely_late(late, period)
         if not beyond.any():

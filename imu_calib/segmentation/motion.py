@@ -63,7 +63,6 @@ class Motion:
         end: First instant of the rest after, ns.
         stamp: (n,) joint states of the motion and of the rest around it, ns.
         position: (n, k) rad; empty without joint states.
-
     """
 
     start: int
@@ -115,7 +114,6 @@ class JointTracker:
         Args:
             stamp: (n,) ns, increasing.
             position: (n, k) rad.
-
         """
         if self.silent:
             self._delivered, self._turns = position[0], np.zeros(position.shape[1])

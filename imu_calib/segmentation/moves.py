@@ -64,7 +64,6 @@ class MoveReader:
         sensor: The IMU.
         by_hand: Whether a hand moves the unit: samples may be coarser, and of the accelerometers,
             which it pushes, nothing is asked.
-
     """
 
     def __init__(self, sensor: Sensor, *, by_hand: bool = False) -> None:
@@ -89,7 +88,6 @@ class MoveReader:
         Args:
             samples: n of them.
             delivered: (n, 6) as the sensor gave them.
-
         """
         self._add(samples, delivered, len(samples.stamp))
 
@@ -111,7 +109,6 @@ class MoveReader:
         Args:
             period: Sample interval by the whole session, s: what the stamps of a few seconds say
                 would make rates into angles a percent off, where they jitter.
-
         """
         return tuple(self._move(*one, period) for one in self._moves)
 
@@ -178,7 +175,6 @@ class _Steps:
         period: (n,) the sample interval assumed, s.
         pulse: (6,) size of a pulse, rad and m/s.
         filled: (2,) variances that filled gaps leave, rad^2 and (m/s)^2.
-
     """
 
     turned: Floats

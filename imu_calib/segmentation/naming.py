@@ -27,7 +27,6 @@ def up_words(up: Floats) -> str:
 
     Returns:
         'Z up', 'X down', or elevations in degrees: 'X +45 Z -45'.
-
     """
     axis = int(np.argmax(np.abs(up)))
     if abs(up[axis]) > np.cos(_VERTICAL):
@@ -48,7 +47,6 @@ def heading(attitude: Floats) -> float:
 
     Returns:
         From 0 to 2 pi.
-
     """
     x, z = attitude[:, 0], attitude[:, 2]
     angle = np.arctan2(x[1], x[0]) if abs(z[2]) > _UPRIGHT else np.arctan2(z[0], -z[1])

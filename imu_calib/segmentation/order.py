@@ -27,7 +27,6 @@ class StampOrder:
 
     Args:
         columns: Number of values in a row.
-
     """
 
     def __init__(self, columns: int) -> None:

@@ -36,7 +36,6 @@ class Timing:
         used: Sample interval that it was read with, s.
         own: That by its own stamps, s.
         own_std: Its standard deviation, s.
-
     """
 
     used: float

@@ -138,7 +138,6 @@ class Plateau:
         after: How long after `end`, s.
         unseen: Departure that they would not show there, rad.
         step: Of the encoder, rad; 0 where its angles show none.
-
     """
 
     start: float
@@ -169,7 +168,6 @@ class WholeTurns:
         spare: How long before and after the turns the rate is surely the same, s: less than the
             line shows, for the onset of ramps and for clocks that are yet to be compared.
         step: Of the encoder, rad; 0 where its angles show none.
-
     """
 
     joint: int
@@ -431,7 +429,6 @@ class _Line:
         step: Of the encoder, rad, as far as it is known.
         noise: Scatter of the angles about it, rad.
         smoothed: Over how many angles a departure is averaged: no more than make the noise small.
-
     """
 
     count: int

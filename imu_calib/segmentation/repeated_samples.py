@@ -39,7 +39,6 @@ def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
         values: (n, 6) as delivered.
         counted: Whether they are increments of a counter, which change at a steady rate, too.
             Codes of a rate do so by noise alone.
-
     """
     n = len(values)
     found = np.zeros(n, dtype=bool)
@@ -69,7 +68,6 @@ class Repetition:
         samples: How many there are.
         share: Of them that are the one before once more.
         longest: Most of these in a row.
-
     """
 
     samples: int
@@ -97,7 +95,6 @@ def repeating_a_turn(values: Floats, rates: Floats) -> NDArray[np.bool_]:
     Args:
         values: (n, 6) as delivered.
         rates: (n, 3) of the gyros, rad/s.
-
     """
     found = np.zeros(len(values), dtype=bool)
     same = all_in_row(values[1:] == values[:-1])

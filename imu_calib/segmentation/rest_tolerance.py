@@ -43,7 +43,6 @@ class RestTolerance:
         rate: From what the gyros read at rest, rad/s.
         force: From what the accelerometers read as the rest began, m/s^2.
         usual: By how much rates of nine windows of ten stray from the second around, rad/s.
-
     """
 
     rate: float = FELT
@@ -64,7 +63,6 @@ class RestTolerance:
             offset: (3,) what the gyros read at rest, rad/s.
             spread: By how much that differs from one attitude to another, rad/s.
             step: (2,) the size of a count of gyros and accelerometers, rad/s and m/s^2.
-
         """
         width = 2 * _BESIDE + 1
         least = np.zeros(2) if step is None else step

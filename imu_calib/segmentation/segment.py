@@ -38,7 +38,6 @@ class Statistics:
         allan: Sums for the Allan variance; None where they were not taken.
         timing: How the samples were timed; None where not asked for.
         time_error: Standard deviation of the sample interval, relative.
-
     """
 
     samples: int
@@ -106,7 +105,6 @@ class Segment:
             rad.
         unrest: (3, 3) covariance of the mean of the accelerometers beyond their usual noise,
             (m/s^2)^2; None where it is as usual.
-
     """
 
     start: int
@@ -125,7 +123,6 @@ class Segment:
         Args:
             walk: (6,) random-walk coefficients.
             gravity: m/s^2; what the gyros see lean of the Earth rate is below all noise.
-
         """
         found = self.statistics.variance(walk) + self.encoder_variance(gravity)
         if self.unrest is not None:
@@ -151,7 +148,6 @@ class WholeWay:
         by_noise: Standard deviation of the rate, relative, by a random walk of one about up: what
             the gyros read at rest is known from so long as was looked at.
         by_pulses: The same by quantisation.
-
     """
 
     turned: float
@@ -184,7 +180,6 @@ class Turn:
         step: Of its encoder, rad, by its angles; 0 where they show none.
         whole_way: What the gyros say of it beside all of the motion; None where the encoder's line
             says it better.
-
     """
 
     start: int
@@ -228,7 +223,6 @@ class Turn:
 
         Args:
             walk: (6,) random-walk coefficients, SI.
-
         """
         if self.whole_way is None:
             return self.rate_error

@@ -41,7 +41,6 @@ class FreeMotion:
         statistics: What its samples say.
         turned: (3,) integral of the rates, rad.
         level: Mean over the motion of exp(i angle), the angle turned since its start.
-
     """
 
     start: int
@@ -62,7 +61,6 @@ class VelocitySteps:
         pulse: (3,) size of one pulse of their counters, m/s; 0 where there are none.
         filled: Variance that samples which were lost, and are read from those around them, leave
             along any axis, (m/s)^2.
-
     """
 
     velocity: Floats
@@ -84,7 +82,6 @@ class Move:
         filled: Variance that samples which were lost, and are read from those around them, leave
             in its angle about any axis, rad^2.
         velocity_steps: What the accelerometers gained; None where not asked for.
-
     """
 
     start: int
@@ -136,7 +133,6 @@ class Segmented:
         temperature: What the unit's thermometer showed; None where it has none.
         strangers: Whose joint states came, in a sentence, where none were the table's; else empty.
         lost_moves: Motions from one segment to the next that tell nothing, with the reason.
-
     """
 
     segments: tuple[Segment, ...]

@@ -74,7 +74,6 @@ class Segmenter:
     Args:
         spec: What the numbers of the Imu stream mean.
         table: The table whose joint states come in; None when the IMU stands alone.
-
     """
 
     def __init__(self, spec: ImuSpec, table: Table | None) -> None:
@@ -537,7 +536,6 @@ def made_between(rows: RowBuffer, start: int, end: int) -> tuple[Stamps, Floats,
 
     Returns:
         When they were made, (n,) ns; (n, columns) values; by how much later they came, (n,) ns.
-
     """
     came, values = rows.between(start - MARGIN_NS, end + MARGIN_NS)
     stamp, late = sampling_times(came)

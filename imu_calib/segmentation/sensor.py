@@ -28,7 +28,6 @@ class Sensor:
     Attributes:
         spec: What their numbers mean.
         walk: (6,) random walk to choose weights by, rad/sqrt(s) and (m/s)/sqrt(s).
-
     """
 
     spec: ImuSpec
@@ -76,7 +75,6 @@ class Sensor:
             stamp: (n,) ns, at least 2.
             values: (n, 6) as delivered.
             pace: What the session tells of the sample interval so far; nothing if not given.
-
         """
         grid, timing = (pace or Pace()).read(stamp)
         samples = to_samples(grid.stamps(stamp), values, self.spec, timing.used)
@@ -89,7 +87,6 @@ class Sensor:
         Args:
             values: (n, 6) as the sensor gives them.
             samples: The same in SI units.
-
         """
         limits = np.repeat([self.spec.gyro.range, self.spec.accel.range], 3) * samples.period
         clipped = np.zeros(len(values), dtype=bool)

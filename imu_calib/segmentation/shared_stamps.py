@@ -33,7 +33,6 @@ class SharedStamps:
 
     Attributes:
         count: Samples that were set apart.
-
     """
 
     def __init__(self, rate: float | None) -> None:
@@ -62,7 +61,6 @@ class SharedStamps:
 
         Returns:
             Stamps (n,), ns, set apart; and which samples are no repeats, (n,), None if all.
-
         """
         if not len(stamp):
             return stamp, None

@@ -50,7 +50,6 @@ class Samples:
         timing: How they were timed; None where `period` is all that is known.
         filled: (n,) rows that were lost and are read from those around them; None for none.
         bridged: (6,) variance that a gap so filled leaves in a sum, rad^2 and (m/s)^2.
-
     """
 
     stamp: Stamps
@@ -97,7 +96,6 @@ def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> S
         values: (n, 6) gyro and accelerometer columns as delivered.
         spec: What the numbers mean.
         period: Sample interval, s.
-
     """
     scale = np.repeat([spec.gyro.scale_factor, spec.accel.scale_factor], 3)
     if spec.units is not Units.PULSES:
@@ -129,7 +127,6 @@ def gap_free(stamp: Stamps, period: float) -> list[tuple[int, int]]:
 
     Returns:
         Half-open index ranges.
-
     """
     steps = np.diff(stamp) * 1e-9
     if float(steps.max(initial=0.0)) <= 1.5 * period:
@@ -147,7 +144,6 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
     Args:
         samples: At least one sample; gaps are stepped over.
         walk: (6,) random-walk coefficients to choose weights by, rad/sqrt(s) and (m/s)/sqrt(s).
-
     """
     runs = gap_free(samples.stamp, samples.period)
     parts = [samples.part(*run) for run in runs]
@@ -187,7 +183,6 @@ def statistics_between(samples: Samples, first: float, last: float, walk: Floats
         first: Start, in sample intervals after the start of the first sample.
         last: End, likewise.
         walk: (6,) random-walk coefficients to choose weights by, rad/sqrt(s) and (m/s)/sqrt(s).
-
     """
     duration = (last - first) * samples.period
     found = [_between(samples, c, first, last, float(walk[c])) for c in range(6)]
@@ -323,7 +318,6 @@ class PooledWalk:
     Attributes:
         square: (6,) rad^2/s and (m/s)^2/s; NaN where no segment has two blocks.
         deviation: (6,) its standard deviation; infinite where nothing tells.
-
     """
 
     square: Floats
@@ -346,7 +340,6 @@ def pooled_walk(statistics: Sequence[Statistics]) -> PooledWalk:
 
     Args:
         statistics: Segments at rest.
-
     """
     blocks = [[b for b in (s.blocks[c] for s in statistics) if len(b) > 1] for c in range(6)]
     found = np.array([_channel_walk(channel) for channel in blocks])

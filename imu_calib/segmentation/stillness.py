@@ -50,7 +50,6 @@ class Quietest:
         rate: Of the gyros, the largest of three axes, rad/s.
         force: Of the accelerometers, m/s^2.
         tolerance: What a dwell keeps to by the session's last minutes.
-
     """
 
     rate: float
@@ -73,7 +72,6 @@ class StillnessTracker:
         period: Sample interval, s.
         step: (2,) by how much a window's mean goes on with one count of gyros and accelerometers,
             rad/s and m/s^2.
-
     """
 
     def __init__(self, period: float, step: Floats | None = None) -> None:
@@ -116,7 +114,6 @@ class StillnessTracker:
         Args:
             stamp: (n,) ns.
             rates: (n, 6) rad/s and m/s^2.
-
         """
         stamp = np.concatenate([self._stamp, stamp])
         rates = np.vstack([self._rates, rates])

@@ -28,7 +28,6 @@ class Temperature:
         lowest: Of that.
         highest: Of that.
         course: (c, 2) instants, ns of the IMU's clock, and means of 10 s about them, in order.
-
     """
 
     mean: float

@@ -64,7 +64,6 @@ class Around:
         values: (n, 6) as delivered; NaN where samples were lost and are read from those around.
         samples: The same in SI units.
         skew: (m,) stamps and (m, 6) values of the skewed gyro; None without one.
-
     """
 
     sensor: Sensor
@@ -81,7 +80,6 @@ def read_turns(seen: Around, motion: Motion, table: Table, offset_ns: int) -> li
         motion: As the encoders saw it.
         table: Whose.
         offset_ns: IMU clock minus table clock.
-
     """
     found = find_turns(motion)
     if not found and motion.travel.max() > _TURN_AND_RUN_UP:

@@ -52,7 +52,6 @@ class ComparedQuantity:
         std: Its standard deviation, by the calibration's covariance and the session's noise.
         ratio: Deviation in standard deviations; that of one number with the same chance, for
             directions, which have two.
-
     """
 
     name: str
@@ -87,7 +86,6 @@ def compare(
         values: (p,) of the calibration's parameters.
         factor: (p, k) of their covariance.
         fit: What fits this calibration best: the tilt of the table.
-
     """
     outputs, spread = system.outputs, system.spread(values)
     found = system.sensors.compensated(values, outputs, system.forces)

@@ -131,7 +131,6 @@ def with_true_noise(system: TriadSystem) -> TriadSystem:
 
     Raises:
         NotObservable: It scatters so much that no calibration can be judged by it.
-
     """
     with_drift = replace(system, bias_drift=system.spec.bias_instability)
     if system.up is not None:
@@ -211,7 +210,6 @@ def diagnose(system: TriadSystem, values: Floats, factor: Floats) -> Diagnosis:
         system: The session as one triad sees it, with its true noise.
         values: (p,) of the triad's parameters in the calibration.
         factor: (p, k) of their covariance.
-
     """
     name = 'gyros' if system.gyros else 'accelerometers'
     tried = [*_mistaken(system, values, factor), *_freed(system, values, factor)]

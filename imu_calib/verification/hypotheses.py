@@ -40,7 +40,6 @@ class Hypothesis:
         values: (p,) of the triad's parameters without the mistake.
         reading: Factor on the outputs that goes with it.
         of_body_axes: Whether it turns or mirrors the body axes alone, which lengths do not see.
-
     """
 
     when: str
@@ -56,7 +55,6 @@ def mistakes(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
     Args:
         sensors: Gyros or accelerometers.
         values: (p,) of their parameters in the file.
-
     """
     for found in (_matrices, _terms, _biases, _units, _axes):
         yield from found(sensors, values)

@@ -59,7 +59,6 @@ class Judged:
         chi_square: Chi-square of all their equations.
         freedom: Its degrees of freedom.
         diagnosis: What is wrong; None where nothing is.
-
     """
 
     gyros: bool
@@ -92,7 +91,6 @@ class Verification:
         findings: What a person should know, in sentences.
         own_recording: Whether the calibration was made from the recording: its residuals say
             nothing of its errors, and it is not accepted by them.
-
     """
 
     triads: tuple[Judged, ...]
@@ -143,7 +141,6 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
 
     Raises:
         NotObservable: No parameters whatever explain the session, or the model has no inverse.
-
     """
     # What has no inverse is refused here, in words.
     calibration.model.compensate(np.zeros((1, 3)), np.zeros((1, 3)))

@@ -28,7 +28,6 @@ class Observed:
         imu: How the recording describes its IMU.
         sample_rate: Samples per second, Hz.
         notes: What was left out, in sentences.
-
     """
 
     evidence: Evidence
@@ -85,7 +84,6 @@ def observe(
     Raises:
         InputError: The setpoints name none of the plan's positions.
         NotObservable: Neither dwells nor turns were found.
-
     """
     with_angles = any(s.attitude is not None for s in session.segments) or bool(session.turns)
     labelled = label(session, plan, table if with_angles or plan.is_stated else None)

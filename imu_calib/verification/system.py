@@ -64,7 +64,6 @@ class Fit:
         spare: How many residuals at rest are left to tell by, beyond what was estimated.
         converged: Whether the errors that explain the session best were found; else chi-square is
             that of where the search began, which is larger.
-
     """
 
     chi_square: float
@@ -106,7 +105,6 @@ class TriadSystem:
         mount_free: Whether the unit may sit otherwise in its mount, by a small rotation.
         doubts: Parameters of the other triad and their standard deviations: gyros carry the axes
             of velocities.
-
     """
 
     observed: Observed
@@ -217,7 +215,6 @@ class TriadSystem:
 
         Returns:
             (s + t + m, 3, 3).
-
         """
         if self.up is not None:
             return self._noise_at_rest
@@ -271,7 +268,6 @@ class TriadSystem:
         Args:
             values: (p,) of the parameters.
             factor: (p, k) of their covariance: factor times its transpose.
-
         """
         system = self._allowing(values, factor)
         begin = self._begun(system, values, factor)[0]
@@ -287,7 +283,6 @@ class TriadSystem:
             values: (p,) of the parameters.
             factor: (p, k) of their covariance: factor times its transpose.
             point: (k + u,) multiples of the factor's columns, and the unknowns.
-
         """
         system = self._allowing(values, factor)
         columns, left = system(point)
