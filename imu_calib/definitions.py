@@ -172,9 +172,6 @@ def message_text(type_name: str) -> str:
     Standard messages are built in, the suite's own are read from its files, and others from the
     ROS installation, where there is one.
 
-    Args:
-        type_name: Full name, for instance sensor_msgs/msg/Imu.
-
     Raises:
         InputError: It is not to be found.
     """

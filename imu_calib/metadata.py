@@ -70,11 +70,6 @@ def shared_description(description: Mapping[str, str]) -> dict[str, str]:
 def unit_description(topic: str, imu: str, serial_number: str) -> dict[str, str]:
     """Return a recording's own entries on one of several units.
 
-    Args:
-        topic: Its samples.
-        imu: Name or file of its type.
-        serial_number: Which unit of its type.
-
     Raises:
         InputError: There is no such file.
     """

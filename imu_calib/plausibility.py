@@ -41,10 +41,6 @@ def check_plausible(calibration: Calibration, name: str) -> None:
 
     Biases of ADC codes are not limited: a converter may count from any offset.
 
-    Args:
-        calibration: What is to be applied.
-        name: Its file or topic, for the message.
-
     Raises:
         InputError: Names the parameter, what was found and what was expected.
     """

@@ -138,10 +138,6 @@ class JointPoses:
 def leaning(joints: Sequence[JointPoses], errors: TableErrors) -> Floats:
     """Return how attitudes turn about the body axes by one standard deviation of each error.
 
-    Args:
-        joints: From the base outwards, at n attitudes.
-        errors: Their sizes.
-
     Returns:
         (n, 3, e) rad.
     """

@@ -72,12 +72,7 @@ class Setup:
         return self.method_name not in JOINT
 
     def of_unit(self, unit: MountedUnit, imu: ImuSpec) -> Setup:
-        """Return the set-up of one of several units; the plan, the table and the site are theirs.
-
-        Args:
-            unit: Which, and how it sits on the table.
-            imu: What its numbers mean.
-        """
+        """Return the set-up of one of several units; plan, table and site are theirs."""
         assert self.table is not None, 'several units are turned by a table'
         mounted = unit.table(self.table)
         return replace(self, imu=imu, serial_number=unit.serial_number, table=mounted)

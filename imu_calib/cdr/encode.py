@@ -285,10 +285,6 @@ def encode_setpoints(block: SetpointBlock, frame_id: str = '') -> Messages:
 
     A setpoint is repeated ten times a second with a new stamp: each content is encoded once.
 
-    Args:
-        block: Setpoints to encode.
-        frame_id: Frame of the header.
-
     Returns:
         One message per setpoint.
 

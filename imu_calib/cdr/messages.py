@@ -56,9 +56,6 @@ class Messages:
     def join(cls, payloads: Sequence[bytes]) -> Messages:
         """Copy messages that lie scattered in memory into one buffer.
 
-        Args:
-            payloads: Serialised messages, each with its encapsulation header.
-
         Returns:
             The messages, in the same order.
         """

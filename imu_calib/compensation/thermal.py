@@ -250,10 +250,6 @@ def read_calibration(section: Section) -> AnyCalibration:
 def by_temperature(calibration: Calibration, name: str) -> AnyCalibration:
     """Return a calibration as it is to be applied: with the temperature, where it follows it.
 
-    Args:
-        calibration: Of one session.
-        name: Its file or topic, for the message.
-
     Raises:
         InputError: It follows the temperature and does not state that of its session.
     """

@@ -398,12 +398,9 @@ def _without(columns: Floats, basis: Floats) -> Floats:
 
 
 def log_f(value: float, first: float, second: float) -> float:
-    """Return the logarithm of the chance that an F variable is larger; exact far into its tail.
+    """Return the logarithm of the chance that F is larger than a value; exact far into its tail.
 
-    Args:
-        value: Of F.
-        first: Degrees of freedom of the numerator.
-        second: Of the denominator.
+    The first degrees of freedom are the numerator's, the second the denominator's.
 
     Source: DLMF 8.17.1 and 8.17.8, the incomplete beta function by the hypergeometric series.
     """

@@ -90,12 +90,7 @@ class CommonSizes:
 
 
 class CommonTable:
-    """The table of several units: which stops, turns and errors are the same.
-
-    Args:
-        units: Their equations, each on the table with its own mount.
-        sizes: Of the table's errors.
-    """
+    """The table of several units: which stops, turns and errors are the same."""
 
     def __init__(self, units: Sequence[Equations], sizes: CommonSizes) -> None:
         self._units = units

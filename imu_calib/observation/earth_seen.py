@@ -29,9 +29,6 @@ def up_rate_seen(segments: Sequence[Segment]) -> tuple[float, float] | None:
 
     Source: docs/mathematics.md, 'Latitude at a glance'.
 
-    Args:
-        segments: With attitudes.
-
     Returns:
         None where the attitudes do not determine it.
     """

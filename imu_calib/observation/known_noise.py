@@ -65,9 +65,6 @@ def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
 
     Source: docs/mathematics.md, 'Free positions'.
 
-    Args:
-        segments: Static dwells.
-
     Returns:
         The same; those found have `unrest`, and the blocks of their accelerometers are left out.
     """

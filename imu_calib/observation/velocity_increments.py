@@ -65,13 +65,7 @@ class VelocityIncrement:
     def of_each(
         cls, gained: Sequence[VelocitySteps], paths: Sequence[GyroPath], model: SensorModel
     ) -> tuple[VelocityIncrement, ...]:
-        """Follow several paths; all their steps are compensated at once.
-
-        Args:
-            gained: Of the steps, as the accelerometers gave it.
-            paths: Of the gyros.
-            model: The sensors.
-        """
+        """Follow several paths; all their steps are compensated at once."""
         if not gained:
             return ()
         rates, forces, axes, seconds = (

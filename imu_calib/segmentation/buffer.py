@@ -16,9 +16,6 @@ class RowBuffer:
     It holds at most three times the bytes of the most rows that were in it since they last took
     another memory: twice that for the rows to come, and the former memory while they move.
     A row that is in it is never written again, so that views of rows stay what they are.
-
-    Args:
-        columns: Length of a row of values.
     """
 
     def __init__(self, columns: int) -> None:

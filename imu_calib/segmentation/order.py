@@ -24,9 +24,6 @@ class StampOrder:
     A row is dropped if it does not come after all before it, or if it does not come before the
     next one although that one does come after all before: one wild stamp must not make all that
     follow look late. The last row waits for its successor.
-
-    Args:
-        columns: Number of values in a row.
     """
 
     def __init__(self, columns: int) -> None:

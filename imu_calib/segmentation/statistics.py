@@ -337,9 +337,6 @@ def pooled_walk(statistics: Sequence[Statistics]) -> PooledWalk:
 
     Maximum likelihood over block means about their segment's mean, the known share of
     quantisation taken out: variance of a block = walk_gain N^2 + quantisation.
-
-    Args:
-        statistics: Segments at rest.
     """
     blocks = [[b for b in (s.blocks[c] for s in statistics) if len(b) > 1] for c in range(6)]
     found = np.array([_channel_walk(channel) for channel in blocks])

@@ -75,11 +75,7 @@ class Around:
 def read_turns(seen: Around, motion: Motion, table: Table, offset_ns: int) -> list[Turn | Rejected]:
     """Measure the whole turns of a motion about the vertical.
 
-    Args:
-        seen: What the sensors delivered.
-        motion: As the encoders saw it.
-        table: Whose.
-        offset_ns: IMU clock minus table clock.
+    The offset is IMU clock minus table clock, ns.
     """
     found = find_turns(motion)
     if not found and motion.travel.max() > _TURN_AND_RUN_UP:

@@ -135,10 +135,6 @@ class Verification:
 def verify(calibration: Calibration, observed: Observed) -> Verification:
     """Hold a calibration against a session that did not make it.
 
-    Args:
-        calibration: What is to be accepted.
-        observed: The session.
-
     Raises:
         NotObservable: No parameters whatever explain the session, or the model has no inverse.
     """
