@@ -245,7 +245,7 @@ def test_gyros_that_feel_force_are_led_by_what_gravity_was_on_the_way() -> None:
     outputs = RATES - plain.forces @ g.T - MODEL.gyro.bias
     wanted = np.linalg.solve(MODEL.gyro.response, outputs.T).T
     np.testing.assert_allclose(led.rates, wanted, atol=1e-12)
-    alone = GyroPath.of(move().turned, SECONDS, MODEL)
+    alone = GyroPath.of_each([(move().turned, SECONDS, None)], MODEL)[0]
     assert not alone.forces.any()
 
 

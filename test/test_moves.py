@@ -146,7 +146,8 @@ def tumbled(moved: bool = False, late: int = 0) -> tuple[Samples, Floats]:
 def pushed(samples: Samples, attitude: Floats, model: SensorModel = WRONG) -> VelocityIncrement:
     """The same joined to steps and led on by the true sensors."""
     steps = joined(samples)
-    path = GyroPath.of(steps.turned, steps.counts * PERIOD, model, attitude.T @ GRAVITY)
+    motion = steps.turned, steps.counts * PERIOD, attitude.T @ GRAVITY
+    path = GyroPath.of_each([motion], model)[0]
     return VelocityIncrement.of_each(
         [VelocitySteps(steps.velocity, steps.mean, np.zeros(3))], [path], model
     )[0]
@@ -402,8 +403,8 @@ def test_moves_led_on_together_have_the_bits_of_each_alone() -> None:
     motions = [(link.move.turned, link.move.seconds, None) for link in links]
     together = GyroPath.of_each(motions, model)
     assert len(together) == len(links) > 5
-    for path, (turned, seconds, _) in zip(together, motions, strict=True):
-        alone = GyroPath.of(turned, seconds, model)
+    for path, motion in zip(together, motions, strict=True):
+        alone = GyroPath.of_each([motion], model)[0]
         for name in ('rates', 'seconds', 'rotation', 'error_transfer'):
             assert getattr(path, name).tobytes() == getattr(alone, name).tobytes(), name
     assert GyroPath.of_each([], model) == ()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from imu_calib.imu import load_imu
 from imu_calib.segmentation.bridging import bridged, steadily
-from imu_calib.segmentation.bunches import spread
+from imu_calib.segmentation.bunches import sampling_times
 from imu_calib.segmentation.grid import clock_steps, read_grid
 from imu_calib.segmentation.motion import JointTracker, Motion, Rest
 from imu_calib.segmentation.pace import Pace
@@ -187,7 +187,7 @@ def test_samples_of_a_bunch_are_spread_over_the_time_that_it_was_made_in(
         made = np.arange(round(seconds * rate)) / rate
         came = stamps(packets(made, size, first, apart))
         # Each packet is late by the loop that stamps it.
-        assert np.abs((spread(came) - EPOCH) * 1e-9 - made).max() < size * apart + 2e-9
+        assert np.abs((sampling_times(came)[0] - EPOCH) * 1e-9 - made).max() < size * apart + 2e-9
         grid = read_grid(came)
         assert (grid.index == np.arange(len(made))).all()
         # Edges are spread by the interval of the packets: what stamps leave of it is rounding.
@@ -234,7 +234,7 @@ def test_what_comes_one_by_one_is_left_as_it_came(
     line: Callable[[Floats, np.random.Generator], Floats],
 ) -> None:
     came = stamps(line(np.arange(4000) * PERIOD, np.random.default_rng(3)))
-    assert spread(came) is came
+    assert sampling_times(came)[0] is came
 
 
 def test_the_stated_error_of_the_interval_is_meant() -> None:

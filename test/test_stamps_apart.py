@@ -13,7 +13,7 @@ from test_calibration_session import recut
 
 from imu_calib.plan import Plan
 from imu_calib.segmentation.apart import offset_by_pattern
-from imu_calib.segmentation.bunches import spread
+from imu_calib.segmentation.bunches import sampling_times
 from imu_calib.segmentation.grid import clock_steps
 from imu_calib.segmentation.interruptions import Interruptions
 from imu_calib.segmentation.lateness import Lateness
@@ -47,7 +47,7 @@ def test_a_queue_goes_back_to_when_its_samples_were_made(
     late: float, delay: float, seed: int
 ) -> None:
     stamp, made = queue(seed, late, delay)
-    off = (spread(stamp) - START) * 1e-9 - made
+    off = (sampling_times(stamp)[0] - START) * 1e-9 - made
     assert ((stamp - START) * 1e-9 - made).max() > 20 * INTERVAL
     # But for the last, of which nothing that follows tells; 20 us are what a queue is read out by.
     assert np.abs(off[:-512]).max() < 1e-4
@@ -56,7 +56,7 @@ def test_a_queue_goes_back_to_when_its_samples_were_made(
 def test_what_is_missing_is_no_queue() -> None:
     stamp, made = queue(1, 0.05, 0.1)
     kept = np.delete(np.arange(4000), np.r_[700:703, 2000:2020])
-    off = (spread(stamp[kept]) - START) * 1e-9 - made[kept]
+    off = (sampling_times(stamp[kept])[0] - START) * 1e-9 - made[kept]
     assert np.abs(off[:-512]).max() < 1e-4
 
 
@@ -67,9 +67,9 @@ def test_of_a_queue_that_goes_on_beyond_what_is_looked_at_no_sample_is_missing(s
     late = (stamp - START) * 1e-9 - made
     inside = np.flatnonzero(late > 0.5 * INTERVAL)
     for end in inside[inside > 3000][::20].tolist():
-        off = (spread(stamp[:end]) - START) * 1e-9 - made[:end]
+        off = (sampling_times(stamp[:end])[0] - START) * 1e-9 - made[:end]
         assert np.abs(off).max() < 1e-4
-        assert clock_steps(spread(stamp[:end])) == []
+        assert clock_steps(sampling_times(stamp[:end])[0]) == []
 
 
 def silences(*, missing: int, held: int, jitter: float = 0.0, rate: int = 100) -> list[float]:
@@ -103,8 +103,8 @@ def test_what_comes_late_is_no_interruption(jitter: float) -> None:
 
 def test_stamps_that_come_one_by_one_stay() -> None:
     alone, _ = queue(1, 0.01, 0.02)
-    assert spread(alone) is alone
-    assert len(spread(alone[:1])) == 1
+    assert sampling_times(alone)[0] is alone
+    assert len(sampling_times(alone[:1])[0]) == 1
 
 
 @pytest.mark.parametrize('jitter', [1.5e-3, 2e-3, 3e-3, 5e-3])
@@ -113,7 +113,7 @@ def test_jittering_stamps_stay(late: float, jitter: float) -> None:
     """Their interval is known too badly to say what was made when."""
     for seed in range(20):
         jittery, _ = queue(seed, late, 0.1, jitter)
-        assert spread(jittery) is jittery
+        assert sampling_times(jittery)[0] is jittery
 
 
 @pytest.mark.parametrize('share', [0.005, 0.05])

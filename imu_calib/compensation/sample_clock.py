@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..segmentation.bunches import MANY, SHORT, Pattern, pattern, spread, usual_interval
+from ..segmentation.bunches import MANY, SHORT, Pattern, pattern, sampling_times, usual_interval
 from ..segmentation.lateness import JITTER
 from ..stream import Floats, Stamps
 
@@ -172,7 +172,7 @@ class SampleClock:
 
     def _begin(self, first: Stamps) -> Times:
         self._last = int(first[-1])
-        instants = spread(first) if np.diff(first).min() > 0 else first
+        instants = sampling_times(first)[0] if np.diff(first).min() > 0 else first
         if self._bunch is not None:
             self._bunch.follow(int(instants[-1]))
         return Times(np.full(len(first), self._interval), instants)

@@ -71,10 +71,6 @@ class BiasDrift:
         """`STATED_TIME` as a fraction of the session."""
         return STATED_TIME / self.span
 
-    def stated_kernel(self) -> Floats:
-        """Return `kernel` of the drift that a data sheet states."""
-        return self.kernel(self.stated_time)
-
     def kernel(self, time: float) -> Floats:
         """Return the covariance of means and slopes of three channels for unit variance, (3k, 3k).
 

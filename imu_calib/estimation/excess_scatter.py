@@ -397,11 +397,12 @@ def _spread_out(
         calm += weight * float(of_calm @ _SHARES + of_beyond.sum())
         by_ratio += weight * of_beyond
     means = len(triad.rows)
-    stated = triad.stated * triad.bias_drift.stated_kernel()[:means, :means]
+    drifting = triad.bias_drift
+    stated = triad.stated * drifting.kernel(drifting.stated_time)[:means, :means]
     found = np.zeros_like(stated)
     for k, time in enumerate(_TIMES):
         if by_ratio[k].any():
-            kernel = triad.bias_drift.kernel(time)[:means, :means]
+            kernel = drifting.kernel(time)[:means, :means]
             found += float(by_ratio[k] @ _RATIOS) * triad.typical * kernel
     total = calm * triad.stated + float((by_ratio @ _RATIOS).sum()) * triad.typical
     parts, rows = [], triad.rows[None]
@@ -412,7 +413,7 @@ def _spread_out(
     spared = Component(Source.BIAS_STATED, Blocks(rows, (1 - calm) * stated[None]))
     swift = bool(by_ratio.any()) and int(by_ratio.sum(axis=1).argmax()) == 0
     # In a session of five hours the first of the times is nearest to that of the data sheet.
-    swift &= math.sqrt(_TIMES[0] * _TIMES[1]) * triad.bias_drift.span < STATED_TIME
+    swift &= math.sqrt(_TIMES[0] * _TIMES[1]) * drifting.span < STATED_TIME
     return math.sqrt(total), tuple(parts), (spared,) if triad.stated else (), swift
 
 

@@ -44,29 +44,20 @@ class GyroPath:
     error_transfer: Floats
 
     @classmethod
-    def of(
-        cls, turned: Floats, seconds: Floats, model: SensorModel, force: Floats | None = None
-    ) -> GyroPath:
-        """Lead on through intervals.
-
-        The effect of gravity on the gyros is computed from the attitudes of the path itself: the
-        accelerometers also measure the accelerations of the hand or the joint.
-
-        Args:
-            turned: (n, 3) rotation vectors of the intervals as the gyros gave them, rad.
-            seconds: (n,) their lengths, s.
-            model: The sensors.
-            force: (3,) specific force at rest at the end, body axes, m/s^2; None: of no account.
-        """
-        return cls.of_each([(turned, seconds, force)], model)[0]
-
-    @classmethod
     def of_each(
         cls, motions: Sequence[tuple[Floats, Floats, Floats | None]], model: SensorModel
     ) -> tuple[GyroPath, ...]:
-        """Lead on through several motions; see `of`.
+        """Lead on through motions.
 
-        All intervals are compensated at once: each has the same bits alone as among others.
+        The effect of gravity on the gyros is computed from the attitudes of the path itself: the
+        accelerometers also measure the accelerations of the hand or the joint. All intervals are
+        compensated at once: each has the same bits alone as among others.
+
+        Args:
+            motions: Of each the (n, 3) rotation vectors of its intervals as the gyros gave them,
+                rad, their lengths (n,), s, and the (3,) specific force at rest at the end, body
+                axes, m/s^2; None: of no account.
+            model: The sensors.
         """
         if not motions:
             return ()
@@ -93,23 +84,14 @@ class GyroPath:
             )
         )
 
-    def rotation_derivatives(self, products: Floats) -> Floats:
-        """Return the derivatives of log(`rotation` S^T) by what is added to outputs, for S near it.
-
-        What a parameter adds to the outputs is taken off them: the path turns by so much less, and
-        components of what stands still by so much more.
-
-        Args:
-            products: (n, q) courses of what is added to an output of the gyros, rad/s.
-
-        Returns:
-            (3, 3, q) rad: of each channel, the second index, to which it may be added.
-        """
-        return summed(self.timed_transfer, products)
-
     @cached_property
     def timed_transfer(self) -> Floats:
-        """`error_transfer` times the seconds: of errors that are rates."""
+        """`error_transfer` times the seconds: of errors that are rates.
+
+        Summed up over courses it is the derivative of log(`rotation` S^T), for S near it, by what
+        is added to outputs. That is taken off them: the path turns by so much less, and components
+        of what stands still by so much more.
+        """
         return np.asarray(self.error_transfer * self.seconds[:, None, None])
 
     def spread(self, walk: Floats) -> Floats:
@@ -119,7 +101,10 @@ class GyroPath:
 
 
 def summed(matrices: Floats, products: Floats) -> Floats:
-    """Return the sums of (n, 3, 3) matrices times (n, q) courses over the steps, (3, 3, q)."""
+    """Return the sums of (n, 3, 3) matrices times (n, q) courses over the steps, (3, 3, q).
+
+    The second index is the channel to whose output a course is added.
+    """
     return np.asarray((matrices.reshape(-1, 9).T @ products).reshape(3, 3, -1))
 
 

@@ -33,7 +33,7 @@ from ..segmentation.segment import Segment, Turn
 from ..segmentation.segmented import Move
 from ..stream import Floats
 from .arms import APART, LONGEST
-from .gyro_paths import GyroPath
+from .gyro_paths import GyroPath, summed
 from .remainders import RoughAnswers, remainder_covariance
 from .velocity_increments import VelocityIncrement, by_delay, by_places
 
@@ -253,16 +253,16 @@ class Moves:
         gyros = np.flatnonzero(by.channels < len(AXES))
         accels = np.flatnonzero((by.channels >= len(AXES)) & (by.channels < 2 * len(AXES)))
         # Of each channel, the last index but one, and course.
-        turned = np.array([p.rotation_derivatives(c) for p, c in zip(paths, courses, strict=True)])
+        turned = np.array(
+            [summed(path.timed_transfer, c) for path, c in zip(paths, courses, strict=True)]
+        )
         result[:, :3, gyros] = turned[:, :, by.channels[gyros], by.index[gyros]]
         pushes, own = self._pushes(model), motion_parameters(parameters)
         if not pushes:
             return result
-        mine = [courses[k] for k in self._pushed]
-        leant, pushed = (
-            np.array([of(push, course) for push, course in zip(pushes, mine, strict=True)])
-            for of in (VelocityIncrement.velocity_derivatives, VelocityIncrement.pushed)
-        )
+        mine = [(push, courses[k]) for push, k in zip(pushes, self._pushed, strict=True)]
+        leant = np.array([summed(push.turning, course) for push, course in mine])
+        pushed = np.array([push.pushed(course) for push, course in mine])
         slopes = np.zeros((len(pushes), 3, len(parameters)))
         slopes[..., gyros] = leant[:, :, by.channels[gyros], by.index[gyros]]
         slopes[..., accels] = -pushed[:, :, by.channels[accels] - len(AXES), by.index[accels]]

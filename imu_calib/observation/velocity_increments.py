@@ -121,24 +121,14 @@ class VelocityIncrement:
         """V_i, (n, 3) m/s."""
         return np.asarray(np.cumsum(self.steps, axis=0) - self.steps / 2)
 
-    def velocity_derivatives(self, products: Floats) -> Floats:
-        """Return the derivatives of v, less half of what the rotation at the end makes of it.
+    @cached_property
+    def turning(self) -> Floats:
+        """What v makes of outputs of the gyros (rad/s) during a step, (n, 3, 3) m.
 
         A rotation of the axes at step i turns what was gained before; one of half of all by half of
         the whole rotation is taken off: v is given in axes half way between those that the ends
         show.
-
-        Args:
-            products: (n, q) courses of what is added to an output of the gyros, rad/s.
-
-        Returns:
-            (3, 3, q) m/s: of each channel, the second index, to which it may be added.
         """
-        return summed(self.turning, products)
-
-    @cached_property
-    def turning(self) -> Floats:
-        """What `velocity_derivatives` makes of an output of the gyros during a step, (n, 3, 3)."""
         beyond = np.einsum('ijk,nk->nij', _CROSS, self.velocity / 2 - self._so_far)
         return np.asarray(beyond @ self.path.timed_transfer)
 

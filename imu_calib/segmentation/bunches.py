@@ -98,20 +98,12 @@ def usual_interval(stamp: Stamps) -> tuple[float, float]:
     return (float(np.median(apart)) if len(apart) else 0.0), float(short.mean())
 
 
-def spread(stamp: Stamps) -> Stamps:
-    """Return when samples were made, (n,) ns, increasing; `stamp` where they come one by one.
-
-    Those of a bunch are spread evenly over the time since the one before. Those that queue behind
-    one that is held up by chance go back to when they were made.
-
-    Args:
-        stamp: (n,) ns, increasing.
-    """
-    return sampling_times(stamp)[0]
-
-
 def sampling_times(stamp: Stamps) -> tuple[Stamps, Stamps]:
     """Return when samples were made, and how much later they came by chance: not in bunches.
+
+    Those of a bunch are spread evenly over the time since the one before. Those that queue behind
+    one that is held up by chance go back to when they were made. The stamps stay what they are
+    where samples come one by one.
 
     Args:
         stamp: (n,) ns, increasing.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats, Stamps
-from .bunches import spread
+from .bunches import sampling_times
 
 _LATE = 1.5
 """Intervals between two stamps from which on a sample between them may be missing."""
@@ -145,7 +145,7 @@ def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
         stamp: (n,) ns, increasing, at least 2.
         hint: Sample interval as far as it is known, s.
     """
-    time = (spread(stamp) - stamp[0]) * 1e-9
+    time = (sampling_times(stamp)[0] - stamp[0]) * 1e-9
     period, bunched = _first_period(time)
     if hint is not None and abs(hint - period) < _LIKE * period:
         period = hint
