@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from test_information import evidence_of, statistics
 
 from imu_calib.errors import Contradiction, InputError
-from imu_calib.methods import joint
+from imu_calib.methods import joint_findings
 from imu_calib.methods.checks import (
     WrongLatitude,
     check_axes,
@@ -450,7 +450,7 @@ def scattering(
         plan=SimpleNamespace(by_hand=by_hand),
     )
     found: Any = SimpleNamespace(equations=SimpleNamespace(evidence=evidence), scatter=scatter)
-    return joint._scattering(found, untold)
+    return joint_findings._scattering(found, untold)
 
 
 def test_positioning_errors_are_told_from_a_tenth_of_what_is_stated() -> None:
@@ -520,7 +520,7 @@ def test_moves_left_out_are_counted_and_the_first_are_named() -> None:
         found: Any = SimpleNamespace(
             rejected_moves=all_of, equations=SimpleNamespace(evidence=evidence)
         )
-        return joint._astray(found)
+        return joint_findings._astray(found)
 
     assert said(0, 0) == []
     (angles,) = said(2, 0)
@@ -531,7 +531,7 @@ def test_moves_left_out_are_counted_and_the_first_are_named() -> None:
         speeds
     )
     (many,) = said(9, 0)
-    assert f' and {9 - joint._NAMED} more; ' in many
+    assert f' and {9 - joint_findings._NAMED} more; ' in many
 
 
 def test_turns_by_hand_are_not_taken_for_a_table() -> None:

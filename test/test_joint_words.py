@@ -13,7 +13,7 @@ from test_information import ACCEL_WALK, GYRO_WALK, SITE, evidence_of, statistic
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.estimation.converge import NotConverged
 from imu_calib.estimation.estimate import estimate
-from imu_calib.methods import joint
+from imu_calib.methods import joint, joint_findings
 from imu_calib.methods.checks import WrongLatitude
 from imu_calib.model import G_SENSITIVITY, PARAMETERS, SensorModel, Triad
 from imu_calib.observation.layout import OutputLayout
@@ -60,8 +60,8 @@ def found(**given: Any) -> Any:
 
 def said(monkeypatch: pytest.MonkeyPatch, what: Any) -> list[str]:
     for name in ('_astray', '_scattering', 'temperature_finding'):
-        monkeypatch.setattr(joint, name, lambda *_: [])
-    return joint._findings(what, ())
+        monkeypatch.setattr(joint_findings, name, lambda *_: [])
+    return joint_findings.estimate_findings(what, ())
 
 
 def test_a_clean_estimate_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,7 +87,7 @@ def outlying(off: Any, rows: Any = (9, 10, 11)) -> str:
     what.equations.predicted[9:12] = [0, 0, 10.0]
     what.equations.outputs[9:12] = what.equations.predicted[9:12] + off
     outlier: Any = SimpleNamespace(rows=np.array(rows), name='rest 2', chi_square=36.0)
-    return joint._leaning(what, outlier)
+    return joint_findings._leaning(what, outlier)
 
 
 def test_an_error_across_gravity_is_an_attitude_error() -> None:
@@ -103,7 +103,9 @@ def test_an_error_across_gravity_is_an_attitude_error() -> None:
 
 
 def test_what_counts_for_less_is_named_with_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(joint, '_leaning', lambda _, o: ', leaning' if o.name == 'b' else '')
+    monkeypatch.setattr(
+        joint_findings, '_leaning', lambda _, o: ', leaning' if o.name == 'b' else ''
+    )
     outliers = [
         SimpleNamespace(name=name, chi_square=square) for name, square in (('a', 36.0), ('b', 81.0))
     ]
@@ -134,7 +136,7 @@ def test_a_heading_that_was_found_elsewhere_and_a_tilt_are_told(
 
 def test_changes_that_a_session_does_not_tell_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     constant = [SimpleNamespace(name='K_gx'), SimpleNamespace(name='D_ax')]
-    monkeypatch.setattr(joint, 'names_of', lambda _: ['trend', 'warm_up'])
+    monkeypatch.setattr(joint_findings, 'names_of', lambda _: ['trend', 'warm_up'])
     (sentence,) = said(monkeypatch, found(constant=constant))
     assert sentence.startswith(
         'The session does not determine how K_gx, D_ax change (trend and warm_up): taken as'
@@ -306,5 +308,5 @@ def test_terms_that_another_latitude_explains_alone_are_none(
 
 def test_the_first_three_moves_are_named() -> None:
     moves: Any = [SimpleNamespace(positions=(str(k), str(k + 1))) for k in range(5)]
-    assert joint._ways(moves[:3]) == 'from position 0 to 1, 1 to 2, 2 to 3'
-    assert joint._ways(moves) == 'from position 0 to 1, 1 to 2, 2 to 3 and 2 more'
+    assert joint_findings._ways(moves[:3]) == 'from position 0 to 1, 1 to 2, 2 to 3'
+    assert joint_findings._ways(moves) == 'from position 0 to 1, 1 to 2, 2 to 3 and 2 more'

@@ -9,18 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imu_calib.segmentation.encoder_line import (
+    Line,
+    _step,
+    _variance,
+    encoder_step,
+    hidden_by_steps,
+)
 from imu_calib.segmentation.motion import Motion
 from imu_calib.segmentation.plateau import (
     Plateau,
     _bends,
-    _encoder_step,
     _half_turns,
-    _hidden_by_steps,
-    _Line,
     _seeds,
-    _step,
     _trimmed,
-    _variance,
     _whole_turns,
     find_plateaus,
     find_turns,
@@ -39,7 +41,7 @@ LEAST = 1e-3 * DEG
 def test_a_line_is_the_one_of_least_squares() -> None:
     time, angle = np.array([1.0, 2.0, 4.0, 5.0]), np.array([10.0, 13.0, 17.0, 20.0])
     # About 3 s and 15 rad: -2, -1, 1, 2 s and -5, -2, 2, 5 rad; 24 rad s over 10 s^2.
-    line = _Line.through(time, angle, 0.0)
+    line = Line.through(time, angle, 0.0)
     assert (line.count, line.time, line.spread, line.angle) == (4, 3.0, 10.0, 15.0)
     assert line.slope == pytest.approx(2.4)
     # It leaves -0.2, 0.4, -0.4, 0.2, of which two degrees of freedom remain.
@@ -48,7 +50,7 @@ def test_a_line_is_the_one_of_least_squares() -> None:
 
 
 def test_two_angles_leave_nothing() -> None:
-    line = _Line.through(np.array([0.0, 2.0]), np.array([1.0, 2.0]), 0.0)
+    line = Line.through(np.array([0.0, 2.0]), np.array([1.0, 2.0]), 0.0)
     assert (line.slope, line.noise, line.slope_std, line.smoothed) == (0.5, 0.0, 0.0, 1)
 
 
@@ -74,12 +76,12 @@ def zigzag(count: int, hz: float, noise: float) -> tuple[Floats, Floats]:
 def test_departures_are_averaged_until_the_noise_is_small(
     hz: float, departures: float, step: float, smoothed: int
 ) -> None:
-    line = _Line.through(*zigzag(10_000, hz, 1.0001 * departures * LEAST), step)
+    line = Line.through(*zigzag(10_000, hz, 1.0001 * departures * LEAST), step)
     assert line.smoothed == smoothed
 
 
 def hidden(time: Floats, angle: Floats, step: float) -> float:
-    return _hidden_by_steps(_Line.through(time, angle, step), time, angle)
+    return hidden_by_steps(Line.through(time, angle, step), time, angle)
 
 
 def test_readings_in_time_with_the_steps_hide_a_slope_of_a_step_over_them() -> None:
@@ -112,7 +114,7 @@ def test_the_rate_by_coarse_angles_is_as_far_off_as_is_said(step: float) -> None
     assert np.max(np.abs(off)) < 4
 
 
-LINE = _Line(9, 10.0, 50.0, 1.0, 0.5, 0.0, 0.0, 2e-3, 1)
+LINE = Line(9, 10.0, 50.0, 1.0, 0.5, 0.0, 0.0, 2e-3, 1)
 
 
 @pytest.mark.parametrize(('step', 'least'), [(0.0, LEAST), (LEAST / 2, LEAST), (1e-3, 1e-3)])
@@ -221,13 +223,13 @@ def test_round_ramps_are_no_steps_of_an_encoder(
     time, angle = ramped(rate, ramps, 100.0, phase, 0.0)
     kept = np.ones(len(time), dtype=bool)
     kept[np.linspace(40, len(time) - 40, lost, dtype=int)] = False
-    assert _encoder_step(time[kept], angle[kept]) == 0.0
+    assert encoder_step(time[kept], angle[kept]) == 0.0
 
 
 def test_readings_of_a_rate_alone_have_no_step() -> None:
     """One that sets in between two of them: all differ alike."""
     angle = np.clip(0.05 * DEG * (np.arange(900) - 100), 0, 30 * DEG)
-    assert _encoder_step(np.arange(900) / 100, angle) == 0.0
+    assert encoder_step(np.arange(900) / 100, angle) == 0.0
     assert _step(angle) == pytest.approx(0.05 * DEG)
 
 
@@ -247,10 +249,10 @@ def test_steps_of_an_encoder_show_where_the_table_speeds_up(
 ) -> None:
     """At the rate itself readings may be as many whole steps apart, one like the other."""
     time, angle = ramped(rate, ramps, hz, phase, step)
-    assert _encoder_step(time, angle) == pytest.approx(step * DEG, rel=1e-9)
+    assert encoder_step(time, angle) == pytest.approx(step * DEG, rel=1e-9)
     # Radians of so many digits as keep a thousandth of a step.
     digits = 6 if step >= 0.05 else 7
-    assert _encoder_step(time, np.round(angle, digits)) == pytest.approx(step * DEG, rel=0.01)
+    assert encoder_step(time, np.round(angle, digits)) == pytest.approx(step * DEG, rel=0.01)
 
 
 # Half turns

@@ -36,7 +36,7 @@ from imu_calib.errors import InputError
 from imu_calib.estimation.estimate import estimate
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint
-from imu_calib.methods.joint import _scattering
+from imu_calib.methods.joint_findings import _scattering
 from imu_calib.model import PARAMETERS, ParameterKind
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence

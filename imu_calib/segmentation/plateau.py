@@ -14,11 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from ..stream import Floats
 from ..units import DEG
+from .encoder_line import FEWEST, Line, encoder_step, hidden_by_steps
 from .motion import Motion
 
 _TURN = 2 * np.pi
@@ -35,9 +35,6 @@ _CELLS = 64
 """Angles of half a turn are averaged in so many cells: their scatter keeps sixty degrees of
 freedom, and the work does not grow with the rate of the joint states."""
 
-_FEWEST = 6
-"""Fewest angles of a line: four coefficients are fitted to a seed, and two degrees of freedom are
-left for the scatter."""
 
 _DEGREE = 3
 """Of the polynomial about which angles scatter: a ramp is a square, a jerk-limited one a cubic."""
@@ -51,61 +48,6 @@ _BENT_AT_MOST = 1e-4
 arcsec leave room for encoders whose errors repeat with the turn; at 90 deg/s no ramp of more than
 0.05 deg/s^2 bends by less."""
 
-_LEAVES = 6.0
-"""Standard deviations off the line at which it is left: normal noise passes them twice in 10^9,
-which rarely ends a plateau too early (docs/mathematics.md, 'Rate test')."""
-
-_ENCODER = 1e-3 * DEG
-"""Least departure that counts, rad. A judgement: 3.6 arcsec for an encoder's error within the turn,
-which it does not state."""
-
-_COARSEST = 0.2 * DEG
-"""Largest step that is taken for that of an encoder, rad: 11 bits a turn. Nobody calibrates by
-less."""
-
-_CORNERS = 20
-"""Readings at which the gain of a smooth motion changes, at most: three at each corner of the rate,
-of which a motion of three ramps has six."""
-
-_SHORT_RAMPS = 32
-"""Readings on ramps up to which steps may show at corners alone. A judgement: of so many on ramps
-that are coarse two in three change the gain."""
-
-_EXACTLY = 2e-3
-"""Of a step: so near to whole ones do readings of a coarse encoder differ. A judgement: radians of
-six digits are rounded by a thousandth of 0.05 deg, and the step that is seen is off by as much."""
-
-_LOST = 1.5
-"""Of the interval of joint states: a longer one lacks some, and its differences say nothing."""
-
-_FINELY = 1e-6
-"""Of the interval in which a slope is sought: how finely; a deviation wants no more."""
-
-_BLOCKS = 16
-"""Of the angles of a line, whose means show errors in common (docs/mathematics.md, 'Rate test')."""
-
-_SIGNIFICANT = 1e-3
-"""Chance that the means of blocks of white noise scatter by so much more: one line in a thousand is
-called less certain than it is."""
-
-_SAME_READING = 1e-9
-"""Readings that are closer are the same one, rad: numbers near 100 turns are rounded to 1e-13, and
-an encoder of 32 bits steps by 1.5e-9."""
-
-_NEAR = 20.0
-"""Differences up to so many times the least are held against whole steps: half a percent of error
-of the least difference makes a tenth of a step of it there, which is `_WHOLE`."""
-
-_SHARES = (1, 2, 3)
-"""The least difference that is seen may be so many steps."""
-
-_WHOLE = 0.1
-"""Of a step: a difference is a whole number of them within this. By chance six differences are with
-a probability of 0.2^6 = 6e-5."""
-
-_SMOOTHED_SECONDS = 0.1
-"""Longest time over which departures are averaged, s: longer hides the onset of fast ramps. A
-judgement: a ramp of 20 deg/s^2 leaves by 0.1 deg in it."""
 
 _WELL_OFF = 8.0
 """Departure, in units of that at which a line is left, beyond which the beginning of a ramp can be
@@ -210,7 +152,7 @@ def find_plateaus(motion: Motion) -> list[Plateau]:
     time = (motion.stamp - motion.stamp[0]) * 1e-9
     angle = motion.position[:, _turning(motion)]
     seeds = _seeds(time, angle)
-    step = _encoder_step(time, angle) if seeds else 0.0
+    step = encoder_step(time, angle) if seeds else 0.0
     found: list[tuple[int, Plateau]] = []
     taken = np.zeros(len(time), dtype=bool)
     for seed in seeds:
@@ -253,7 +195,7 @@ def _half_turns(angle: Floats) -> NDArray[np.intp]:
             half_turn = int(np.argmax(far))
             if far[half_turn]:
                 break
-        last = first + max(half_turn, _FEWEST)
+        last = first + max(half_turn, FEWEST)
         if not far[half_turn] or last > len(angle):
             break
         found.append((first, last))
@@ -295,7 +237,7 @@ def _grown(
 ) -> tuple[int, int, Plateau | None]:
     """Let the line of a seed grow to where the angles leave it; return its range and the whole."""
     for _ in range(_ROUNDS):
-        line = _Line.through(time[first:last], angle[first:last], step)
+        line = Line.through(time[first:last], angle[first:last], step)
         reach = (last - first) // 2
         a, b = max(0, first - reach), min(len(time), last + reach)
         off = a + np.flatnonzero(line.departure(time[a:b], angle[a:b]) > 1)
@@ -304,57 +246,13 @@ def _grown(
             int(off[off < middle].max(initial=a - 1)) + 1,
             int(off[off >= middle].min(initial=b)),
         )
-        if grown == (first, last) or grown[1] - grown[0] < _FEWEST:
+        if grown == (first, last) or grown[1] - grown[0] < FEWEST:
             break
         first, last = grown
     return first, last, _trimmed(line, time, angle, first, last)
 
 
-def _encoder_step(time: Floats, angle: Floats) -> float:
-    """Return the step of the encoder, rad, where its readings show one; else 0.
-
-    Angles may differ by whole numbers of something because ramps are round: one of 200 deg/s^2
-    that is read at 100 Hz gains 0.02 deg more each time. Steps make gains go up and down while the
-    table speeds up, which a smooth motion does not, coarse as its angles may look. Ramps of a few
-    readings do not show that: there readings differ by whole steps exactly.
-
-    Source: docs/mathematics.md, 'Rate test'.
-    """
-    step = _step(angle)
-    if not step:
-        return 0.0
-    apart = np.diff(time)
-    four = np.lib.stride_tricks.sliding_window_view(apart < _LOST * np.median(apart), 3).all(axis=1)
-    gains = np.diff(angle, 2)
-    changes = np.count_nonzero(np.abs(np.diff(gains))[four] > step / 2)
-    if changes > _CORNERS:
-        return step
-    ramps = np.count_nonzero(np.abs(gains[1:])[four] > step / 2)
-    if ramps > _SHORT_RAMPS or changes < _FEWEST:
-        return 0.0
-    steps = np.abs(np.diff(angle)) / step
-    steps = steps[steps < _NEAR]
-    # The step is off by as much, and counts so many times.
-    exact = np.abs(steps - np.rint(steps)) < _EXACTLY * np.maximum(steps, 1.0)
-    return step if exact.all() else 0.0
-
-
-def _step(angle: Floats) -> float:
-    """Return of what, rad, close angles differ by multiples; 0 of nothing."""
-    apart = np.diff(np.sort(angle))
-    apart = apart[apart > _SAME_READING]
-    least = float(apart.min(initial=_COARSEST))
-    near = apart[apart < _NEAR * least]
-    if least >= _COARSEST or len(near) < _FEWEST:
-        return 0.0
-    for share in _SHARES:
-        steps = near * share / least
-        if np.all(np.abs(steps - np.rint(steps)) < _WHOLE):
-            return least / share
-    return 0.0
-
-
-def _trimmed(line: _Line, time: Floats, angle: Floats, first: int, last: int) -> Plateau | None:
+def _trimmed(line: Line, time: Floats, angle: Floats, first: int, last: int) -> Plateau | None:
     """Take from both ends what may belong to a ramp already, and fit the line to the rest.
 
     None where joint states come so slowly, or fail so long, that too few are left for a line.
@@ -370,121 +268,15 @@ def _trimmed(line: _Line, time: Floats, angle: Floats, first: int, last: int) ->
     after = float(time[outside[1][0] if len(outside[1]) else len(time) - 1]) - end
     before, after = min(before, (end - begin) / 4), min(after, (end - begin) / 4)
     sure = (time >= begin + before) & (time <= end - after)
-    if np.count_nonzero(sure) < _FEWEST:
+    if np.count_nonzero(sure) < FEWEST:
         return None
-    fitted = _Line.through(time[sure], angle[sure], line.step)
+    fitted = Line.through(time[sure], angle[sure], line.step)
     unseen = float(line.limit(np.array([begin, end])).max())
-    hidden = _hidden_by_steps(fitted, time[sure], angle[sure])
+    hidden = hidden_by_steps(fitted, time[sure], angle[sure])
     slope_std = max(fitted.slope_std, hidden)
     return Plateau(
         begin + before, end - after, fitted.slope, slope_std, before, after, unseen, line.step
     )
-
-
-def _hidden_by_steps(line: _Line, time: Floats, angle: Floats) -> float:
-    """Return how far off a line's slope is by the encoder's steps alone, rad/s, as a deviation.
-
-    Where samples come in time with the steps, or nearly so, all readings err alike for long: no
-    scatter shows it. What is known of the slope is that some line of it comes within half a step
-    of all readings; which offset does so is as likely as any other. 0 where readings scatter by
-    more than steps do: that is seen.
-
-    Source: docs/mathematics.md, 'Rate test'.
-    """
-    # Of readings within a step the scatter is half of it at most.
-    if line.noise > line.step:
-        return 0.0
-    apart = time - line.time
-    left = angle - line.angle - line.slope * apart
-
-    def spread(slope: float) -> float:
-        return float(np.ptp(left - slope * apart))
-
-    # Convex in the slope: its least is found first, then where it is a step on either side.
-    reach = 2 * line.step / float(np.ptp(time))
-    best = scipy.optimize.minimize_scalar(
-        spread, bounds=(-reach, reach), method='bounded', options={'xatol': _FINELY * reach}
-    ).x
-    if spread(best) > line.step:
-        return 0.0
-    ends = [
-        scipy.optimize.brentq(lambda slope: spread(slope) - line.step, best, best + outside)
-        for outside in (-2 * reach, 2 * reach)
-    ]
-    # Of an interval whose ends have one offset each, and whose middle has most.
-    return float(np.hypot(np.mean(ends), (ends[1] - ends[0]) / np.sqrt(24)))
-
-
-@dataclass(frozen=True)
-class _Line:
-    """A line by least squares.
-
-    Attributes:
-        count: Of the angles that it rests on.
-        time: Their mean, s.
-        spread: Sum of the squares of their distances from it, s^2.
-        angle: At that time, rad.
-        slope: rad/s.
-        slope_std: Its standard deviation, rad/s.
-        step: Of the encoder, rad, as far as it is known.
-        noise: Scatter of the angles about it, rad.
-        smoothed: Over how many angles a departure is averaged: no more than make the noise small.
-    """
-
-    count: int
-    time: float
-    spread: float
-    angle: float
-    slope: float
-    slope_std: float
-    step: float
-    noise: float
-    smoothed: int
-
-    @classmethod
-    def through(cls, time: Floats, angle: Floats, step: float) -> _Line:
-        """Fit (n,) angles, rad, at (n,) times, s.
-
-        What scatters in common for a while (an encoder's error that repeats with the turn) does
-        not average like noise: the means of blocks scatter by more, and the slope is then as
-        uncertain as they are.
-        """
-        n, middle, mean = len(time), float(time.mean()), float(angle.mean())
-        centred = time - middle
-        spread = float(centred @ centred)
-        slope = float(centred @ (angle - mean)) / spread
-        left = angle - mean - slope * centred
-        noise = float(np.sqrt(left @ left / max(1, n - 2)))
-        within = _SMOOTHED_SECONDS * (n - 1) / float(time[-1] - time[0])
-        departure = max(step, _ENCODER)
-        smoothed = int(np.clip((_LEAVES * noise / departure) ** 2, 1, max(1.0, within)))
-        slope_std = float(np.sqrt(_variance(left, noise**2) / spread))
-        return cls(n, middle, spread, mean, slope, slope_std, step, noise, smoothed)
-
-    def limit(self, time: Floats) -> Floats:
-        """Return how far off the line the mean of some angles may lie by chance, (n,) rad."""
-        own = 1 / self.smoothed + 1 / self.count + (time - self.time) ** 2 / self.spread
-        return np.asarray(_LEAVES * self.noise * np.sqrt(own) + max(self.step, _ENCODER))
-
-    def departure(self, time: Floats, angle: Floats) -> Floats:
-        """Return how far off the line (n,) angles lie, in units of `limit`."""
-        left = angle - self.angle - self.slope * (time - self.time)
-        if self.smoothed > 1:
-            window = np.ones(self.smoothed)
-            around = np.convolve(np.ones(len(left)), window, mode='same')
-            left = np.convolve(left, window, mode='same') / around
-        return np.asarray(np.abs(left) / self.limit(time))
-
-
-def _variance(left: Floats, white: float) -> float:
-    """Return the variance by which angles count: that of noise, unless their blocks show more."""
-    length = len(left) // _BLOCKS
-    if length < 2 or not white:
-        return white
-    means = left[: length * _BLOCKS].reshape(_BLOCKS, length).mean(axis=1)
-    freedom = _BLOCKS - 2
-    ratio = length * float(means @ means) / freedom / white
-    return white * ratio if scipy.special.chdtrc(freedom, freedom * ratio) < _SIGNIFICANT else white
 
 
 def _whole_turns(plateau: Plateau, joint: int, origin: float) -> WholeTurns | None:
