@@ -55,7 +55,19 @@ sessions on axes off by 60 were wrong by up to 24 deviations ("orthogonality 60 
 docs/imperfect_stands.py). What moves tell of the axes each session determines anyway.
 """
 
+FINEST = 1 * ARCSEC
+"""Standard deviation below which no error of a table is known.
+
+Of what is made best, rotary air bearings, makers state a wobble below 1 arcsec
+(physikinstrumente.com, "Air Bearing Technology"), and of axes on air bearings that are built to
+order right angles within 2 arcsec (Dover Motion, "Motion Control Handbook", linear positioning
+accuracy), as a uniform law 1.2. Autocollimators and polygons, by which tables are measured, do no
+better (a judgement).
+"""
+
 _BETWEEN_JOINTS = {'zeros', 'orthogonality'}
+_ROUNDING = 1e-9
+"""Of a number with its unit, as it is read."""
 _WORST = 1 * DEG
 """A table so far off its description is described wrongly: angles lean by errors to first order."""
 
@@ -83,39 +95,71 @@ class TableErrors:
         return not any((self.zeros, self.orthogonality, self.wobble, self.encoder))
 
 
-def read_doubts(section: Section, joints: int) -> tuple[dict[str, float], tuple[str, ...]]:
+@dataclass(frozen=True)
+class Doubts:
+    """What a table's file says of its errors.
+
+    Attributes:
+        sizes: Standard deviations by key, rad.
+        assumed: Keys that it leaves out: their figures are those of `ASSUMED`.
+        raised: Keys of which it states less than `FINEST`, which counts instead.
+
+    """
+
+    sizes: Mapping[str, float]
+    assumed: tuple[str, ...]
+    raised: tuple[str, ...]
+
+
+def read_doubts(section: Section, joints: int) -> Doubts:
     """Read what a table's mapping says of its own errors, and fill in what it leaves out.
 
     Args:
-        section: The mapping.
+        section: The mapping. Of a simulated table, which may be exact, all counts as it is stated.
         joints: How many the table has: one alone has nothing to be at right angles to.
-
-    Returns:
-        Standard deviations by key (rad), and the keys whose figures are those of `ASSUMED`.
 
     Raises:
         InputError: Key, what was found and what was expected.
     """
-    counts = [key for key in ASSUMED if joints > 1 or key not in _BETWEEN_JOINTS]
-    sizes = {}
+    counts = counting(joints)
+    least = 0.0 if section.flag('simulated', default=False) else FINEST
+    sizes, raised = {}, []
     for key, usual in ASSUMED.items():
-        sizes[key] = section.quantity(key, Dimension.ANGLE, usual if key in counts else 0.0)
-        if not 0 <= sizes[key] <= _WORST or (key == 'level' and not sizes[key]):
-            least = 'more than 0' if key == 'level' else '0'
+        size = section.quantity(key, Dimension.ANGLE, usual if key in counts else 0.0)
+        if not 0 <= size <= _WORST or (key == 'level' and not size):
+            lowest = 'more than 0' if key == 'level' else '0'
             raise InputError(
-                f'{section.key(key)}: found {sizes[key] / DEG:g} deg, expected {least} to '
+                f'{section.key(key)}: found {size / DEG:g} deg, expected {lowest} to '
                 f'{_WORST / DEG:g} deg.'
             )
-    return sizes, tuple(key for key in counts if not section.has(key))
+        if key in counts and key != 'level' and size < least * (1 - _ROUNDING):
+            size = least
+            raised.append(key)
+        sizes[key] = size
+    left_out = tuple(key for key in counts if not section.has(key))
+    return Doubts(sizes, left_out, tuple(raised))
 
 
-def assumption(table: str, keys: Sequence[str]) -> str:
-    """Say what is assumed of a table of this name, whose file leaves out some keys."""
-    figures = ', '.join(f'{key} {ASSUMED[key] / ARCSEC:g} arcsec' for key in keys)
-    return (
-        f'Table {table} is assumed to be as good as a laboratory table where its file says '
-        f'nothing: {figures} (standard deviations); state its own under these keys.'
-    )
+def counting(joints: int) -> list[str]:
+    """Return the keys of `ASSUMED` that mean something for so many joints."""
+    return [key for key in ASSUMED if joints > 1 or key not in _BETWEEN_JOINTS]
+
+
+def assumption(table: str, assumed: Sequence[str], raised: Sequence[str]) -> str:
+    """Say what is assumed of a table of this name, by the keys of `Doubts`."""
+    figures = ', '.join(f'{key} {ASSUMED[key] / ARCSEC:g} arcsec' for key in assumed)
+    sentences = []
+    if assumed:
+        sentences.append(
+            f'Table {table} is assumed to be as good as a laboratory table where its file says '
+            f'nothing: {figures} (standard deviations); state its own under these keys.'
+        )
+    if raised:
+        sentences.append(
+            f'No error of a table is known below {FINEST / ARCSEC:g} arcsec: as much is assumed of '
+            f'{", ".join(raised)} of table {table}, of which its file states less.'
+        )
+    return ' '.join(sentences)
 
 
 @dataclass(frozen=True, eq=False)

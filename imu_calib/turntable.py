@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -14,7 +14,16 @@ from .errors import InputError
 from .rotations import angle_about, rotation
 from .share import named_file
 from .stream import Floats
-from .table_errors import LEVELLED, JointPoses, TableErrors, assumption, leaning, read_doubts
+from .table_errors import (
+    FINEST,
+    LEVELLED,
+    JointPoses,
+    TableErrors,
+    assumption,
+    counting,
+    leaning,
+    read_doubts,
+)
 from .units import DEG, PPM, Dimension
 
 TURN = 2 * math.pi
@@ -70,6 +79,9 @@ class Table:
         errors: What is left open of its axes, zeros and encoders.
         level: Standard deviation of its tilt about either level axis, rad.
         assumed: Keys that its file leaves out: what stands for them is usual, and not stated.
+        raised: Keys of which its file states less than is known of any table, which counts instead.
+        described: The table as its file describes it, where a session contradicts that
+            (`as_the_best`); else None.
     """
 
     name: str
@@ -81,11 +93,41 @@ class Table:
     errors: TableErrors = field(default_factory=TableErrors)
     level: float = LEVELLED
     assumed: tuple[str, ...] = ()
+    raised: tuple[str, ...] = ()
+    described: Table | None = None
 
     @property
     def assumption(self) -> str:
         """A sentence on what its file leaves out; empty where it states all."""
-        return assumption(self.name, self.assumed) if self.assumed else ''
+        return assumption(self.name, self.assumed, self.raised)
+
+    @property
+    def not_stated(self) -> tuple[str, ...]:
+        """Keys of errors whose sizes are not what its file states."""
+        return (*self.assumed, *self.raised)
+
+    @property
+    def too_fine(self) -> tuple[str, ...]:
+        """Keys of errors that its file states smaller than they are known of any table."""
+        sizes = {f.name: getattr(self.errors, f.name) for f in fields(TableErrors)}
+        count = counting(len(self.joints))
+        return tuple(
+            key
+            for key, size in {'positioning': self.positioning, **sizes}.items()
+            if key in count and size < FINEST
+        )
+
+    def as_the_best(self) -> Table:
+        """Return it with what its file states too finely as large as of the best tables."""
+        found = dict.fromkeys(self.too_fine, FINEST)
+        positioning = found.pop('positioning', self.positioning)
+        return replace(
+            self,
+            positioning=positioning,
+            errors=replace(self.errors, **found),
+            raised=(*self.raised, *self.too_fine),
+            described=self,
+        )
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -312,7 +354,8 @@ def read_table(section: Section) -> Table:
             f'{section.key("clock")}: found {clock / PPM:g} ppm, expected at most '
             f'{_WORST_CLOCK / PPM:g} ppm.'
         )
-    sizes, assumed = read_doubts(section, len(joints))
+    doubts = read_doubts(section, len(joints))
+    sizes = doubts.sizes
     table = Table(
         section.text('name'),
         joints,
@@ -322,7 +365,8 @@ def read_table(section: Section) -> Table:
         clock,
         TableErrors(**{f.name: sizes[f.name] for f in fields(TableErrors)}),
         sizes['level'],
-        assumed,
+        doubts.assumed,
+        doubts.raised,
     )
     section.finish()
     return table

@@ -209,7 +209,7 @@ def test_a_table_that_is_taken_as_exact_is_not() -> None:
 
 def test_the_budget_has_a_line_for_it() -> None:
     told = joint.solve(recorded(1))
-    exact = joint.solve(replace(recorded(1), table=TABLE))
+    exact = joint.solve(replace(evidence_of(), table=TABLE))
     share = told.shares[Source.TABLE].covariance
     # Misalignments are against axes that nobody knows better; biases of gyros hardly feel them.
     assert np.sqrt(share[3, 3]) > 0.5 * told.std[3]
@@ -305,7 +305,8 @@ def test_nothing_is_assumed_of_a_table_that_states_all_nor_without_one() -> None
 
 
 def test_a_file_may_state_some_and_leave_the_others() -> None:
-    table = described('zeros: 1 arcsec\nlevel: 5 arcsec\npositioning: 0 arcsec\n')
+    stated = 'zeros: 1 arcsec\nlevel: 5 arcsec\npositioning: 0 arcsec\nsimulated: true\n'
+    table = described(stated)
     assert table.assumed == ('orthogonality', 'wobble', 'encoder')
     assert (table.errors.zeros, table.level, table.positioning) == (ARCSEC, 5 * ARCSEC, 0.0)
     assert table.errors.wobble == ASSUMED['wobble']

@@ -254,7 +254,7 @@ def test_the_screen_says_what_is_on_what_is_off_and_what_is_not_seen() -> None:
 def test_an_error_of_the_table_is_said_beside_what_was_known_of_it(
     assumed: Any, whose: str
 ) -> None:
-    table = SimpleNamespace(errors=TableErrors(wobble=2 * ARCSEC), assumed=assumed)
+    table = SimpleNamespace(errors=TableErrors(wobble=2 * ARCSEC), not_stated=assumed)
     found = Found(WOBBLE, -20 * LN10, size=151 * ARCSEC, seen=110 * ARCSEC)
     assert findings(searched((found,), table=table)) == [
         'The session shows joint axes that wobble (wobble, by chance once in 10^20 sessions), by '

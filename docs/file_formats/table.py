@@ -5,7 +5,19 @@ from __future__ import annotations
 from imu_calib.table_errors import ASSUMED
 from imu_calib.units import ARCSEC, Dimension
 
-from .keys import REQUIRED, Key, Tables, Value, array, choice, either, mapping, quantity, text
+from .keys import (
+    REQUIRED,
+    Key,
+    Tables,
+    Value,
+    array,
+    choice,
+    either,
+    flag,
+    mapping,
+    quantity,
+    text,
+)
 
 D = Dimension
 
@@ -73,6 +85,12 @@ def _error(name: str) -> Key:
 _CLOCK = quantity(D.RATIO, '0 or more')
 ERRORS = [
     *(_error(name) for name in ASSUMED),
+    Key(
+        'simulated',
+        flag(),
+        'whether it is a simulated one: of others less than 1 arcsec counts as 1 arcsec',
+        default=False,
+    ),
     Key(
         'clock',
         Value(_CLOCK.schema, f'{_CLOCK.words}, at most 1000 ppm'),

@@ -16,7 +16,7 @@ from ..methods import free_positions
 from ..model import Parameter, SensorModel, parameters_of, terms_of
 from ..plain_table import plain_table
 from ..plan import Plan
-from ..prediction import ChangeForecast, Forecast, TermForecast, duration
+from ..prediction import ChangeForecast, Forecast, TermForecast, duration, resting_on_the_table
 from ..reports.parameter_table import decimals, engineering
 from ..turntable import Table
 from ..units import DEG, PPM
@@ -70,6 +70,8 @@ def show_prediction(arguments: argparse.Namespace) -> None:
             'Biases are constant here; with --bias-instability they drift by the data sheet'
             f'{"." if plan.by_hand else ", as the joint estimate allows for."}'
         )
+    for sentence in resting_on_the_table(found, truth):
+        OUTPUT.print(sentence, markup=False)
     _show_terms(prediction.terms, prediction.changes)
     if held is not None:
         show_time(plan, held)

@@ -229,7 +229,7 @@ def _found(found: Found, table: Table | None) -> str:
             stated = f'{significant(known / ARCSEC)} arcsec'
             whose = (
                 f'{stated} are assumed of the table'
-                if family.name in table.assumed
+                if family.name in table.not_stated
                 else f'the description of the table states {stated}'
             )
             return (

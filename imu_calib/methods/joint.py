@@ -18,6 +18,7 @@ from ..changes import Changes
 from ..errors import Contradiction, NotObservable
 from ..estimation.converge import NotConverged
 from ..estimation.estimate import Estimate, estimate
+from ..estimation.exact_table import as_the_best, contradicted, exactness_findings
 from ..estimation.search import Search, search_terms
 from ..estimation.term_tests import findings, tested, untold_errors
 from ..model import Term, parameters_of
@@ -71,6 +72,9 @@ def solve(
         raise
     if search.found and not evidence.plan.by_hand:
         _check_that_no_latitude_explains(search.before_search)
+    if contradicted(search):
+        evidence = as_the_best(evidence)
+        search = search_terms(evidence, parameters_of(terms), changes, look=look)
     return concluded(search, terms, changes)
 
 
@@ -84,7 +88,11 @@ def concluded(search: Search, terms: tuple[Term, ...], changes: tuple[Change, ..
     return replace(
         found,
         covariance=found.covariance + search.doubt,
-        findings=(*findings(search), *found.findings),
+        findings=(
+            *findings(search),
+            *found.findings,
+            *exactness_findings(search.estimate),
+        ),
         shares=search.shares(),
         tests=tested(search, terms, changes),
         search=search,

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..estimation.estimate import Estimate
+from ..estimation.exact_table import SHOWN
 from ..estimation.outliers import Outlier, RejectedMove
 from ..estimation.temperature_change import temperature_finding
 from ..model.session_terms import names_of
@@ -18,9 +19,6 @@ from .checks import turns_scatter_finding
 _TELLING = 0.1
 """Of what is stated anyway: positioning errors below it change no deviation by more than half a
 percent, biases that drift by so much more by no more than a tenth."""
-_SAID = 0.99
-"""Probability, at even odds, from which on positioning errors are said: of sessions without any at
-most one in a hundred comes to it, since the mean of their likelihood ratio is one (Markov)."""
 _OF_ATTITUDE = {'gyros': 'g_sensitivity', 'accelerometers': 'accel_cross'}
 """The largest of the terms that change with the attitude, for each triad."""
 _NAMED = 3
@@ -132,10 +130,10 @@ def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
     small = evidence.positioning / ARCSEC
     stated = f'{significant(small, 3)} arcsec' if small else 'none'
     known = f"the table's description states {stated}"
-    if evidence.table is not None and 'positioning' in evidence.table.assumed:
+    if evidence.table is not None and 'positioning' in evidence.table.not_stated:
         known = f'{stated} are assumed of the table'
     joints, stops = scatter.positioning.joints, scatter.positioning.stops
-    if scatter.positioning_probability < _SAID:
+    if scatter.positioning_probability < SHOWN:
         # The deviations allow for it by its probability; it is not what happened.
         joints = stops = 0.0
     if evidence.plan.by_hand and (lean := float(np.hypot(joints, stops))):

@@ -2,7 +2,7 @@
 
 from .each_term import ChangeForecast, TermForecast, forecast_changes, forecast_terms
 from .expected import expected
-from .forecast import Forecast, check_session, forecast, listed
+from .forecast import Forecast, check_session, forecast, listed, resting_on_the_table
 from .reach import Reached, reach
 from .schedule import duration, schedule
 
@@ -19,5 +19,6 @@ __all__ = [
     'forecast_terms',
     'listed',
     'reach',
+    'resting_on_the_table',
     'schedule',
 ]

@@ -14,6 +14,7 @@ import numpy as np
 from ..budget import Source
 from ..calibrator import Setup
 from ..errors import NotObservable
+from ..estimation import exact_table
 from ..estimation.fit import check_observable
 from ..gravity import gravity_covariance
 from ..methods import JOINT, check_plan, free_positions, method, skewed
@@ -112,6 +113,16 @@ def with_parameters(
     best = _best(evidence, truth, parameters, extra)
     found = Forecast(evidence, setup.method_name, parameters, best, best, '')
     return _with_common(found, setup, truth).std
+
+
+def resting_on_the_table(found: Forecast, truth: SensorModel) -> list[str]:
+    """Say which parameters of a joint estimate rest on a table that is as good as stated."""
+    if found.method not in JOINT or found.refusal:
+        return []
+    parameters = tuple(p for p in found.parameters if p.row < len(AXES))
+    equations = Equations(found.evidence, parameters)
+    std = found.std[: len(parameters)]
+    return exact_table.resting_on_the_table(equations, state_at(equations, truth), std)
 
 
 def gravity_variances(found: Forecast, truth: SensorModel) -> Floats:

@@ -1,0 +1,121 @@
+"""A table whose file states errors smaller than any table has: what that rests on, and what not.
+
+A statement is taken at its word until the session shows an error of the table. Which one it is, so
+small a thing does not tell: a zero that is off looks like a joint whose axis leans, and a wobble
+like an encoder. From then on all that was stated too finely counts as it is of the best tables.
+
+Source: docs/mathematics.md, 'Tables that are stated exact'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..observation.equations import Equations
+from ..observation.evidence import Evidence
+from ..observation.information import Information
+from ..stream import Floats
+from ..table_errors import FINEST
+from ..turntable import Table
+from ..units import ARCSEC, significant
+from .estimate import Estimate
+from .search import Search
+
+SHOWN = 0.99
+"""Probability, at even odds, from which on positioning errors are said: of sessions without any at
+most one in a hundred comes to it, since the mean of their likelihood ratio is one (Markov)."""
+
+_WIDER = 1.12
+"""Ratio of standard deviations from which on it is said: 4.5 of the one stated are then 4.0."""
+
+_FIGURE = f'{significant(FINEST / ARCSEC)} arcsec'
+
+
+def as_the_best(evidence: Evidence) -> Evidence:
+    """Return a session on its table, with what is stated too finely as of the best tables."""
+    if evidence.table is None:
+        return evidence
+    table = evidence.table.as_the_best()
+    return replace(evidence, table=table, positioning=table.positioning)
+
+
+def contradicted(search: Search) -> bool:
+    """Say whether a session shows errors of a table whose file states too small ones."""
+    evidence = search.estimate.equations.evidence
+    if evidence.plan.by_hand or evidence.table is None or not evidence.table.too_fine:
+        return False
+    of_table = any(one.family.of_table for one in search.found)
+    return of_table or search.estimate.scatter.positioning_probability >= SHOWN
+
+
+def on_the_best(equations: Equations, state: Floats, std: Floats) -> Floats:
+    """Return the standard deviations that parameters would have on a table as good as the best.
+
+    Args:
+        equations: On the table as its file describes it.
+        state: (n + k,) their solution.
+        std: (n,) of the parameters by them.
+
+    """
+    better = replace(equations, evidence=as_the_best(equations.evidence))
+    variances = [
+        np.diag(Information.of(one.whitened(state)[0]).covariance)[: len(std)]
+        for one in (equations, better)
+    ]
+    return np.asarray(np.sqrt(std**2 + np.maximum(variances[1] - variances[0], 0.0)))
+
+
+def exactness_findings(estimate: Estimate) -> list[str]:
+    """Say what rests on a table's file that states errors smaller than any table has."""
+    equations, n = estimate.equations, estimate.equations.sensors
+    table = equations.evidence.table
+    if table is None:
+        return []
+    if table.described is not None:
+        return [
+            f'The session contradicts {_described(table.described)}: {_FIGURE} is assumed of '
+            'each. State what it has.'
+        ]
+    std = np.sqrt(np.diag(estimate.covariance)[:n])
+    return resting_on_the_table(equations, estimate.state, std)
+
+
+def resting_on_the_table(equations: Equations, state: Floats, std: Floats) -> list[str]:
+    """Say which parameters rest on a table that is better than any is known to be.
+
+    Args:
+        equations: On the table as its file describes it.
+        state: (n + k,) their solution.
+        std: (n,) of the parameters by them.
+
+    """
+    table = equations.evidence.table
+    if equations.evidence.plan.by_hand or table is None or not table.too_fine:
+        return []
+    there = on_the_best(equations, state, std)
+    times = np.divide(there, std, out=np.ones(len(std)), where=std > 0)
+    worst: dict[tuple[str, str], int] = {}
+    for k in np.argsort(-times):
+        parameter = equations.parameters[k]
+        if times[k] > _WIDER:
+            worst.setdefault((parameter.kind.value.symbol, parameter.triad), int(k))
+    if not worst:
+        return []
+    each = [
+        f'{significant(there[k] / p.unit.scale)} {p.unit.shown} of {p.name} '
+        f'({significant(times[k])} times as large)'
+        for k, p in ((k, equations.parameters[k]) for k in worst.values())
+    ]
+    return [
+        f'The standard deviations are those of {_described(table)}, and no real one is known so '
+        f'well: with {_FIGURE} of each they would be {", ".join(each)}. State what yours has.'
+    ]
+
+
+def _described(table: Table) -> str:
+    return (
+        f'table {table.name} as its file describes it, with less than {_FIGURE} of '
+        f'{", ".join(table.too_fine)}'
+    )

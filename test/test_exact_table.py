@@ -1,0 +1,144 @@
+"""Tables whose files state that they are exact, and that are wrong by one second of arc."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from extent import again
+from sessions import SITE, fed, quick_plan, session, stand, truth
+
+from imu_calib.calibrator import Setup
+from imu_calib.cli.main import main
+from imu_calib.config import Section
+from imu_calib.estimation.exact_table import as_the_best
+from imu_calib.imu import load_imu
+from imu_calib.methods import joint
+from imu_calib.methods.solution import Solution
+from imu_calib.model import PARAMETERS
+from imu_calib.simulation.true_table import TableSizes, TrueTable
+from imu_calib.stream import Floats
+from imu_calib.table_errors import FINEST, TableErrors
+from imu_calib.turntable import Table, load_table, read_table
+from imu_calib.units import ARCSEC
+
+TABLE = load_table('three_axis')
+PLAN = quick_plan('twelve_position', 20.0)
+NAVIGATION = load_imu('fog_navigation')
+ONE = 1 * ARCSEC
+WRONG = {
+    'zeros': {'true': TableSizes(zeros=ONE)},
+    'orthogonality': {'true': TableSizes(orthogonality=ONE)},
+    'wobble': {'true': TableSizes(wobble=(ONE, ONE))},
+    'encoder': {'true': TableSizes(encoder=(ONE, ONE))},
+    'positioning': {'stop_error': ONE},
+    'all': {
+        'true': TableSizes(
+            zeros=ONE, orthogonality=ONE, wobble=(ONE, ONE), encoder=(ONE, ONE)
+        ),
+        'stop_error': ONE,
+    },
+}  # fmt: skip
+KEYS = ('positioning', 'zeros', 'orthogonality', 'wobble', 'encoder')
+OTHERS = re.compile('Positioning errors|Attitude errors|The session shows|Outlier|drift by|scatter')
+"""What findings would blame."""
+
+
+@cache
+def solved(wrong: str, seed: int) -> Solution:
+    """A navigation-grade unit on a table that is wrong by as much, and is stated exact."""
+    options = dict(WRONG.get(wrong, {}))
+    if 'true' in options:
+        options['true'] = TrueTable.drawn(TABLE, options['true'], seed)
+    blocks = session(PLAN, stand(**options), seed=seed, spec=NAVIGATION)
+    setup = Setup(NAVIGATION, PLAN, TABLE, SITE, search_terms=True)
+    return fed(blocks, setup).finish().solution
+
+
+def off(solution: Solution) -> Floats:
+    return np.abs(solution.model.vector() - truth().model.vector()) / solution.std[:24]
+
+
+CASES = [
+    (wrong, seed) if seed < 1 or (wrong, seed) == ('zeros', 2) else again(wrong, seed)
+    for wrong in WRONG
+    for seed in range(8)
+]
+
+
+@pytest.mark.parametrize(('wrong', 'seed'), CASES)
+def test_an_arcsecond_on_a_table_that_is_stated_exact_is_never_silently_wrong(
+    wrong: str, seed: int
+) -> None:
+    solution = solved(wrong, seed)
+    (said,) = [f for f in solution.findings if 'table three_axis' in f]
+    assert not [f for f in solution.findings if OTHERS.search(f)]
+    if said.startswith('The session contradicts'):
+        # Which error it is, the session does not tell: as much is assumed of each.
+        assert off(solution).max() < 4.5
+        return
+    for k in np.flatnonzero(off(solution) > 4.5):
+        # What no sensor shows turns all misalignments alike, and is said.
+        assert PARAMETERS[k].name.startswith('E')
+        assert f'E_{PARAMETERS[k].triad}' in said
+
+
+def test_what_a_session_shows_of_them_is_counted_as_of_the_best_tables() -> None:
+    solution = solved('all', 0)
+    (said,) = [f for f in solution.findings if 'table three_axis' in f]
+    assert said.startswith('The session contradicts table three_axis as its file describes it')
+    assert solution.search is not None
+    table = solution.search.estimate.equations.evidence.table
+    assert table is not None
+    assert table.raised == KEYS and table.described is TABLE and table.too_fine == ()
+    assert table.errors == TableErrors(*[FINEST] * 4) and table.positioning == FINEST
+
+
+def test_an_exact_table_widens_nothing_and_says_what_that_rests_on() -> None:
+    solution = solved('', 0)
+    assert off(solution).max() < 4.5
+    assert solution.search is not None
+    estimate = solution.search.estimate
+    evidence = estimate.equations.evidence
+    assert evidence.table is TABLE
+    (said,) = solution.findings
+    there = joint.solve(as_the_best(evidence))
+    # It is known before that what the deviations would be, without fitting once more.
+    for name, minute in re.findall(r'([\d.]+) arcmin of (E_\w+)', said):
+        k = next(k for k, p in enumerate(PARAMETERS) if p.name == minute)
+        assert there.std[k] == pytest.approx(float(name) * 60 * ARCSEC, rel=0.1)
+        assert there.std[k] > 5 * solution.std[k]
+
+
+def test_a_real_table_is_not_stated_better_than_any_is_known() -> None:
+    joints = '\n'.join(
+        f'  - {{name: {name}, axis: {axis}, max_rate: 9 deg/s, max_acceleration: 9 deg/s^2}}'
+        for name, axis in (('outer', 'z'), ('inner', 'x'))
+    )
+    stated = '\n'.join(f'{key}: 0 arcsec' for key in KEYS[:-1])
+    text = f'name: ours\njoints:\n{joints}\n{stated}\nencoder: 1 arcsec\nlevel: 0.5 arcsec\n'
+    table = read_table(Section.parse(text, 'ours.yaml'))
+    assert (table.raised, table.assumed, table.too_fine) == (KEYS[:-1], (), ())
+    assert table.positioning == FINEST
+    assert table.errors == TableErrors(FINEST, FINEST, FINEST, pytest.approx(ONE))
+    assert table.level == pytest.approx(0.5 * ARCSEC)
+    assert table.assumption == (
+        'No error of a table is known below 1 arcsec: as much is assumed of positioning, zeros, '
+        'orthogonality, wobble of table ours, of which its file states less.'
+    )
+    simulated = read_table(Section.parse(f'{text}simulated: true\n', 'ours.yaml'))
+    assert (simulated.raised, simulated.assumption) == ((), '')
+    assert simulated.too_fine == KEYS[:-1]
+    alone: Table = replace(simulated, joints=simulated.joints[:1])
+    assert alone.too_fine == ('positioning', 'wobble')
+
+
+def test_a_prediction_says_what_it_rests_on(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['plans', 'twelve_position', '--imu', 'fog_navigation']) == 0
+    shown = ' '.join(capsys.readouterr().out.split())
+    assert 'The standard deviations are those of table three_axis as its file describes it' in shown
+    assert main(['plans', 'six_position_by_hand', '--imu', 'mems_counts']) == 0
+    assert 'no real one' not in capsys.readouterr().out
