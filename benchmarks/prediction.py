@@ -46,8 +46,10 @@ UNITS = {
     'full_model': ('fog_navigation', 'fog_navigation_terms'),
 }
 """Unit and truth by plan, where it is not the usual one."""
-ASKED = {'full_model': tuple(term for term in TERMS if not term.moving)}
+ASKED = {'full_model': TERMS}
 """Terms by plan, where it is made for more than its method's own parameters."""
+PLACED = {'P_axy': 30e-3, 'P_axz': -21e-3, 'P_ayz': 15e-3, 'P_azx': 9e-3, 'T_a': 1e-3}
+"""Of the terms of motion, m and s, where they are asked for: no truth of that grade has any."""
 
 
 def study(name: str, sample_rate: float | None = None) -> Study:
@@ -64,6 +66,8 @@ def study(name: str, sample_rate: float | None = None) -> Study:
     if sample_rate is not None:
         imu = replace(imu, sample_rate=sample_rate)
     setup = Setup(imu, plan, table, SITE, plan.method, terms=ASKED.get(plan.name, ()))
+    placed = [p for p in setup.parameters if p.name in PLACED]
+    model = model.with_values(placed, [PLACED[p.name] for p in placed])
     if not np.isfinite(forecast(setup, model).std).any():
         setup = replace(setup, table=replace(table, azimuth=HEADING))
         return Study(setup, model, options, HEADING)

@@ -70,8 +70,9 @@ def test_of_gravity_that_turns_the_ends_count_alone() -> None:
     assert np.trace(found) < 1.6 * 3 * PULSE**2 / 6
 
 
-def test_a_rate_that_is_in_doubt_counts_with_all_that_it_may_be() -> None:
-    turned, doubt = half_a_turn(), 0.5 * PULSE / 2.0
+@pytest.mark.parametrize('pulses', [0.5, 3.0])
+def test_a_rate_that_is_in_doubt_counts_with_all_that_it_may_be(pulses: float) -> None:
+    turned, doubt = half_a_turn(), pulses * PULSE / 2.0
     outputs = np.tile([9.803, PULSE / 2.0, 0.0], (100, 1))
     found = remainder_covariance(
         turned, np.full(100, PERIOD), outputs, np.array([0.0, doubt, 0.0]), np.full(3, PULSE)

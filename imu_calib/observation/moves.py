@@ -37,6 +37,11 @@ from .gyro_paths import GyroPath, summed
 from .remainders import RoughAnswers, remainder_covariance
 from .velocity_increments import VelocityIncrement, by_delay, by_places
 
+_FORESEEN = 1.0
+"""Pulses a second by which counters may run otherwise than is thought before a session, a standard
+deviation: both ends of a move of two seconds then have phases of their own. Gravity a millisecond
+later, or a bias that is off by 50 ug, are as much of pulses of 0.5 mm/s."""
+
 _EDGES = 1 / 6
 """Square of a pulse that the counter's remainders at both ends of a move leave: 2 / 12. What those
 between leave besides, see `remainders`, is little for gyros, which count in every step."""
@@ -414,16 +419,19 @@ class Moves:
         for k in self.with_accels:
             gained = self.links[k].move.velocity_steps
             if gained is not None and gained.pulse.any():
-                found[k] = self._held_back(k, gained.pulse)
+                doubt = _FORESEEN * gained.pulse if gained.foreseen else np.zeros(3)
+                found[k] = self._held_back(k, gained.pulse, doubt)
         return found
 
-    def _held_back(self, index: int, pulse: Floats) -> Floats:
+    def _held_back(self, index: int, pulse: Floats, least: Floats) -> Floats:
+        """Return one of them, where rates of counters are in doubt by (3,) m/s^2 at least."""
         if self.rough is None:
             return np.eye(3) * _EDGES * np.mean(pulse**2)
         path = self.paths(self.rough.model)[index]
         directions = self.attitudes[self.links[index].second] @ path.axes
         _, outputs = self.rough.model.predict(path.rates, path.forces)
-        return remainder_covariance(directions, path.seconds, outputs, self.rough.doubt, pulse)
+        doubt = np.maximum(self.rough.doubt, least)
+        return remainder_covariance(directions, path.seconds, outputs, doubt, pulse)
 
     def encoders(self) -> Floats:
         """Return the variances of `misclosures` by the encoders' noise at both ends, (m, 6)."""

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from ..model import SensorModel, Triad
 from ..segmentation.segment import Segment, Turn
@@ -31,6 +32,12 @@ count as independent from step to step."""
 _RATES = np.array([-1.542, -0.752, -0.235, 0.235, 0.752, 1.542])
 """Standard deviations that stand for all of a normal distribution: the medians of its six sixths,
 widened to its variance."""
+
+_EVEN = 0.5
+"""Pulses by which a count may be off by chance, a standard deviation, up to which so few will do:
+beyond, phases are spread over more than a turn, which sixty-four cover evenly."""
+_MANY = np.sqrt(2) * scipy.special.erfinv((2 * np.arange(64) + 1) / 64 - 1)
+"""The same, the medians of sixty-four."""
 
 _RANK = 1e-3
 """Least singular value of the inputs of a triad, of the largest: dwells and turns are at right
@@ -93,7 +100,7 @@ def remainder_covariance(
 ) -> Floats:
     """Return the covariance of a velocity by the remainders of three counters, (3, 3) (m/s)^2.
 
-    The phase of each counter may be any; how fast it counts is known.
+    The phase of each counter may be any; how fast it counts is known as well as `doubt` says.
 
     Args:
         directions: (n, 3, 3) takes components from the body, half way through a step, to the frame.
@@ -110,10 +117,12 @@ def remainder_covariance(
     for channel in np.flatnonzero(pulse):
         held = edges[:, :, channel]
         counted = np.append(0.0, np.cumsum(outputs[:, channel] * seconds)) / pulse[channel]
-        faster = np.outer(_RATES * doubt[channel] / pulse[channel], times)
+        off = doubt[channel] / pulse[channel]
+        rates = _RATES if off * times[-1] < _EVEN else _MANY
+        faster = np.outer(rates * off, times)
         phases = 2j * np.pi * harmonics[:, None, None] * (counted + faster)
         sums = np.exp(phases) @ held
-        following = np.einsum('h,hra,hrb->ab', share, sums, sums.conj()).real / len(_RATES)
+        following = np.einsum('h,hra,hrb->ab', share, sums, sums.conj()).real / len(rates)
         independent = (1 / 12 - share.sum()) * held.T @ held
         found += pulse[channel] ** 2 * (following + independent)
     return found

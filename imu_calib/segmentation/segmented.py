@@ -61,12 +61,15 @@ class VelocitySteps:
         pulse: (3,) size of one pulse of their counters, m/s; 0 where there are none.
         filled: Variance that samples which were lost, and are read from those around them, leave
             along any axis, (m/s)^2.
+        foreseen: Whether nobody has counted yet: before a session it is not known to a pulse how
+            many there will be.
     """
 
     velocity: Floats
     mean: Floats
     pulse: Floats
     filled: float = 0.0
+    foreseen: bool = False
 
 
 @dataclass(frozen=True, eq=False)
