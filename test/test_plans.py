@@ -19,13 +19,21 @@ from imu_calib.estimation.estimate import Estimate, estimate
 from imu_calib.estimation.fit import check_observable
 from imu_calib.imu import load_imu
 from imu_calib.model import PARAMETERS, TERMS, ParameterKind, SensorModel, Term, parameters_of, term
+from imu_calib.model.session_terms import Course
 from imu_calib.observation.equations import Equations
 from imu_calib.plan import Position, load_plan
-from imu_calib.prediction import each_term, expected, forecast, forecast_changes, forecast_terms
+from imu_calib.prediction import (
+    duration,
+    each_term,
+    expected,
+    forecast,
+    forecast_changes,
+    forecast_terms,
+)
 from imu_calib.prediction.forecast import information
 from imu_calib.repetition import economical
 from imu_calib.share import named_file
-from imu_calib.simulation import simulate
+from imu_calib.simulation import Warming, simulate
 from imu_calib.stream import Floats, Mode
 from imu_calib.turntable import Table, load_table
 from imu_calib.units import ARCSEC, DEG, PPM
@@ -332,6 +340,52 @@ def test_what_a_plan_tells_of_a_trend_is_what_its_session_states() -> None:
         assert dearer == pytest.approx(np.where(dearer > 1, times, 1.0), rel=0.1)
         assert (times[dearer == 1] < 1.2).all()
         assert (dearer > 1).any() or not one.changes[0].of_scale_factor
+
+
+def test_what_a_plan_tells_of_the_temperature_is_what_its_session_states() -> None:
+    plan, unit, rise = at_one_rate(quick_plan('twelve_position', 30.0)), truth().model, 6.0
+    setup = Setup(paper_imu(), plan, THREE, SITE)
+    ahead = forecast(setup, unit, rise=rise)
+    options = stand(azimuth=0.3, warming=Warming(ramp=rise / duration(plan.steps(THREE), THREE)))
+    evidence = gathered(fed(session_of(plan, options), setup))
+    alone = np.sqrt(np.diag(estimate(evidence).covariance))
+    found = forecast_changes(ahead, setup, unit)[-4:]
+    assert [one.changes[0].name for one in found] == ['D_gx', 'D_ax', 'K_g', 'K_a']
+    for one in found:
+        assert one.changes[0].course is Course.THERMAL
+        stated = estimate(evidence, changes=one.changes)
+        own = [PARAMETERS.index(c.parameters[0]) for c in one.changes]
+        std = np.sqrt(np.diag(stated.covariance))[stated.equations.changing]
+        # Beside its parameter's own, as above; the stand's last dwell goes on, and warms further.
+        assert one.std / ahead.std[own] == pytest.approx(std / alone[own], rel=0.1)
+    # What rises twice as far tells twice as much.
+    further = forecast_changes(forecast(setup, unit, rise=-2 * rise), setup, unit)[-4:]
+    for one, twice in zip(found, further, strict=True):
+        assert twice.std == pytest.approx(one.std / 2, rel=1e-6)
+
+
+def test_coefficients_that_a_data_sheet_states_are_in_a_prediction_that_warms() -> None:
+    spec = paper_imu()
+    warm = replace(spec, gyro=replace(spec.gyro, scale_factor_temperature=10 * PPM))
+    setup = Setup(warm, at_one_rate(quick_plan('twelve_position', 30.0)), THREE, SITE)
+    cold, rising = (forecast(setup, truth().model, rise=rise).std for rise in (0.0, 10.0))
+    # Each axis is turned in a third of the session of its own.
+    assert (rising[:3] > 1.1 * cold[:3]).all()
+    assert rising[12:] == pytest.approx(cold[12:], rel=1e-3)
+
+
+def test_a_temperature_is_asked_for_in_kelvins_and_moves(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    asked = ['plans', 'twelve_position', '--imu', 'fog_medium', '--temperature-rise']
+    assert main([*asked, '6']) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    (row,) = (line for line in lines if line and line[0] == 'thermal:D_g')
+    assert row[2:] == ['deg/h', 'per', 'K']
+    assert main([*asked, '0.1']) == 2
+    assert 'found 0.1 K, expected 0.5 K or more' in capsys.readouterr().err
+    assert main([*asked, '6', '--reach', 'D_gx=1deg/h']) == 2
+    assert '--reach knows no temperature' in capsys.readouterr().err
 
 
 def test_a_trend_that_a_plan_does_not_tell_has_no_deviation(

@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..imu import ImuSpec
 from ..methods import check_plan, closed_form_beside
 from ..model import Parameter, SensorModel
+from ..observation.modulation import LEAST_RISE
 from ..paths import write_whole
 from ..plan import Plan
 from ..prediction import (
@@ -62,8 +63,8 @@ class Prediction:
         forecast: Of the method: standard deviations, and the least that the session allows.
         closed_form: Of the plan's closed form beside a joint estimate; None where there is none.
         terms: What the session would tell of each term of the sensors, added alone.
-        changes: What it would tell of biases and scale factors that trend or warm up, each kind
-            alone.
+        changes: What it would tell of biases and scale factors that trend or warm up, or follow a
+            temperature that is stated, each kind alone.
 
     """
 
@@ -105,6 +106,7 @@ def predict(
     *,
     truth: Calibration | Named = 'cao2022_table1',
     bias_instability: bool = False,
+    temperature_rise: float | None = None,
     **stated: Unpack[Planned],
 ) -> Prediction:
     """Predict the standard deviations of a session.
@@ -114,6 +116,8 @@ def predict(
         imu: Likewise; its noise and the size of its pulses count.
         truth: What the unit is thought to be: its counters run by it.
         bias_instability: Let the biases drift by the IMU's figure.
+        temperature_rise: Over the session, evenly and recorded, K: what is told of parameters that
+            follow it.
         **stated: The session, by keywords of `calibrate`; by default on the three-axis table, which
             does not count where the plan is run by hand, and at Luoyang's latitude.
 
@@ -123,7 +127,9 @@ def predict(
 
     """
     session = Stated(plan=plan, imu=imu, **stated)
-    return predicted(setup_of(session), as_truth(truth).model, drifting=bias_instability)
+    return predicted(
+        setup_of(session), as_truth(truth).model, drifting=bias_instability, rise=temperature_rise
+    )
 
 
 @with_keywords(Optimised)
@@ -237,13 +243,25 @@ def setup_of(stated: Stated) -> Setup:
 
 
 @by_one_thread
-def predicted(setup: Setup, truth: SensorModel, *, drifting: bool) -> Prediction:
-    """Predict; as `predict`, of what was stated."""
-    found = forecast(setup, truth, drifting=drifting)
+def predicted(
+    setup: Setup, truth: SensorModel, *, drifting: bool, rise: float | None = None
+) -> Prediction:
+    """Predict; as `predict`, of what was stated.
+
+    Raises:
+        InputError: A temperature that moves too little to tell what follows it.
+
+    """
+    if rise is not None and not LEAST_RISE <= abs(rise) < math.inf:
+        raise InputError(
+            f'`temperature_rise`: found {rise:g} K, expected {LEAST_RISE:g} K or more, either way.'
+        )
+    found = forecast(setup, truth, drifting=drifting, rise=rise or 0.0)
     beside = closed_form_beside(found.method, setup.plan)
     own = None
     if beside is not None:
-        own = forecast(replace(setup, method=beside, terms=()), truth, drifting=drifting)
+        plain = replace(setup, method=beside, terms=())
+        own = forecast(plain, truth, drifting=drifting, rise=rise or 0.0)
     of_terms = tuple(forecast_terms(found, setup, truth, drifting=drifting))
     changes = forecast_changes(found, setup, truth, drifting=drifting)
     return Prediction(setup, found, own, of_terms, changes)

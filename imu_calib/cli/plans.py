@@ -25,6 +25,7 @@ _OF_A_PREDICTION = (
     'terms',
     'azimuth',
     'bias_instability',
+    'temperature_rise',
     'latitude',
     'latitude_std',
     'height',
@@ -86,6 +87,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     options.add_method_option(parser)
     options.add_bias_instability_option(parser)
+    parser.add_argument(
+        '--temperature-rise',
+        type=float,
+        metavar='K',
+        help='of the unit over the session, evenly and recorded: predict what follows it, too',
+    )
     options.add_site_options(parser)
     parser.epilog = f'Methods: {", ".join(sorted(METHODS))}.'
     parser.set_defaults(run=run)
@@ -96,6 +103,8 @@ def run(arguments: argparse.Namespace) -> None:
     table = load_table(arguments.table)
     if arguments.reach and (arguments.imu is None or arguments.plan is None):
         raise InputError('--reach needs a plan and --imu: noise says how long a dwell must be.')
+    if arguments.temperature_rise is not None and arguments.reach:
+        raise InputError('--temperature-rise is for predictions: --reach knows no temperature.')
     if arguments.scheduler is not None and not arguments.reach:
         raise InputError('--scheduler is for --reach: the rest takes seconds.')
     _check_optimise(arguments)

@@ -14,6 +14,7 @@ from ..calibrator import Setup
 from ..errors import NotObservable
 from ..methods import free_positions
 from ..model import Parameter, SensorModel, parameters_of, terms_of
+from ..model.session_terms import Course
 from ..plain_table import plain_table
 from ..plan import Plan
 from ..prediction import ChangeForecast, Forecast, TermForecast, duration, resting_on_the_table
@@ -56,7 +57,8 @@ def show_prediction(arguments: argparse.Namespace) -> None:
     if arguments.reach:
         _show_reach(arguments, setup, truth)
         return
-    prediction = predicted(setup, truth, drifting=arguments.bias_instability)
+    drifting, rise = arguments.bias_instability, arguments.temperature_rise
+    prediction = predicted(setup, truth, drifting=drifting, rise=rise)
     found, own = prediction.forecast, prediction.closed_form
     if own is None:
         _show_forecast(found)
@@ -65,7 +67,7 @@ def show_prediction(arguments: argparse.Namespace) -> None:
         OUTPUT.print(f'closed form {own.method}: {own.refusal}', markup=False)
     else:
         _show_forecast(_side_by_side(own, found), best=found.method)
-    if not arguments.bias_instability and imu.gyro.bias_instability + imu.accel.bias_instability:
+    if not drifting and imu.gyro.bias_instability + imu.accel.bias_instability:
         OUTPUT.print(
             'Biases are constant here; with --bias-instability they drift by the data sheet'
             f'{"." if plan.by_hand else ", as the joint estimate allows for."}'
@@ -165,10 +167,10 @@ def _show_terms(found: Sequence[TermForecast], changes: Sequence[ChangeForecast]
     )
     OUTPUT.print(rows)
     if changes:
-        OUTPUT.print(
-            'warm_up fades within a quarter of the session here. thermal requires a temperature '
-            'that is recorded and moves.'
-        )
+        thermal = 'thermal requires a temperature that is recorded and moves: --temperature-rise K.'
+        if any(each.changes[0].course is Course.THERMAL for each in changes):
+            thermal = 'The temperature rises evenly.'
+        OUTPUT.print(f'warm_up fades within a quarter of the session here. {thermal}')
     OUTPUT.print()
 
 

@@ -129,9 +129,7 @@ class Evidence:
             table,
             imu.units,
             session.temperature,
-            np.array(
-                [[t.scale_factor_temperature, t.bias_temperature] for t in (imu.gyro, imu.accel)]
-            ),
+            thermal_of(imu),
         )
 
     def with_moves(self, moves: tuple[Move, ...]) -> Evidence:
@@ -402,3 +400,13 @@ def vertical_axis(up: Floats, position: str | None) -> tuple[int, int]:
             'this method needs one of X, Y, Z up or down.'
         )
     return axis, int(np.sign(up[axis]))
+
+
+def thermal_of(imu: ImuSpec) -> Floats:
+    """Return scale factor and bias per K of gyros and of accelerometers by the data sheet, (2, 2).
+
+    Standard deviations, 1/K and SI/K; 0 where not stated.
+    """
+    return np.array(
+        [[t.scale_factor_temperature, t.bias_temperature] for t in (imu.gyro, imu.accel)]
+    )

@@ -12,8 +12,9 @@ from ..estimation.changing import with_changes
 from ..methods import JOINT
 from ..model import AXES, TERMS, Parameter, SensorModel, Term, terms_of
 from ..model.motion import has_motion_terms
-from ..model.session_terms import BY_DEFAULT, LOOKED_FOR, Change, session_term
+from ..model.session_terms import BY_DEFAULT, LOOKED_FOR, Change, Course, session_term
 from ..observation.equations import Equations
+from ..observation.modulation import warms
 from ..stream import Floats
 from .expected import bias_drift_covariance
 from .forecast import Forecast, information_of, listed, with_parameters
@@ -103,6 +104,8 @@ def forecast_changes(
 ) -> tuple[ChangeForecast, ...]:
     """Return what a session would tell of biases and scale factors that trend or warm up.
 
+    And of those that follow the temperature, where it is said to move enough.
+
     Args:
         found: As in `forecast_terms`.
         setup: Likewise.
@@ -117,7 +120,7 @@ def forecast_changes(
     before = _std(plain, truth, extra)
     return tuple(
         _of_changes(session_term(f'{course.value}:{kind}'), plain, before, truth, extra)
-        for course in LOOKED_FOR
+        for course in (*LOOKED_FOR, *([Course.THERMAL] if warms(found.evidence) else []))
         for kind in BY_DEFAULT
     )
 

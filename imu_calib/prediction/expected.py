@@ -21,7 +21,7 @@ from ..imu import NEARLY, ImuSpec, TriadSpec
 from ..methods.free_positions import NAME as FREE_POSITIONS
 from ..model import BIASES, SensorModel, Skewed
 from ..model.motion import has_motion_terms
-from ..observation.evidence import Evidence
+from ..observation.evidence import Evidence, thermal_of
 from ..observation.ideal_moves import (
     BY_HAND_MOVE,
     ideal_holds,
@@ -35,6 +35,7 @@ from ..segmentation.clock import ClockFit
 from ..segmentation.moves import COARSEST
 from ..segmentation.segment import Segment, Statistics, Turn
 from ..segmentation.segmented import Move
+from ..segmentation.thermometer import Temperature
 from ..stream import Floats, Mode
 from ..turntable import TURN
 from .readings import SPARE, each_turn, period_of, reading, skewed_alone, triads, unread, walk_of
@@ -50,6 +51,9 @@ _BY_HAND_STILL = 2.0
 
 _BY_HAND_LEVEL = 0.25
 """What such a turn leaves of a level rate where it rises and falls for a third of a second each."""
+
+_WARMTH = 20.0
+"""Mean temperature of a session, degrees Celsius: only what it differs by counts."""
 
 _ANYHOW = Skewed(np.full((1, 3), 1 / math.sqrt(3)), np.zeros(1))
 """A skewed gyro whose direction is not stated: between all three."""
@@ -71,13 +75,16 @@ class _Times:
     courses: list[Course | None]
 
 
-def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> Evidence:
+def expected(
+    setup: Setup, truth: SensorModel, azimuth: float | None = None, *, rise: float = 0.0
+) -> Evidence:
     """Return what a session would give whose outputs hit their expectation.
 
     Args:
         setup: Plan, table, IMU and site.
         truth: What the sensors are thought to be: how fast its counters run depends on it.
         azimuth: True heading of the table's zero, rad; None for what the table says, or north.
+        rise: Of the temperature over the session, evenly, K; 0 where no thermometer shows it.
 
     Raises:
         InputError: The table cannot run the plan, or the IMU states no noise.
@@ -101,6 +108,8 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         walk,
         setup.table.positioning if setup.table is not None else 0.0,
         table=setup.table,
+        temperature=_rising(times, rise) if rise else None,
+        thermal=thermal_of(setup.imu),
         free=setup.method_name == FREE_POSITIONS,
         coarse=has_motion_terms(setup.terms),
     )
@@ -131,6 +140,15 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         ]
         moves = [move for move in moves if _followed(move, setup.imu)]
     return replace(bare, segments=tuple(segments), turns=tuple(turns), moves=tuple(moves))
+
+
+def _rising(times: _Times, rise: float) -> Temperature:
+    """Return a temperature that rises evenly, K, while dwells and turns last."""
+    parts: list[Segment | Turn] = [*times.dwells, *times.turns]
+    ends = [min(part.start for part in parts), max(part.end for part in parts)]
+    lowest, highest = _WARMTH - abs(rise) / 2, _WARMTH + abs(rise) / 2
+    course = np.column_stack([ends, [_WARMTH - rise / 2, _WARMTH + rise / 2]])
+    return Temperature(_WARMTH, lowest, highest, course)
 
 
 def _read(turn: Turn, mean: Floats, setup: Setup, truth: SensorModel) -> Turn:

@@ -54,7 +54,12 @@ class Forecast:
 
 
 def forecast(
-    setup: Setup, truth: SensorModel, azimuth: float | None = None, *, drifting: bool = False
+    setup: Setup,
+    truth: SensorModel,
+    azimuth: float | None = None,
+    *,
+    drifting: bool = False,
+    rise: float = 0.0,
 ) -> Forecast:
     """Predict the standard deviations of a session.
 
@@ -63,12 +68,13 @@ def forecast(
         truth: What the sensors are thought to be.
         azimuth: True heading of the table's zero, rad; None for what the table says, or north.
         drifting: Whether the biases drift by the IMU's bias instability.
+        rise: As in `expected`.
 
     Raises:
         InputError: The table cannot run the plan, the IMU states no noise, or there is no such
             method.
     """
-    evidence = expected(setup, truth, azimuth)
+    evidence = expected(setup, truth, azimuth, rise=rise)
     if setup.method_name == free_positions.NAME:
         return _with_common(_in_the_hand(truth, evidence), setup, truth)
     # A closed form knows no moves.
