@@ -35,9 +35,9 @@ widened to its variance."""
 
 _EVEN = 0.5
 """Pulses by which a count may be off by chance, a standard deviation, up to which so few will do:
-beyond, phases are spread over more than a turn, which sixty-four cover evenly."""
-_MANY = np.sqrt(2) * scipy.special.erfinv((2 * np.arange(64) + 1) / 64 - 1)
-"""The same, the medians of sixty-four."""
+beyond, phases are spread over more than a turn, which thirty-two cover evenly."""
+_MANY = np.sqrt(2) * scipy.special.erfinv((2 * np.arange(32) + 1) / 32 - 1)
+"""The same, the medians of thirty-two."""
 
 _RANK = 1e-3
 """Least singular value of the inputs of a triad, of the largest: dwells and turns are at right
