@@ -39,8 +39,8 @@ from .velocity_increments import VelocityIncrement, by_delay, by_places
 
 _FORESEEN = 1.0
 """Pulses a second by which counters may run otherwise than is thought before a session, a standard
-deviation: both ends of a move of two seconds then have phases of their own. Gravity a millisecond
-later, or a bias that is off by 50 ug, are as much of pulses of 0.5 mm/s."""
+deviation: both ends of a move of two seconds then have phases of their own. Of pulses of 0.5 mm/s
+a bias that is off by 50 ug is as much, and gravity for a millisecond more is twenty."""
 
 _EDGES = 1 / 6
 """Square of a pulse that the counter's remainders at both ends of a move leave: 2 / 12. What those
