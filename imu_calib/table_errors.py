@@ -103,7 +103,6 @@ class Doubts:
         sizes: Standard deviations by key, rad.
         assumed: Keys that it leaves out: their figures are those of `ASSUMED`.
         raised: Keys of which it states less than `FINEST`, which counts instead.
-
     """
 
     sizes: Mapping[str, float]

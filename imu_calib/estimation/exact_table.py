@@ -57,7 +57,6 @@ def on_the_best(equations: Equations, state: Floats, std: Floats) -> Floats:
         equations: On the table as its file describes it.
         state: (n + k,) their solution.
         std: (n,) of the parameters by them.
-
     """
     better = replace(equations, evidence=as_the_best(equations.evidence))
     variances = [
@@ -89,7 +88,6 @@ def resting_on_the_table(equations: Equations, state: Floats, std: Floats) -> li
         equations: On the table as its file describes it.
         state: (n + k,) their solution.
         std: (n,) of the parameters by them.
-
     """
     table = equations.evidence.table
     if equations.evidence.plan.by_hand or table is None or not table.too_fine:
