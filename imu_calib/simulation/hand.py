@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -112,6 +113,26 @@ def one_turn_each(
         attitudes[0], np.array(axes), np.zeros(len(axes)), np.eye(3), side_by_side(tracks)
     )
     return HandSession(motion, np.array(holds), now)
+
+
+def the_short_way(ups: Floats, seconds: Floats, *, heading: float = 0.0) -> HandSession:
+    """Lay out holds with the shortest turn there is from each to the next.
+
+    Args:
+        ups: (n, 3) directions of up in body axes, unit vectors.
+        seconds: (n,) how long each hold lasts.
+        heading: Of the first hold, rad.
+
+    """
+    attitudes = [rotation(AXES[0], heading) @ upright(ups[0])]
+    for up, target in pairwise(ups):
+        axis = np.cross(target, up)
+        if np.linalg.norm(axis) < _SAME:
+            # Half a turn, in the sense of `calibrator.guidance`.
+            axis = -upright(up)[0]
+        angle = float(np.arccos(np.clip(up @ target, -1.0, 1.0)))
+        attitudes.append(attitudes[-1] @ rotation(axis / np.linalg.norm(axis), angle))
+    return one_turn_each(np.array(attitudes), seconds)
 
 
 def as_planned(plan: Plan, rng: np.random.Generator) -> HandSession:
