@@ -147,7 +147,7 @@ NODES = {
     'compensator_node': [],
     'imu_node': ['port:={}/frames'],
 }
-MAIN = 'import sys\nfrom imu_calib.nodes.{} import main\nsys.exit(main())'
+MAIN = 'import sys\nfrom imu_calib.nodes.programs import start\nsys.exit(start("{}"))'
 
 
 @pytest.mark.parametrize('name', NODES)
