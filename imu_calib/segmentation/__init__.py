@@ -1,1 +1,1 @@
-"""Columns to segments: where the unit stood still, where it turned, and how well that is known."""
+"""Columns to segments: when the unit stood still, when it turned, and the uncertainty of both."""

@@ -1,4 +1,4 @@
-"""How far the clocks of table and IMU are apart, by the pattern of the first motions."""
+"""Estimate the offset between the clocks of table and IMU from the pattern of the first motions."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ FARTHEST = 60.0
 minute for weeks."""
 
 _CELL = 0.1
-"""s in which table and gyros turn by the same angle: what is left is found motion by motion."""
+"""s in which table and gyros turn by the same angle: the rest of the offset is found motion by
+motion."""
 
 _MOVING = 1.0 * DEG
-"""rad/s: no table at rest shows it, nor do gyros beyond their bias."""
+"""rad/s: more than a table at rest shows, or gyros by their bias."""
 
 _ALIKE = 0.75
-"""Share of two patterns that is the same where they are of the same motions: gyros may be a percent
-off, and a cell of each ramp falls to the next. A judgement."""
+"""Share in which two patterns of the same motions agree: gyros may be a percent off, and a cell of
+each ramp falls to the next. A judgement."""
 
 _CLEARLY = 0.9
-"""Of the likeness found: another offset that reaches more of it is as good."""
+"""Of the highest likeness: another offset that reaches more of it is as good."""
 
 _APART = 1.0
-"""s between offsets that are not of one peak."""
+"""s between offsets that belong to different peaks."""
 
 
 def offset_by_pattern(
@@ -43,8 +44,8 @@ def offset_by_pattern(
 
     Args:
         motions: One at least, in order.
-        table: That makes them.
-        begin: Since when the joint states are known, ns.
+        table: The table that makes them.
+        begin: First instant of the joint states, ns.
         stamp: (n,) of the IMU, ns; at least 2.
         turned: (n, 3) angle by its gyros up to each, rad.
 
@@ -68,7 +69,7 @@ def offset_by_pattern(
     rates = np.diff(angle, axis=0)
     rates -= np.median(rates, axis=0)
     by_gyros = np.linalg.norm(rates, axis=1)
-    # Beyond the samples nothing turns, and what the table does there is unlike.
+    # Beyond the samples the IMU's pattern is zero; motions of the table there lower the likeness.
     by_gyros[(around[:-1] < at[0]) | (around[1:] > at[-1])] = 0.0
     least = _MOVING * _CELL
     by_table[by_table < least] = by_gyros[by_gyros < least] = 0.0
@@ -78,7 +79,7 @@ def offset_by_pattern(
     alike = common / either
     best = int(np.argmax(alike))
     offsets = (np.arange(len(windows)) - reach) * _CELL
-    # Long motions make a broad peak, whose slopes are no other offsets.
+    # Long motions make a broad peak: offsets on its slopes do not count as others.
     near = round(_APART / _CELL)
     padded = np.pad(alike, near, mode='edge')
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * near + 1).max(axis=1)

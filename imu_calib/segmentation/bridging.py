@@ -1,8 +1,8 @@
 """Lost samples of counters: their counts, reconstructed from the samples around them.
 
 A counter counts on while a message is lost. Lines of one slope through the counts before and after
-tell what it gained between them, to a fraction of a pulse as long as the rate is the same; and what
-it gained is a whole number (docs/mathematics.md, 'Stamps and lost samples').
+give its gain between them, to a fraction of a pulse as long as the rate is constant; and the gain
+is a whole number (docs/mathematics.md, 'Stamps and lost samples').
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ LONGEST = 0.1
 over it; a longer one is a stop of the stream."""
 
 _MOST = 0.1
-"""Share of a segment that may be bridged: beyond it is not a line that drops a message."""
+"""Share of a segment that may be bridged: more is not caused by a line that drops a message."""
 
 _REACHES: tuple[int, ...] = tuple(1 << k for k in range(14))
 """Samples on either side that a gap may be read from: a counter of one pulse in ten seconds at 100
 Hz shows its phase within 5000."""
 
 _PLAIN = 8
-"""The same for values that are no pulses: their noise falls with the root, and this adds 3 % of
-what a lost sample costs anyhow."""
+"""The same for values that are not pulses: their noise falls with the root, and this adds 3 % to
+the cost of a lost sample."""
 
 _UNKNOWN = 0.25
-"""Variance of a count between two readings of a counter whose phase is not known, at most."""
+"""Largest variance of a count between two readings of a counter of unknown phase."""
 
 _PHASE = 0.2
 """Variance of a gap's count where the counter passes one pulse on either side of it; it falls with
@@ -47,7 +47,7 @@ _SWEEPS = 4
 """Most times that each gap is read, each time beside others that are filled better."""
 
 _SETTLED = 0.05
-"""Change of a gap's count, pulses, below which reading it again is of no use."""
+"""Change of a gap's count, pulses, below which reading it again is useless."""
 
 _LEAST_VARIANCE = 1e-4
 """Pulses squared: less is rounding."""
@@ -76,14 +76,14 @@ class Bridged:
 
     @property
     def lost(self) -> int:
-        """How many samples were lost and are bridged."""
+        """Number of samples that were lost and are bridged."""
         return int(np.count_nonzero(self.rows < 0))
 
     def values(self, values: Floats) -> Floats:
-        """Return what was delivered of the samples as they came, NaN for those that were lost."""
+        """Return the delivered rows, with rows of NaN for lost samples."""
         lost = (self.rows < 0)[:, None]
         if not lost.any():
-            # They are the samples as they came: of a million none is copied.
+            # No sample was lost: return the array without a copy.
             return values
         return np.asarray(np.where(lost, np.nan, values[np.maximum(self.rows, 0)]))
 
@@ -95,7 +95,7 @@ def bridged(samples: Samples, walk: Floats, reach: int | None = None) -> Bridged
         samples: Whose stamps lie on a grid.
         walk: (6,) random-walk coefficients to choose the reach by, rad/sqrt(s) and (m/s)/sqrt(s).
         reach: Samples on either side to read from; chosen by the noise, for a steady rate, if not
-            given. One is right wherever the rate changes steadily.
+            given. Use one where the rate changes steadily.
     """
     runs = gap_free(samples.stamp, samples.period)
     starts = [first for first, _ in runs[1:]]
@@ -138,7 +138,7 @@ def steadily(samples: Samples, walk: Floats) -> Samples:
 
 @dataclass(frozen=True)
 class _Hole:
-    """Rows start to stop are to be filled; from first to last there is no long gap."""
+    """Rows start to stop are to be filled; first to last hold no long gap."""
 
     start: int
     stop: int
@@ -180,13 +180,14 @@ def _average(increments: Floats, rows: NDArray[np.intp], holes: list[_Hole], rea
         near = near[(near >= hole.first) & (near < hole.last)]
         missing = hole.stop - hole.start
         increments[hole.start : hole.stop] = increments[near].mean()
-        # The lost noise is not in the sum, but that of those around weighs more.
+        # The noise of the lost samples is not in the sum, but that of their neighbours has more
+        # weight.
         total += missing + missing**2 / len(near)
     return total
 
 
 def _count(counts: Floats, holes: list[_Hole], noise: float, reach: int | None) -> float:
-    """Fill holes of (n,) pulses with whole ones, in place; return the variance that is left.
+    """Fill holes of (n,) pulses with whole numbers, in place; return the remaining variance.
 
     The noise is a sample's random walk, pulses; the reach is chosen, at a steady rate, if None.
     """
@@ -210,13 +211,14 @@ def _count(counts: Floats, holes: list[_Hole], noise: float, reach: int | None) 
                 spread = gain.variance(rate, noise, min(len(a), len(b)))
                 pulses, variance = _likely(pulses, spread, rate * missing, missing * noise**2)
             means[k], total = pulses, total + variance
-            # Not a whole number yet: a wrong one would pass its error on to those around it.
+            # Not yet rounded: a wrong whole number would pass its error on to the neighbouring
+            # gaps.
             counts[hole.start : hole.stop] = pulses / missing
         if np.abs(means - before).max() < _SETTLED:
             break
     carried = 0.0
     for hole, mean in zip(holes, means.tolist(), strict=True):
-        # Rounded one by one, gaps that cannot be read would all err to the same side.
+        # If each gap of unknown count were rounded by itself, all would err to the same side.
         edges = np.linspace(0.0, round(mean + carried), hole.stop - hole.start + 1)
         counts[hole.start : hole.stop] = np.diff(np.rint(edges))
         carried += mean - float(counts[hole.start : hole.stop].sum())
@@ -224,13 +226,13 @@ def _count(counts: Floats, holes: list[_Hole], noise: float, reach: int | None) 
 
 
 def _summed(pulses: Floats) -> Floats:
-    """Return what a counter shows at the ends of intervals, 0 at first."""
+    """Return the reading of a counter at the ends of intervals, 0 at first."""
     return np.concatenate([[0.0], np.cumsum(pulses)])
 
 
 @dataclass(frozen=True, eq=False)
 class _Gain:
-    """What a gap's count is of the counts around it: weights, and the variance that they leave.
+    """A gap's count from the counts around it: weights, and the remaining variance.
 
     Attributes:
         before: Weights of the counts from the gap backwards, 0 at the gap.
@@ -246,10 +248,10 @@ class _Gain:
 
     def variance(self, rate: float, noise: float, reach: int) -> float:
         """Return the variance, pulses squared, of pulses per sample, their walk, and the reach."""
-        # Whole pulses per sample tell nothing of the phase.
+        # Whole pulses per sample do not determine the phase.
         passed = reach * abs(rate - round(rate))
         phase = min(_UNKNOWN, _PHASE / passed**2 if passed else _UNKNOWN)
-        # What walks by a pulse passes one, too.
+        # A walk of a pulse passes one level, too.
         if noise * math.sqrt(reach) > 1:
             phase = 0.0
         return max(phase, _RESONANT * self.read * READING_VARIANCE) + self.walked * noise**2
@@ -269,17 +271,17 @@ def _gain(before: int, after: int, missing: int) -> _Gain:
 
 
 def _best_reach(rate: float, noise: float) -> int:
-    """Return from how many samples on either side a gap is read best."""
+    """Return the number of samples on either side that reads a gap best."""
     variances = [_gain(k, k, 1).variance(rate, noise, k) for k in _REACHES]
     sure = [k for k, variance in zip(_REACHES, variances, strict=True) if variance <= _SURE]
-    # No further than it takes: other gaps lie there.
+    # No further than needed: other gaps may lie there.
     return sure[0] if sure else _REACHES[variances.index(min(variances))]
 
 
 def _likely(pulses: float, variance: float, expected: float, walked: float) -> tuple[float, float]:
-    """Weigh what the counts around a gap say against the mean rate: mean and variance, pulses.
+    """Combine the counts around a gap with the mean rate: return mean and variance, pulses.
 
-    The variance is that of `pulses`; `walked` is what the walk adds to that of `expected`.
+    The variance is that of `pulses`; `walked` is the variance that the walk adds to `expected`.
     """
     variance = max(variance, _LEAST_VARIANCE)
     if variance + walked > _WIDE**2:
@@ -288,7 +290,7 @@ def _likely(pulses: float, variance: float, expected: float, walked: float) -> t
     whole = round(expected) + np.arange(-8.0, 9.0)
     standard, weights = _quadrature()
     nodes = expected + math.sqrt(walked) * standard
-    # Of a counter whose phase is anywhere, x pulses are n with a chance of 1 - |x - n|.
+    # For a counter of uniform phase, x pulses are n with a probability of 1 - |x - n|.
     likely = np.maximum(0.0, 1 - np.abs(whole[:, None] - nodes)) @ weights
     likely += _NEVER
     if variance < _UNKNOWN:
@@ -302,5 +304,5 @@ def _likely(pulses: float, variance: float, expected: float, walked: float) -> t
 @cache
 def _quadrature() -> tuple[Floats, Floats]:
     """Return nodes and weights over the normal law: exact for polynomials up to degree 13."""
-    # Few recordings need it, and numpy loads its polynomials when it is asked for them.
+    # Few recordings need it, and numpy loads its polynomials on first use.
     return np.polynomial.hermite_e.hermegauss(7)

@@ -13,9 +13,9 @@ _FIRST_CAPACITY = 1024
 class RowBuffer:
     """Rows (stamp, values) in order of their stamps; appending is amortised constant.
 
-    It holds at most three times the bytes of the most rows that were in it since they last took
-    another memory: twice that for the rows to come, and the former memory while they move.
-    A row that is in it is never written again, so that views of rows stay what they are.
+    It holds at most three times the bytes of its largest content since the last reallocation: twice
+    that for new rows, and the former memory while rows are copied. Rows in the buffer are never
+    overwritten: views stay valid.
     """
 
     def __init__(self, columns: int) -> None:
@@ -28,7 +28,7 @@ class RowBuffer:
         return self._last - self._first
 
     def __deepcopy__(self, _: object) -> RowBuffer:
-        """Return a buffer of its own with the rows, and without the room for more of them."""
+        """Return a separate buffer with the same rows and no spare capacity."""
         other = RowBuffer(self._values.shape[1])
         other._allot(len(self) + _FIRST_CAPACITY, self)
         return other
@@ -44,7 +44,7 @@ class RowBuffer:
         return self._values[self._first : self._last]
 
     def append(self, stamp: Stamps, values: Floats) -> None:
-        """Add (n,) stamps and (n, columns) values behind the last."""
+        """Append (n,) stamps and (n, columns) values."""
         needed = len(self) + len(stamp)
         if self._last + len(stamp) > len(self._stamp):
             self._allot(max(_FIRST_CAPACITY, 2 * needed), self)
@@ -53,7 +53,7 @@ class RowBuffer:
         self._last = end
 
     def _allot(self, capacity: int, rows: RowBuffer) -> None:
-        """Take the rows of a buffer, which may be this one, into a memory for so many."""
+        """Copy the rows of a buffer, which may be this one, into a memory for so many."""
         stamp = np.empty(capacity, dtype=np.int64)
         values = np.empty((capacity, rows._values.shape[1]))
         stamp[: len(rows)], values[: len(rows)] = rows.stamp, rows.values
@@ -63,7 +63,7 @@ class RowBuffer:
     def between(self, start: int, end: int) -> tuple[Stamps, Floats]:
         """Return the rows with start < stamp <= end: stamps (n,), values (n, columns).
 
-        They are views that cannot be written to: a dwell of a million samples is not copied.
+        They are read-only views: a dwell of a million samples is not copied.
         """
         a, b = np.searchsorted(self.stamp, [start, end], side='right')
         stamp, values = self.stamp[a:b], self.values[a:b]
@@ -71,11 +71,11 @@ class RowBuffer:
         return stamp, values
 
     def drop_until(self, stamp: int) -> None:
-        """Forget the rows with stamps up to `stamp`."""
+        """Drop the rows with stamps up to `stamp`."""
         self.drop(int(np.searchsorted(self.stamp, stamp, side='right')))
 
     def drop(self, count: int) -> int:
-        """Forget so many of the first rows, none where it is below zero; return how many."""
+        """Drop so many of the first rows, none if below zero; return how many."""
         dropped = max(0, count)
         self._first += dropped
         return dropped

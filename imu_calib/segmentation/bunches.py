@@ -1,9 +1,9 @@
-"""Stamps of samples that come many at a time -> when each sample of a bunch was made.
+"""Stamps of samples that come in bunches -> when each sample of a bunch was made.
 
-A driver that reads packets stamps all samples of one as it arrives. What was made over the time
-since the packet before is then cut from a dwell or a turn together, and spans of a few samples
-show no interval. Bunches are found by the pattern of short and long steps, before any interval is
-known (docs/mathematics.md, 'Stamps and lost samples').
+A driver that reads packets stamps all samples of one as it arrives. All samples made since the
+packet before are then cut from a dwell or a turn together, and spans of a few samples do not show
+the interval. Bunches are found by the pattern of short and long steps, before the interval is known
+(docs/mathematics.md, 'Stamps and lost samples').
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from ..stream import Floats, Stamps
 
 LAG = 240
-"""Most samples whose time tells what a step is on average: several bunches, and short enough that
-half of such spans are without a long gap."""
+"""Most samples over which the mean step is taken: several bunches, and short enough that half of
+such spans are without a long gap."""
 
 SHORT = 0.5
 """Of the mean step: shorter ones are within a bunch. A judgement: jitter of a fifth of an interval
@@ -28,45 +28,47 @@ MANY = 0.25
 """Share of steps that are short where samples come in bunches: half of them do in pairs."""
 
 _FEWEST = 3
-"""Whole bunches that show a pattern; samples in time that show that none is missing before them."""
+"""Fewest whole bunches that show a pattern; fewest samples in time that show that none is missing
+before them."""
 
 _ALIKE = 0.75
 """Share of bunches that are of one size, give or take a sample: a reader that polls gets one more
-or less, and samples that are held up by chance queue in all sizes. A judgement."""
+or less, and queues of delayed samples have all sizes. A judgement."""
 
 _QUEUED = 0.05
-"""Share of steps that are short from which on samples queue: what is late by itself is seen as
-that. A judgement."""
+"""Share of short steps from which on samples queue: single late samples are detected as such. A
+judgement."""
 
 _IN_ROW = 0.5
-"""Share of the short steps that follow another: of a queue all but the first one. Jitter makes two
+"""Share of the short steps that follow another: in a queue all but the first one. Jitter makes two
 in a row where a stamp is a whole interval nearer to the last but one, which is rare."""
 
 _DRIFT = 0.1
-"""Of the interval: as far may stamps that are led by it be off for its error after `_AHEAD`
-samples. It is a tenth of what tells one sample from the next."""
+"""Of the interval: largest error of stamps after `_AHEAD` samples due to the interval's error. It
+is a tenth of what distinguishes one sample from the next."""
 
 _NEARLY = 0.2
-"""Of the mean step: so near to it is the interval, unless samples come in bunches or one in six is
-missing."""
+"""Of the mean step: the interval is within this of it, unless samples come in bunches or one in six
+is missing."""
 
 _AHEAD = 512
-"""Samples of which the earliest tells: more than a line is held up without one that is in time,
-five seconds at 100 Hz, and so few that an interval that is known to a ten-thousandth errs by a
-twentieth of one over them. Of 40 simulated streams of 75 s, one sample in twenty late by 100 ms,
-three were late for longer than 128."""
+"""Samples of which the earliest is taken: longer than a line is usually held up, five seconds at
+100 Hz, and so few that an interval known to a ten-thousandth errs by a twentieth of one over them.
+Of 40 simulated streams of 75 s, one sample in twenty late by 100 ms, three were late for longer
+than 128."""
 
 _LARGEST = 0.9
-"""Quantile of the sizes that is the size of whole packets: a few are two that came together."""
+"""Quantile of the sizes that is the size of whole packets: a few are two packets that came
+together."""
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """How samples come many at a time.
+    """How samples come in bunches.
 
     Attributes:
         interval: Sample interval, ns.
-        size: Samples of a whole packet; None where a reader takes what has come.
+        size: Samples of a whole packet; None where a reader takes all that has arrived.
     """
 
     interval: float
@@ -74,7 +76,7 @@ class Pattern:
 
 
 def pattern(stamp: Stamps) -> Pattern | None:
-    """Return how samples come many at a time; None where they do not, or too few show it.
+    """Return how samples come in bunches; None where they do not, or too few show it.
 
     Args:
         stamp: (n,) ns, increasing.
@@ -84,9 +86,9 @@ def pattern(stamp: Stamps) -> Pattern | None:
 
 
 def usual_interval(stamp: Stamps) -> tuple[float, float]:
-    """Return the sample interval within a percent or so, ns, and which share of steps is short.
+    """Return the sample interval within a percent or so, ns, and the share of short steps.
 
-    By the median of the steps that are not short, of which a queue has few.
+    The interval is the median of the steps that are not short; a queue has few of these.
 
     Args:
         stamp: (n,) ns, at least 2.
@@ -99,10 +101,10 @@ def usual_interval(stamp: Stamps) -> tuple[float, float]:
 
 
 def sampling_times(stamp: Stamps) -> tuple[Stamps, Stamps]:
-    """Return when samples were made, and how much later they came by chance: not in bunches.
+    """Return when samples were made, and how much later each was stamped by chance.
 
-    Those of a bunch are spread evenly over the time since the one before. Those that queue behind
-    one that is held up by chance go back to when they were made. The stamps stay what they are
+    Samples of a bunch are spread evenly over the time since the bunch before; their lateness is 0.
+    Samples that queue behind a delayed one go back to when they were made. Stamps are unchanged
     where samples come one by one.
 
     Args:
@@ -119,14 +121,14 @@ def sampling_times(stamp: Stamps) -> tuple[Stamps, Stamps]:
 
 
 def _out_of_bunches(stamp: Stamps, starts: NDArray[np.intp]) -> Stamps:
-    """Return when samples were made of bunches that begin with some of them, (n,) ns."""
+    """Return when the samples of bunches were made, (n,) ns; `starts` are their first samples."""
     found = _pattern(stamp, starts)
     interval, size = found.interval, found.size
     counts = np.diff(starts, append=len(stamp))
     came = (stamp[starts] - stamp[0]).astype(float)
     whole, passed = counts[1:-1], np.diff(came)[:-1]
     slots = counts.copy()
-    # An edge of the segment cuts the last bunch: the others of it are beyond, and not missing.
+    # The end of the segment cuts the last bunch: its other samples lie beyond, and are not missing.
     slots[-1] = max(int(slots[-1]), round(float(np.median(whole))) if size is None else size)
     if size is not None:
         packets = np.maximum(np.rint(passed / (size * interval)), 1).astype(int)
@@ -139,7 +141,7 @@ def _out_of_bunches(stamp: Stamps, starts: NDArray[np.intp]) -> Stamps:
 
 
 def _pattern(stamp: Stamps, starts: NDArray[np.intp]) -> Pattern:
-    """Return the interval and the size of bunches that begin with some samples."""
+    """Return the interval and the size of bunches that begin with the samples `starts`."""
     whole = np.diff(starts)[1:]
     passed = np.diff(stamp[starts])[:-1].astype(float)
     size = int(np.quantile(whole, _LARGEST, method='nearest'))
@@ -149,10 +151,10 @@ def _pattern(stamp: Stamps, starts: NDArray[np.intp]) -> Pattern:
 
 
 def _out_of_queue(stamp: Stamps) -> Stamps:
-    """Return when samples were made that queue behind those that are late by chance, (n,) ns.
+    """Return when samples were made that queue behind late ones, (n,) ns.
 
-    Nothing comes before it is made, and each is made an interval after the one before, or more
-    where some are missing: the earliest of the next stamps, less the intervals to it, tells.
+    A sample is stamped after it is made, and made an interval after the one before, or more where
+    some are missing: it was made at the earliest of the next stamps, less the intervals to it.
     """
     interval = _interval_in_queue(np.diff(stamp))
     if interval is None:
@@ -160,11 +162,11 @@ def _out_of_queue(stamp: Stamps) -> Stamps:
     line = np.arange(len(stamp)) * interval
     late = (stamp - stamp[0]) - line
     earliest = scipy.ndimage.minimum_filter1d(late, _AHEAD, mode='nearest', origin=-(_AHEAD // 2))
-    # Of a queue that is longer samples gain on the clock until its end.
+    # In a longer queue samples gain on the clock until its end.
     falls = np.flatnonzero(late[: 1 - _AHEAD] - late[_AHEAD - 1 :] > _AHEAD / 2 * interval)
     for k in falls[::-1].tolist():
         earliest[k] = min(earliest[k], earliest[k + _AHEAD - 1])
-    # Of a queue that ends beyond what is looked at no sample is in time: those before it tell.
+    # Where a queue ends beyond the samples looked at, the instants follow from the samples before.
     in_time = np.flatnonzero(late - earliest <= _DRIFT * interval)
     level = late[in_time]
     sure = np.flatnonzero(np.abs(level[_FEWEST - 1 :] - level[: 1 - _FEWEST]) <= _DRIFT * interval)
@@ -175,7 +177,7 @@ def _out_of_queue(stamp: Stamps) -> Stamps:
 
 
 def _interval_in_queue(steps: Stamps) -> float | None:
-    """Return the interval of samples that queue, ns, by their steps; None if unknown or none do."""
+    """Return the interval of samples that queue, ns, by their steps; None if unknown."""
     if not len(steps):
         return None
     mean = float(steps.mean())
@@ -192,13 +194,13 @@ def _interval_in_queue(steps: Stamps) -> float | None:
 
 
 def _bunches(stamp: Stamps) -> NDArray[np.intp] | None:
-    """Return with which samples bunches begin, in order, the first at 0; None without a pattern."""
+    """Return the first sample of each bunch, in order, the first at 0; None without a pattern."""
     steps = np.diff(stamp)
     lag = min(LAG, len(steps) // 2)
     if not lag:
         return None
     spans = stamp[lag:] - stamp[:-lag]
-    # No median is longer than the longest, which is found sooner.
+    # A cheap test first: the median step is at most the longest.
     if np.count_nonzero(steps < SHORT * float(spans.max()) / lag) < MANY * len(steps):
         return None
     short = steps < SHORT * float(np.median(spans)) / lag
@@ -211,7 +213,7 @@ def _bunches(stamp: Stamps) -> NDArray[np.intp] | None:
     usual = float(np.median(counts))
     if usual <= 1:
         return None
-    # Of one size, or as many as were made since the bunch before: a reader that is kept waiting.
+    # Of one size, or as many as were made since the bunch before, if the reader was kept waiting.
     waited = np.diff(stamp[starts])[:-1]
     expected = usual, waited / np.median(waited / counts)
     alike = max(float(np.mean(np.abs(counts - size) <= 1)) for size in expected)
@@ -219,10 +221,10 @@ def _bunches(stamp: Stamps) -> NDArray[np.intp] | None:
 
 
 def _are_packets(counts: NDArray[np.intp], size: int) -> bool:
-    """Say whether bunches are packets of one size, so that what a smaller one lacks was lost.
+    """Return whether bunches are packets of one size: what a smaller one lacks was then lost.
 
-    A reader that polls gets one more or less by turns: of these the smaller ones follow each other
-    at equal distances, which losses do not.
+    A reader that polls alternately gets one more or less: the smaller bunches then follow each
+    other at equal distances, which losses do not.
     """
     if float(np.mean(counts == size)) < _ALIKE:
         return False
@@ -233,8 +235,9 @@ def _are_packets(counts: NDArray[np.intp], size: int) -> bool:
 def _places(counts: NDArray[np.intp], slots: NDArray[np.intp]) -> Floats:
     """Return the place of each sample within its bunch, from 1.
 
-    What is missing of one packet is so in its middle, as nothing tells where; of more than one
-    it is the packets before. Of the last bunch it is what follows.
+    Samples missing from one packet are placed in its middle, as their place is unknown; if more
+    than a packet is missing, the packets before are. In the last bunch the missing ones are at the
+    end.
     """
     place = np.arange(1, counts.sum() + 1) - np.repeat(np.cumsum(counts) - counts, counts)
     lacking = slots - counts

@@ -1,4 +1,4 @@
-"""What of a static dwell is sound: settling, shocks and steps are cut by what the data shows."""
+"""Detect and mask settling, shocks and steps in a static dwell."""
 
 from __future__ import annotations
 
@@ -13,46 +13,47 @@ from .segment import CHANNELS, Statistics
 from .statistics import Samples
 
 _WINDOW_SECONDS = 0.5
-"""s: long enough to average noise, short beside a dwell."""
+"""s: long enough to average noise, short compared with a dwell."""
 _OUTLIER = 7.0
-"""Times the scatter of the windows' means: false in 3e-12 of Gaussian ones."""
+"""Times the scatter of the windows' means: exceeded by 3e-12 of Gaussian ones."""
 _SHIFT = 5.0
-"""Standard deviations of the angle through which a mount must have turned: false in 6e-7."""
+"""Standard deviations of the angle from which a mount has turned: exceeded by 6e-7 of Gaussian
+ones."""
 _LEAST_SHIFT = 0.005 * DEG
 """rad: 18 arcsec, three times what a table is assumed to position to (table_errors)."""
 _TOLD_APART = _SHIFT**2
-"""Samples of one sign alone whose sum stands out of their own squares by `_SHIFT`: with fewer no
-test tells a turn from vibration."""
+"""Samples of one sign whose sum exceeds the root of the sum of their squares by `_SHIFT`: with
+fewer no test distinguishes a turn from vibration."""
 _HALF = 0.5
-"""Of the tilt that a turn must leave: the accelerometers bear out what is above it."""
+"""Of the tilt that a turn must cause: accelerometers confirm the turn if they see more."""
 _PULSES = 2.5
-"""Pulses that a window's sum may be off by for their edges alone."""
+"""Pulses by which a window's sum may be off by its edges alone."""
 _SPREAD_RATIO = 3.0
 """Times the usual spread within a window."""
 _FLIPPING = 0.5
 """Pulses: spread of a counter that flips at every sample."""
 _STEP_SIGNIFICANCE = 8.0
-"""Standard deviations: false in 1e-15 at each of hundreds of cuts; drifts look like steps, so that
-it has to be more than chance asks."""
+"""Standard deviations: exceeded in 1e-15 at each of hundreds of cuts; larger than chance requires,
+since drifts look like steps."""
 _FEWEST_WINDOWS = 4
-"""Fewer have no median to speak of."""
+"""Fewer have no useful median."""
 _QUIET_WINDOWS = 3
-"""In a row: between two swings of a ringing table one may be quiet."""
+"""In a row: one window between two swings of a ringing table may be quiet."""
 _FEWEST_BLOCKS = 5
-"""Fewer have no scatter to hold a step against."""
+"""Fewer have no scatter to compare a step with."""
 _WITHOUT_LARGEST = 0.7
-"""Mean of squares of a Gaussian without the largest of the few that there are, about."""
+"""Mean square of a few Gaussian values without the largest one, about."""
 _TINY = 1e-15
-"""Keeps a noise-free row from dividing by zero."""
+"""Prevents division by zero for a noise-free row."""
 _AT_ONCE = 16
-"""Windows whose spread is worked out at once: 16 000 samples at 2 kHz, a megabyte."""
+"""Windows whose spread is computed at once: 16 000 samples at 2 kHz, a megabyte."""
 _FAR_BETTER = 0.25
-"""Of what a drift leaves: a step has to explain four times as much as one."""
+"""Of the residual variance of a drift: a step has to explain four times as much as a drift."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sound:
-    """Which samples of a dwell are sound, in words what the others were, and the first shock."""
+    """Which samples of a dwell are sound, why the others are not, and the first shock."""
 
     mask: NDArray[np.bool_]
     notes: tuple[str, ...]
@@ -69,15 +70,15 @@ class ShiftingDisturbance:
 
 
 def sound_samples(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None = None) -> Sound:
-    """Cut the settling at both ends and the disturbances within a static dwell.
+    """Detect and mask settling at both ends and disturbances within a static dwell.
 
-    Windows of half a second whose mean or spread leaves the others' are not sound. A drift of the
-    whole dwell is no disturbance: windows are judged about a robust line.
+    Windows of half a second whose mean or spread differs from the others' are masked. A drift of
+    the whole dwell is not a disturbance: windows are compared with a robust line.
 
     Args:
         samples: A static dwell during which the table stood still.
         walk: (6,) random-walk coefficients expected, rad/sqrt(s) and (m/s)/sqrt(s).
-        spoilt: (n,) samples that are known to be unsound, for instance saturated.
+        spoilt: (n,) samples that are known to be invalid, for instance saturated.
     """
     length = max(1, round(_WINDOW_SECONDS / samples.period))
     count = len(samples.stamp) // length
@@ -88,7 +89,7 @@ def sound_samples(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | No
         return Sound(everything, ())
     used = samples.increments[: count * length].reshape(count, length, 6)
     means = _Means.of(used.sum(axis=1), walk * np.sqrt(length * samples.period))
-    # A channel of little noise may drift from one step of its ADC to the next within a dwell.
+    # A channel of low noise may drift from one ADC step to the next within a dwell.
     pulses = samples.pulse + samples.carried
     bad = means.outlying(_PULSES * pulses + samples.grid * length)
     bad |= _outlying_spreads(used, pulses + samples.grid)
@@ -112,7 +113,7 @@ def sound_samples(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | No
 
 
 def _settled(bad: NDArray[np.bool_]) -> int:
-    """Return the first window from which on it is quiet, and not just between two swings."""
+    """Return the first window from which on it is quiet, not just between two swings."""
     for length in range(_QUIET_WINDOWS, 0, -1):
         quiet = np.convolve(~bad, np.ones(length), 'valid') == length
         if quiet.any():
@@ -122,13 +123,13 @@ def _settled(bad: NDArray[np.bool_]) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Means:
-    """Windows about their robust line.
+    """Sums of windows about their robust line.
 
     Attributes:
         sums: (w, 6) of their samples, rad and m/s.
-        left: (w, 6) what is left of their sums, rad and m/s.
+        left: (w, 6) residuals of the sums, rad and m/s.
         scatter: (6,) standard deviation of a sum.
-        tolerance: (6,) what rounding may do to a sum.
+        tolerance: (6,) largest error of a sum by rounding.
     """
 
     sums: Floats
@@ -141,7 +142,7 @@ class _Means:
         """Take the sums (w, 6) of windows, and the noise (6,) expected of one."""
         left = sums - _robust_line(sums)
         scatter = np.maximum(1.4826 * np.median(np.abs(left), axis=0), expected)
-        # Values that are no pulses and carry no noise at all still deserve a tolerance.
+        # Values that are not pulses and have no noise still need a tolerance.
         return cls(sums, left, scatter, 1e-9 * np.abs(sums).max(axis=0) + 1e-15)
 
     def outlying(self, floor: Floats) -> NDArray[np.bool_]:
@@ -157,15 +158,16 @@ class _Means:
         windows: Floats,
         pulses: Floats,
     ) -> ShiftingDisturbance | None:
-        """Find the first run of bad windows (w,), first to last, that turned the unit for good.
+        """Find the first run of bad windows (w,), first to last, that turned the unit permanently.
 
-        A floor that shakes leaves sums, too: what is sampled of a vibration beyond half the sample
-        rate adds up like noise. A turn has to stand out of that, and to have tilted the unit. The
-        floor (6,) is what the edges of a window's pulses may do to its sum; windows are (w, n, 6).
+        Vibration of the floor changes sums, too: above half the sample rate it adds up like noise.
+        A turn has to exceed that, and to have tilted the unit. The floor (6,) is the largest effect
+        of a window's edges on its sum in pulses; windows are (w, n, 6).
         """
         length = windows.shape[1]
         inside = np.flatnonzero(bad[first:last]) + first
-        # A slow shock may show in some of its windows only: runs with one good between are one.
+        # A slow shock may show in some of its windows only: runs separated by one good window are
+        # one.
         for run in np.split(inside, np.flatnonzero(np.diff(inside) > 2) + 1):
             start, stop = int(run[0]), int(run[-1]) + 1
             turned = self.left[start:stop, :3].sum(axis=0)
@@ -189,7 +191,7 @@ class _Means:
     def _tilted(
         self, turned: Floats, bad: NDArray[np.bool_], before: slice, after: slice
     ) -> bool | None:
-        """Say whether accelerometers see the tilt that a turn leaves; None where they cannot tell.
+        """Return whether accelerometers see the tilt of a turn; None if they cannot show it.
 
         A turn by a small angle a takes the specific force f to f - a x f.
         """
@@ -214,11 +216,11 @@ class _Means:
 
 
 def _one_way(samples: Floats, total: Floats, turned: Floats, pulses: Floats) -> NDArray[np.bool_]:
-    """Say of each gyro whether its samples (n, 3) went one way instead of to and fro.
+    """Return for each gyro whether its samples (n, 3) turned one way instead of to and fro.
 
-    Vibration of n samples adds up to the root of the sum of their squares; where they are many
-    enough for a turn to stand out of that, it has to. What they turned by is beyond the line
-    through the windows beside; a counter goes to and fro by a pulse, and carries the remainder on.
+    The sum of n samples of vibration is about the root of the sum of their squares; a turn has to
+    exceed that if n is large enough. The turn is measured from the line through the neighbouring
+    windows; a counter goes to and fro by a pulse, and carries the remainder on.
     """
     free = samples - (total - turned) / len(samples)
     flips = len(samples) * (_FLIPPING * pulses) ** 2
@@ -238,26 +240,26 @@ def _robust_line(sums: Floats) -> Floats:
 
 
 def _outlying_spreads(windows: Floats, pulse: Floats) -> NDArray[np.bool_]:
-    # Some at a time: what a standard deviation takes off its mean is as much memory again.
+    # Some at a time: the standard deviation allocates as much memory again.
     parts = [windows[k : k + _AT_ONCE] for k in range(0, len(windows), _AT_ONCE)]
     spread = np.concatenate([part.std(axis=1) for part in parts])
     typical = np.median(spread, axis=0)
-    # A counter that rests on the edge between two values flips by one pulse at every sample.
+    # A counter at the edge between two values flips by one pulse at every sample.
     limit = _SPREAD_RATIO * np.maximum(typical, _FLIPPING * pulse)
     return np.asarray((spread > limit + 1e-15).any(axis=1))
 
 
 def find_step(statistics: Statistics, walk: Floats) -> tuple[tuple[float, float], str] | None:
-    """Find a step of the mean within a static dwell: somebody moved the unit and left it so.
+    """Find a step of the mean within a static dwell, caused by a permanent move of the unit.
 
     Args:
         statistics: Of the whole dwell.
         walk: (6,) random-walk coefficients expected, rad/sqrt(s) and (m/s)/sqrt(s).
 
     Returns:
-        Between which two instants the step lies, s after the dwell began, and the step in
-        words; None without a step. A step must be plain against the scatter of neighbouring
-        blocks and explain the dwell far better than a drift does.
+        The two instants between which the step lies, s after the dwell began, and a sentence on it;
+        None without a step. A step must exceed the scatter of neighbouring blocks and explain the
+        dwell far better than a drift does.
     """
     best: tuple[_Step, int] | None = None
     for channel, blocks in enumerate(statistics.blocks):
@@ -270,7 +272,7 @@ def find_step(statistics: Statistics, walk: Floats) -> tuple[tuple[float, float]
     if step.left > _FAR_BETTER * step.left_by_drift:
         return None
     before, after = statistics.blocks[channel][step.cut - 1 : step.cut + 1, 3].tolist()
-    # The step may lie anywhere in the two blocks beside the cut.
+    # The step may lie anywhere in the two blocks next to the cut.
     half = (after - before) / 2
     between = before - half, after + half
     return between, f'the mean of {CHANNELS[channel]} steps by {_amount(step.size, channel)}'
@@ -293,13 +295,13 @@ class _Step:
 
 
 def _largest_step(blocks: Floats, walk: float) -> _Step | None:
-    """Find the cut whose two sides differ most, each block by its own variance."""
+    """Find the cut whose two sides differ most, each block weighted by its variance."""
     row, gain, quantisation, middle = blocks.T
     if len(row) < _FEWEST_BLOCKS:
         return None
-    # Where the noise is not stated, blocks count by their lengths, and their scatter shows it.
+    # Where the noise is not stated, blocks are weighted by length; their scatter gives the noise.
     variance = walk**2 * gain + quantisation if walk > 0 else gain
-    # The largest difference is left out, since it may be the step itself.
+    # The largest difference is left out: it may be the step itself.
     squares = np.sort(np.diff(row) ** 2 / (variance[1:] + variance[:-1]))[:-1]
     least = 1.0 if walk > 0 else float((quantisation / gain).max())
     excess = max(float(squares.mean()) / _WITHOUT_LARGEST, least)

@@ -1,4 +1,4 @@
-"""Offset and rate between the clocks of table and IMU, from the motions that both have seen."""
+"""Offset and rate between the clocks of table and IMU, from motions seen by both."""
 
 from __future__ import annotations
 
@@ -17,48 +17,48 @@ from .statistics import Samples, gap_free
 _ITERATIONS = 12
 """A cap."""
 _LEAST_TRAVEL = 0.1
-"""rad: shorter motions tell nothing of milliseconds."""
+"""rad: shorter motions do not resolve milliseconds."""
 _LARGEST_OFFSET = 1.0
-"""s: clocks further apart are not those of one session."""
+"""s: clocks further apart do not belong to one session."""
 _LONGEST_STEP = 0.25
-"""s of one step of the iteration, so that it stays near."""
+"""Longest step of the iteration, s, to keep it from diverging."""
 _CONVERGED = 1e-9
 """s."""
 _NEAR = 1e-6
-"""s of the last step where noise keeps the iteration from a nanosecond: a thousandth of what a
-motion tells. A longer one is on its way elsewhere."""
+"""s of the last step where noise keeps the iteration from a nanosecond: a thousandth of the
+uncertainty of a motion. A longer one has not converged."""
 _MISFIT = 0.02
-"""Of the motion: what is left where gyros and joints do not tell of the same motion."""
+"""Of the motion: residual from which on gyros and joints describe different motions."""
 _FEWEST_STATES = 4
 """For a motion: begin, end and two between."""
 _END_SECONDS = 2.0
-"""s of each end of a long motion: acceleration is what tells the offset."""
+"""s of each end of a long motion: acceleration determines the offset."""
 _MARGIN_SECONDS = 0.8
-"""s at rest beside it."""
+"""s at rest on either side."""
 _MOTIONS_FOR_RATE = 3
 """A line and one to check it."""
 _SAMPLES_NEEDED = 20
-"""Fewer do not tell the shape of a motion."""
+"""Fewer do not show the shape of a motion."""
 _CELLS = 4000
-"""Samples of a motion that are used: more tell milliseconds no better."""
+"""Samples of a motion that are used: more do not resolve milliseconds better."""
 _OUTLIER = 12.0
 """Standard deviations of the usual step, by its median: a jump, not noise."""
 _LEAST_JUMP = 5e-3
-"""s: half a sample of 100 Hz; smaller ones are no jumps of a clock."""
+"""s: half a sample of 100 Hz; smaller ones are not jumps of a clock."""
 _NO_JUMP = 1e-3
-"""Chance by which motions that scatter make a jump that is said."""
+"""Chance of a false jump by scatter, at which a jump is still reported."""
 
 _CELL_SECONDS = 0.1
-"""s: a joint moves by what gyros see in it."""
+"""s in which the angle of a joint is compared with the gyros'."""
 _MOVING = 0.25
-"""Of the largest way in a cell."""
+"""Of the largest angle in a cell."""
 _SURELY_MOVING = 1.0 * DEG
-"""rad/s: no table at rest shows it."""
+"""rad/s: more than any table at rest shows."""
 
 
 @dataclass(frozen=True)
 class ClockSample:
-    """What one motion says: at table time `time` (ns) the IMU's clock is `offset` (s) ahead."""
+    """Offset from one motion: at table time `time` (ns) the IMU's clock is `offset` (s) ahead."""
 
     time: float
     offset: float
@@ -72,12 +72,11 @@ class ClockFit:
         epoch: Table time in the middle of the motions, ns.
         offset: At the epoch, s.
         offset_std: Standard deviation, s; NaN below two motions.
-        rate: Dimensionless; 0 where the session cannot tell.
-        rate_std: Standard deviation; NaN where the session cannot tell.
-        motions: How many motions it rests on.
-        jumps: By how much the offset jumps between motions, s, in order.
-        least_jumps: (jumps,) by how much at least, for all that scatters: 0 for one that may be
-            none.
+        rate: Dimensionless; 0 where the session does not determine it.
+        rate_std: Standard deviation; NaN where the session does not determine it.
+        motions: Number of motions used.
+        jumps: Jumps of the offset between motions, s, in order.
+        least_jumps: (jumps,) lower bounds of their sizes by the scatter; 0 where there may be none.
     """
 
     epoch: float
@@ -91,18 +90,18 @@ class ClockFit:
 
 
 NO_CLOCK = ClockFit(0.0, 0.0, float('nan'), 0.0, float('nan'), 0)
-"""Of a session without a motion that a table made."""
+"""For a session without a motion made by a table."""
 
 
 def clock_sample(
     stamp: Stamps, turned: Floats, joint_stamp: Stamps, joint_angle: Floats
 ) -> ClockSample | None:
-    """Compare one motion of one joint as the gyros and as its encoder saw it.
+    """Compare one motion of one joint as seen by the gyros and by its encoder.
 
-    Least squares of turned = c + s * angle(t - offset) + b * t: the factor s takes the gyros'
-    scale factor, b their bias; what is left of the difference in time is the offset. Of a long
-    turn only its two ends are used, each with a c and a b of its own: in between, random walk and
-    the horizontal Earth rate would pass for a difference in time.
+    Least squares of turned = c + s * angle(t - offset) + b * t: the factor s absorbs the gyros'
+    scale factor, b their bias; the remaining difference in time is the offset. Of a long turn only
+    its two ends are used, each with separate c and b: in between, random walk and the horizontal
+    Earth rate would look like a difference in time.
 
     Args:
         stamp: (n,) IMU stamps, ns, spanning the motion and some rest around it.
@@ -166,25 +165,25 @@ def _windows(time: Floats, duration: float) -> list[NDArray[np.intp]]:
 
 @dataclass(frozen=True)
 class ShareSeen:
-    """How much of a motion of the table the gyros saw, by angle and by time; 1 is all of it."""
+    """Share of a table's motion seen by the gyros, by angle and by time; 1 is all of it."""
 
     angle: float
     time: float
 
 
 def cells(joint_stamp: Stamps) -> NDArray[np.intp]:
-    """Return which joint states `seen_by_gyros` looks at: the first of each cell, and the last."""
+    """Return the joint states that `seen_by_gyros` uses: the first of each cell, and the last."""
     passed = (joint_stamp - float(joint_stamp[0])) * 1e-9
     _, index = np.unique(np.floor(passed / _CELL_SECONDS), return_index=True)
     return np.unique(np.append(index, len(passed) - 1))
 
 
 def seen_by_gyros(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> ShareSeen | None:
-    """Compare a motion as the gyros and as the encoders saw it, whatever their axes.
+    """Compare a motion as seen by the gyros and by the encoders, about any axes.
 
     Args:
         samples: Of the IMU, reaching a second beyond the motion at both ends.
-        joint_stamp: (m,) ns, by the IMU's clock as far as it is known.
+        joint_stamp: (m,) ns, by the IMU's clock as far as known.
         attitudes: (m, 3, 3) by the encoders.
 
     Returns:
@@ -218,19 +217,19 @@ def seen_by_gyros(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> S
 
 
 def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ()) -> ClockFit:
-    """Fit a line through the offsets of all motions; where they jump, parallel pieces of one.
+    """Fit a line through the offsets of all motions, with parallel pieces where they jump.
 
     Args:
         samples: One per motion, in order.
-        interruptions: Instants, ns, at which the IMU's stream begins anew: its clock may
-            have been started again, and then the offset is another one, by however little.
+        interruptions: Instants, ns, at which the IMU's stream begins anew: its clock may have been
+            restarted, so that the offset may change there by any amount.
     """
     if not samples:
         return NO_CLOCK
     time = np.array([s.time for s in samples])
     offset = np.array([s.offset for s in samples])
     pieces = _pieces(time, offset) + np.searchsorted(np.asarray(interruptions), time)
-    # A motion that stands alone between two jumps is an outlier.
+    # A single motion between two jumps is an outlier.
     sizes = np.bincount(pieces)
     keep = sizes[pieces] > 1 if sizes.max() > 1 else np.ones(len(time), dtype=bool)
     time, offset = time[keep], offset[keep]

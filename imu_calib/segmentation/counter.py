@@ -1,11 +1,10 @@
-"""The mean rate of an accumulating, quantised counter that rides on a random walk.
+"""The mean rate of an accumulating, quantised counter with a random walk.
 
 A counter shows floor(true count). Between two readings the error of a difference is one of two
 values, with variance c (1 - c) in pulses squared, c the fraction of the true difference: 1/6 on
-average over phases, however long one waits (docs/mathematics.md, 'Noise of a mean'). A counter
-tells more than its two end readings, and what more depends on how fast it runs against its own
-noise. Three estimators share the work, each with the variance that it leaves; the smallest to be
-expected is taken.
+average over phases, for any duration (docs/mathematics.md, 'Noise of a mean'). The readings between
+both ends hold more information; how much depends on the rate against the noise. Three estimators
+are used, each with its own variance; the one with the smallest expected variance is taken.
 """
 
 from __future__ import annotations
@@ -25,17 +24,17 @@ END_POINT_VARIANCE = 1 / 6
 """Variance of the difference of two readings of a counter, pulses squared, mean over phases."""
 
 READING_VARIANCE = 1 / 12
-"""Pulses squared: what a reading of whole pulses leaves, uniform over one."""
+"""Variance of a reading in whole pulses, pulses squared: uniform over one."""
 _PASSAGES_NEEDED = 3
-"""Of levels: two ends and one that checks them."""
+"""Of levels: two ends and one to check them."""
 _LEVELS_NEEDED = 4.0
 """Levels between the ends: fewer are within the noise of a counter at rest."""
 _FAR = 5.0
 """Standard deviations of the walk before the first and after the last passage."""
 _DRIFT_SIGNIFICANCE = 6.0
-"""Standard deviations: slower drifts turn back, and have no passages."""
+"""Standard deviations: slower drifts are reversed by the walk and have no passages."""
 _HARMONICS = 64
-"""Of the saw of a counter: those left out hold one percent of its variance."""
+"""Of the sawtooth of a counter: the remaining ones hold one percent of its variance."""
 _ORDERS = np.arange(1, _HARMONICS + 1)
 _POWERS = 1 / (2 * np.pi**2 * _ORDERS**2)
 """Of the harmonics, pulses squared."""
@@ -44,12 +43,12 @@ _FADED_OUT = 37.0
 _FADED_AWAY = 12.0
 """Exponent: e^-12 is 6e-6 of a weight."""
 _WIDEST_WINDOW = 256.0
-"""Samples at each end: wider ones gain nothing on the walk between."""
+"""Samples at each end: wider windows do not reduce the walk between."""
 
 
 @dataclass(frozen=True)
 class MeanRate:
-    """A mean rate and what its variance is made of: walk_gain N^2 + quantisation_variance.
+    """A mean rate and its variance: walk_gain N^2 + quantisation_variance.
 
     Attributes:
         rate: Per second.
@@ -77,13 +76,13 @@ def mean_rate(pulses: Floats, period: float, walk: float) -> MeanRate:
         pulses: (n,) increments per sample, whole numbers.
         period: Sample interval, s.
         walk: Random-walk coefficient assumed for the choice and the weights, pulses/sqrt(s). A
-            wrong one costs efficiency; the stated variance stays true to the weights used.
+            wrong one costs efficiency; the stated variance remains that of the weights used.
 
     Returns:
-        The estimate with the smallest variance at such a rate, pulses/s.
+        The estimate with the smallest expected variance at such a rate, pulses/s.
     """
-    # A whole number of pulses per sample carries no information on the fraction: without it, a
-    # fast counter looks like the slow one that its readings drift against.
+    # A whole number of pulses per sample has no information on the fraction: once subtracted, a
+    # fast counter behaves like a slow one.
     whole = float(np.rint(pulses.mean()))
     remainder = pulses - whole
     other = _by_all_samples(remainder, period, walk)
@@ -94,17 +93,17 @@ def mean_rate(pulses: Floats, period: float, walk: float) -> MeanRate:
 def best_passages(
     pulses: Floats, period: float, walk: float, other: MeanRate | None = None
 ) -> MeanRate | None:
-    """Return the estimate from first passages where it is the best at such a rate, else None.
+    """Return the estimate from first passages where they are the best at such a rate, else None.
 
-    What decides is the rate that they give and what passages leave on average at that rate, not
-    how many there happened to be. That number depends on the phase that the segment begins with: to
-    fall back on another estimator where it is small takes that one just where it errs most.
+    The choice depends on the rate that passages give and on their mean variance at that rate, not
+    on how many passages there were. Their number depends on the phase at the segment's start:
+    switching to another estimator where it is small would bias the choice.
 
     Args:
         pulses: (n,) pulses per sample.
         period: Sample interval, s.
         walk: Random walk, pulses/sqrt(s).
-        other: The estimate from all samples; worked out if not given.
+        other: The estimate from all samples; computed if not given.
     """
     passed = first_passages(pulses, period, walk)
     return None if passed is None else _if_best(passed, pulses, period, walk, other)
@@ -113,16 +112,16 @@ def best_passages(
 def _if_best(
     passed: MeanRate, pulses: Floats, period: float, walk: float, other: MeanRate | None = None
 ) -> MeanRate | None:
-    """Return the estimate from first passages where `best_passages` does."""
+    """Return the estimate from first passages by the criterion of `best_passages`."""
     whole = len(pulses) * period
     levels = abs(passed.rate) * whole
-    # What rings passes levels too, and counts back. Else the two ends tell the passages' rate, but
-    # for a pulse and what the walk does before the first and after the last.
+    # Ringing passes levels and counts back. Otherwise the two ends give the passages' rate, but for
+    # a pulse and the walk before the first and after the last.
     unseen = max(0.0, whole - 1 / passed.walk_gain)
     astray = abs(levels - abs(float(pulses.sum()))) - 1 > _FAR * walk * math.sqrt(unseen)
     if levels < _LEVELS_NEEDED or astray:
         return None
-    # One level is lost: part of it before the first passage, the other after the last.
+    # One level is lost: partly before the first passage, partly after the last.
     duration = (1 - 1 / levels) * whole
     left = 2 * (passed.rate * period) ** 2 * READING_VARIANCE / duration**2
     expected = MeanRate(passed.rate, 1 / duration, left).variance(walk)
@@ -131,7 +130,7 @@ def _if_best(
 
 
 def _by_all_samples(pulses: Floats, period: float, walk: float) -> MeanRate:
-    """Return the better one of smoothed and plain ends."""
+    """Return the better of smoothed and plain ends."""
     plain, smoothed = end_points(pulses, period), smoothed_ends(pulses, period, walk)
     if smoothed is None:
         return plain
@@ -139,7 +138,7 @@ def _by_all_samples(pulses: Floats, period: float, walk: float) -> MeanRate:
 
 
 def end_points(pulses: Floats, period: float) -> MeanRate:
-    """Estimate from the first and the last reading alone: the plain sum over the duration.
+    """Estimate from the first and the last reading alone: the sum over the duration.
 
     Args:
         pulses: (n,) pulses per sample.
@@ -151,7 +150,7 @@ def end_points(pulses: Floats, period: float) -> MeanRate:
 
 @dataclass(frozen=True, eq=False)
 class Passages:
-    """When a counter first reached new values: sample indices, and the values without sign."""
+    """When a counter first reached new values: sample indices, and unsigned values."""
 
     index: NDArray[np.intp]
     level: Floats
@@ -159,7 +158,7 @@ class Passages:
 
 
 def passages(pulses: Floats, period: float, walk: float) -> Passages | None:
-    """Find the first passages; None where the drift does not clearly lead the walk.
+    """Find the first passages; None unless the drift clearly exceeds the walk.
 
     Args:
         pulses: (n,) pulses per sample.
@@ -178,10 +177,10 @@ def passages(pulses: Floats, period: float, walk: float) -> Passages | None:
 def first_passages(pulses: Floats, period: float, walk: float) -> MeanRate | None:
     """Estimate from the moments when the counter first reached a new value.
 
-    At a first passage the true count is a whole number, known to the fraction of a pulse that
-    one sample adds. Passage times of a drifting Brownian motion have independent increments, so
-    levels passed over time elapsed is the maximum-likelihood drift (the inverse Gaussian law:
-    Folks and Chhikara 1978, J. R. Statist. Soc. B 40, 263), with the walk's variance alone.
+    At a first passage the true count is a whole number, known to the fraction of a pulse that one
+    sample adds. Passage times of a drifting Brownian motion have independent increments, so levels
+    passed over time elapsed is the maximum-likelihood drift (the inverse Gaussian law: Folks and
+    Chhikara 1978, J. R. Statist. Soc. B 40, 263), with the walk's variance alone.
 
     Args:
         pulses: (n,) pulses per sample.
@@ -189,7 +188,7 @@ def first_passages(pulses: Floats, period: float, walk: float) -> MeanRate | Non
         walk: Random walk, pulses/sqrt(s).
 
     Returns:
-        None where the drift does not clearly lead the walk, or passes too few levels.
+        None where the drift does not clearly exceed the walk, or passes too few levels.
     """
     found = passages(pulses, period, walk)
     return None if found is None else _from_end_to_end(found, period)
@@ -208,11 +207,11 @@ def _between(found: Passages, first: int, last: int, period: float) -> MeanRate:
 def smoothed_ends(pulses: Floats, period: float, walk: float) -> MeanRate | None:
     """Estimate with weights that are optimal against white reading errors of variance 1/12.
 
-    Increments then have a tridiagonal covariance, whose inverse gives weights that are flat in
-    the middle and fade out towards both ends over the time in which the walk grows as large as
-    the reading error: w_k = 1 - cosh(kappa (k - m)) / cosh(kappa m), m = (n + 1) / 2,
-    2 cosh(kappa) = 2 + 12 walk^2 period. The stated variance is that of these weights against
-    the reading error as it is (`_faded_error`), white or not.
+    Increments then have a tridiagonal covariance, whose inverse gives weights that are flat in the
+    middle and fade out towards both ends over the time in which the walk grows as large as the
+    reading error: w_k = 1 - cosh(kappa (k - m)) / cosh(kappa m), m = (n + 1) / 2, 2 cosh(kappa) = 2
+    + 12 walk^2 period. The stated variance is that of these weights against the actual reading
+    error (`_faded_error`).
 
     Returns:
         None without a walk.
@@ -224,7 +223,7 @@ def smoothed_ends(pulses: Floats, period: float, walk: float) -> MeanRate | None
     n = len(pulses)
     reach = min(n, math.ceil(_FADED_OUT / kappa))
     if 2 * reach < n:
-        # Both fades die out before they meet: the middle has weight one, and costs nothing.
+        # Both fades vanish before they meet: the middle has weight one and needs no computation.
         fade, faded, square = _fade(kappa, reach)
         lost = float(fade @ pulses[:reach]) + float(fade @ pulses[: -reach - 1 : -1])
         weighted = float(pulses.sum()) - lost
@@ -241,7 +240,7 @@ def smoothed_ends(pulses: Floats, period: float, walk: float) -> MeanRate | None
     return MeanRate(weighted / total, period * squares / total**2, error / total**2)
 
 
-# A session has two random walks, of gyros and accelerometers, as long as they are those stated.
+# A session has two random walks as long as they are those stated: gyros and accelerometers.
 @lru_cache(maxsize=16)
 def _fade(kappa: float, reach: int) -> tuple[Floats, float, float]:
     """Return exp(-kappa k) for k from 1 to `reach`, (reach,), its sum and that of its squares."""
@@ -275,17 +274,17 @@ def rate_between(pulses: Floats, period: float, first: float, last: float, walk:
     The count at either instant is read from the samples around it, with the weights that are
     optimal against walk and white reading errors in a window of `reach` samples to either side:
     sinh(kappa (reach - |k - instant|)), kappa that of `smoothed_ends`. The window is as wide at
-    both instants as the samples beyond the nearer end allow, so that what swings once from one to
-    the other still averages to nothing. A window of one sample is linear interpolation. The rate
-    is that between the instants which the weights are centred on.
+    both instants as the samples beyond the nearer end allow, so that one oscillation between the
+    two still averages to zero. A window of one sample is linear interpolation. The rate refers to
+    the instants on which the weights are centred.
 
     Args:
         pulses: (n,) increments per sample, whole numbers, at one rate.
         period: Sample interval, s.
         first: Start, in sample intervals after the start of the first sample.
         last: End, likewise.
-        walk: Random-walk coefficient, pulses/sqrt(s), for the weights; the stated variance stays
-            true to them.
+        walk: Random-walk coefficient, pulses/sqrt(s), for the weights; the stated variance is that
+            of the weights used.
     """
     n = len(pulses)
     growth = walk * walk * period
@@ -303,17 +302,17 @@ def rate_between(pulses: Floats, period: float, first: float, last: float, walk:
 
 @dataclass(frozen=True, eq=False)
 class _BothEnds:
-    """How counts at two instants are read from the samples around them."""
+    """Weights by which counts at two instants are read from the samples around them."""
 
     windows: tuple[Floats, Floats]
-    """The weights around either."""
+    """The weights around each instant."""
     on_increments: Floats
     """(n,) weights of the samples."""
     samples: float
-    """Sample intervals between the instants that the weights are centred on."""
+    """Sample intervals between the instants on which the weights are centred."""
 
 
-# Channels of a triad follow each other, with one random walk and the same cuts.
+# Channels of a triad follow each other, with the same random walk and cuts.
 @lru_cache(maxsize=1)
 def _both_ends(n: int, first: float, last: float, kappa: float) -> _BothEnds:
     widest = min(_WIDEST_WINDOW, _FADED_AWAY / kappa) if kappa > 0 else _WIDEST_WINDOW
@@ -322,7 +321,7 @@ def _both_ends(n: int, first: float, last: float, kappa: float) -> _BothEnds:
     for instant, sign in ((first, -1.0), (last, 1.0)):
         k = np.arange(max(0, math.ceil(instant - reach)), min(n, math.floor(instant + reach)) + 1)
         away = np.abs(k - instant)
-        # sinh(kappa left) exp(-kappa left), and what is proportional to it without a walk.
+        # sinh(kappa left) exp(-kappa left), or proportional to it without a walk.
         left = reach - away
         window = np.exp(-kappa * away) * (-np.expm1(-2 * kappa * left) if kappa > 0 else left)
         window /= window.sum()
@@ -339,7 +338,7 @@ def _windows_error(windows: Sequence[Floats], step: float, growth: float) -> flo
     error, powers = 0.0, 0
     for window in windows:
         alike = np.correlate(window, window, mode='full')[len(window) - 1 :]
-        # Powers of z up to n are products of two, each one of sqrt(n).
+        # Powers of z up to n are products of two of sqrt(n) powers each.
         width = math.isqrt(len(alike) - 1) + 1
         if width != powers:
             coarse, fine = (_powers(np.exp(by * turns), width) for by in (width, 1))

@@ -1,4 +1,4 @@
-"""A static dwell: what of it is a segment, and why the remainder is not."""
+"""A static dwell: find the segments in it, and the reasons for what is rejected."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .sensor import Sensor
 from .statistics import Samples, gap_free, statistics_at_rest
 
 _SHORTEST_DWELL = 1.0
-"""s: a shorter one tells less than its settling costs."""
+"""s: the settling of a shorter dwell costs more than the dwell gives."""
 _MOSTLY = 0.5
 """Share of saturated samples."""
 _NOTHING: Stamps = np.empty(0, dtype=np.int64)
@@ -36,22 +36,22 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
     *,
     left_out: Stamps = _NOTHING,
 ) -> list[_Found]:
-    """Turn samples at rest into segments, or say why not.
+    """Turn samples at rest into segments, or return the reasons for rejecting them.
 
-    A shock that left the unit turned parts the dwell in two where the table's angles tell its
-    attitude; without them the sound part alone is used.
+    A shock that turned the unit splits the dwell in two where the table's angles give its attitude;
+    without them only the sound part is used.
 
     Args:
         sensor: The IMU.
         samples: Of the static dwell.
-        values: (n, 6) as delivered; NaN where samples were lost and are read from those around.
+        values: (n, 6) as delivered; NaN where samples were lost and are interpolated.
         angles: Joint angles during the static dwell, rad; None without a table.
-        attitude: (3, 3) R_nb by them; None without a table.
+        attitude: (3, 3) R_nb from these angles; None without a table.
         attitude_error: Standard deviation of the attitude by the encoders' noise, rad.
-        left_out: Stamps of samples that were frozen, ns: they are not missing.
+        left_out: Stamps of frozen samples, ns: they do not count as missing.
 
     Returns:
-        In order of time; nothing where it was too short to tell.
+        In order of time; empty where the dwell was too short.
     """
     stamp = samples.stamp
     if len(stamp) < 2 or (stamp[-1] - stamp[0]) * 1e-9 < _SHORTEST_DWELL:
@@ -62,7 +62,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
         return read_dwell(sensor, *left, left_out=left_out)
 
     saturated = sensor.saturated(values, samples)
-    # The end of a range repeats itself, too.
+    # A saturated value repeats itself, too.
     frozen = repeating_samples(values, counted=sensor.counted)
     if angles is not None:
         frozen |= repeating_a_turn(values, samples.increments[:, :3] / samples.period)
@@ -101,7 +101,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
 
 
 def _with_note(note: str, found: _Found) -> _Found:
-    """Add what was found before the rest was read."""
+    """Prepend a note to what was found."""
     if isinstance(found, Segment):
         return replace(found, notes=(note, *found.notes))
     if isinstance(found, Rejected):
@@ -112,7 +112,7 @@ def _with_note(note: str, found: _Found) -> _Found:
 def _sound_statistics(
     samples: Samples, sound: Sound, saturated: NDArray[np.bool_], walk: Floats, left_out: Stamps
 ) -> tuple[Statistics, Stamps, tuple[str, ...]] | str:
-    """Estimate over the sound part of a static dwell; a text says why there is none."""
+    """Estimate over the sound part of a static dwell, or return why it is impossible."""
     notes = list(sound.notes)
     if saturated.any():
         notes.append(f'{counted(int(saturated.sum()), "sample is", "samples are")} saturated')
@@ -137,7 +137,7 @@ def _sound_statistics(
 
 
 def _missing(samples: Samples, gaps: list[tuple[int, int]], left_out: Stamps) -> NDArray[np.int64]:
-    """Return how many samples are missing in each gap in which some are."""
+    """Return the number of missing samples of each gap that has any."""
     starts = np.array([a for a, _ in gaps[1:]], dtype=int)
     before, after = samples.stamp[starts - 1], samples.stamp[starts]
     holes = np.rint((after - before) * 1e-9 / samples.period).astype(np.int64) - 1
@@ -146,7 +146,7 @@ def _missing(samples: Samples, gaps: list[tuple[int, int]], left_out: Stamps) ->
 
 
 def _longer_part(samples: Samples, between: tuple[float, float]) -> Samples:
-    """Return the part before or after a step that lies between two instants."""
+    """Return the longer part: before or after a step between two instants."""
     n = len(samples.stamp)
     first, last = np.searchsorted(
         samples.stamp, samples.stamp[0] + np.multiply(between, 1e9), side='right'

@@ -1,4 +1,4 @@
-"""Angles of an encoder that turns at one rate: a line through them, and the steps they come in.
+"""Angles of an encoder at constant rate: a line through them, and the size of their steps.
 
 Source: docs/mathematics.md, 'Rate test'.
 """
@@ -14,49 +14,51 @@ from ..stream import Floats
 from ..units import DEG
 
 FEWEST = 6
-"""Fewest angles of a line: four coefficients are fitted to a seed, and two degrees of freedom are
-left for the scatter."""
+"""Fewest angles of a line: four coefficients are fitted to a seed, and two degrees of freedom
+remain for the scatter."""
 _LEAVES = 6.0
-"""Standard deviations off the line at which it is left: normal noise passes them twice in 10^9,
-which rarely ends a plateau too early (docs/mathematics.md, 'Rate test')."""
+"""Standard deviations off the line at which the plateau ends: exceeded twice in 10^9 by normal
+noise, which rarely ends a plateau too early (docs/mathematics.md, 'Rate test')."""
 _ENCODER = 1e-3 * DEG
-"""Least departure that counts, rad. A judgement: 3.6 arcsec for an encoder's error within the turn,
-which it does not state."""
+"""Least significant departure, rad. A judgement: 3.6 arcsec for an encoder's error within the turn,
+which the encoder does not state."""
 _COARSEST = 0.2 * DEG
-"""Largest step that is taken for that of an encoder, rad: 11 bits a turn. Nobody calibrates by
-less."""
+"""Largest step taken for that of an encoder, rad: 11 bits a turn, coarser than any used for
+calibration."""
 _CORNERS = 20
 """Readings at which the gain of a smooth motion changes, at most: three at each corner of the rate,
 of which a motion of three ramps has six."""
 _SHORT_RAMPS = 32
-"""Readings on ramps up to which steps may show at corners alone. A judgement: of so many on ramps
-that are coarse two in three change the gain."""
+"""Readings on ramps up to which steps may show at corners alone. A judgement: of so many coarse
+readings on ramps, two in three change the gain."""
 _EXACTLY = 2e-3
-"""Of a step: so near to whole ones do readings of a coarse encoder differ. A judgement: radians of
-six digits are rounded by a thousandth of 0.05 deg, and the step that is seen is off by as much."""
+"""Of a step: deviation from whole steps by which readings of a coarse encoder may differ. A
+judgement: radians of six digits are rounded by a thousandth of 0.05 deg, and the step itself is
+estimated with the same error."""
 _LOST = 1.5
-"""Of the interval of joint states: a longer one lacks some, and its differences say nothing."""
+"""Of the interval of joint states: a longer one lacks some, and its differences are not used."""
 _FINELY = 1e-6
-"""Of the interval in which a slope is sought: how finely; a deviation wants no more."""
+"""Resolution of the search for a slope, of its interval: sufficient for a standard deviation."""
 _BLOCKS = 16
-"""Of the angles of a line, whose means show errors in common (docs/mathematics.md, 'Rate test')."""
+"""Blocks of the angles of a line, whose means show correlated errors (docs/mathematics.md, 'Rate
+test')."""
 _SIGNIFICANT = 1e-3
-"""Chance that the means of blocks of white noise scatter by so much more: one line in a thousand is
-called less certain than it is."""
+"""Chance that means of blocks of white noise scatter by more: for one line in a thousand the stated
+uncertainty is too large."""
 _SAME_READING = 1e-9
 """Readings that are closer are the same one, rad: numbers near 100 turns are rounded to 1e-13, and
 an encoder of 32 bits steps by 1.5e-9."""
 _NEAR = 20.0
-"""Differences up to so many times the least are held against whole steps: half a percent of error
+"""Differences up to so many times the least are compared with whole steps: half a percent of error
 of the least difference makes a tenth of a step of it there, which is `_WHOLE`."""
 _SHARES = (1, 2, 3)
-"""The least difference that is seen may be so many steps."""
+"""The smallest difference seen may be so many steps."""
 _WHOLE = 0.1
-"""Of a step: a difference is a whole number of them within this. By chance six differences are with
-a probability of 0.2^6 = 6e-5."""
+"""Of a step: tolerance for a difference to be a whole number of them. Six differences are so by
+chance with a probability of 0.2^6 = 6e-5."""
 _SMOOTHED_SECONDS = 0.1
 """Longest time over which departures are averaged, s: longer hides the onset of fast ramps. A
-judgement: a ramp of 20 deg/s^2 leaves by 0.1 deg in it."""
+judgement: a ramp of 20 deg/s^2 departs by 0.1 deg in it."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Line:
     """A line by least squares.
 
     Attributes:
-        count: Of the angles that it rests on.
+        count: Number of angles.
         time: Their mean, s.
         spread: Sum of the squares of their distances from it, s^2.
         angle: At that time, rad.
@@ -72,7 +74,8 @@ class Line:
         slope_std: Its standard deviation, rad/s.
         step: Of the encoder, rad, as far as it is known.
         noise: Scatter of the angles about it, rad.
-        smoothed: Over how many angles a departure is averaged: no more than make the noise small.
+        smoothed: Number of angles over which a departure is averaged: as many as make the noise
+            small.
     """
 
     count: int
@@ -89,9 +92,9 @@ class Line:
     def through(cls, time: Floats, angle: Floats, step: float) -> Line:
         """Fit (n,) angles, rad, at (n,) times, s.
 
-        What scatters in common for a while (an encoder's error that repeats with the turn) does
-        not average like noise: the means of blocks scatter by more, and the slope is then as
-        uncertain as they are.
+        Errors that are correlated for a while (an encoder's error that repeats with the turn) do
+        not average like noise: the means of blocks scatter by more, and their scatter gives the
+        uncertainty of the slope.
         """
         n, middle, mean = len(time), float(time.mean()), float(angle.mean())
         centred = time - middle
@@ -106,12 +109,14 @@ class Line:
         return cls(n, middle, spread, mean, slope, slope_std, step, noise, smoothed)
 
     def limit(self, time: Floats) -> Floats:
-        """Return how far off the line the mean of some angles may lie by chance, (n,) rad."""
+        """Return the largest departure of the mean of some angles from the line by chance, (n,)
+        rad.
+        """
         own = 1 / self.smoothed + 1 / self.count + (time - self.time) ** 2 / self.spread
         return np.asarray(_LEAVES * self.noise * np.sqrt(own) + max(self.step, _ENCODER))
 
     def departure(self, time: Floats, angle: Floats) -> Floats:
-        """Return how far off the line (n,) angles lie, in units of `limit`."""
+        """Return the departure of (n,) angles from the line, in units of `limit`."""
         left = angle - self.angle - self.slope * (time - self.time)
         if self.smoothed > 1:
             window = np.ones(self.smoothed)
@@ -121,7 +126,7 @@ class Line:
 
 
 def _variance(left: Floats, white: float) -> float:
-    """Return the variance by which angles count: that of noise, unless their blocks show more."""
+    """Return the variance of angles: that of noise, unless their blocks show more."""
     length = len(left) // _BLOCKS
     if length < 2 or not white:
         return white
@@ -134,10 +139,10 @@ def _variance(left: Floats, white: float) -> float:
 def encoder_step(time: Floats, angle: Floats) -> float:
     """Return the step of the encoder, rad, where its readings show one; else 0.
 
-    Angles may differ by whole numbers of something because ramps are round: one of 200 deg/s^2
-    that is read at 100 Hz gains 0.02 deg more each time. Steps make gains go up and down while the
-    table speeds up, which a smooth motion does not, coarse as its angles may look. Ramps of a few
-    readings do not show that: there readings differ by whole steps exactly.
+    Angles may differ by whole numbers of a step because ramp rates are round: one of 200 deg/s^2
+    read at 100 Hz gains 0.02 deg more each time. Steps make gains go up and down while the table
+    accelerates; a smooth motion does not, even if its angles look coarse. Ramps of a few readings
+    do not show that: there readings must differ by whole steps exactly.
 
     Source: docs/mathematics.md, 'Rate test'.
     """
@@ -155,13 +160,13 @@ def encoder_step(time: Floats, angle: Floats) -> float:
         return 0.0
     steps = np.abs(np.diff(angle)) / step
     steps = steps[steps < _NEAR]
-    # The step is off by as much, and counts so many times.
+    # The error of the step is as large, and is multiplied so many times.
     exact = np.abs(steps - np.rint(steps)) < _EXACTLY * np.maximum(steps, 1.0)
     return step if exact.all() else 0.0
 
 
 def _step(angle: Floats) -> float:
-    """Return of what, rad, close angles differ by multiples; 0 of nothing."""
+    """Return the step, rad, of which differences of close angles are multiples; 0 if none."""
     apart = np.diff(np.sort(angle))
     apart = apart[apart > _SAME_READING]
     least = float(apart.min(initial=_COARSEST))
@@ -176,16 +181,16 @@ def _step(angle: Floats) -> float:
 
 
 def hidden_by_steps(line: Line, time: Floats, angle: Floats) -> float:
-    """Return how far off a line's slope is by the encoder's steps alone, rad/s, as a deviation.
+    """Return the standard deviation of a line's slope by the encoder's steps alone, rad/s.
 
-    Where samples come in time with the steps, or nearly so, all readings err alike for long: no
-    scatter shows it. What is known of the slope is that some line of it comes within half a step
-    of all readings; which offset does so is as likely as any other. 0 where readings scatter by
-    more than steps do: that is seen.
+    Where samples are nearly synchronous with the steps, all readings have the same error for long:
+    the scatter does not show it. The slope is known only to the extent that some line of it comes
+    within half a step of all readings; all such offsets are equally likely. 0 where readings
+    scatter by more than steps do: the scatter then shows it.
 
     Source: docs/mathematics.md, 'Rate test'.
     """
-    # Of readings within a step the scatter is half of it at most.
+    # Readings within one step scatter by half of it at most.
     if line.noise > line.step:
         return 0.0
     apart = time - line.time
@@ -194,7 +199,7 @@ def hidden_by_steps(line: Line, time: Floats, angle: Floats) -> float:
     def spread(slope: float) -> float:
         return float(np.ptp(left - slope * apart))
 
-    # Convex in the slope: its least is found first, then where it is a step on either side.
+    # Convex in the slope: find its minimum, then the points one step higher on either side.
     reach = 2 * line.step / float(np.ptp(time))
     best = scipy.optimize.minimize_scalar(
         spread, bounds=(-reach, reach), method='bounded', options={'xatol': _FINELY * reach}
@@ -205,5 +210,5 @@ def hidden_by_steps(line: Line, time: Floats, angle: Floats) -> float:
         scipy.optimize.brentq(lambda slope: spread(slope) - line.step, best, best + outside)
         for outside in (-2 * reach, 2 * reach)
     ]
-    # Of an interval whose ends have one offset each, and whose middle has most.
+    # Standard deviation over an interval with one offset at its ends and most in its middle.
     return float(np.hypot(np.mean(ends), (ends[1] - ends[0]) / np.sqrt(24)))

@@ -1,9 +1,8 @@
 """Stamps -> the instants at which a device sampled: equal intervals, some of them missing.
 
-A device samples at equal intervals of its own clock. Its stamps say more: when a driver woke up,
-how long a line was busy, how many samples came in one packet. The instants are a line through the
-stamps; what the stamps are off it is theirs and not the samples' (docs/mathematics.md,
-'Stamps and lost samples').
+A device samples at equal intervals of its own clock. Its stamps also hold delays of the driver, the
+line and the packets. The sampling instants are a line through the stamps; deviations from it are
+errors of the stamps, not of the samples (docs/mathematics.md, 'Stamps and lost samples').
 """
 
 from __future__ import annotations
@@ -21,86 +20,87 @@ _LATE = 1.5
 """Intervals between two stamps from which on a sample between them may be missing."""
 
 _OFF_GRID = 0.03
-"""Of an interval: by less a clock was not set, or it does not matter: samples that are missing
-shift the stamps by whole intervals. A judgement: three times what sixteen intervals add up to that
-are a thousandth off."""
+"""Of an interval: smaller steps are not set clocks, or have no effect: missing samples shift the
+stamps by whole intervals. A judgement: three times the error of sixteen intervals that are a
+thousandth off."""
 
 _ALONGSIDE = 16
-"""Samples on either side of a step by which it is judged: few, as their interval is not known."""
+"""Samples on either side of a step by which it is tested: few, as their interval is not known."""
 
 _SURELY = 6.0
-"""Standard deviations of stamps about their grid beyond which a step is off it: by chance one in
-10^9 is."""
+"""Standard deviations of stamps about their grid beyond which a step is off it: exceeded once in
+10^9 by chance."""
 
 _SURE = 0.5
-"""Of an interval: off by less, a span is rounded to the right number of intervals."""
+"""Of an interval: with a smaller error a span is rounded to the right number of intervals."""
 
 _ACROSS = 8
-"""Spans for each one that a step is in: so few of them move a median by a fifth of its scatter."""
+"""Least spans for each one with a step in it: so few of these move a median by a fifth of its
+scatter."""
 
 _SELDOM = 500
-"""Samples for each step off the grid: where there are more, the stamps have none."""
+"""Least samples for each step off the grid: with more steps than that the stamps have no grid."""
 
 _TICKS = 4
-"""Ticks of an interval from which on a clock that counts them is coarse: its stamps go on by one
-more or less now and then. A judgement: milliseconds at 250 Hz and less."""
+"""Ticks of an interval from which on its clock is coarse: its stamps advance by one tick more or
+less now and then. A judgement: milliseconds at 250 Hz and less."""
 
 _ON_TICK = 0.05
-"""Of a tick: so near is a stamp to a whole number of them."""
+"""Of a tick: tolerance of a stamp about a whole number of them."""
 _ON_TICKS = 0.9
-"""Share of the steps that are whole ticks: of 20 by chance so many are once in 10^16."""
+"""Share of the steps that are whole ticks: of 20 steps so many are by chance once in 10^16."""
 
 _LIKE = 0.2
-"""Of an interval: so near are two estimates of it. A judgement: more than samples that are missing
-make of their mean."""
+"""Of an interval: largest difference of two estimates of it. A judgement: more than missing samples
+change their mean."""
 
 _FEW = 8
-"""Samples whose time tells the interval: few enough that most such are without a gap while one
-sample in twelve is missing, and enough for jitter to be small beside it."""
+"""Samples over which the interval is taken: few enough that most such spans have no gap while one
+sample in twelve is missing, and enough for jitter to be small against it."""
 
 _CLOSE = 0.05
-"""Of an interval: eight that differ more from eight single ones hold gaps, most of them."""
+"""Of an interval: where eight differ by more from eight single ones, most spans hold gaps."""
 
 _HASTE = 0.5
 """Of the interval: where a quarter of the steps are shorter, samples come in bunches."""
 
 _QUEUED = 0.5
-"""Share of the steps to the end that are short where those are of a queue."""
+"""Share of short steps up to the end from which on they belong to a queue."""
 
 _LAG = 240
-"""Most samples whose time tells the interval then, in whole bunches: short enough that some of so
-many in a row are without a gap."""
+"""Most samples over which the interval is then taken, in whole bunches: short enough that some of
+these spans have no gap."""
 
 _LAGS = 4
-"""Fewest lags of a segment: their lower ones are then within it."""
+"""Fewest lags of a segment: their lower quantile is then within it."""
 
 _WITHOUT_GAP = 0.1
-"""Share of the lags that have no gap: the lower ones tell the interval."""
+"""Share of the lags without a gap: the interval is taken from the lowest ones."""
 
 _WINDOW = 128
-"""Samples on either side of a step that tell whether stamps stay late: more than a line is held up,
+"""Samples on either side of a step that show whether stamps stay late: more than a line is held up,
 a tenth of a second at 1 kHz; and so few that their interval need not be known to a thousandth."""
 
 _NARROW = 16
 """The same in the first round of bunches, whose interval is known to a percent."""
 
 _LAYINGS = 3
-"""Most rounds of laying a line and of counting what is missing by it."""
+"""Most rounds of fitting a line and counting the missing samples by it."""
 
 _TAIL = 32
-"""Samples at the end of a segment that comes in bunches: the last bunch is cut off, and what of it
-is late cannot be distinguished from what is missing."""
+"""Samples at the end of a segment in bunches: the last bunch is cut off, and late samples cannot be
+distinguished there from missing ones."""
 
 _FEWEST = 3
 """Fewest stamps of a line whose scatter is known."""
 
 _OUTLYING = 4.0
-"""Robust standard deviations off the line beyond which a stamp gets no weight."""
+"""Robust standard deviations off the line beyond which a stamp gets zero weight."""
 
 _ROUNDS = 5
 """A cap."""
 _BLOCKS = 16
-"""Of a segment of stamps, whose means show what they have in common: a queue, a coarse clock."""
+"""Blocks of a segment of stamps, whose means show correlated errors: a queue, a coarse clock."""
 
 _CLEAN = 1e-3
 """Of an interval: stamps nearer than this to their line are left as they are."""
@@ -114,12 +114,12 @@ class SampleGrid:
     """Equal intervals laid through the stamps of a segment.
 
     Attributes:
-        index: (n,) which interval each sample ends, from 0; numbers that are left out are missing.
+        index: (n,) which interval each sample ends, from 0; omitted numbers are missing.
         origin: Stamp of sample 0 on the line, s after the first stamp.
         period: Sample interval by these stamps alone, s.
-        period_std: Its standard deviation, s; infinite where they are too few to tell.
+        period_std: Its standard deviation, s; infinite where the stamps are too few.
         scatter: Of a stamp about the line, s.
-        kept: (n,) stamps that have a say in the line.
+        kept: (n,) stamps used in the fit of the line.
     """
 
     index: NDArray[np.int64]
@@ -139,7 +139,7 @@ class SampleGrid:
 
 
 def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
-    """Lay equal intervals through stamps.
+    """Fit equal intervals to stamps.
 
     Args:
         stamp: (n,) ns, increasing, at least 2.
@@ -162,18 +162,18 @@ def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
 
 
 def clock_steps(stamp: Stamps, hint: float = 0.0) -> list[int]:
-    """Return where stamps go on off the grid of those before: their clock was set.
+    """Return where stamps leave the grid of those before: their clock was set.
 
-    What is missing shifts them by whole intervals, and the counts go on with what was lost. Where a
-    clock was set nothing was lost, and counts that were filled in would be wrong by half a pulse.
+    Missing samples shift stamps by whole intervals, and the counts of lost samples are filled in.
+    Where a clock was set nothing was lost, and filled-in counts would be wrong by half a pulse.
 
     Args:
         stamp: (n,) ns, increasing.
         hint: Sample interval as far as it is known, s; 0 if it is not.
 
     Returns:
-        The first samples after each step; none where samples come in bunches, or where stamps
-        count ticks so coarse that they go on by one more or less now and then.
+        The first samples after each step; none where samples come in bunches, or where the stamps'
+        ticks are so coarse that they advance by one more or less now and then.
 
     Source: docs/mathematics.md, 'Stamps and lost samples'.
     """
@@ -190,8 +190,8 @@ def clock_steps(stamp: Stamps, hint: float = 0.0) -> list[int]:
     regular = np.append(True, off <= max(_OFF_GRID, _SURELY * scatter))
     if regular.all():
         return []
-    # The error of a median of n. Stamps that are as far apart as the number of intervals between
-    # them is sure tell the interval so many times better.
+    # The error of a median of n. Where the number of intervals between stamps is certain, the error
+    # of the interval is so many times smaller.
     unknown = 1.25 * scatter / math.sqrt(len(steps))
     lag = int(min(len(steps) / _ACROSS, _SURE / (_SURELY * unknown))) if unknown else 0
     if lag > 1:
@@ -200,7 +200,7 @@ def clock_steps(stamp: Stamps, hint: float = 0.0) -> list[int]:
         unknown = 1.25 * scatter / (math.sqrt(len(spans)) * lag)
     phase = np.exp(2j * np.pi * (stamp - stamp[0]) * 1e-9 / period)
     on_grid, found = np.flatnonzero(regular), []
-    # Of stamps that are off in a row, a queue that is read out, the first regular one tells.
+    # Where stamps in a row are off (a queue is read out), use the first regular one.
     places = np.unique(np.searchsorted(on_grid, np.flatnonzero(~regular)))
     places = places[(places >= _FEWEST) & (places <= len(on_grid) - _FEWEST)]
     across = (stamp[on_grid[places]] - stamp[on_grid[places - 1]]) * 1e-9 / period
@@ -223,7 +223,7 @@ def clock_steps(stamp: Stamps, hint: float = 0.0) -> list[int]:
 
 
 def _is_tick(step: float, stamp: Stamps, period: float) -> bool:
-    """Say whether a step, s, is one of the ticks that the stamps count."""
+    """Return whether a step, s, is one tick of the stamps."""
     if not 0 < step * _TICKS <= period * (1 + _ON_TICK):
         return False
     ticks = np.diff(stamp) * 1e-9 / step
@@ -231,7 +231,7 @@ def _is_tick(step: float, stamp: Stamps, period: float) -> bool:
 
 
 def _hasty(steps: Floats, interval: float) -> bool:
-    """Say whether a quarter of the steps, s, is far shorter than an interval, s."""
+    """Return whether a quarter of the steps, s, is far shorter than an interval, s."""
     limit = _HASTE * interval
     return float(steps.min()) < limit and float(np.quantile(steps, 0.25)) < limit
 
@@ -252,11 +252,11 @@ def _first_period(time: Floats) -> tuple[float, bool]:
 def _missing_before(
     time: Floats, period: float, window: int, *, bunched: bool
 ) -> NDArray[np.int64]:
-    """Return how many samples are missing before each, (n,).
+    """Return the number of samples missing before each, (n,).
 
-    A sample that is missing makes all later stamps late by an interval; a stamp that is late is
-    followed by others that are not. The earliest of the next stamps, against the earliest of those
-    before, tells the two apart.
+    A missing sample makes all later stamps late by an interval; after a late stamp others are not.
+    Comparing the earliest of the next stamps with the earliest of those before distinguishes the
+    two.
     """
     late = time - np.arange(len(time)) * period
     found = np.zeros(len(time), dtype=np.int64)
@@ -268,7 +268,7 @@ def _missing_before(
         after = late[k : k + window]
         behind = np.diff(time[k:]) < _HASTE * period
         if k + int(after.argmin()) == len(time) - 1 and len(behind) and behind.mean() > _QUEUED:
-            # A queue that goes on beyond the end: how late its samples are is not to be seen.
+            # A queue that lasts beyond the end: the lateness of its samples is unknown.
             break
         before = float((late[first:k] - found[first:k] * period).min())
         shift = (float(after.min()) - before) / period - missing
@@ -306,7 +306,7 @@ def _laid(time: Floats, index: NDArray[np.int64], period: float) -> SampleGrid:
 
 
 def _near(left: Floats) -> NDArray[np.bool_]:
-    """Say which residuals (n,), s, are no outliers; more than half of them are none."""
+    """Return which residuals (n,), s, are not outliers; always more than half of them."""
     if float(np.ptp(left)) <= 2 * _ROUNDING:
         return np.ones(len(left), dtype=bool)
     off = np.abs(left - np.median(left))
@@ -314,10 +314,10 @@ def _near(left: Floats) -> NDArray[np.bool_]:
 
 
 def _in_common(left: Floats) -> float:
-    """Return the variance of residuals as their sums show it: larger than their own if they cling.
+    """Return the variance of residuals by their sums: larger than their own if correlated.
 
-    White residuals make the mean of a block vary by their variance over its length; what is late
-    together, and the steps of a coarse clock, make it vary by more.
+    Means of blocks of white residuals have their variance over the block's length; common delays,
+    and the steps of a coarse clock, increase it.
     """
     own = float(np.mean(left**2))
     length = len(left) // _BLOCKS

@@ -1,4 +1,4 @@
-"""What the gyros read while the unit stands still, estimated from the session."""
+"""The output of the gyros at rest, estimated from the session."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from ..stream import Floats
 from ..units import DEG, STANDARD_GRAVITY
 
 _CHUNK_WINDOWS = 5
-"""Windows of a tenth of a second that are averaged: a hand trembles at 8 to 12 Hz (Stiles 1976,
-J. Appl. Physiol. 40), which half a second takes out."""
+"""Windows of a tenth of a second that are averaged: a hand trembles at 8 to 12 Hz (Stiles 1976, J.
+Appl. Physiol. 40), which half a second averages out."""
 
 _STEADY_RATE = 1.0 * DEG
 """rad/s, with `_STEADY_FORCE`."""
 _STEADY_FORCE = 0.05 * STANDARD_GRAVITY
-"""Within which the means of two half seconds agree in a hand that holds still: 0.6 deg/s and 0.02 g
-in published sessions of five MPU-9150 (mikoff/imu-calib), with room for shakier hands."""
+"""Agreement of the means of two half seconds in a hand that holds still: 0.6 deg/s and 0.02 g in
+published sessions of five MPU-9150 (mikoff/imu-calib), with a margin for shakier hands."""
 
 _OTHER_WAY_UP = np.cos(np.radians(20))
-"""Attitudes whose ways up are further apart count as two. A judgement: a hand that holds still
-leans by some degrees, and is turned by tens."""
+"""Attitudes count as different where up differs by more. A judgement: a hand that holds still leans
+by some degrees, and turns are tens of degrees."""
 
 _MOST_LEVELS = 32
-"""Steady rates that are remembered, to bound memory; the least supported makes room. A judgement: a
+"""Steady rates that are stored, to bound memory; the least supported is dropped. A judgement: a
 turn by hand is steady for less than a second, so that few are ever found."""
 
 _MEMORY = 20
@@ -33,20 +33,20 @@ _MEMORY = 20
 within ten seconds at rest."""
 
 FELT = 0.3 * DEG
-"""By how much a gyro at rest may read another rate after it was turned over, where the session does
-not show it yet, rad/s: gyros of MEMS read 0.1 deg/s per g (published sessions: up to 0.16)."""
+"""Largest change of a gyro's output at rest when it is turned over, where the session does not show
+it yet, rad/s: MEMS gyros read 0.1 deg/s per g (published sessions: up to 0.16)."""
 
 _ATTITUDES = 5
-"""Ways up from which on their median tells by how much the rate at rest goes with them. A
-judgement: two that are none, slow turns about the vertical, do not move it."""
+"""Attitudes from which on the median of the output's change with attitude is used. A judgement: two
+slow turns about the vertical among them do not move it."""
 
 _USUAL_TO_MOST = 3 * 1.4826
-"""Three standard deviations of normal scatter over the median of its size."""
+"""Three standard deviations of normal scatter over the median of its absolute value."""
 
 
 @dataclass(eq=False)
 class _Attitude:
-    """A way up in which a steady rate was read: the mean of the rates."""
+    """An attitude in which a steady rate was read: the mean of the rates."""
 
     up: Floats
     rate: Floats
@@ -55,9 +55,9 @@ class _Attitude:
 
 @dataclass(eq=False)
 class _Level:
-    """A steady rate: what was read in each way up, the last one at the end.
+    """A steady rate: its value in each attitude, the last one at the end.
 
-    Its rate is the median of the last ways up: a slow turn is one of them, however long it lasts,
+    The rate is the median over the last attitudes: a slow turn is one of them, of whatever length,
     and a bias that warms up is followed within three.
     """
 
@@ -69,7 +69,7 @@ class _Level:
         self._settle()
 
     def _settle(self) -> None:
-        """Take the rate from the ways up: it is asked for ten times as often as one is added."""
+        """Compute the rate from the attitudes: it is read ten times as often as one is added."""
         rates = np.sort([one.rate for one in self.ups[-_ATTITUDES:]], axis=0)
         self.rate = (rates[(len(rates) - 1) // 2] + rates[len(rates) // 2]) / 2
         self.support = len(self.ups), bool((np.abs(self.rate) < _STEADY_RATE).all())
@@ -90,7 +90,7 @@ class _Level:
 
     @property
     def spread(self) -> float:
-        """By how much it may differ from one way up to another, rad/s."""
+        """Largest difference between attitudes, rad/s."""
         if len(self.ups) < _ATTITUDES:
             return FELT
         off = np.abs(np.array([one.rate for one in self.ups]) - self.rate).max(axis=1)
@@ -98,14 +98,14 @@ class _Level:
 
 
 class GyroOffset:
-    """Finds the gyros' offset among the steady rates of a session.
+    """Estimate the gyros' offset from the steady rates of a session.
 
-    At rest the gyros read the same rate whichever way is up; a turn about the vertical is just as
-    steady, but its rate goes with what is up. So the steady rate that was read in the most
-    attitudes is the offset. Between equals the one below 1 deg/s is, or else the earliest: nobody
-    begins to record in the middle of an even turn.
+    At rest the gyros read the same rate in each attitude; a turn about the vertical is just as
+    steady, but its rate changes with the attitude. The steady rate read in the most attitudes is
+    therefore the offset. Of equally supported rates the one below 1 deg/s is chosen, or else the
+    earliest: recordings do not begin within an even turn.
 
-    The outcome depends on the windows alone, in their order; memory is bounded.
+    The result depends only on the windows and their order; memory is bounded.
     """
 
     def __init__(self) -> None:
@@ -117,18 +117,18 @@ class GyroOffset:
 
     @property
     def value(self) -> Floats:
-        """The offset (3,), rad/s; zeros while nothing was steady."""
+        """The offset (3,), rad/s; zeros until a rate was steady."""
         level = self._level
         return np.zeros(3) if level is None else level.rate
 
     @property
     def spread(self) -> float:
-        """By how much a dwell's rate may differ from it, as other dwells do, rad/s."""
+        """Largest difference of a dwell's rate from it, as seen in other dwells, rad/s."""
         level = self._level
         return FELT if level is None else level.spread
 
     def feed(self, mean: Floats) -> None:
-        """Take the mean (6,) of a window of a tenth of a second in, rad/s and m/s^2."""
+        """Add the mean (6,) of a window of a tenth of a second, rad/s and m/s^2."""
         self._sum += mean
         self._windows += 1
         if self._windows < _CHUNK_WINDOWS:
@@ -141,7 +141,7 @@ class GyroOffset:
         if (apart[:3] < _STEADY_RATE).all() and (apart[3:] < _STEADY_FORCE).all():
             second = (now + before) / 2
             self._add(second[:3], second[3:] / (np.linalg.norm(second[3:]) or 1.0))
-            # The first of the best: levels are listed in the order in which they came.
+            # The first of the best: levels are in order of time.
             self._level = max(self._levels, key=lambda level: level.support)
 
     def _add(self, rate: Floats, up: Floats) -> None:

@@ -1,4 +1,4 @@
-"""The streams of a session as they come in: sound rows in the order of their stamps."""
+"""The streams of a session as they come in: valid rows in the order of their stamps."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from .order import Ordered, StampOrder
 from .shared_stamps import SharedStamps
 
 _APART = 10_000_000_000
-"""ns by which joint states may outlast the samples of a recording. A judgement: who records both
-ends both within seconds."""
+"""ns by which joint states may outlast the samples of a recording. A judgement: an operator ends
+both recordings within seconds."""
 
 _TWICE = 'dropped as duplicates'
 _SKEW_TWICE = 'of the skewed gyro dropped as duplicates'
@@ -26,14 +26,14 @@ class StreamBuffer:
 
     Args:
         table: The table whose joint states come in; None when the IMU stands alone.
-        skewed: Whether a skewed gyro is awaited.
-        rate: Samples per second as stated; None where nothing is.
+        skewed: Whether a skewed gyro is expected.
+        rate: Samples per second as stated; None if not stated.
 
     Attributes:
-        imu: Samples that wait, six columns.
+        imu: Buffered samples, six columns.
         skew: Those of the skewed gyro, in the first of six columns; None without one.
         setpoints: The first of every run of equal setpoints.
-        samples: IMU samples taken in.
+        samples: Number of IMU samples received.
         first_stamp: Of the IMU, ns; None before the first.
         last_stamp: Likewise.
     """
@@ -64,7 +64,7 @@ class StreamBuffer:
         return (self.last_stamp - self.first_stamp) * 1e-9
 
     def take_imu(self, block: ImuBlock) -> None:
-        """Take samples in."""
+        """Add samples."""
         stamp = block.stamp
         self.samples += len(stamp)
         values = np.concatenate([block.gyro, block.accel], axis=1)
@@ -74,8 +74,8 @@ class StreamBuffer:
         self._add_imu(self._imu_order.take(*rows[:2]))
 
     def take_skew(self, block: SkewBlock) -> None:
-        """Take the skewed gyro's samples in."""
-        # It goes the way of an IMU whose first channel it is.
+        """Add the skewed gyro's samples."""
+        # It is handled as the first channel of an IMU.
         imu = block.as_imu()
         values = np.hstack([imu.gyro, imu.accel])
         what = 'values of the skewed gyro that are not numbers'
@@ -84,7 +84,7 @@ class StreamBuffer:
         self._add_skew(self._skew_order.take(*rows[:2]))
 
     def take_joints(self, block: JointBlock) -> Ordered:
-        """Take joint states in; return those whose order is known, columns as the table's.
+        """Add joint states; return those in final order, columns as the table's.
 
         Messages that lack a joint of the table are left out and counted.
         """
@@ -103,7 +103,9 @@ class StreamBuffer:
 
     @property
     def strangers(self) -> str:
-        """Whose joint states came where the table's were expected; empty where some were its."""
+        """Sentence on joint states of other joints than the table's; empty if some were the
+        table's.
+        """
         if self._table is None or self._of_the_table or not self._strange:
             return ''
         return (
@@ -112,7 +114,7 @@ class StreamBuffer:
         )
 
     def take_setpoints(self, block: SetpointBlock) -> None:
-        """Take setpoints in."""
+        """Add setpoints."""
         last = _asks(self.setpoints[-1]) if self.setpoints else None
         for setpoint in block.setpoints:
             asks = _asks(setpoint)
@@ -127,19 +129,19 @@ class StreamBuffer:
         return self._counted(self._joint_order.finish())
 
     def all_here(self, until: float) -> bool:
-        """Say whether the samples up to an instant (ns) have come in."""
+        """Return whether the samples up to an instant (ns) have come in."""
         if self.last_stamp is None or self.last_stamp < until:
             return False
         return self.skew is None or (len(self.skew) > 0 and bool(self.skew.stamp[-1] >= until))
 
     def drop_until(self, stamp: int) -> None:
-        """Forget the samples with stamps up to `stamp`."""
+        """Drop the samples with stamps up to `stamp`."""
         self.imu.drop_until(stamp)
         if self.skew is not None:
             self.skew.drop_until(stamp)
 
     def losses(self, ahead: int = 0) -> list[str]:
-        """Say what was lost, in sentences, where the IMU's clock is `ahead` (ns) of the table's."""
+        """Return sentences on losses; the IMU's clock is `ahead` (ns) of the table's."""
         lost = [
             f'{counted(count, "sample")} {_how(what)}, the first at {at(first)}'
             for what, (count, first) in self._dropped.items()
@@ -161,7 +163,7 @@ class StreamBuffer:
         return lost + self._apart(ahead)
 
     def _apart(self, ahead: int) -> list[str]:
-        """Say where the table was heard and the IMU was not."""
+        """Return sentences on times with joint states but without IMU samples."""
         begin, end = self.first_stamp, self.last_stamp
         first, last = self._first_joint, self._last_joint
         if begin is None or end is None or first is None or last is None:
@@ -204,7 +206,7 @@ class StreamBuffer:
         return joints
 
     def _finite(self, what: str, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
-        """Drop the rows that hold no numbers, and remember how many and from when."""
+        """Drop the rows with NaN or infinity, and record how many and from when."""
         finite = np.isfinite(values)
         if finite.all():
             return stamp, values

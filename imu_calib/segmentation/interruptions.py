@@ -1,4 +1,4 @@
-"""Where the IMU's stream begins anew: silences that are made up for by no samples behind them."""
+"""Find where the IMU's stream begins anew: silences that no later samples make up for."""
 
 from __future__ import annotations
 
@@ -12,27 +12,28 @@ from .bunches import LAG, SHORT
 
 INTERRUPTION = 1_000_000_000
 """A stream that is silent for so long, ns, may come from a program that was started again. A
-judgement: no node starts in less, and a line rarely fails for longer."""
+judgement: nodes take longer to start, and a line rarely fails for longer."""
 
 _LAST = 1024
-"""Stamps before a silence that tell the sample interval, half of which are late at most."""
+"""Stamps before a silence from which the sample interval is taken, half of which are late at
+most."""
 
 _OVER = 32
-"""Samples that gain nothing on the clock after which a queue is over: a reader that comes back to
-one between others does so within a few. A judgement."""
+"""Samples without gain on the clock after which a queue is over: a reader with other work returns
+to the queue within a few. A judgement."""
 
 _GAINS = 0.5
 """Of an interval: less is jitter."""
 
 _LISTED = 3
-"""Interruptions that have a sentence each; more are counted."""
+"""Interruptions with a sentence each; more are only counted."""
 
 
 class Interruptions:
-    """Finds where a stream was interrupted; the outcome does not depend on how it was cut.
+    """Finds interruptions of a stream; the result does not depend on how it was cut into blocks.
 
-    Samples that were held up come one upon the other, until as many have come as were made in the
-    meantime. By how much they gain on the clock, so much of the silence lacks nothing.
+    Delayed samples arrive in quick succession until all that were made in the meantime have
+    arrived. The time that they gain on the clock is the part of the silence without loss.
     """
 
     def __init__(self) -> None:
@@ -46,11 +47,11 @@ class Interruptions:
 
     @property
     def found(self) -> list[tuple[int, int]]:
-        """From the last stamp to when the next sample was made, ns, in order."""
+        """From the last stamp to the instant of the next sample, ns, in order."""
         return [(last, next_) for last, next_ in self._silences if next_ - last > INTERRUPTION]
 
     def feed(self, stamp: Stamps) -> None:
-        """Take (n,) stamps of the IMU, ns, as they come."""
+        """Add (n,) stamps of the IMU, ns, as they come."""
         if not len(stamp):
             return
         before = self._last[-1] if len(self._last) else stamp[0]
@@ -61,7 +62,7 @@ class Interruptions:
                 self._last = np.concatenate([self._last, part[-_LAST:]])[-_LAST:]
 
     def _follow(self, stamp: Stamps) -> None:
-        """Take stamps among which only the first may come after a silence."""
+        """Add stamps of which only the first may come after a silence."""
         first = int(stamp[0])
         if len(self._last) and first - int(self._last[-1]) > INTERRUPTION:
             self._interval = _interval(self._last)
@@ -83,7 +84,8 @@ class Interruptions:
 def steps_since(before: int | np.int64, stamp: Stamps) -> Stamps:
     """Return the steps from one stamp to the next, (n,) ns, the first one from another stamp.
 
-    What `np.diff(stamp, prepend=before)` does, for a live stream's blocks of a few samples.
+    The same as `np.diff(stamp, prepend=before)`, faster for a live stream's blocks of a few
+    samples.
     """
     steps = np.empty_like(stamp)
     np.subtract(stamp[:1], before, out=steps[:1])
@@ -92,24 +94,24 @@ def steps_since(before: int | np.int64, stamp: Stamps) -> Stamps:
 
 
 def _interval(stamp: Stamps) -> float:
-    """Return the sample interval by (n,) stamps, ns; 0 where they tell none."""
+    """Return the sample interval by (n,) stamps, ns; 0 where they do not show it."""
     steps = np.diff(stamp)
     if not len(steps):
         return 0.0
-    # Of samples that come many at a time single steps tell too much; spans do where some are lost.
+    # In bunches the median single step is not the interval; where some are lost, spans are used.
     lag = min(LAG, -(-len(steps) // 2))
     apart = steps[steps >= SHORT * float(steps.mean())]
     return min(float(np.median(apart)), float(np.median(stamp[lag:] - stamp[:-lag])) / lag)
 
 
 def interruption(last: int, begins: int) -> str:
-    """Say what an interruption of the IMU's stream costs: from its last stamp to the next, ns."""
+    """Return a sentence on an interruption of the IMU's stream: last stamp to next, ns."""
     gap = (begins - last) * 1e-9
     return f'The IMU stream was interrupted: {gap:.1f} s are missing, from {at(last)}'
 
 
 def interruptions(found: Sequence[tuple[int, int]]) -> list[str]:
-    """Say what the interruptions cost, each from its last stamp to the next, ns."""
+    """Return sentences on the losses by interruptions, each from its last stamp to the next, ns."""
     if len(found) <= _LISTED:
         return [interruption(last, begins) for last, begins in found]
     seconds = sum(begins - last for last, begins in found) * 1e-9

@@ -1,7 +1,7 @@
-"""Segments get their names: by setpoint, by joint angles, or by the order of the plan alone.
+"""Name segments: by setpoint, by joint angles, or by the order of the plan alone.
 
-What joint states tell the attitude of, and no position of the plan names, is evidence all the
-same: it gets a name of its own (`naming`).
+Segments whose attitude is known from joint states but matches no position of the plan are used as
+well: they are named by attitude (`naming`).
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ from .without_joint_states import (
 )
 
 _ARRIVAL_TOLERANCE = 0.2 * DEG
-"""rad: far more than tables position to (table_errors); another position is tens of degrees off."""
+"""rad: far more than tables' positioning errors (table_errors); another position is tens of degrees
+off."""
 _ATTITUDE_TOLERANCE = 1.0 * DEG
-"""rad: plans have nothing nearer to each other."""
+"""rad: positions of plans are further apart."""
 _PART = ('', 'what lies after it is', 'what lies before it is', 'what lies between is')
 
 
@@ -42,11 +43,11 @@ class Labelled:
     """A session whose segments carry positions and attitudes.
 
     Attributes:
-        segments: Static dwells that count, in order.
+        segments: Static dwells that are used, in order.
         turns: Whole turns, in order.
         rejected: Static dwells that were not used, and why.
-        notes: What else of the session was left out, in sentences.
-        passing: Stops on the way from one dwell to another, which are not used.
+        notes: Other data that was left out, in sentences.
+        passing: Stops between two dwells, which are not used.
     """
 
     segments: tuple[Segment, ...]
@@ -56,7 +57,7 @@ class Labelled:
     passing: tuple[Segment, ...] = ()
 
     def of_plan(self, plan: Plan) -> Labelled:
-        """Return the dwells and turns at positions of a plan, which a closed form works on."""
+        """Return the dwells and turns at positions of a plan, the input of a closed form."""
         known = {p.id for p in plan.positions}
         return replace(
             self,
@@ -68,12 +69,12 @@ class Labelled:
 def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
     """Name the segments of a session after the plan's positions.
 
-    Setpoints say it where they were recorded; else the joint angles do; else, with only the IMU,
-    the order of the plan does. Where joint angles tell the attitudes, what fits no position gets
-    a name of its own.
+    Names come from setpoints where recorded; else from joint angles; else, with only the IMU, from
+    the order of the plan. Where joint angles give the attitudes, segments at no position of the
+    plan are named by attitude.
 
     Args:
-        session: What the streams contain.
+        session: Contents of the streams.
         plan: What was run; `plan.UNPLANNED` where unknown.
         table: The table whose joint angles the segments carry; None with the IMU alone.
 
@@ -104,7 +105,7 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
     if table is not None:
         labelled = _with_own_names(labelled, plan)
     elif plan.is_stated:
-        # The attitude of what the plan does not name is unknown.
+        # The attitude of a segment outside the plan is unknown.
         named_by_plan = tuple(s for s in labelled.segments if s.position is not None)
         labelled = replace(labelled, segments=named_by_plan)
     if not session.mount_shifts:
@@ -113,11 +114,10 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
 
 
 def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
-    """Name dwells and turns that the plan does not name after their attitudes.
+    """Name dwells and turns outside the plan by their attitudes.
 
-    Left out are stops on the way, and dwells in which the unit cannot have sat in its mount: the
-    accelerometers show another direction of up than the encoders, while at most other dwells they
-    show the same.
+    Left out are stops on the way, and dwells in which the unit cannot have sat in its mount: up by
+    accelerometers and by encoders differ there, while they agree at most other dwells.
     """
     segments = [s for s in labelled.segments if s.attitude is not None]
     brief = _brief(segments)
@@ -155,9 +155,9 @@ def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
 
 
 def _turns_with_own_names(turns: Sequence[Turn]) -> tuple[Turn, ...]:
-    """Name turns that the plan does not name after the axis that is up.
+    """Name turns outside the plan by the axis that is up.
 
-    Of turns at one rate about one axis all but the first get a number too.
+    Turns at one rate about one axis are numbered from the second on.
     """
     rates: dict[str, list[Turn]] = {}
     for turn in turns:
@@ -172,12 +172,12 @@ def _turns_with_own_names(turns: Sequence[Turn]) -> tuple[Turn, ...]:
 
 
 def _brief(segments: Sequence[Segment]) -> float:
-    """Return how short a dwell must be to count as a stop on the way, s.
+    """Return the duration below which a dwell counts as a stop on the way, s.
 
-    Dwells differ by what a session is for: what matters is how long most of them last. A pause
-    between two motions tells too little beside them to be worth a name and equations. Half of
-    the time at rest is spent in dwells that last as long as the usual one or longer, where no dwell
-    counts for more time than a block: neither many pauses nor one long warm-up are the usual.
+    Usual durations differ between sessions, so the limit follows from most of the dwells. A pause
+    between two motions adds too little to justify a name and equations. The usual dwell is the one
+    for which half of the time at rest is spent in dwells as long or longer, where a dwell counts
+    for at most the time of a block: neither many pauses nor one long warm-up determine it.
     """
     if not segments:
         return 0.0
@@ -190,10 +190,10 @@ def _brief(segments: Sequence[Segment]) -> float:
 def _in_one_mount(
     labelled: Labelled, slips: Sequence[MountShift], setpoints: _Setpoints, zero: int
 ) -> Labelled:
-    """Keep what was measured while the unit sat in its mount in one and the same way.
+    """Keep the data measured while the unit sat in its mount in one orientation.
 
-    A shock changes every misalignment against the table: what lies before it and after it are two
-    calibrations. The one with more positions and turns is kept.
+    A shock changes all misalignments against the table: before and after it are two calibrations.
+    The one with more positions and turns is kept.
     """
     instants = [slip.instant for slip in slips]
     segments = [(int(np.searchsorted(instants, s.start)), s) for s in labelled.segments]
@@ -218,13 +218,13 @@ def _in_one_mount(
 
 
 def _place(instant: int, setpoints: _Setpoints, zero: int) -> str:
-    """Say where something happened: at a position, or when, counted from the recording's start."""
+    """Return where something happened: the position, or the time from the recording's start."""
     position = setpoints.position(instant)
     return f'at position {position}' if position else f'after {(instant - zero) * 1e-9:.0f} s'
 
 
 def _check_plan(setpoints: Sequence[Setpoint], plan: Plan) -> None:
-    """Refuse a plan that knows none of the positions at which the table was asked to stand."""
+    """Raise if none of the plan's positions is among the setpoints."""
     names = list(dict.fromkeys(s.position for s in setpoints))
     known = [p.id for p in plan.positions]
     if names and not set(names) & set(known):
@@ -236,9 +236,9 @@ def _check_plan(setpoints: Sequence[Setpoint], plan: Plan) -> None:
 
 
 class _Setpoints:
-    """Which setpoint had brought the table where it was at an instant of the IMU's clock.
+    """The setpoint that was active at an instant of the IMU's clock.
 
-    HOLD brings it nowhere: what stands at a position goes on standing there.
+    HOLD does not move the table: a dwell at a position continues.
     """
 
     def __init__(self, setpoints: Sequence[Setpoint], offset: float) -> None:
@@ -251,7 +251,7 @@ class _Setpoints:
         return self._setpoints[index] if index >= 0 else None
 
     def counts(self, instant: float) -> bool:
-        """Say whether what was measured then matters: not while the table only passes through."""
+        """Return whether data at this instant is used: not while the table only passes through."""
         setpoint = self.at(instant)
         return setpoint is None or setpoint.mode is not Mode.POSITION or setpoint.dwell > 0
 
@@ -263,13 +263,13 @@ class _Setpoints:
 def _by_setpoint(
     segments: Sequence[Segment], setpoints: _Setpoints, plan: Plan, table: Table | None
 ) -> tuple[list[Segment], list[Rejected]]:
-    """Name the dwells to which a setpoint brought the table.
+    """Name the dwells by the setpoints that led to them.
 
-    Setpoints are repeated as long as somebody leads the table: before the first the session has
-    not begun, and the unit may yet be warming up or be screwed down.
+    Setpoints are repeated while the table is commanded: before the first the session has not begun,
+    and the unit may still be warming up or being mounted.
 
     Returns:
-        All dwells but those that are rejected; those without a position fit none.
+        All dwells but those that are rejected; those without a position match none.
     """
     named: list[Segment] = []
     rejected: list[Rejected] = []
@@ -297,7 +297,7 @@ def _by_setpoint(
 
 
 def _off_setpoint(segment: Segment, setpoint: Setpoint, table: Table | None) -> str:
-    """Say by how much the table missed its setpoint; empty when it did not."""
+    """Return a sentence on the distance of the table from its setpoint; empty if it arrived."""
     if segment.angles is None or table is None:
         return ''
     for name, target in zip(setpoint.joints, setpoint.angles, strict=True):
@@ -312,9 +312,9 @@ def _off_setpoint(segment: Segment, setpoint: Setpoint, table: Table | None) -> 
 
 
 def _by_attitude(segments: Sequence[Segment], plan: Plan) -> list[Segment]:
-    """Name the dwells that stand at a position long enough; the others stay without one.
+    """Name the dwells at a position that are long enough; the others stay without one.
 
-    Where a position has short ones alone, they say so.
+    Where a position has only short ones, their notes state it.
     """
     named: list[Segment] = []
     short = []

@@ -1,4 +1,4 @@
-"""How many samples are stamped late by chance, and by how much: what is said of a busy line."""
+"""Count samples that are stamped late by chance, and by how much: a sign of a busy line."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ JITTER = 6 * 1.4826
 """Times the median absolute deviation: six standard deviations of a Gaussian one (1.4826)."""
 
 _FEW = 1e-3
-"""Share of the samples up to which nothing is said of them: a judgement. A host that was busy for a
-moment costs nothing, as others tell when they were made."""
+"""Share of late samples up to which none is reported: a judgement. A host that was busy for a
+moment has no effect, as the times are known from other samples."""
 
 _LONG = 1.0
-"""s: one so late is said even by itself. It looks like an interruption (`interruptions`)."""
+"""s: a single sample that is so late is reported. It looks like an interruption
+(`interruptions`)."""
 
 
 def surely_late(late: Stamps, period: float) -> NDArray[np.bool_]:
-    """Say which samples are stamped after the next one was made, and beyond jitter, (n,).
+    """Return which samples are stamped after the next one was made, and beyond jitter, (n,).
 
     Args:
-        late: (n,) by how much later they are stamped than made, ns.
+        late: (n,) delay of their stamps, ns.
         period: Sample interval, s.
     """
     after_next = late > period * 1e9
@@ -42,11 +43,11 @@ class Lateness:
         self.first: int | None = None
 
     def note(self, stamp: Stamps, late: Stamps, period: float) -> None:
-        """Take samples in.
+        """Add samples.
 
         Args:
             stamp: (n,) when they were made, ns.
-            late: (n,) by how much later they are stamped, ns.
+            late: (n,) delay of their stamps, ns.
             period: Sample interval, s.
         """
         beyond = surely_late(late, period)
@@ -58,7 +59,7 @@ class Lateness:
             self.first = int(stamp[beyond][0])
 
     def words(self, samples: int) -> list[str]:
-        """Say how many of so many samples are late, if they are more than a few."""
+        """Return a sentence on how many of so many samples are late, if more than a few."""
         share = self.count / max(samples, 1)
         if self.first is None or (share < _FEW and self.longest < _LONG):
             return []

@@ -14,12 +14,12 @@ from .buffer import RowBuffer
 from .rows import any_in_row
 
 _WINDOW_NS = 250_000_000
-"""ns over which a rate is looked at: encoders' noise counts little in it."""
+"""ns over which a rate is taken: encoders' noise has little effect in it."""
 _STILL_RATE = 0.05 * DEG
-"""rad/s: 0.0125 degrees in the window, more than encoders scatter and less than any motion."""
+"""rad/s: 0.0125 degrees in the window, more than encoder noise and less than any motion."""
 _LONGEST_LOOK = 1.0
-"""Time over which a table at rest may drift at `_STILL_RATE`, s. A judgement: what is 0.05 deg off
-after a silence of the joint states has moved, however long that was."""
+"""Time over which a table at rest may drift at `_STILL_RATE`, s. A judgement: a joint that is 0.05
+deg off after a silence of the joint states has moved, for any length of it."""
 
 _TURN = 2 * np.pi
 """rad."""
@@ -27,15 +27,15 @@ _SAMPLES_FOR_ANGLES = 4096
 """Readings of a dwell that are averaged, at most: at 100 Hz they leave 0.1 arcsec of noise of 7."""
 
 _ANGLES_NS = 40_000_000_000
-"""Within which they lie, ns: a dwell is not split before, whenever its readings come."""
+"""Time within which they lie, ns: a dwell is not split earlier, whenever its readings come."""
 
 _RECENT = 32
-"""Readings before one that show the encoders' noise, by their second differences: what turns at one
-rate has none."""
+"""Readings before one that show the encoders' noise by their second differences, which are zero at
+a constant rate."""
 
 _NOISE = 10.0 * np.sqrt(2)
-"""Standard deviations of a reading that two of them may differ by at rest: of 32 the scatter is
-known to a fifth, and six are then passed once in 10^9."""
+"""Standard deviations of a reading by which two may differ at rest: from 32 readings the scatter is
+known to a fifth, and six are then exceeded once in 10^9."""
 
 _SECOND_DIFFERENCE = 1.4826 / np.sqrt(6)
 """Standard deviation of readings over the median size of their second differences."""
@@ -72,15 +72,15 @@ class Motion:
 
     @cached_property
     def travel(self) -> Floats:
-        """By how much each joint moved, (k,) rad; needs joint states."""
-        # Joint by joint: along so short an axis numpy takes ten times as long.
+        """Angle by which each joint moved, (k,) rad; needs joint states."""
+        # Joint by joint: numpy is ten times slower along so short an axis.
         return np.array([np.ptp(angle) for angle in self.position.T])
 
 
 class JointTracker:
-    """Follows the joint states of a table and tells dwells from motions.
+    """Detects dwells and motions from the joint states of a table.
 
-    The outcome depends on the samples alone, not on how they were cut into blocks.
+    The result depends on the samples alone, not on how they were cut into blocks.
     """
 
     def __init__(self) -> None:
@@ -95,21 +95,21 @@ class JointTracker:
 
     @property
     def known_until(self) -> int | None:
-        """Stamp up to which the table's doing is known, ns."""
+        """Stamp up to which the table's motion is known, ns."""
         return int(self._rows.stamp[-1]) if len(self._rows) else None
 
     @property
     def silent(self) -> bool:
-        """Whether no joint state has come yet."""
+        """Whether joint states are still to come."""
         return not len(self._rows)
 
     @property
     def rest_since(self) -> int | None:
-        """Start of the rest that goes on, ns; None in motion."""
+        """Start of the current rest, ns; None in motion."""
         return None if self._moving else self._start
 
     def feed(self, stamp: Stamps, position: Floats) -> list[Rest | Motion]:
-        """Take joint states in; return what has come to its end.
+        """Add joint states; return the rests and motions that have ended.
 
         Args:
             stamp: (n,) ns, increasing.
@@ -122,7 +122,9 @@ class JointTracker:
         return self._judge()
 
     def _unwrapped(self, position: Floats) -> Floats:
-        """Add whole turns: counted, where `np.unwrap` sums what each cut of the stream rounds."""
+        """Add whole turns: counted, as the sums of `np.unwrap` are rounded at each cut of the
+        stream.
+        """
         steps = np.empty_like(position)
         steps[0] = position[0] - self._delivered
         np.subtract(position[1:], position[:-1], out=steps[1:])
@@ -131,7 +133,7 @@ class JointTracker:
         return np.asarray(position + _TURN * turns)
 
     def finish(self) -> list[Rest | Motion]:
-        """End of the stream: return the rest or motion that was going on."""
+        """End the stream: return the current rest or motion."""
         if self.silent:
             return []
         done = self._judge(ended=True)
@@ -139,9 +141,9 @@ class JointTracker:
         return [*done, self._motion(end) if self._moving else self._rest(start, end)]
 
     def split_rest(self, end: int) -> Rest | None:
-        """Close the rest that goes on at `end` (ns) and go on with another.
+        """Close the current rest at `end` (ns) and begin another.
 
-        None in motion, and while readings that its angles are the mean of may still come.
+        None in motion, and while readings for the mean of its angles may still come.
         """
         if self._moving or self._start is None or self._angles is None:
             return None
@@ -150,9 +152,9 @@ class JointTracker:
         return rest
 
     def _judge(self, *, ended: bool = False) -> list[Rest | Motion]:
-        """Go through new samples: a sample moves if the window before it shows a rate.
+        """Judge new samples: a sample moves if the window before it shows a rate.
 
-        The first ones wait until they show how noisy they are.
+        The first ones wait until their noise is known.
         """
         stamp, position = self._rows.stamp, self._rows.values
         if self._start is None:
@@ -171,8 +173,8 @@ class JointTracker:
         changes = moving != self._moving
         changes[1:] = moving[1:] != moving[:-1]
         for k in np.flatnonzero(changes).tolist():
-            # A window that counts as still may hold the last of a move, or the first of the next:
-            # a dwell begins at the end of its first still window and ends where its last one began.
+            # A still window may hold the end of a move, or the beginning of the next: a dwell
+            # begins at the end of its first still window and ends where its last one began.
             if moving[k]:
                 last = max(self._seen_from if k == 0 else int(stamp[before[k - 1]]), self._start)
                 done.append(self._rest(self._start, last))
@@ -188,20 +190,20 @@ class JointTracker:
     def _moved(
         self, position: Floats, new: int, before: NDArray[np.intp], elapsed: Floats
     ) -> NDArray[np.bool_]:
-        """Say of readings (m, k) from `new` on whether a joint is elsewhere than at those before.
+        """Return for readings (m, k) from `new` on whether a joint differs from those before.
 
         Each of the n new ones is compared with one `before`, `elapsed` seconds ago; (n,).
         """
         apart = np.abs(position[new:] - position[before])
-        # A table at rest is still at rest after a silence: only joint states show a motion.
+        # A table at rest stays at rest during a silence: only joint states show a motion.
         far = apart > (_STILL_RATE * np.minimum(elapsed, _LONGEST_LOOK))[:, None]
         first = max(new, _RECENT + 1)
         if not far.any() or first >= len(position):
             return any_in_row(far)
-        # The first readings have those after them alone.
+        # For the first readings only those after them are available.
         sizes = np.abs(np.diff(position[first - _RECENT - 1 :], n=2, axis=0))
         limits = (_NOISE * _SECOND_DIFFERENCE) * sizes
-        # The median of their sizes is the noise of those before, and at most the largest.
+        # The noise is the median absolute second difference of those before.
         unsure = np.flatnonzero(any_in_row(far & (apart <= limits.max(axis=0))))
         if len(unsure):
             windows = np.lib.stride_tricks.sliding_window_view(limits, _RECENT, axis=0)
@@ -211,13 +213,13 @@ class JointTracker:
         return any_in_row(far)
 
     def _rest(self, start: int, end: int) -> Rest:
-        """Close a dwell; its angles are those of its first samples, however it is split."""
+        """Close a dwell; its angles are those of its first samples, for any split."""
         if self._angles is None:
             self._angles = self._mean(start, min(end, start + _ANGLES_NS))
         return Rest(start, end, *self._angles)
 
     def _mean(self, start: int, end: int) -> tuple[Floats, float]:
-        """Return the mean angles from one instant to another, ns, and their deviation by noise."""
+        """Return the mean angles from one instant to another, ns, and their std by noise."""
         return averaged(self._rows.between(start - 1, end)[1][:_SAMPLES_FOR_ANGLES])
 
     def _motion(self, end: int) -> Motion:
@@ -225,10 +227,10 @@ class JointTracker:
         return Motion(start, end, *self._rows.between(start - 1, end))
 
     def _forget(self) -> None:
-        """Drop what no later decision needs, so that memory does not grow with the session."""
+        """Drop data that later decisions do not need, so that memory is bounded."""
         start, stamp = self._start or 0, self._rows.stamp
         if not self._moving and self._angles is None and self._seen_from >= start + _ANGLES_NS:
-            # However the rest ends, it lasted until there.
+            # The rest lasted until there at least.
             self._angles = self._mean(start, start + _ANGLES_NS)
         recent = int(np.searchsorted(stamp, stamp[-1] - 2 * _WINDOW_NS))
         unread = recent if self._angles is not None else int(np.searchsorted(stamp, start))
@@ -236,9 +238,9 @@ class JointTracker:
 
 
 def averaged(readings: Floats) -> tuple[Floats, float]:
-    """Return the mean of (n, k) angles of joints that stand, and its standard deviation by noise.
+    """Return the mean of (n, k) angles of joints at rest, and its standard deviation by noise.
 
-    The latter is that of one joint, the mean over all: a level axis leans with one of them.
+    The latter is that of one joint, the mean over all: a level axis leans with one joint.
     """
     n = len(readings)
     noise = readings.var(axis=0, ddof=1) / n if n > 1 else np.zeros(1)

@@ -1,10 +1,10 @@
-"""From dwell to dwell: what gyros and accelerometers gave on the way, in steps of about a degree.
+"""Motions between dwells: outputs of gyros and accelerometers, in steps of about a degree.
 
-A step joins samples. Its rotation vector is the sum of their angles and what the change of their
-direction adds (coning), to the second order. Its velocity is the sum of theirs in the body axes in
-the mean of its rotation over its time (sculling), to the third order. An error model of a percent
-changes what the second order adds by a percent of it, and nothing of the first about the mean:
-steps stand for the samples however often the model changes.
+A step joins samples. Its rotation vector is the sum of their angles and the coning term, to the
+second order. Its velocity is the sum of theirs in the body axes in the mean of its rotation over
+its time (sculling), to the third order. An error model of a percent changes the second-order terms
+by a percent of them, and nothing of the first order about the mean: steps can be used in place of
+the samples for any error model.
 
 Sources: Savage 1998, J. Guidance 21, 19, eqs. (45) and (48), and 208 for sculling;
 docs/mathematics.md, 'Moves' and 'Velocities of moves'.
@@ -26,44 +26,43 @@ from .sensor import Sensor
 from .statistics import Samples, gap_free
 
 STEP_ANGLE = 1 * DEG
-"""Angle of a step, rad: what the second order leaves out is a twelfth of its cube at most, 0.1
-arcsec."""
+"""Angle of a step, rad: the second order leaves out a twelfth of its cube at most, 0.1 arcsec."""
 
 STEP_SECONDS = 0.1
-"""Length of a step where little turns, s: the Earth turns by 1.5 arcsec in it."""
+"""Length of a step at low rates, s: the Earth turns by 1.5 arcsec in it."""
 
 SATURATED = 'a sensor is at the end of its range'
 COARSE = 'it turns too far from one sample to the next'
 MISSING = 'samples are missing'
 JERK = 'a jerk, too short to be read'
-"""Why a motion is no move."""
+"""Reason why a motion does not become a move."""
 
 _SHORTEST = 4
 """Steps: a shorter motion is a jerk."""
 _BESIDE = 5
-"""Samples beside a gap whose second differences tell how the rate bends: three of them."""
+"""Samples next to a gap whose second differences show the curvature of the rate: three of them."""
 
 _GYROS, _ACCELEROMETERS = slice(3), slice(3, 6)
 """Their columns among the six channels."""
 
 COARSEST = 5 * DEG
-"""Largest angle of one sample on a table, rad: a direction that changes from one to the next by a
-tenth of it leaves an arcsecond."""
+"""Largest angle of one sample on a table, rad: a direction that changes by a tenth of it between
+samples leaves an arcsecond."""
 
 COARSEST_BY_HAND = 20 * DEG
-"""The same in a hand, where an arcminute is nothing: 1000 deg/s at 50 Hz."""
+"""The same in a hand, where an arcminute is negligible: 1000 deg/s at 50 Hz."""
 
 
 class MoveReader:
-    """Joins what lies between one segment at rest and the next to a move.
+    """Joins the motion between one segment at rest and the next to a move.
 
     Feed motions and dwells in order. A gap, a sample at the end of its range, a shock, or a step of
     the stamps ends a move without a result.
 
     Args:
         sensor: The IMU.
-        by_hand: Whether a hand moves the unit: samples may be coarser, and of the accelerometers,
-            which it pushes, nothing is asked.
+        by_hand: Whether a hand moves the unit: samples may be coarser, and the accelerometers,
+            which the hand accelerates, are not used.
     """
 
     def __init__(self, sensor: Sensor, *, by_hand: bool = False) -> None:
@@ -79,11 +78,11 @@ class MoveReader:
 
     @property
     def lost(self) -> tuple[Rejected, ...]:
-        """What lies between two segments at rest and became no move, and why."""
+        """Motions between two segments at rest that gave no move, and why."""
         return tuple(self._lost)
 
     def motion(self, samples: Samples, delivered: Floats) -> None:
-        """Take the samples of a motion; those that a dwell before has had are passed over.
+        """Add the samples of a motion; those already used in a dwell are skipped.
 
         Args:
             samples: n of them.
@@ -94,7 +93,7 @@ class MoveReader:
     def dwell(
         self, samples: Samples, delivered: Floats, found: Sequence[Segment | Rejected | MountShift]
     ) -> None:
-        """Take the samples of a dwell, and what was found in it, in order."""
+        """Add the samples of a dwell, and the segments found in it, in order."""
         if any(isinstance(thing, MountShift) for thing in found):
             self._open, self._reason = None, ''
         for segment in (thing for thing in found if isinstance(thing, Segment)):
@@ -107,13 +106,13 @@ class MoveReader:
         """Return the moves in order.
 
         Args:
-            period: Sample interval by the whole session, s: what the stamps of a few seconds say
-                would make rates into angles a percent off, where they jitter.
+            period: Sample interval by the whole session, s: where stamps jitter, those of a few
+                seconds would make the angles of rates a percent off.
         """
         return tuple(self._move(*one, period) for one in self._moves)
 
     def _move(self, start: int, end: int, steps: _Steps, period: float) -> Move:
-        # Rates become angles and velocities by the interval that is right.
+        # Rates become angles and velocities by the interval of the session.
         longer = np.ones(1) if self._sensor.counted else period / steps.period
         gained = VelocitySteps(
             steps.velocity * longer[:, None],
@@ -132,7 +131,7 @@ class MoveReader:
         )
 
     def _close(self, segment: Segment) -> None:
-        """End the move that is open where a segment begins."""
+        """End the open move where a segment begins."""
         if self._open and sum(len(p.counts) for p in self._open) >= _SHORTEST:
             self._moves.append((self._begin, segment.start, _together(self._open)))
         elif self._reason or self._open is not None:
@@ -140,12 +139,12 @@ class MoveReader:
             self._lost.append(Rejected(self._begin, segment.start, reason, turn=True))
 
     def _add(self, samples: Samples, delivered: Floats, stop: int) -> None:
-        """Join samples before `stop` to steps; forget the move where they are not sound."""
-        # The same sample may lie a little otherwise on the line of another segment.
+        """Join samples before `stop` to steps; drop the move if they are not sound."""
+        # The same sample may have another stamp on the line of another segment.
         beyond = self._seen + round(samples.period * 5e8)
         fresh = slice(int(np.searchsorted(samples.stamp, beyond, side='right')), stop)
         part = samples.at(fresh)
-        # What is lost is followed to its end: its reason does not depend on where blocks are cut.
+        # A lost move is followed to its end: its reason does not depend on how blocks were cut.
         if (self._open is None and not self._reason) or not len(part.stamp):
             return
         around = np.concatenate([[self._seen], part.stamp])
@@ -168,13 +167,13 @@ class _Steps:
     """Steps of a motion.
 
     Attributes:
-        turned: (n, 3) rotation vectors by the sample interval that was assumed, rad.
+        turned: (n, 3) rotation vectors by the assumed sample interval, rad.
         velocity: (n, 3) velocities in the axes in the mean of the rotation, likewise, m/s.
         mean: (n, 3) that mean less half of the rotation, likewise, rad.
         counts: (n,) samples in each.
         period: (n,) the sample interval assumed, s.
         pulse: (6,) size of a pulse, rad and m/s.
-        filled: (2,) variances that filled gaps leave, rad^2 and (m/s)^2.
+        filled: (2,) variances due to filled gaps, rad^2 and (m/s)^2.
     """
 
     turned: Floats
@@ -204,7 +203,7 @@ def joined(samples: Samples) -> _Steps:
     x, y, z = angle.T
     length = np.sqrt(x * x + y * y + z * z)
     size = np.maximum(length / STEP_ANGLE, samples.period / STEP_SECONDS)
-    # By the middle of each sample: one that is as long as a step is a step.
+    # By the middle of each sample: a sample as long as a step is a step.
     number = np.floor(np.cumsum(size) - size / 2)
     first = np.flatnonzero(np.diff(number, prepend=-1.0))
     counts = np.diff(first, append=len(angle))
@@ -230,9 +229,10 @@ def joined(samples: Samples) -> _Steps:
 
 
 def _half_way(angle: Floats, velocity: Floats) -> Floats:
-    """Return what samples gained in the body axes half way through each one's angle, (n, 3) m/s.
+    """Return the velocity gained in the body axes up to the middle of each sample, (n, 3) m/s.
 
-    Rates and forces change as their neighbours say; velocities are in axes that turn with the body.
+    Rates and forces change linearly between neighbours; velocities are in axes that turn with the
+    body.
     """
     bent, steeper = (
         np.vstack([part[1:], part[-1:]]) - np.vstack([part[:1], part[:-1]])
@@ -243,14 +243,15 @@ def _half_way(angle: Floats, velocity: Floats) -> Floats:
 
 
 def _left_by_filling(samples: Samples, triad: slice) -> float:
-    """Return the variance of a sum by gaps that a line from one side to the other fills, SI^2.
+    """Return the variance of a sum due to gaps filled by a line from side to side, SI^2.
 
-    Of the angle or the velocity of a triad. Over h intervals the trapezium leaves f'' h^3 / 12
-    (Davis and Rabinowitz 1984, section 2.1); the curvature of the rate is estimated by the second
-    differences of the samples beside the gap. A joint that starts or stops within it bends a rate
-    at once, which no sample beside shows: slopes that differ by s leave s c (h - c) / 2 of a corner
-    at c, in the mean square s^2 h^4 / 120. The force off its axis jumps: by j beyond what the
-    slopes beside the gap explain, which leaves j (c - h / 2), in the mean square j^2 h^2 / 12.
+    Of the angle or the velocity of a triad. Over h intervals the error of the trapezium is f'' h^3
+    / 12 (Davis and Rabinowitz 1984, section 2.1); the curvature of the rate is estimated by the
+    second differences of the samples next to the gap. A joint that starts or stops within it makes
+    a corner in the rate, which neighbouring samples do not show: slopes that differ by s give the
+    error s c (h - c) / 2 for a corner at c, in the mean square s^2 h^4 / 120. The force off its
+    axis jumps: by j beyond the change that the slopes next to the gap explain, with the error j (c
+    - h / 2), in the mean square j^2 h^2 / 12.
     """
     if samples.filled is None or not samples.filled.any():
         return 0.0

@@ -1,4 +1,4 @@
-"""Attitudes in words: names of dwells and turns that no position of a plan names."""
+"""Attitudes in words: names of dwells and turns at no position of a plan."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ..units import DEG
 
 _AXES = 'XYZ'
 _VERTICAL = 1 * DEG
-"""An axis that leans less counts as vertical in a name: names are written in whole degrees."""
+"""An axis that leans by less is called vertical: names are in whole degrees."""
 
 _UPRIGHT = np.cos(10 * DEG)
-"""Beyond it the level part of the Z axis is too short to point anywhere. A judgement: the heading
+"""Beyond it the level part of the Z axis is too short to define a heading. A judgement: the heading
 then changes from Z to X."""
 
 
@@ -39,8 +39,8 @@ def heading(attitude: Floats) -> float:
     """Return how far a unit is turned about up, counter-clockwise seen from above, rad.
 
     It is zero where Z points south or, with Z vertical, where X points east. On a table whose
-    joints turn about z, x and z it is the outer joint's angle while the middle one stands between
-    0 and 180 deg; with Z vertical the inner one's comes on top.
+    joints turn about z, x and z it is the outer joint's angle while the middle one stands between 0
+    and 180 deg; with Z vertical the inner joint's angle is added.
 
     Args:
         attitude: (3, 3) R_nb in east, north, up of the table's azimuth.
@@ -60,7 +60,7 @@ def attitude_words(attitude: Floats) -> str:
 
 
 def unique(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
-    """Number names that come again: 'Z up', 'Z up (2)'; those that are taken have come before."""
+    """Number names that occur again: 'Z up', 'Z up (2)'; `taken` names occurred before."""
     seen, result = Counter(taken), []
     for name in names:
         seen[name] += 1

@@ -1,4 +1,4 @@
-"""Stamps in order: what jumps is dropped, one sample at a time."""
+"""Stamps in order: drop samples whose stamps jump."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Ordered:
 
 
 class StampOrder:
-    """Lets rows through whose stamps increase; the outcome does not depend on block boundaries.
+    """Passes rows whose stamps increase; the result does not depend on block boundaries.
 
-    A row is dropped if it does not come after all before it, or if it does not come before the
-    next one although that one does come after all before: one wild stamp must not make all that
-    follow look late. The last row waits for its successor.
+    A row is dropped if it does not come after all before it, or if the next one comes after all
+    before but not after this row: one wild stamp must not make all later ones look late. The last
+    row waits for its successor.
     """
 
     def __init__(self, columns: int) -> None:
@@ -32,14 +32,14 @@ class StampOrder:
         self._values: Floats = np.empty((0, columns))
 
     def take(self, stamp: Stamps, values: Floats) -> Ordered:
-        """Take (n,) stamps with (n, columns) values; return what is certain by now."""
+        """Take (n,) stamps with (n, columns) values; return the rows that are certain by now."""
         stamp = np.concatenate([self._stamp, stamp])
         values = np.concatenate([self._values, values])
         self._stamp, self._values = stamp[-1:], values[-1:]
         return self._sorted_out(stamp[:-1], values[:-1], stamp[1:])
 
     def finish(self) -> Ordered:
-        """End of the stream: return the row that waits."""
+        """End the stream: return the row that waits."""
         stamp, self._stamp = self._stamp, self._stamp[:0]
         values, self._values = self._values, self._values[:0]
         return self._sorted_out(stamp, values, np.full(len(stamp), np.iinfo(np.int64).max))

@@ -1,4 +1,4 @@
-"""How long a sample interval is, by the stamps of a whole session rather than of one segment.
+"""Estimate the sample interval from the stamps of a whole session rather than of one segment.
 
 The device has one clock. Where stamps jitter, segments a minute apart determine its interval a
 hundred times better than one of them. Where the stamping clock drifts, the segments do not lie on a
@@ -16,13 +16,15 @@ from ..stream import Floats, Stamps
 from .grid import SampleGrid, read_grid
 
 _NEAR_WHOLE = 0.25
-"""Of an interval: segments are so near to a whole number of intervals apart, or on two lines."""
+"""Of an interval: tolerance of the distance of segments about a whole number of intervals; beyond
+it they lie on two lines."""
 
 _SURE = 0.1
-"""Of an interval: standard deviation up to which the number of intervals between is sure."""
+"""Of an interval: largest standard deviation for which the number of intervals between is
+certain."""
 
 _FEWEST_FREE = 2
-"""Degrees of freedom from which on the scatter of segments about their line says something."""
+"""Degrees of freedom from which on the scatter of segments about their line is used."""
 
 _LEAST_STD = 1e-10
 """Of the level of a segment, s: stamps in ns, averaged."""
@@ -33,7 +35,7 @@ class Timing:
     """How a segment was timed.
 
     Attributes:
-        used: Sample interval that it was read with, s.
+        used: Sample interval used for reading it, s.
         own: That by its own stamps, s.
         own_std: Its standard deviation, s.
     """
@@ -58,12 +60,12 @@ class Pace:
     def __init__(self) -> None:
         self._start = 0
         self._reference = 0.0
-        """First interval found, s: lines are about it, for the sake of rounding."""
+        """First interval found, s: lines are relative to it, against rounding."""
         self._pieces = np.zeros(4)
         """Sums of a line (`_line`) through the pieces between jumps, each with its own level."""
         self._knots: list[_Knot] = []
         self._known: tuple[float, float] | None = None
-        """What `_long` has found since the last segment."""
+        """Result of `_long` since the last segment."""
 
     def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
         """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
@@ -77,7 +79,7 @@ class Pace:
 
     @property
     def interval(self) -> float:
-        """That of all segments so far, s; of the first one where no line goes through them."""
+        """Interval by all segments so far, s; by the first one where no line fits them."""
         return self._long()[0] or self._reference
 
     def combined(self, timing: Timing) -> tuple[float, float]:
@@ -104,9 +106,9 @@ class Pace:
         return self._reference + change, float(np.sqrt(max(1.0, squares) / xx))
 
     def _note(self, start: float, grid: SampleGrid) -> None:
-        """Add a segment to the line, or begin another where it does not lie on it."""
+        """Add a segment to the line, or begin another if it does not lie on it."""
         middle = float(grid.index[grid.kept].mean())
-        # The level of a line is as uncertain as its slope over the spread of its samples.
+        # The level of a line has the uncertainty of its slope times the spread of its samples.
         std = grid.period_std * float(np.std(grid.index[grid.kept]))
         time = start + grid.origin + middle * grid.period
         first = self._number_of_first(time, middle, grid)
@@ -117,7 +119,9 @@ class Pace:
         self._known = None
 
     def _number_of_first(self, time: float, middle: float, grid: SampleGrid) -> int | None:
-        """Return which sample since the first segment this one begins with; None if unsure."""
+        """Return the index of this segment's first sample since the first segment; None if
+        uncertain.
+        """
         if not self._knots:
             return None
         last = self._knots[-1]
@@ -130,9 +134,9 @@ class Pace:
 
 
 def _line(knots: list[_Knot], period: float) -> Floats:
-    """Return of what knots leave of a line of a given interval: their number less one, and sums.
+    """Return sums of the residuals of knots from a line of a given interval.
 
-    (4,) with the sums of x^2, x y and y^2 about the mean, each knot by its weight.
+    (4,): the number of knots less one, and the weighted sums of x^2, x y and y^2 about the mean.
     """
     if len(knots) < 2:
         return np.zeros(4)

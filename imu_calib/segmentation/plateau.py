@@ -1,12 +1,12 @@
-"""Encoder angles of a motion -> where the table turned at one rate, and the whole turns there.
+"""Encoder angles of a motion -> plateaus of constant rate, and the whole turns in them.
 
-A trapezoid may spend more time on its ramps than at its rate, and a ramp may be as slow as it
-likes: no threshold on the change of the rate tells the two apart. What does is the shape. Over
-half a turn the angle of a ramp is a parabola, that of a plateau a line, and how far the one is
-from the other is measured against the scatter about a cubic, to which a ramp adds nothing.
+A trapezoid may spend more time on its ramps than at its rate, and a ramp may be arbitrarily slow:
+no threshold on the change of the rate separates the two. The shape does. Over half a turn the angle
+of a ramp is a parabola, that of a plateau a line; their difference is compared with the scatter
+about a cubic, to which a ramp adds nothing.
 
-The straightest half turn is the seed. Its line grows to both ends as long as the angles stay on
-it, so that it rests on all of them in the end (docs/mathematics.md, 'Rate test').
+The straightest half turn is the seed. Its line grows to both ends while the angles stay on it, and
+finally uses all of them (docs/mathematics.md, 'Rate test').
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from .motion import Motion
 _TURN = 2 * np.pi
 """rad."""
 _SEED = np.pi
-"""Angle that a line is begun with, rad. A judgement: it fits twice into the least plateau that is
-of use, a whole turn, and is long enough for a ramp to bend it visibly."""
+"""Angle of a seed, rad. A judgement: it fits twice into the shortest useful plateau, a whole turn,
+and is long enough for a ramp to bend it visibly."""
 
 _SEEDS = 150
-"""Instants of a motion at which half a turn is looked at: a judgement between work and missing a
-plateau that is short beside its ramps."""
+"""Instants of a motion at which half a turn is tested: a judgement between work and missing a
+plateau that is short against its ramps."""
 
 _CELLS = 64
 """Angles of half a turn are averaged in so many cells: their scatter keeps sixty degrees of
@@ -37,34 +37,36 @@ freedom, and the work does not grow with the rate of the joint states."""
 
 
 _DEGREE = 3
-"""Of the polynomial about which angles scatter: a ramp is a square, a jerk-limited one a cubic."""
+"""Degree of the polynomial about which angles scatter: a ramp is a square, a jerk-limited one a
+cubic."""
 
 _BENT = 5.0
-"""Standard deviations by which half a turn may seem to be bent: of normal noise the hypotenuse of
-both parts passes them in less than one case in a million."""
+"""Standard deviations by which half a turn may seem bent: the hypotenuse of both parts exceeds them
+in less than one case in a million of normal noise."""
 
 _BENT_AT_MOST = 1e-4
-"""Of half a turn: a bend below it counts as none, however small the scatter. A judgement: 65
-arcsec leave room for encoders whose errors repeat with the turn; at 90 deg/s no ramp of more than
-0.05 deg/s^2 bends by less."""
+"""Of half a turn: a smaller bend counts as none, for any scatter. A judgement: 65 arcsec leave room
+for encoders whose errors repeat with the turn; at 90 deg/s no ramp of more than 0.05 deg/s^2 bends
+by less."""
 
 
 _WELL_OFF = 8.0
-"""Departure, in units of that at which a line is left, beyond which the beginning of a ramp can be
-extrapolated: t grows by 8^(1/2) = 2.8 while it grows with the square, by 8^(1/3) = 2 with
-the cubic part (docs/mathematics.md, 'Rate test')."""
+"""Departure, in units of that at which a line ends, beyond which the beginning of a ramp can be
+extrapolated: t grows by 8^(1/2) = 2.8 where it grows with the square, by 8^(1/3) = 2 with the cubic
+part (docs/mathematics.md, 'Rate test')."""
 
 _ROUNDS = 60
-"""Most growths of a line: one may add half its length at either end, and the last add few
+"""Most growths of a line: one may add half its length at either end, and the last rounds add few
 angles."""
 
 _SURE = 0.8
-"""Share of the time beside the turns in which the rate counts as the same. A judgement: the rest is
-for ramps whose onset is slower than a square."""
+"""Share of the time next to the turns in which the rate counts as constant. A judgement: the rest
+is for ramps whose onset is slower than a square."""
 
 _CLOCKS_APART = 0.05
-"""What clocks of IMU and table may differ by before they are compared, s. A judgement: as much as
-arrivals may contradict a device before its stamps are corrected (`devices/device_clock.py`)."""
+"""Largest difference of the clocks of IMU and table before they are compared, s. A judgement: the
+largest contradiction between arrivals and a device before its stamps are corrected
+(`devices/device_clock.py`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +74,13 @@ class Plateau:
     """A part of a motion at constant rate, by a line through its encoder angles.
 
     Attributes:
-        start: From which instant on all angles surely lie on the line, s.
-        end: Until which, s.
+        start: Instant from which on all angles certainly lie on the line, s.
+        end: Instant until which they do, s.
         rate: Slope of the line, rad/s, signed.
         rate_std: Its standard deviation, rad/s.
-        before: How long before `start` the angles still show no departure, s.
-        after: How long after `end`, s.
-        unseen: Departure that they would not show there, rad.
+        before: Time before `start` without a visible departure, s.
+        after: Time after `end`, likewise, s.
+        unseen: Departure that would not be visible there, rad.
         step: Of the encoder, rad; 0 where its angles show none.
     """
 
@@ -93,7 +95,7 @@ class Plateau:
 
     @property
     def turned(self) -> float:
-        """Angle turned while no departure from the line shows, rad, without sign."""
+        """Angle turned without a visible departure from the line, rad, without sign."""
         return abs(self.rate) * (self.end - self.start + self.before + self.after)
 
 
@@ -104,11 +106,12 @@ class WholeTurns:
     Attributes:
         joint: Index of the joint.
         start: Instant at which the turns begin on the line, ns (float: between samples).
-        seconds: Time that they take on the line, s, by the table's clock.
+        seconds: Their time on the line, s, by the table's clock.
         angle: Angle turned, rad: a whole number of turns, signed.
         rate_error: Standard deviation of the mean rate over them, relative.
-        spare: How long before and after the turns the rate is surely the same, s: less than the
-            line shows, for the onset of ramps and for clocks that are yet to be compared.
+        spare: Time before and after the turns in which the rate is certainly the same, s: less than
+            the line shows, to allow for the onset of ramps and for clocks that are not compared
+            yet.
         step: Of the encoder, rad; 0 where its angles show none.
     """
 
@@ -124,8 +127,8 @@ class WholeTurns:
 def find_turns(motion: Motion) -> list[WholeTurns]:
     """Find the whole turns at constant rate in a motion, in order.
 
-    A line through all encoder angles at that rate places the cuts: it leaves less of the jitter of
-    stamps than single crossings, by sqrt(n / 6) of n angles (docs/mathematics.md, 'Rate test').
+    A line through all encoder angles at that rate places the cuts: it reduces the jitter of stamps
+    more than single crossings, by sqrt(n / 6) of n angles (docs/mathematics.md, 'Rate test').
     """
     if not len(motion.stamp):
         return []
@@ -135,7 +138,7 @@ def find_turns(motion: Motion) -> list[WholeTurns]:
 
 
 def why_none(motion: Motion) -> str:
-    """Say why a motion holds no whole turn at constant rate."""
+    """Return a sentence on why a motion holds no whole turn at constant rate."""
     plateaus = find_plateaus(motion)
     if not plateaus:
         return 'the joint states show no constant rate'
@@ -148,7 +151,7 @@ def why_none(motion: Motion) -> str:
 
 
 def find_plateaus(motion: Motion) -> list[Plateau]:
-    """Find where the joint that turns most did so at constant rate, half a turn or more each."""
+    """Find the plateaus of half a turn or more of the joint that turns most."""
     time = (motion.stamp - motion.stamp[0]) * 1e-9
     angle = motion.position[:, _turning(motion)]
     seeds = _seeds(time, angle)
@@ -182,14 +185,14 @@ def _seeds(time: Floats, angle: Floats) -> list[tuple[int, int]]:
 
 
 def _half_turns(angle: Floats) -> NDArray[np.intp]:
-    """Return the index ranges in which half a turn is made, (n, 2).
+    """Return the index ranges of half a turn, (n, 2).
 
-    Where the joint states come so slowly that half a turn has too few of them, it is more.
+    Where half a turn has too few joint states, the range is longer.
     """
     found: list[tuple[int, int]] = []
     half_turn = len(angle)
     for first in np.unique(np.linspace(0, len(angle) - 1, _SEEDS).astype(int)).tolist():
-        # The next half turn takes about as long as the last one: no more is looked at first.
+        # The next half turn takes about as long as the last one: search there first.
         for reach in (2 * half_turn, len(angle)):
             far = np.abs(angle[first : first + reach] - angle[first]) >= _SEED
             half_turn = int(np.argmax(far))
@@ -205,16 +208,16 @@ def _half_turns(angle: Floats) -> NDArray[np.intp]:
 def _bends(
     time: Floats, angle: Floats, ranges: NDArray[np.intp], cells: int
 ) -> tuple[Floats, Floats]:
-    """Return how far angles are from a line, rad, and how far those of a plateau may seem to be.
+    """Return the bend of angles, rad, and the largest apparent bend of a plateau.
 
-    The square and the cubic part of a fit by Legendre's polynomials, against what the scatter
-    about that fit makes of them. No ramp bends half a turn by less than a ten-thousandth: at
-    90 deg/s that is 0.05 deg/s^2. Of each of the n `ranges` (n, 2) of indices the angles are
-    averaged in so many `cells`, no more than there are angles.
+    The bend is the square and the cubic part of a fit by Legendre polynomials, compared with the
+    scatter about that fit. No ramp bends half a turn by less than a ten-thousandth: at 90 deg/s
+    that is 0.05 deg/s^2. In each of the n `ranges` (n, 2) of indices the angles are averaged in
+    `cells` cells, at most one per angle.
     """
     first, last = ranges.T
     edges = first[:, None] + np.arange(cells + 1) * (last - first)[:, None] // cells
-    # What `reduceat` adds up between the end of one part and the beginning of the next is no cell.
+    # `reduceat` also sums between the end of one part and the beginning of the next: not a cell.
     x, y = (
         np.add.reduceat(np.append(v, 0.0), edges.ravel()).reshape(edges.shape)[:, :-1]
         / np.diff(edges)
@@ -235,7 +238,7 @@ def _bends(
 def _grown(
     time: Floats, angle: Floats, step: float, first: int, last: int
 ) -> tuple[int, int, Plateau | None]:
-    """Let the line of a seed grow to where the angles leave it; return its range and the whole."""
+    """Grow the line of a seed until the angles leave it; return its range and the whole."""
     for _ in range(_ROUNDS):
         line = Line.through(time[first:last], angle[first:last], step)
         reach = (last - first) // 2
@@ -253,13 +256,13 @@ def _grown(
 
 
 def _trimmed(line: Line, time: Floats, angle: Floats, first: int, last: int) -> Plateau | None:
-    """Take from both ends what may belong to a ramp already, and fit the line to the rest.
+    """Remove from both ends what may belong to a ramp, and fit the line to the rest.
 
-    None where joint states come so slowly, or fail so long, that too few are left for a line.
+    None where joint states are so few, or missing for so long, that too few are left for a line.
 
-    The departure of a ramp grows with the square of time: from where it is `_WELL_OFF` times as
-    large as where it shows, it is at least as far back to there as from there to its beginning.
-    The same holds of ramps whose acceleration sets in by and by, where it grows with the cube.
+    The departure of a ramp grows with the square of time: the time from the ramp's beginning to
+    where a departure is visible is at most the time from there to where it is `_WELL_OFF` times as
+    large. The same holds for ramps with a gradual onset, where it grows with the cube.
     """
     well_off = np.flatnonzero(line.departure(time, angle) > _WELL_OFF)
     begin, end = float(time[first]), float(time[last - 1])
@@ -282,7 +285,7 @@ def _trimmed(line: Line, time: Floats, angle: Floats, first: int, last: int) -> 
 def _whole_turns(plateau: Plateau, joint: int, origin: float) -> WholeTurns | None:
     """Cut whole turns out of the middle of a plateau; None where it holds none.
 
-    A turn that fits only where a departure would not show counts by what may be hidden there.
+    A turn that fits only where a departure would not be visible gets the uncertainty of that.
     """
     sure = plateau.end - plateau.start
     rate = abs(plateau.rate)

@@ -1,4 +1,4 @@
-"""Samples that repeat one: a device that goes on sending and no longer measures."""
+"""Detect repeated samples: a device that sends on without measuring."""
 
 from __future__ import annotations
 
@@ -12,33 +12,34 @@ from ..units import DEG
 from .rows import all_in_row
 
 _FEWEST = 8
-"""Fewest samples in a row that are taken for frozen: a judgement, less is no loss."""
+"""Fewest repeated samples in a row that count as frozen: a judgement, fewer cost nothing."""
 
 _CHANCE = 1e-9
-"""Probability that sound samples of a segment repeat themselves so often somewhere in it."""
+"""Probability of so long a repetition anywhere in a segment of sound samples."""
 
 
 _AROUND = 32
 """Samples before and after a repetition that show whether codes are noisy."""
 
 _NOISY = 4
-"""Different codes among them that a channel of noise shows: one at the edge between two codes shows
-two without any, and three where it drifts to the next edge."""
+"""Different codes among them by which a channel is noisy: one at the edge between two codes shows
+two without noise, and three where it drifts to the next edge."""
 
 _TURNS = 10 * DEG
-"""rad/s: a judgement. No gyro on a turntable has such a bias; of cheap ones it is a few deg/s."""
+"""rad/s: a judgement. More than the bias of any gyro on a turntable; cheap ones have a few
+deg/s."""
 
 
 def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
-    """Find the samples (n,) that repeat the one before beyond chance.
+    """Find the samples (n,) that repeat the one before more often than by chance.
 
-    How often two samples in a row are the same by chance, the others of the segment tell: codes of
-    little noise often are. Of a segment that repeats itself for most of its length nothing tells.
+    The chance that two samples in a row are equal is estimated from the rest of the segment: codes
+    of low noise often are. If most of the segment repeats itself, the chance is unknown.
 
     Args:
         values: (n, 6) as delivered.
-        counted: Whether they are increments of a counter, which change at a steady rate, too.
-            Codes of a rate do so by noise alone.
+        counted: Whether they are increments of a counter, which also change at a steady rate. Codes
+            of a rate change by noise alone.
     """
     n = len(values)
     found = np.zeros(n, dtype=bool)
@@ -65,8 +66,8 @@ class Repetition:
     """How samples of a motion repeat themselves.
 
     Attributes:
-        samples: How many there are.
-        share: Of them that are the one before once more.
+        samples: Number of samples.
+        share: Share of samples that repeat the one before.
         longest: Most of these in a row.
     """
 
@@ -76,21 +77,21 @@ class Repetition:
 
     @classmethod
     def of(cls, values: Floats) -> Repetition:
-        """Count what repeats itself of (n, 6) values as delivered; at least 2."""
+        """Count the repetitions in (n, 6) values as delivered; at least 2."""
         same = all_in_row(values[1:] == values[:-1])
         edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
         return cls(len(values), float(same.mean()), int(np.diff(edges)[::2].max(initial=0)))
 
     def beyond_chance(self, share: float) -> bool:
-        """Say whether the longest repetition is none of samples that repeat by such a chance."""
+        """Return whether the longest repetition exceeds chance, `share` for each."""
         return self.longest >= _FEWEST and self.samples * share**self.longest < _CHANCE
 
 
 def repeating_a_turn(values: Floats, rates: Floats) -> NDArray[np.bool_]:
     """Find the samples (n,) of a dwell that repeat one of a turn.
 
-    Where a device froze before the table came to rest, no other sample of the dwell need show that
-    it did; that a table that stands does not turn does.
+    If a device froze before the table came to rest, the dwell need not hold any other sample to
+    compare with; but a table at rest cannot show the rate of a turn.
 
     Args:
         values: (n, 6) as delivered.
@@ -104,6 +105,6 @@ def repeating_a_turn(values: Floats, rates: Floats) -> NDArray[np.bool_]:
 
 
 def _noisy(values: Floats, start: int, stop: int) -> bool:
-    """Say whether a channel has noise beside the samples start to stop."""
+    """Return whether a channel has noise around the samples start to stop."""
     around = np.vstack([values[max(0, start - _AROUND) : start], values[stop : stop + _AROUND]])
     return any(len(np.unique(channel)) >= _NOISY for channel in around.T)

@@ -1,4 +1,4 @@
-"""What holds in rows of a few columns, column by column: along so short an axis numpy is slow."""
+"""Reductions of rows of a few columns, column by column: numpy is slow along so short an axis."""
 
 from __future__ import annotations
 

@@ -17,26 +17,26 @@ CHANNELS = ('gx', 'gy', 'gz', 'ax', 'ay', 'az')
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """What the samples of one segment say, in SI after the nominal scale factor.
+    """Statistics of the samples of one segment, in SI after the nominal scale factor.
 
     The variance of `mean` is walk_gain * N^2 + quantisation_variance, with N the channel's
-    random-walk coefficient; N is estimated from the blocks of all segments together.
+    random-walk coefficient, estimated from the blocks of all segments together.
 
     Attributes:
         samples: Number of samples used.
-        missing: Number of samples that gaps within the segment have swallowed.
+        missing: Number of samples lost in gaps within the segment.
         duration: Time that the samples cover, s, by the device's clock.
         mean: (6,) best estimate of the mean output, rad/s and m/s^2.
         walk_gain: (6,) 1/s.
-        quantisation_variance: (6,) variance left by quantisation, (rad/s)^2 and (m/s^2)^2.
-        end_points: (6,) plain sum over duration, what the documents' formulae call the mean.
+        quantisation_variance: (6,) variance by quantisation, (rad/s)^2 and (m/s^2)^2.
+        end_points: (6,) sum over duration, the mean in the documents' formulae.
         blocks: Per channel (b, 4): mean, walk gain, quantisation variance of blocks of 10 s or
             more, and the middle of each, s after the segment began.
         drift: (6,) slope of the block means, rad/s^2 and m/s^3.
         drift_std: (6,) its standard deviation by the scatter of the blocks; NaN below 4 blocks.
-        pulse: (6,) size of one pulse, rad and m/s; 0 where the values are no whole pulses.
-        allan: Sums for the Allan variance; None where they were not taken.
-        timing: How the samples were timed; None where not asked for.
+        pulse: (6,) size of one pulse, rad and m/s; 0 where the values are not whole pulses.
+        allan: Sums for the Allan variance; None where not computed.
+        timing: How the samples were timed; None where not requested.
         time_error: Standard deviation of the sample interval, relative.
     """
 
@@ -69,7 +69,7 @@ class Statistics:
         )
 
     def retimed(self, pace: Pace) -> Statistics:
-        """Return the same by the sample interval that all of a session tells."""
+        """Return the same with the sample interval of the whole session."""
         if self.timing is None:
             return self
         period, std = pace.combined(self.timing)
@@ -95,16 +95,16 @@ class Segment:
     Attributes:
         start: First instant used, ns, IMU clock.
         end: Last instant used, ns, IMU clock.
-        statistics: What its samples say.
+        statistics: Of its samples.
         attitude: (3, 3) R_nb in east, north, up of the table's azimuth; None where neither joint
-            angles nor a plan tell it.
+            angles nor a plan give it.
         position: Id of the plan's position; None where unknown.
         angles: (k,) mean joint angles, rad; None without joint states.
-        notes: What was cut away and why, for a person.
+        notes: What was cut away and why, in sentences.
         attitude_error: Standard deviation of the attitude about any axis by the encoders' noise,
             rad.
-        unrest: (3, 3) covariance of the mean of the accelerometers beyond their usual noise,
-            (m/s^2)^2; None where it is as usual.
+        unrest: (3, 3) covariance of the accelerometers' mean beyond their usual noise, (m/s^2)^2;
+            None where it is as usual.
     """
 
     start: int
@@ -118,11 +118,11 @@ class Segment:
     unrest: Floats | None = None
 
     def variance(self, walk: Floats, gravity: float) -> Floats:
-        """Return the variances of the mean outputs, (6,), SI: noise, and gravity where it leans.
+        """Return the variances of the mean outputs, (6,), SI: noise, and gravity by the lean.
 
         Args:
             walk: (6,) random-walk coefficients.
-            gravity: m/s^2; what the gyros see lean of the Earth rate is below all noise.
+            gravity: m/s^2; the Earth rate by the lean is below all noise.
         """
         found = self.statistics.variance(walk) + self.encoder_variance(gravity)
         if self.unrest is not None:
@@ -130,7 +130,7 @@ class Segment:
         return found
 
     def encoder_variance(self, gravity: float) -> Floats:
-        """Return what the encoders' noise adds to the variances of the mean outputs, (6,)."""
+        """Return the variances of the mean outputs by the encoders' noise, (6,)."""
         if self.attitude is None or not self.attitude_error:
             return np.zeros(6)
         across = (gravity * self.attitude_error) ** 2 * (1 - self.attitude[2] ** 2)
@@ -139,14 +139,13 @@ class Segment:
 
 @dataclass(frozen=True)
 class WholeWay:
-    """A turn beside the whole motion that it is a part of, from rest to rest.
+    """A turn as a part of the whole motion from rest to rest.
 
     Attributes:
-        turned: Angle about up between the cuts, rad, signed: the part of the way that the gyros saw
-            there.
+        turned: Angle about up between the cuts, rad, signed, from the share seen by the gyros.
         way: Angle from rest to rest, whole turns, rad, without sign.
-        by_noise: Standard deviation of the rate, relative, by a random walk of one about up: what
-            the gyros read at rest is known from so long as was looked at.
+        by_noise: Standard deviation of the rate, relative, for a random walk of one about up, with
+            the uncertainty of the gyros' output at rest.
         by_pulses: The same by quantisation.
     """
 
@@ -163,23 +162,23 @@ class Turn:
     Attributes:
         start: First instant used, ns, IMU clock.
         end: Last instant used, ns, IMU clock.
-        statistics: What its samples say; `blocks` are empty.
+        statistics: Of its samples; `blocks` are empty.
         angle: Angle turned about up, rad, signed.
-        seconds: Time that the table's clock counts for it; None where no table has a say.
+        seconds: Its time by the table's clock; None without a table.
         up: (3,) up in body axes.
         position: Id of the plan's position at which it was made; None where unknown.
         rate_error: Standard deviation of the encoder's rate, relative; 0 without an encoder.
         up_error: Standard deviation of `up` about either level axis by the encoders' noise, rad.
-        skewed: What a skewed gyro says, its first channel that gyro; None where there is none.
+        skewed: Statistics of a skewed gyro, as first channel; None without one.
         each: (n, 3) gyro means of the single turns, (n, 4) with a skewed one; None for one turn.
-        level: What share of a level rate does not average out: whole turns at a constant rate
-            leave what cuts within samples miss of it, turns from rest to rest what passes while
-            they are slow.
+        level: Share of a level rate that does not average out: for whole turns at a constant rate
+            the error of cuts within samples, for turns from rest to rest the effect of the slow
+            parts.
         angles: (k,) mean joint angles, rad; None without joint states.
-        joint: Which of them turns.
+        joint: Index of the joint that turns.
         step: Of its encoder, rad, by its angles; 0 where they show none.
-        whole_way: What the gyros say of it beside all of the motion; None where the encoder's line
-            says it better.
+        whole_way: The turn by the gyros as a part of the whole motion; None where the encoder's
+            line is more accurate.
     """
 
     start: int
@@ -200,15 +199,15 @@ class Turn:
     whole_way: WholeWay | None = None
 
     def encoder_variance(self) -> Floats:
-        """Return what the encoders' noise adds to the variances of the gyros' means, (3,)."""
+        """Return the variances of the gyros' means by the encoders' noise, (3,)."""
         return np.asarray((self.up_error * self.rate()) ** 2 * (1 - self.up**2))
 
     def lean_variance(self, gravity: float) -> Floats:
-        """Return what it adds to the variances of the accelerometers' means, (3,)."""
+        """Return the variances of the accelerometers' means by the encoders' noise, (3,)."""
         return np.asarray((self.up_error * gravity) ** 2 * (1 - self.up**2))
 
     def retimed(self, pace: Pace) -> Turn:
-        """Return the same by the sample interval that all of a session tells."""
+        """Return the same with the sample interval of the whole session."""
         statistics = self.statistics.retimed(pace)
         slower = self.statistics.duration / statistics.duration
         return replace(
@@ -219,7 +218,7 @@ class Turn:
         )
 
     def rate_std(self, walk: Floats) -> float:
-        """Return the relative standard deviation of the rate: by the line, or by the way.
+        """Return the relative standard deviation of the rate: by the line, or by the whole motion.
 
         Args:
             walk: (6,) random-walk coefficients, SI.
@@ -230,10 +229,10 @@ class Turn:
         return math.hypot(self.whole_way.by_noise * about_up, self.whole_way.by_pulses)
 
     def by_the_surer(self, walk: Floats) -> Turn:
-        """Return the turn by the encoder's line where its rate is known better by that.
+        """Return the turn by the encoder's line where that gives the more accurate rate.
 
-        What gyros of a random walk (6,) read at rest beside a short turn with long ramps may tell
-        less than coarse readings do.
+        For a short turn with long ramps, gyros with a random walk (6,) at rest on either side may
+        be less accurate than coarse readings.
         """
         surer = self.rate_std(walk) < self.rate_error
         return self if surer or self.whole_way is None else replace(self, whole_way=None)

@@ -1,4 +1,4 @@
-"""What the streams of a session contain: the values that segmentation ends in."""
+"""Contents of a session's streams: the values returned by segmentation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .thermometer import Temperature
 
 @dataclass(frozen=True, eq=False)
 class Rejected:
-    """What was looked at and not used: when (ns, IMU clock), where, why; a dwell or a turn."""
+    """A dwell or turn that was not used: when (ns, IMU clock), where, why."""
 
     start: int
     end: int
@@ -33,12 +33,12 @@ class MountShift:
 
 @dataclass(frozen=True, eq=False)
 class FreeMotion:
-    """A motion between two dwells as the gyros alone saw it.
+    """A motion between two dwells as seen by the gyros alone.
 
     Attributes:
         start: First instant, ns, IMU clock.
         end: Last instant, ns, IMU clock.
-        statistics: What its samples say.
+        statistics: Of its samples.
         turned: (3,) integral of the rates, rad.
         level: Mean over the motion of exp(i angle), the angle turned since its start.
     """
@@ -52,17 +52,15 @@ class FreeMotion:
 
 @dataclass(frozen=True, eq=False)
 class VelocitySteps:
-    """What the accelerometers gained on a move, step by step.
+    """Velocities gained by the accelerometers on a move, step by step.
 
     Attributes:
         velocity: (n, 3) integral of the specific force of each step, in the body axes in the mean
             of its rotation over its time, m/s.
-        mean: (n, 3) that mean less half of the rotation, rad: what a rate makes that changes.
+        mean: (n, 3) that mean less half of the rotation, rad: the effect of a changing rate.
         pulse: (3,) size of one pulse of their counters, m/s; 0 where there are none.
-        filled: Variance that samples which were lost, and are read from those around them, leave
-            along any axis, (m/s)^2.
-        foreseen: Whether nobody has counted yet: before a session it is not known to a pulse how
-            many there will be.
+        filled: Variance along any axis due to lost samples that are interpolated, (m/s)^2.
+        foreseen: Whether the counts are predicted: before a session they are not known to a pulse.
     """
 
     velocity: Floats
@@ -80,11 +78,11 @@ class Move:
         start: End of the segment before, ns, IMU clock.
         end: Start of the segment after, ns, IMU clock.
         turned: (n, 3) rotation vector of each step, rad.
-        seconds: (n,) how long each step took, s.
+        seconds: (n,) duration of each step, s.
         pulse: (3,) size of one pulse of the gyros' counters, rad; 0 where there are none.
-        filled: Variance that samples which were lost, and are read from those around them, leave
-            in its angle about any axis, rad^2.
-        velocity_steps: What the accelerometers gained; None where not asked for.
+        filled: Variance of its angle about any axis due to lost samples that are interpolated,
+            rad^2.
+        velocity_steps: Velocities gained by the accelerometers; None where not requested.
     """
 
     start: int
@@ -97,7 +95,7 @@ class Move:
 
     @property
     def duration(self) -> float:
-        """How long it took, s."""
+        """Its duration, s."""
         return float(self.seconds.sum())
 
     @property
@@ -123,19 +121,19 @@ class Segmented:
     Attributes:
         segments: Static dwells, in order.
         turns: Whole turns measured by an encoder, in order.
-        motions: Larger motions that no encoder saw, in order.
-        moves: What the gyros saw between one segment and the next, in order.
+        motions: Larger motions without an encoder, in order.
+        moves: Motions seen by the gyros between one segment and the next, in order.
         rejected: Static dwells that were not used.
-        mount_shifts: Shocks after which the unit sat otherwise in its mount, in order.
-        losses: What was lost on the way in, in sentences.
+        mount_shifts: Shocks that shifted the unit in its mount, in order.
+        losses: Data lost on input, in sentences.
         setpoints: The first of every run of equal setpoints, in order.
         clock: Table against IMU.
-        samples: IMU samples taken in.
+        samples: Number of IMU samples received.
         duration: From the first to the last IMU stamp, s.
         start: First IMU stamp, ns; None without samples.
-        temperature: What the unit's thermometer showed; None where it has none.
-        strangers: Whose joint states came, in a sentence, where none were the table's; else empty.
-        lost_moves: Motions from one segment to the next that tell nothing, with the reason.
+        temperature: Of the unit's thermometer; None without one.
+        strangers: Sentence on joint states if none were the table's; else empty.
+        lost_moves: Motions from one segment to the next that are not used, with the reason.
     """
 
     segments: tuple[Segment, ...]

@@ -49,27 +49,27 @@ from .thermometer import Thermometer
 from .turns import MARGIN_NS, Around, read_free_motion, read_turns
 
 _LONGEST_REST = 1 << 20
-"""Samples that are held: a longer dwell is cut, so that memory stays bounded."""
+"""Most samples held: a longer dwell is cut, so that memory stays bounded."""
 _SAMPLES_FOR_PERIOD = 256
-"""Samples whose median tells the interval."""
+"""Samples whose median step is the interval."""
 _SEEN = 0.75
-"""Of a motion: less of it was lost or beyond the range."""
+"""Of a motion: less seen means that some was lost or beyond the range."""
 _ALIKE = 1.5
-"""Times: where motions look alike in size it is the scale factor that is wrong."""
+"""Ratio: where the seen shares of motions are this close, the scale factor is wrong."""
 _SURELY_SEEN = 3
-"""Motions that the gyros saw at the table's time, after which clocks are not compared otherwise: by
-chance one motion falls on another, and not three in a row."""
+"""Motions seen by the gyros at the table's time, after which clocks are not compared otherwise: one
+motion matches another by chance, but not three in a row."""
 _NEAR = 0.5
-"""s: clocks so near are compared motion by motion, in a second of rest on either side."""
+"""s: clocks this close are compared motion by motion, in a second of rest on either side."""
 _TELLING = 10 * DEG
-"""rad: motions longer than that tell when they were."""
+"""rad: longer motions determine the offset of the clocks."""
 
 
 class Segmenter:
     """Cuts the streams of a session into segments.
 
-    Feed blocks of any length in the order of each topic. The outcome depends on the sequence of
-    each topic and its stamps, not on how topics interleave or how blocks were cut.
+    Feed blocks of any length in the order of each topic. The result depends on the sequence of each
+    topic and its stamps, not on how topics interleave or how blocks were cut.
 
     Args:
         spec: What the numbers of the Imu stream mean.
@@ -117,24 +117,24 @@ class Segmenter:
 
     @property
     def moves(self) -> tuple[Move, ...]:
-        """What the gyros saw between these static dwells so far."""
+        """Moves between these static dwells so far."""
         return self._moves.finish(self._pace.interval)
 
     @property
     def quietest(self) -> Quietest | None:
-        """The two seconds that strayed least, of a unit without a table."""
+        """The two seconds of least deviation, for a unit without a table."""
         return None if self._stillness is None else self._stillness.quietest
 
     @property
     def still(self) -> tuple[int, int] | None:
-        """Since and until when a unit without a table stands still, ns; None in motion."""
+        """Beginning and end of the current rest of a unit without a table, ns; None in motion."""
         tracker = self._stillness
         if tracker is None or tracker.rest_since is None or tracker.known_until is None:
             return None
         return tracker.rest_since, tracker.known_until
 
     def feed(self, block: Block) -> None:
-        """Take a block in; after the end nothing more counts."""
+        """Add a block; ignored after the end."""
         if self._ended is not None:
             return
         if isinstance(block, ImuBlock):
@@ -151,12 +151,12 @@ class Segmenter:
         self._work()
 
     def snapshot(self) -> Segmenter:
-        """Return a segmenter that goes on from here by itself; what was found is the same."""
+        """Return an independent copy that continues from here."""
         values = (self._spec, self._table, self._sensor, *self._segments, *self._turns)
         return copy.deepcopy(self, {id(value): value for value in values})
 
     def finish(self) -> Segmented:
-        """End of all streams: return what they contain, the same however often it is asked."""
+        """End all streams: return their contents, the same at each call."""
         if self._ended is None:
             self._ended = self._end()
         return self._ended
@@ -201,7 +201,7 @@ class Segmenter:
             self._pending.extend(self._joints.feed(joints.stamp, joints.values))
 
     def _work(self, *, last: bool = False) -> None:
-        """Handle every interval whose samples are all here."""
+        """Process every interval whose samples have all come in."""
         if self._joints is None:
             self._watch_stillness(last=last)
         self._split_long_rest()
@@ -222,10 +222,10 @@ class Segmenter:
                 self._intake.drop_until(interval.end + self._offset_ns - 2 * MARGIN_NS)
 
     def _awaits_offset(self, *, last: bool) -> bool:
-        """Say whether what comes next has to wait until it is known how far clocks are apart.
+        """Return whether processing has to wait until the offset of the clocks is known.
 
-        As long as the gyros see the first motions of the table nothing waits. Where they do not,
-        the patterns of both are compared, and what was read so far is read anew.
+        If the gyros see the first motions of the table, nothing waits. If not, the patterns of both
+        are compared, and the data so far is read again.
         """
         if self._trial is None or self._joints is None or self._table is None:
             return False
@@ -258,7 +258,7 @@ class Segmenter:
         return False
 
     def _begin_anew(self, offset_ns: int) -> None:
-        """Forget what was found so far, and read it again with clocks that are so far apart."""
+        """Discard what was found so far, and read it again with this offset of the clocks."""
         self._pending.extendleft(reversed(self._trial or ()))
         self._offset_ns = self._reference_ns = self._apart_ns = offset_ns
         self._clock, self._compared = [], []
@@ -269,7 +269,7 @@ class Segmenter:
         self._late = Lateness()
 
     def _watch_stillness(self, *, last: bool) -> None:
-        """Let the IMU's own samples tell dwells from motions."""
+        """Detect dwells and motions from the IMU's own samples."""
         imu = self._intake.imu
         if self._stillness is None:
             enough = _SAMPLES_FOR_PERIOD if not last else 2
@@ -288,7 +288,7 @@ class Segmenter:
         self._pending.extend(self._stillness.feed(stamp, rates))
 
     def _split_long_rest(self) -> None:
-        """Close a dwell after so many samples, that memory stays bounded however long it lasts."""
+        """Close a dwell after so many samples, so that memory stays bounded."""
         tracker = self._tracker
         if tracker is None or self._pending or len(self._intake.imu) <= _LONGEST_REST:
             return
@@ -315,7 +315,7 @@ class Segmenter:
         attitude = None
         if self._table is not None and rest.angles is not None:
             attitude = self._table.attitude(rest.angles)
-        # Without a table a static dwell is asked for its mean alone, not for when.
+        # Without a table only the mean of a static dwell is needed, not its time.
         steps = [] if self._table is None else clock_steps(stamp, self._pace.interval)
         self._off_grid.update(stamp[steps].tolist())
         edges = [0, *steps, len(stamp)]
@@ -345,11 +345,11 @@ class Segmenter:
         inside = slice(*np.searchsorted(came.stamp, [begins, ends_at], side='right').tolist())
         late = late + (stamp - came.stamp)
         self._late.note(came.stamp[inside], late[inside], came.period)
-        # The rate changes here: what lies right beside a lost sample tells of it, and no more.
+        # The rate changes here: only samples next to a lost one are used for it.
         whole = bridged(came, self._sensor.walk, 1)
         self._note_lost(whole, begins, ends_at)
         samples, values = whole.samples, whole.values(values)
-        # By the stamps as they came: the rest begins with the first beyond, and on the line of
+        # By the stamps as received: the rest begins with the first beyond, and on the line of
         # another static dwell the same sample may lie on the other side.
         after = int(np.searchsorted(stamp, motion.end + self._offset_ns, side='right'))
         ends = int(np.searchsorted(np.maximum.accumulate(whole.rows), after))
@@ -373,7 +373,7 @@ class Segmenter:
         self._take(read_turns(around, motion, self._table, self._offset_ns))
 
     def _note_lost(self, whole: Bridged, start: int, end: int) -> None:
-        """Count the samples that were lost between two instants, ns, and are read from others."""
+        """Count the lost samples between two instants, ns, that are interpolated."""
         inside = (whole.samples.stamp > start) & (whole.samples.stamp <= end)
         self._lost += int(np.count_nonzero(whole.rows[inside] < 0))
 
@@ -395,19 +395,19 @@ class Segmenter:
         compared = ClockSample(compared.time - shift, compared.offset + shift * 1e-9)
         self._clock.append(compared)
         self._offset_ns = round(compared.offset * 1e9)
-        # The next motions are compared near this one: by drift clocks may come far apart.
+        # The next motions are compared near this offset: clocks may drift far apart.
         if abs(self._offset_ns - shift) > _NEAR * 1e9:
             self._reference_ns = self._offset_ns
 
     def _apart_at_steps(
         self, stamp: Stamps, values: Floats, late: Stamps
     ) -> tuple[Stamps, Floats, Stamps]:
-        """Leave samples of a motion out where the clock was set: a gap that is not filled."""
+        """Leave out samples of a motion where the clock was set: a gap that is not filled."""
         steps = clock_steps(stamp, self._pace.interval)
         if not steps:
             return stamp, values, late
         self._off_grid.update(stamp[steps].tolist())
-        # From half a gap that is filled at most, and a sample, before the step on.
+        # Starts at most half a fillable gap, and a sample, before the step.
         around = round(LONGEST / float(np.median(np.diff(stamp)) * 1e-9)) // 2 + 1
         beside = np.zeros(len(stamp), dtype=bool)
         for k in steps:
@@ -415,7 +415,7 @@ class Segmenter:
         return stamp[~beside], values[~beside], late[~beside]
 
     def _take(self, found: Sequence[Segment | Turn | FreeMotion | MountShift | Rejected]) -> None:
-        """Keep what was found, each kind in order."""
+        """Store what was found, each kind in order."""
         for thing in found:
             if isinstance(thing, Segment):
                 self._segments.append(thing)
@@ -429,14 +429,14 @@ class Segmenter:
                 self._rejected.append(thing)
 
     def _drop_unseen(self) -> None:
-        """Drop dwells beside a motion of the table that the gyros did not see: clocks are apart."""
+        """Drop dwells next to a motion that the gyros did not see: clocks are apart."""
         instants = np.array([instant for instant, _ in self._seen_motions])
         angles = np.array([seen.angle for _, seen in self._seen_motions])
         times = np.array([seen.time for _, seen in self._seen_motions])
-        # Where all motions look alike in size, it is the scale factor that is wrong.
+        # Where the seen shares of all motions agree, the scale factor is wrong.
         if not len(angles) or angles.max() < _ALIKE * angles.min():
             return
-        # A motion beyond the range looks small, but is seen from its beginning to its end.
+        # A motion beyond the range looks small, but is seen from beginning to end.
         frozen = self._frozen_motions() & (np.maximum(angles, times) < _SEEN)
         if frozen.any():
             self._frozen = int(frozen.sum()), round(float(instants[frozen][0]))
@@ -462,11 +462,11 @@ class Segmenter:
 
     @property
     def _clocks_unknown(self) -> bool:
-        """Whether the first motions are like nothing, and most give no offset of the clocks."""
+        """Whether the patterns of the first motions do not match, and most give no clock offset."""
         return self._unlike and 2 * sum(self._compared) < len(self._compared)
 
     def _drop_all(self) -> None:
-        """Drop what was cut by clocks that are not known: it is of other positions and rates."""
+        """Drop all that was cut by clocks of unknown offset: its positions and rates are wrong."""
         reason = 'no clock offset brings the motions by the gyros and by the table into agreement'
         self._rejected += [Rejected(s.start, s.end, reason) for s in self._segments]
         self._rejected += [Rejected(t.start, t.end, reason, turn=True) for t in self._turns]
@@ -474,17 +474,18 @@ class Segmenter:
         self._moves = MoveReader(self._sensor)
 
     def _frozen_motions(self) -> NDArray[np.bool_]:
-        """Say in which of the motions that were looked at the device repeated one sample.
+        """Return the motions looked at in which the device repeated one sample.
 
-        By what chance two samples are alike the motions of the session tell, of which most are
-        sound: where most repeat themselves the unit has no noise, and nothing tells.
+        The chance that two samples are equal is estimated from the motions of the session, most of
+        which are sound: where most repeat themselves the unit has no noise, and the chance is
+        unknown.
         """
         usual = float(np.median([one.share for one in self._repetitions]))
         found = np.array([one.beyond_chance(usual) for one in self._repetitions])
         return found & (2 * int(found.sum()) < len(found))
 
     def _retime(self) -> None:
-        """Time what was found by the sample interval that the whole session tells."""
+        """Retime what was found with the sample interval of the whole session."""
         pace = self._pace
         self._segments = [replace(s, statistics=s.statistics.retimed(pace)) for s in self._segments]
         self._turns = [turn.retimed(pace) for turn in self._turns]
@@ -531,11 +532,11 @@ class Segmenter:
 def made_between(rows: RowBuffer, start: int, end: int) -> tuple[Stamps, Floats, Stamps]:
     """Return the samples made after one instant and up to another, ns.
 
-    A bunch that came after an instant may have been begun before it: bunches are looked at for as
-    long beyond both as is looked at beside a motion, which is longer than one lasts.
+    A bunch that came after an instant may have begun before it: bunches are searched beyond both
+    instants for the margin of a motion, which is longer than a bunch.
 
     Returns:
-        When they were made, (n,) ns; (n, columns) values; by how much later they came, (n,) ns.
+        When they were made, (n,) ns; (n, columns) values; delay of their stamps, (n,) ns.
     """
     came, values = rows.between(start - MARGIN_NS, end + MARGIN_NS)
     stamp, late = sampling_times(came)
@@ -546,11 +547,11 @@ def made_between(rows: RowBuffer, start: int, end: int) -> tuple[Stamps, Floats,
 
 
 _SHOWN = 1e-4
-"""Last digit of a jump that is shown, s: smaller ones are none to a person."""
+"""Resolution of a reported jump, s: smaller ones do not matter to a user."""
 
 
 def clock_jumps(clock: ClockFit) -> list[str]:
-    """Say by how much clocks jump, where the stamps resolve it."""
+    """Return sentences on the jumps of clocks, where the stamps resolve them."""
     return [
         f'The clocks of IMU and table jump by {jump:+.4f} s against each other'
         for jump, surely in zip(clock.jumps, clock.least_jumps, strict=True)

@@ -1,4 +1,4 @@
-"""What an IMU's description says of its samples: how noisy, and where they end."""
+"""Properties of samples from an IMU's description: noise, and the ends of the range."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .pace import Pace
 from .statistics import Samples, to_samples
 
 _WALK_GUESS = 0.05
-"""Pulses per root of a sample: weights of the first look; the walk follows from the session."""
+"""Pulses per root of a sample: first weights; the walk is then estimated from the session."""
 _FEW_PULSES = 10.0
 """Pulses at the end of a range: with fewer one reading does not resolve it to a tenth."""
 _ENOUGH_PULSES = 100.0
@@ -26,7 +26,7 @@ class Sensor:
     """An IMU whose samples are read.
 
     Attributes:
-        spec: What their numbers mean.
+        spec: Meaning of their numbers.
         walk: (6,) random walk to choose weights by, rad/sqrt(s) and (m/s)/sqrt(s).
     """
 
@@ -37,7 +37,7 @@ class Sensor:
     def of(cls, spec: ImuSpec) -> Sensor:
         """Take the data sheet's random walk, or a fraction of a pulse.
 
-        Values that are no pulses need no weights, and their own scatter shows what is an outlier.
+        Values that are not pulses need no weights, and outliers are found by their own scatter.
         """
         guess = _WALK_GUESS if spec.units is Units.PULSES else 0.0
         walks = [
@@ -52,7 +52,7 @@ class Sensor:
         return self.spec.units is Units.PULSES
 
     def step(self, seconds: float) -> Floats:
-        """Return by how much means over so many seconds go on with one count or pulse, (2,).
+        """Return the resolution of means over so many seconds by one count or pulse, (2,).
 
         Of gyros and of accelerometers, rad/s and m/s^2; zeros for values in SI.
         """
@@ -74,15 +74,15 @@ class Sensor:
         Args:
             stamp: (n,) ns, at least 2.
             values: (n, 6) as delivered.
-            pace: What the session tells of the sample interval so far; nothing if not given.
+            pace: Sample interval of the session so far; by the stamps alone if not given.
         """
         grid, timing = (pace or Pace()).read(stamp)
         samples = to_samples(grid.stamps(stamp), values, self.spec, timing.used)
-        # What comes as a rate needs no interval to be one.
+        # Values delivered as rates need no interval to become rates.
         return replace(samples, timing=timing) if self.counted else samples
 
     def saturated(self, values: Floats, samples: Samples) -> NDArray[np.bool_]:
-        """Say of every sample, (n,), whether a channel stands at the end of its range.
+        """Return for every sample, (n,), whether a channel is at the end of its range.
 
         Args:
             values: (n, 6) as the sensor gives them.
@@ -90,23 +90,23 @@ class Sensor:
         """
         limits = np.repeat([self.spec.gyro.range, self.spec.accel.range], 3) * samples.period
         clipped = np.zeros(len(values), dtype=bool)
-        # Channel by channel: of a million samples the sizes of all six are 48 MB.
+        # Channel by channel: the absolute values of a million samples of all six are 48 MB.
         for c, limit in enumerate((NEARLY * limits).tolist()):
             clipped |= _at_its_end(samples.increments[:, c], limit, float(samples.pulse[c]))
             if self.spec.units is not Units.SI:
                 sizes = np.abs(values[:, c])
-                # NaN, of lost samples, is below nothing.
+                # NaN, of lost samples, compares false.
                 if not sizes.max(initial=0.0) < FULL_SCALES[0]:
                     clipped |= np.isin(sizes, FULL_SCALES)
         return clipped
 
 
 def _at_its_end(increments: Floats, limit: float, pulse: float) -> NDArray[np.bool_]:
-    """Say of every increment, (n,), whether its channel stands at the end of its range.
+    """Return for every increment, (n,), whether its channel is at the end of its range.
 
-    There an interval gains the limit, which is infinite where none is stated. Where that is a few
-    pulses one reading tells too little: it is a whole number, up to a pulse more than what was
-    gained. Then as many are added up as make a hundred pulses.
+    There the increment is the limit, infinite if not stated. If that is a few pulses, one reading
+    does not resolve it: it is a whole number, up to a pulse more than the true increment. Then as
+    many are added as make a hundred pulses.
     """
     if not limit < _FEW_PULSES * pulse:
         return np.asarray(np.abs(increments) >= limit)
@@ -115,7 +115,7 @@ def _at_its_end(increments: Floats, limit: float, pulse: float) -> NDArray[np.bo
     if len(increments) < many:
         return found
     total = np.concatenate([[0.0], np.cumsum(increments)])
-    # The counter's remainder: so many intervals show up to a pulse less than they gain.
+    # The counter's remainder: so many intervals show up to a pulse less than their true sum.
     for first in np.flatnonzero(np.abs(total[many:] - total[:-many]) >= many * limit - pulse):
         found[first : first + many] = True
     return found

@@ -1,4 +1,4 @@
-"""Samples that share a stamp: those of one transfer, and those that came twice."""
+"""Samples that share a stamp: those of one transfer, and repeated ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..units import counted
 from .interruptions import INTERRUPTION, steps_since
 
 _STAMPS = 3
-"""Last stamps whose samples are counted: a transfer that is late is followed by an early one."""
+"""Last stamps whose samples are counted: an early transfer follows a late one."""
 
 _MORE = 1.25
 """Times as many samples as the time since those stamps has intervals are too many. A judgement,
@@ -21,18 +21,17 @@ between one and the four thirds of a single sample too many among three."""
 class SharedStamps:
     """Sets samples that share a stamp a nanosecond apart, a bunch (`bunches`); drops repeats.
 
-    A driver that stamps what one transfer brings, with the time of the transfer, gives many samples
-    one stamp. They are samples where no more have come than the time since the last stamps
-    has intervals: two devices on one topic bring twice as many, and of these the order of the
-    stamps lets one through (`order`). One that holds the values of the one before, too, came twice,
-    unless values are so coarse that neighbours with stamps of their own are as often alike.
-    The outcome does not depend on how the stream was cut.
+    A driver that stamps a transfer gives all its samples one stamp. They are samples if no more
+    have come than the time since the last stamps has intervals: two devices on one topic bring
+    twice as many, and the order of the stamps passes only one of these (`order`). A sample with the
+    values of the one before is a repeat, unless values are so coarse that neighbours with separate
+    stamps are as often equal. The result does not depend on how the stream was cut.
 
     Args:
-        rate: Samples per second as stated; None where nothing is: by the stream itself.
+        rate: Samples per second as stated; None to take it from the stream.
 
     Attributes:
-        count: Samples that were set apart.
+        count: Number of samples set apart.
     """
 
     def __init__(self, rate: float | None) -> None:
@@ -44,29 +43,31 @@ class SharedStamps:
         self._within = False
         self._place = 0
         self._stamps: list[tuple[int, int]] = []
-        """The last ones, ns, and how many samples came with each."""
+        """The last ones, ns, and the number of samples with each."""
         self._elapsed = self._passed = 0
         self._same = self._same_alike = 0
         self._next = self._next_alike = 0
 
     def take(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats, Stamps]:
-        """Take (n,) stamps, ns, and (n, columns) values; return those that count, and repeats'."""
+        """Take (n,) stamps, ns, and (n, columns) values; return those kept, and the repeats'
+        stamps.
+        """
         apart, kept = self.set_apart(stamp, values)
         if kept is None:
             return apart, values, stamp[:0]
         return apart[kept], values[kept], stamp[~kept]
 
     def set_apart(self, stamp: Stamps, values: Floats) -> tuple[Stamps, NDArray[np.bool_] | None]:
-        """Take (n,) stamps, ns, and (n, columns) values in.
+        """Process (n,) stamps, ns, and (n, columns) values.
 
         Returns:
-            Stamps (n,), ns, set apart; and which samples are no repeats, (n,), None if all.
+            Stamps (n,), ns, set apart; and which samples are not repeats, (n,), None if all.
         """
         if not len(stamp):
             return stamp, None
         last = (stamp[:1] - 1, values[:1]) if self._last is None else self._last
         if len(stamp) == 1 and self._stamps and not self._within and stamp[0] != last[0][0]:
-            # The way of a live stream, to the same outcome.
+            # Faster for a live stream, with the same result.
             self._last = stamp.copy(), values.copy()
             self._next_alone(int(stamp[0]))
             return stamp, None
@@ -98,7 +99,7 @@ class SharedStamps:
         return apart, kept
 
     def words(self, of: str = '') -> list[str]:
-        """Say how many samples were set apart."""
+        """Return a sentence on how many samples were set apart."""
         if self._first is None:
             return []
         return [
@@ -109,15 +110,15 @@ class SharedStamps:
 
     @property
     def _repeats(self) -> bool:
-        """Whether samples that share a stamp are alike nearer to always than to by chance.
+        """Whether equal samples with shared stamps are closer to certain than to chance.
 
-        Laplace's estimate of that chance: as long as nothing tells it is a half.
+        Laplace's estimate of that chance: a half without data.
         """
         chance = (self._next_alike + 1) / (self._next + 2)
         return 2 * self._same_alike >= (1 + chance) * self._same
 
     def _alone(self, stamp: Stamps) -> None:
-        """Take samples with stamps of their own."""
+        """Add samples with separate stamps."""
         if not len(stamp):
             return
         before = self._stamps[-1][0] if self._stamps else stamp[0]
@@ -129,14 +130,14 @@ class SharedStamps:
         self._place = 0
 
     def _next_alone(self, stamp: int) -> None:
-        """Take a sample with a stamp of its own, ns, that is not the first."""
+        """Add a sample with a separate stamp, ns, that is not the first."""
         self._elapsed += min(max(stamp - self._stamps[-1][0], 0), INTERRUPTION)
         self._passed += 1
         self._stamps = [*self._stamps, (stamp, 1)][-_STAMPS - 1 :]
         self._place = 0
 
     def _add(self, stamp: int) -> None:
-        """Take a sample with the stamp of the one before, ns: apart from it if it is one."""
+        """Add a sample with the stamp of the one before, ns: set apart if it is one."""
         begin, _ = self._stamps[0]
         if len(self._stamps) > 1:
             interval = self._interval or self._elapsed / (self._passed + 1)

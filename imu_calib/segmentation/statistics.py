@@ -29,9 +29,9 @@ _MINIMUM_BLOCKS = 4
 _SCORING_STEPS = 20
 """A cap."""
 _SMALLEST_VARIANCE = 1e-100
-"""Keeps noise-free blocks from dividing by zero."""
+"""Prevents division by zero for noise-free blocks."""
 _SAMPLES_FOR_GRID = 4096
-"""Samples among whose values the smallest difference is looked for."""
+"""Samples whose values are searched for the smallest difference."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +43,13 @@ class Samples:
         increments: (n, 6) angle (rad) or velocity (m/s) gained in each interval.
         pulse: (6,) size of one pulse, rad and m/s; 0 where the values are not whole pulses.
         period: Sample interval, s.
-        grid: (6,) step to which each increment is rounded on its own, rad and m/s: that of an ADC.
-            A counter carries its remainder on and has none.
-        carried: (6,) pulse of the counter that SI values were computed from, rad and m/s: they are
-            no whole pulses any more, but what one lacks the next has.
-        timing: How they were timed; None where `period` is all that is known.
-        filled: (n,) rows that were lost and are read from those around them; None for none.
-        bridged: (6,) variance that a gap so filled leaves in a sum, rad^2 and (m/s)^2.
+        grid: (6,) step to which each increment is rounded by itself, rad and m/s: that of an ADC. A
+            counter carries its remainder on and has none.
+        carried: (6,) pulse of the counter from which SI values were computed, rad and m/s: they are
+            not whole pulses any more, but remainders are carried on.
+        timing: How they were timed; None where only `period` is known.
+        filled: (n,) rows that were lost and are interpolated; None for none.
+        bridged: (6,) variance of a sum due to such a gap, rad^2 and (m/s)^2.
     """
 
     stamp: Stamps
@@ -77,12 +77,12 @@ class Samples:
 
     @property
     def lost(self) -> int:
-        """How many of them are read from others."""
+        """Number of samples that are interpolated."""
         return 0 if self.filled is None else int(np.count_nonzero(self.filled))
 
     @property
     def gaps(self) -> int:
-        """How many gaps are filled."""
+        """Number of filled gaps."""
         if self.filled is None:
             return 0
         return int(np.count_nonzero(np.diff(self.filled.astype(np.int8), prepend=0) > 0))
@@ -94,7 +94,7 @@ def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> S
     Args:
         stamp: (n,) ns.
         values: (n, 6) gyro and accelerometer columns as delivered.
-        spec: What the numbers mean.
+        spec: Meaning of their numbers.
         period: Sample interval, s.
     """
     scale = np.repeat([spec.gyro.scale_factor, spec.accel.scale_factor], 3)
@@ -103,7 +103,7 @@ def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> S
         if spec.units is Units.COUNTS and np.all(values == np.rint(values)):
             grid = scale * period
         else:
-            # The smallest difference between values of each channel; 0 where all are the same.
+            # The smallest difference between values of each channel; 0 where all are equal.
             distinct = [np.diff(np.unique(column)) for column in increments[:_SAMPLES_FOR_GRID].T]
             grid = np.array([gaps.min() if len(gaps) else 0.0 for gaps in distinct])
         carried = np.repeat([spec.gyro.pulse, spec.accel.pulse], 3)
@@ -132,7 +132,7 @@ def gap_free(stamp: Stamps, period: float) -> list[tuple[int, int]]:
     if float(steps.max(initial=0.0)) <= 1.5 * period:
         return [(0, len(stamp))]
     jitter = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
-    # Of a few steps half may be a gap: stamps that jitter by more than an interval have no order.
+    # Half of a few steps may be gaps: stamps with jitter beyond an interval have no order.
     cuts = np.flatnonzero(steps > 1.5 * period + 6 * min(jitter, period)) + 1
     edges = [0, *cuts.tolist(), len(stamp)]
     return list(pairwise(edges))
@@ -142,7 +142,7 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
     """Estimate the mean output of every channel over a static dwell.
 
     Args:
-        samples: At least one sample; gaps are stepped over.
+        samples: At least one sample; gaps are skipped.
         walk: (6,) random-walk coefficients to choose weights by, rad/sqrt(s) and (m/s)/sqrt(s).
     """
     runs = gap_free(samples.stamp, samples.period)
@@ -174,9 +174,9 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
 def statistics_between(samples: Samples, first: float, last: float, walk: Floats) -> Statistics:
     """Estimate the mean output between two instants that fall within samples.
 
-    The samples that straddle the two instants are shared in proportion: left whole, one sample at
-    10 deg/s and 100 Hz is 280 ppm of a turn (docs/mathematics.md, 'Rate test'). Where samples reach
-    beyond an instant at the same rate, the count there is read from all that surround it.
+    The samples at the two instants are shared in proportion: used whole, one sample at 10 deg/s and
+    100 Hz is 280 ppm of a turn (docs/mathematics.md, 'Rate test'). Where samples at the same rate
+    extend beyond an instant, the count there is read from all around it.
 
     Args:
         samples: Gap-free, at one rate, and reaching beyond both instants.
@@ -222,17 +222,19 @@ def _channel_mean(samples: Samples, channel: int, walk: float) -> MeanRate:
 
 
 def _uncounted(samples: Samples, channel: int, gained: float, duration: float) -> MeanRate:
-    """Return the mean rate of values that are no pulses: what an ADC or a counter rounds stays."""
+    """Return the mean rate of values that are not pulses; the rounding of an ADC or counter
+    remains.
+    """
     of_ends = END_POINT_VARIANCE * float(samples.carried[channel]) ** 2 / duration**2
     rounding = _rounding(samples.increments[:, channel], float(samples.grid[channel]))
     return MeanRate(float(gained) / duration, 1 / duration, of_ends + rounding / samples.period**2)
 
 
 def _rounding(increments: Floats, grid: float) -> float:
-    """Return the variance that an ADC's rounding leaves in a mean, however long.
+    """Return the variance of a mean by an ADC's rounding, for any length.
 
-    Noise of an ADC's step or more makes the rounding errors of single samples average out; what
-    is left falls with exp(-4 pi^2 (noise / step)^2) (Widrow and Kollar 2008, section 4.4).
+    Noise of an ADC's step or more averages the rounding errors of single samples out; the rest
+    falls with exp(-4 pi^2 (noise / step)^2) (Widrow and Kollar 2008, section 4.4).
     """
     if grid == 0.0:
         return 0.0
@@ -246,8 +248,8 @@ def _rounding(increments: Floats, grid: float) -> float:
 def _combine(means: list[MeanRate], walk: float) -> MeanRate:
     """Average the runs between gaps, each by its variance.
 
-    Where the noise is not stated they are weighted by their lengths: what rounding leaves vanishes
-    in noise that is not known.
+    Where the noise is not stated they are weighted by their lengths: the rounding error is then
+    negligible against unknown noise.
     """
     gains = np.array([m.walk_gain for m in means])
     precision = 1 / (np.array([m.variance(walk) for m in means]) if walk > 0 else gains)
@@ -262,7 +264,8 @@ def _combine(means: list[MeanRate], walk: float) -> MeanRate:
 def _blocks(parts: list[Samples], walk: Floats) -> tuple[Floats, ...]:
     """Cut the runs into blocks and estimate each block's mean: per channel (b, 4).
 
-    Runs between gaps that are shorter than half a block stay out: their means say little.
+    Runs between gaps that are shorter than half a block are left out: their means have little
+    weight.
     """
     whole = sum(len(part.stamp) for part in parts) * parts[0].period
     enough = whole >= _MINIMUM_BLOCKS * BLOCK_SECONDS
@@ -313,11 +316,11 @@ def _drifts(blocks: tuple[Floats, ...]) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class PooledWalk:
-    """Squared random-walk coefficients of the six channels, and how well they are known.
+    """Squared random-walk coefficients of the six channels, and their uncertainty.
 
     Attributes:
         square: (6,) rad^2/s and (m/s)^2/s; NaN where no segment has two blocks.
-        deviation: (6,) its standard deviation; infinite where nothing tells.
+        deviation: (6,) its standard deviation; infinite without data.
     """
 
     square: Floats
@@ -325,9 +328,9 @@ class PooledWalk:
 
     @property
     def freedom(self) -> Floats:
-        """The (6,) blocks without quantisation that would tell as much: 2 (square / deviation)^2.
+        """Equivalent number (6,) of blocks without quantisation: 2 (square / deviation)^2.
 
-        A block whose scatter is quantisation counts little, however many there are.
+        A block whose scatter is quantisation adds little, for any number of them.
         """
         return np.where(np.isfinite(self.deviation), 2 * (self.square / self.deviation) ** 2, 0.0)
 
@@ -335,8 +338,8 @@ class PooledWalk:
 def pooled_walk(statistics: Sequence[Statistics]) -> PooledWalk:
     """Estimate the random-walk coefficient of every channel from the blocks of all segments.
 
-    Maximum likelihood over block means about their segment's mean, the known share of
-    quantisation taken out: variance of a block = walk_gain N^2 + quantisation.
+    Maximum likelihood over block means about their segment's mean, with the known share of
+    quantisation removed: variance of a block = walk_gain N^2 + quantisation.
     """
     blocks = [[b for b in (s.blocks[c] for s in statistics) if len(b) > 1] for c in range(6)]
     found = np.array([_channel_walk(channel) for channel in blocks])

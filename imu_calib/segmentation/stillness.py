@@ -23,33 +23,33 @@ _WINDOWS_TO_SETTLE = 3
 """In a row."""
 _WINDOWS_AHEAD = 300
 """Half a minute: holds of some seconds with turns between show offset and noise in several
-attitudes, and the samples of so long are kept."""
+attitudes, and the samples of this time are stored."""
 
 _WINDOWS_TO_LEARN = 50
-"""Five seconds between two learnings of the tolerance. A judgement: it rests on up to two minutes,
-which change little in five seconds."""
+"""Five seconds between two updates of the tolerance. A judgement: it uses up to two minutes, which
+change little in five seconds."""
 
 _NO_JOINTS = np.empty((0, 0))
-"""Angles of a unit that no table holds."""
+"""Angles of a unit without a table."""
 _NO_STAMPS: Stamps = np.empty(0, dtype=np.int64)
 """Their stamps."""
 
 _WINDOWS_OF_SPAN = 20
-"""Two seconds, the shortest hold that is asked for."""
+"""Two seconds, the shortest hold accepted."""
 
 _Window: TypeAlias = tuple[int, int, list[float]]
-"""First and last stamp, ns, and the mean of each channel: of so few numbers plain ones are faster
-than arrays."""
+"""First and last stamp, ns, and the mean of each channel: lists are faster than arrays for so few
+numbers."""
 
 
 @dataclass(frozen=True)
 class Quietest:
-    """The two seconds that strayed least: by how much a tenth of one did from their mean.
+    """The two seconds of least deviation: largest deviation of a tenth of one from their mean.
 
     Attributes:
         rate: Of the gyros, the largest of three axes, rad/s.
         force: Of the accelerometers, m/s^2.
-        tolerance: What a dwell keeps to by the session's last minutes.
+        tolerance: Tolerance of a dwell by the session's last minutes.
     """
 
     rate: float
@@ -58,20 +58,20 @@ class Quietest:
 
 
 class StillnessTracker:
-    """Tells dwells from motions by the means of short windows of IMU samples.
+    """Detects dwells and motions by the means of short windows of IMU samples.
 
-    A unit counts as still while the gyros stay near what they read at rest and the accelerometers
-    near what they read as the rest began. What the gyros read at rest, and how near is near, the
-    session says itself (`GyroOffset`, `RestTolerance`). A window is therefore judged half a minute
-    after it came in, by all that came before and the half minute after, or at the end.
+    A unit is still while the gyros stay near their output at rest and the accelerometers near
+    theirs at the start of the rest. The output at rest and the tolerances are estimated from the
+    session (`GyroOffset`, `RestTolerance`). A window is therefore judged half a minute after it
+    came in, by all data before and the half minute after, or at the end.
 
-    Windows are counted from the first sample, and the judgement follows that count: the outcome
-    does not depend on how the stream was cut into blocks.
+    Windows are counted from the first sample, and the decision follows that count: the result does
+    not depend on how the stream was cut into blocks.
 
     Args:
         period: Sample interval, s.
-        step: (2,) by how much a window's mean goes on with one count of gyros and accelerometers,
-            rad/s and m/s^2.
+        step: (2,) resolution of a window's mean by one count of gyros and accelerometers, rad/s and
+            m/s^2.
     """
 
     def __init__(self, period: float, step: Floats | None = None) -> None:
@@ -83,7 +83,7 @@ class StillnessTracker:
         self._tolerance = RestTolerance()
         self._means = RowBuffer(6)
         self._to_come = 0
-        """Of these the last ones, whose turn has not come yet."""
+        """The number of these, the last ones, that are not judged yet."""
         self._ahead: deque[_Window] = deque()
         self._count = 0
         self._learnt_at = -1
@@ -95,7 +95,7 @@ class StillnessTracker:
 
     @property
     def quietest(self) -> Quietest | None:
-        """The two seconds that strayed least so far; None before two seconds have come in."""
+        """The two seconds of least deviation so far; None before two seconds have come in."""
         return None if self._least is None else Quietest(*self._least, self._tolerance)
 
     @property
@@ -105,11 +105,11 @@ class StillnessTracker:
 
     @property
     def rest_since(self) -> int | None:
-        """Start of the rest that goes on, ns; None in motion."""
+        """Start of the current rest, ns; None in motion."""
         return None if self._reference is None else self._start
 
     def feed(self, stamp: Stamps, rates: Floats) -> list[Rest | Motion]:
-        """Take samples in; return what has come to its end.
+        """Add samples; return the rests and motions that have ended.
 
         Args:
             stamp: (n,) ns.
@@ -137,7 +137,7 @@ class StillnessTracker:
         return done
 
     def finish(self) -> list[Rest | Motion]:
-        """End of the stream: return what it holds to its end."""
+        """End the stream: return the remaining rests and motions."""
         done: list[Rest | Motion] = []
         while self._ahead:
             done += self._judge_next()
@@ -147,7 +147,7 @@ class StillnessTracker:
         return [*done, Rest(self._start, end) if self._reference is not None else self._motion(end)]
 
     def split_rest(self, end: int) -> Rest | None:
-        """Close the rest that goes on at `end` (ns) and go on with another; None in motion."""
+        """Close the current rest at `end` (ns) and begin another; None in motion."""
         if self._reference is None or self._start is None:
             return None
         rest = Rest(self._start, end)
@@ -155,7 +155,7 @@ class StillnessTracker:
         return rest
 
     def _note_quiet(self, means: Floats) -> None:
-        """Remember the two seconds that stray least, of windows of means (n, 6)."""
+        """Store the two seconds of least deviation, of windows of means (n, 6)."""
         means = np.vstack([self._span, means])
         self._span = means[max(0, len(means) - _WINDOWS_OF_SPAN + 1) :]
         if len(means) < _WINDOWS_OF_SPAN:
@@ -196,17 +196,17 @@ class StillnessTracker:
         centre = [sum(channel) / len(fresh) for channel in zip(*fresh, strict=True)]
         if not all(self._still(mean, centre) for mean in fresh):
             return []
-        # The first window may hold the last of the motion: the dwell begins with the second.
+        # The first window may hold the end of the motion: the dwell begins with the second.
         motion = self._motion(self._recent[1][0])
         self._start, self._reference = self._recent[1][0], centre
         return [motion] if motion.end > motion.start else []
 
     def _last_quiet(self) -> int:
-        """Return the last stamp of a dwell that the window judged is none of, ns.
+        """Return the last stamp of a dwell that ends before the window judged, ns.
 
-        The window before may hold the first of the motion: where it strays from its own forerunner
-        by more than nine of ten do. A sample is what was read up to its stamp: the first of the
-        window judged is of the motion already.
+        The window before may hold the beginning of the motion: it does if it deviates from the one
+        before it by more than nine of ten do. A sample covers the time up to its stamp: the first
+        of the window judged belongs to the motion.
         """
         before, last, _ = self._recent
         usual = math.sqrt(2) * self._tolerance.usual

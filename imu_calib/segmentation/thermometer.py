@@ -1,4 +1,4 @@
-"""The temperature of a session: its course, mean and ends, the same however its blocks were cut."""
+"""The temperature of a session: course, mean and ends, the same for any cut into blocks."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ..stream import Floats, Stamps, TemperatureBlock
 _STEP = 1e-6
 """K: less is rounding."""
 _COLDEST, _HOTTEST = -273.15, 1000.0
-"""Within which a thermometer is believed, degrees Celsius: absolute zero, and what no electronics
+"""Valid range of a thermometer, degrees Celsius: absolute zero, and more than electronics
 survives."""
 _CELL = 10 * 10**9
-"""What a thermometer shows in 10 s is kept as one, ns: a session of a day has 8640 of them, and no
-unit warms by more than a small part of its range in that time."""
+"""Readings within 10 s are stored as one, ns: a session of a day has 8640 of them, and units warm
+by only a small part of their range in that time."""
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class Temperature:
     """Temperature of a session, degrees Celsius.
 
     Attributes:
-        mean: Over all that the thermometer showed.
-        lowest: Of that.
-        highest: Of that.
+        mean: Over all readings.
+        lowest: Of them.
+        highest: Of them.
         course: (c, 2) instants, ns of the IMU's clock, and means of 10 s about them, in order.
     """
 
@@ -57,7 +57,9 @@ class Temperature:
 
 
 class Thermometer:
-    """Sums temperatures as whole micro-kelvins: their sum knows no order and no rounding."""
+    """Sums temperatures as whole micro-kelvins: the sum is independent of order and free of
+    rounding.
+    """
 
     def __init__(self) -> None:
         self._cells: defaultdict[int, list[int]] = defaultdict(lambda: [0, 0, 0])
@@ -65,7 +67,7 @@ class Thermometer:
         self._highest = -np.inf
 
     def feed(self, block: TemperatureBlock) -> None:
-        """Take temperatures in; what no thermometer shows is left out."""
+        """Add temperatures; values outside the valid range are left out."""
         with np.errstate(invalid='ignore'):
             sound = (block.celsius >= _COLDEST) & (block.celsius <= _HOTTEST)
         celsius, stamp = block.celsius[sound], block.stamp[sound]
@@ -83,7 +85,7 @@ class Thermometer:
 
     @property
     def temperature(self) -> Temperature | None:
-        """What it showed; None where it showed nothing."""
+        """The temperature; None without readings."""
         if not self._cells:
             return None
         cells = sorted(self._cells.items())

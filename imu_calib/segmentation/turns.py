@@ -1,4 +1,4 @@
-"""A motion of the table: the whole turns in it, cut at the encoder, as the sensors saw them."""
+"""Whole turns in a motion of the table, cut at the encoder, as seen by the sensors."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from .sensor import Sensor
 from .statistics import Samples, gap_free, statistics_between
 
 MARGIN_NS = 1_000_000_000
-"""How much is looked at before and after a motion, ns."""
+"""Time read before and after a motion, ns."""
 
 _VERTICAL = 1e-4
-"""An axis leans when its cosine is smaller than one by more: 0.8 deg."""
+"""An axis leans when its cosine is below one by more: 0.8 deg."""
 
 _TURN_AND_RUN_UP = 1.25 * TURN
 """rad: a whole turn with its run-ups."""
@@ -34,34 +34,36 @@ _STEADY = 0.05
 _ENDS = 20
 """Of the samples: a twentieth is an end."""
 _LEAST_TURNED = TURN / 72
-"""rad: 5 degrees; less tells nothing of a scale factor."""
+"""rad: 5 degrees; less does not determine a scale factor."""
 
 
 _BESIDE = 0.5
-"""Of the rests beside a motion that show what gyros read there, s: half of what is looked at."""
+"""Time at rest on either side of a motion in which the gyros' output is read, s: half of the time
+read."""
 
 _RESTING = 0.05 * DEG
-"""By which gyros may read otherwise after a motion than before, rad/s: a table at rest."""
+"""Largest difference of the gyros' output after a motion and before, rad/s: a table at rest."""
 
 _ARRIVED = 0.01 * DEG
-"""rad: a motion that ends further from whole turns, by encoders without steps, goes elsewhere."""
+"""rad: a motion that ends further from whole turns, by encoders without steps, is not of whole
+turns."""
 
 _SURER = 2.0
-"""Times: a way that is so much better known than the line is used in its place. A judgement: what
-the ways of several motions have in common is overestimated."""
+"""Ratio: a whole motion known so much better than the line replaces it. A judgement: the common
+error of several motions is overestimated."""
 
 _LEAST_POSITIONING = 1 * ARCSEC
-"""What ends of motions are taken to be off at least, rad: a table that is stated exact has encoders
-that show its rates."""
+"""Least assumed positioning error at the ends of motions, rad: a table that is stated exact has
+encoders that show its rates."""
 
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """What the sensors delivered around a motion.
+    """Outputs of the sensors around a motion.
 
     Attributes:
         sensor: The IMU.
-        values: (n, 6) as delivered; NaN where samples were lost and are read from those around.
+        values: (n, 6) as delivered; NaN where samples were lost and are interpolated.
         samples: The same in SI units.
         skew: (m,) stamps and (m, 6) values of the skewed gyro; None without one.
     """
@@ -87,7 +89,7 @@ def read_turns(seen: Around, motion: Motion, table: Table, offset_ns: int) -> li
 
 
 def read_free_motion(seen: Around, motion: Motion) -> list[FreeMotion | Rejected]:
-    """Measure a motion that no encoder saw."""
+    """Measure a motion without an encoder."""
     bounds = np.searchsorted(seen.samples.stamp, [motion.start, motion.end], side='right')
     inside = slice(*bounds.tolist())
     part = seen.samples.at(inside)
@@ -135,7 +137,7 @@ def _read_turn(
     count = max(1, round(abs(turns.angle) / TURN))
     around = _around(seen.samples, start, end, turns.spare)
     wide = seen.samples.at(around)
-    # Beyond the cuts it only helps to read the counts there: what is unsound is done without.
+    # Samples beyond the cuts only improve the counts there: unsound ones are left out.
     if not _unreadable(seen, around):
         part = wide
     part = steadily(part, seen.sensor.walk)
@@ -171,9 +173,9 @@ def _read_turn(
 
 
 def _whole_way(motion: Motion, turns: WholeTurns) -> float:
-    """Return the whole turns from rest to rest, rad; 0 where a motion does not end where it began.
+    """Return the whole turns from rest to rest, rad; 0 where a motion does not return to its start.
 
-    So a table arrives that was sent there, within its positioning errors, and readings agree.
+    It returns if its end agrees with its start within positioning errors and readings.
     """
     angle = motion.position[:, turns.joint]
     apart = abs(float(angle[-1] - angle[0]))
@@ -184,10 +186,11 @@ def _whole_way(motion: Motion, turns: WholeTurns) -> float:
 def _beside_whole_way(
     seen: Around, rests: Floats, way: float, cut: float, up: Floats, seconds: float
 ) -> WholeWay | None:
-    """Hold what gyros turned about up between cuts, `cut` rad in `seconds`, against all of a `way`.
+    """Compare the gyros' angle about up between cuts, `cut` rad in `seconds`, with the whole `way`.
 
-    It is turned between two rests (2,), ns, rad, signed. What gyros read at rest beside the motion
-    is taken off. None where they did not see all of it. Source: docs/mathematics.md, 'Rate test'.
+    The way is turned between two rests (2,), ns, rad, signed. The gyros' output at rest on either
+    side is subtracted. None where they did not see all of it. Source: docs/mathematics.md, 'Rate
+    test'.
     """
     samples, period = seen.samples, seen.samples.period
     beside = np.array([-_BESIDE, 0.0, 0.0, _BESIDE]) * 1e9
@@ -206,7 +209,7 @@ def _beside_whole_way(
     resting = (before + after) / (2 * period)
     turned, lasted = float(gained[begin:end].sum()), (end - begin) * period
     within, whole = cut - resting * seconds, turned - resting * lasted
-    # By how much the share changes with what is read at rest, relative.
+    # Change of the share with the output at rest, relative.
     lever = lasted / whole - seconds / within
     looked = np.array([begin - first, last - end]) * period
     pulse = float(np.linalg.norm(samples.pulse[:3] * up)) * math.sqrt(END_POINT_VARIANCE)
@@ -219,9 +222,9 @@ def _beside_whole_way(
 
 
 def _held(motion: Motion, turns: WholeTurns) -> tuple[Floats, float]:
-    """Return the mean angles (k,) during whole turns, rad, and what noise is left in the axis.
+    """Return the mean angles (k,) during whole turns, rad, and the noise of the axis.
 
-    One reading of the joints that are held would lean the axis by all of their noise.
+    A single reading of the other joints would add their full noise to the axis.
     """
     turning = [turns.start, turns.start + turns.seconds * 1e9]
     readings = motion.position[slice(*np.searchsorted(motion.stamp, turning).tolist())]
@@ -230,7 +233,7 @@ def _held(motion: Motion, turns: WholeTurns) -> tuple[Floats, float]:
 
 
 def _unusable(seen: Around, inside: slice, start: float, end: float) -> str:
-    """Say why the samples between two instants (ns) measure no turn; empty where they do."""
+    """Return why the samples between two instants (ns) measure no turn; empty where they do."""
     part = seen.samples.at(inside)
     if len(part.stamp) < 2 or part.stamp[0] > start or part.stamp[-1] < end:
         return 'the IMU stream does not span it'
@@ -242,7 +245,7 @@ def _unusable(seen: Around, inside: slice, start: float, end: float) -> str:
 
 
 def _unreadable(seen: Around, where: slice) -> str:
-    """Say why samples tell nothing of what the sensors counted; empty where they do."""
+    """Return why samples do not give the sensors' counts; empty where they do."""
     part = seen.samples.at(where)
     if not _sound(part):
         return 'IMU samples are missing within it'
@@ -256,7 +259,7 @@ def _unreadable(seen: Around, where: slice) -> str:
 def _skewed_between(
     seen: Around, start: float, turns: WholeTurns, count: int
 ) -> tuple[Statistics, Floats] | None:
-    """Return what the skewed gyro says of whole turns; None where it has gaps or none."""
+    """Return statistics of the skewed gyro over whole turns; None without one or with gaps."""
     sensor = seen.sensor.skewed
     if seen.skew is None or sensor is None:
         return None
@@ -281,7 +284,7 @@ def _sound(samples: Samples) -> bool:
 
 
 def _steady(samples: Samples) -> bool:
-    """Say whether the gyros turn as fast at the ends of a segment as in the whole of it."""
+    """Return whether the gyros turn as fast at the ends of a segment as in the whole of it."""
     n = len(samples.stamp)
     length = max(1, n // _ENDS)
     rates = samples.increments[:, :3]
@@ -312,11 +315,11 @@ def _between(
 
 
 def _level_left(samples: Samples, start: float, turns: WholeTurns) -> float:
-    """Return what share of a level rate is left where cuts fall within samples.
+    """Return the share of a level rate that does not average out where cuts fall within samples.
 
-    In body axes a level rate goes round by w dt within a sample. A sample shared in proportion at
-    the fraction c misses c (1 - c) / 2 w dt^2 of it. A whole turn on the rate has the same
-    direction again: what both cuts miss cancels but for their fractions.
+    In body axes a level rate rotates by w dt within a sample. A sample shared at the fraction c
+    misses c (1 - c) / 2 w dt^2 of it. After a whole turn at constant rate the direction is the
+    same: the errors of both cuts cancel but for their fractions.
     """
     period = samples.period
     first = (start - _line_origin(samples)) / (period * 1e9)

@@ -1,4 +1,4 @@
-"""Names for what the IMU alone saw: dwells by the order of the plan, whole turns by the gyros."""
+"""Name segments of the IMU alone: dwells by the plan's order, whole turns by the gyros."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from .segment import Segment, Turn
 from .segmented import FreeMotion, Rejected
 
 SHORT_DWELL = 0.25
-"""Share of a dwell below which a dwell is none of the plan's."""
+"""Share of a dwell below which it is not one of the plan's."""
 
 UP_TOLERANCE = 20 * DEG
-"""How far up by raw accelerometers may be from what it should be: biases and misalignments of the
-worst units are some degrees."""
+"""Largest angle of up by raw accelerometers from its expected direction: biases and misalignments
+of the worst units are some degrees."""
 
 _WHOLE_TURN = 0.15
-"""Of a turn: gyros' scale factors are known to far better; what is off by more is no whole turn."""
+"""Of a turn: gyros' scale factors are known far better; a larger deviation is not a whole turn."""
 _BY_HAND_TURN = 0.3
-"""Of a turn: a hand ends a turn 100 degrees off at the worst."""
+"""Of a turn: a turn by hand ends 100 degrees off at the worst."""
 _ALONG_UP = 0.8
 """Cosine: 37 degrees; parts of one motion turn about one axis."""
 
@@ -54,7 +54,7 @@ def label_by_order(segments: Sequence[Segment], plan: Plan) -> tuple[list[Segmen
 
 
 def up_by_accelerometers(segment: Segment) -> Floats:
-    """Return up in body axes as the accelerometers see it, (3,), their errors included."""
+    """Return up in body axes by the accelerometers, (3,), with their errors."""
     force = segment.statistics.mean[3:]
     return np.asarray(force / np.linalg.norm(force))
 
@@ -100,7 +100,7 @@ def _alike(positions: Sequence[Position], place: int) -> list[int]:
 
 
 def join_motions(motions: Sequence[FreeMotion], segments: Sequence[Segment]) -> list[FreeMotion]:
-    """Join motions about one axis with nothing but a short pause between: one turn in pieces."""
+    """Join motions about one axis with only a short pause between: one turn in pieces."""
     starts = np.array([s.start for s in segments], dtype=np.int64)
     joined: list[FreeMotion] = []
     for motion in motions:
@@ -118,7 +118,7 @@ def join_motions(motions: Sequence[FreeMotion], segments: Sequence[Segment]) -> 
 
 
 def _sum(first: FreeMotion, second: FreeMotion) -> FreeMotion:
-    """Add two pieces of a turn: angles, integrals and times; the pause between has no part."""
+    """Add two pieces of a turn: angles, integrals and times; without the pause."""
     a, b = first.statistics, second.statistics
     duration = a.duration + b.duration
     share = np.array([a.duration, b.duration]) / duration
@@ -139,7 +139,7 @@ def _sum(first: FreeMotion, second: FreeMotion) -> FreeMotion:
 
 
 def turn_without_encoder(motion: FreeMotion, plan: Plan) -> Turn | None:
-    """Take a motion for whole turns when the plan has such and the gyros come close to it."""
+    """Return a motion as whole turns if the plan has such and the gyros come close to it."""
     for position in plan.positions:
         if position.rate_test is None:
             continue
