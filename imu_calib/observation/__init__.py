@@ -1,5 +1,5 @@
-"""What a session tells of: its observations, the unknowns they are predicted by, and the doubts.
+"""Observations of a session: outputs, the unknowns that predict them, and their uncertainties.
 
-The joint estimate, the judge of calibrations, the predictions of plans and free positions rest on
-it. It knows nothing of how an estimate is searched for.
+Used by the joint estimate, the verification of calibrations, the predictions of plans and free
+positions. It does not depend on how an estimate is searched for.
 """

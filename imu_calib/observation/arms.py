@@ -1,10 +1,10 @@
 """Accelerometers in whole turns: gravity along the axis, biases, and the lever arm.
 
 A point at p from the axis u of a turn at w accelerates by w x (w x p) = -w^2 p, p at right angles
-to u, on top of gravity. Joint axes that miss each other make p another for each attitude in which
-the unit is turned: its two components are unknowns. The accelerometers of a unit are not in one
-place (size effect): of what they differ by that which the two do not take up is a third, along the
-axis.
+to u, on top of gravity. Joint axes that do not intersect change p with each attitude in which the
+unit is turned: its two components are unknowns. The accelerometers of a unit are at different
+places (size effect): the part of the differences that these two do not absorb is a third unknown,
+along the axis.
 
 Source: docs/mathematics.md, 'Accelerometers in turns'.
 """
@@ -22,29 +22,30 @@ from ..segmentation.segment import Turn
 from ..stream import Floats
 
 LONGEST = 1.0
-"""Standard deviation of an arm of which nothing is known, m: no table holds a unit farther out."""
+"""Prior standard deviation of an unknown arm, m: tables hold units closer to the axis."""
 
 APART = 0.03
-"""How far the accelerometers of a unit are from each other, m: a judgement, of units that fit into
-a hand and of those that fill a case. Of turns about an oblique axis it is seen as it is."""
+"""Distance between the accelerometers of a unit, m: a judgement, for units from hand size to those
+that fill a case. In turns about an oblique axis it is observed in full."""
 
 _ASKEW = 5e-5
-"""What misalignments show of it along the axis of a turn, m: a judgement, 3 cm by 1.7 mrad of good
+"""Part of it along the axis of a turn, by misalignments, m: a judgement, 3 cm by 1.7 mrad of good
 units, 3 mm by 17 mrad of a chip."""
 
 _SAME = 0.01
-"""Attitudes that differ by less are one, rad: a tenth of a millimetre of an arm of a centimetre."""
+"""Attitudes that differ by less count as one, rad: a tenth of a millimetre for an arm of a
+centimetre."""
 
 
 @dataclass(frozen=True, eq=False)
 class Arms:
-    """The turns whose accelerometers count, and the arms that they have in common.
+    """The turns whose accelerometers are used, and their common arms.
 
     Attributes:
         turns: (f,) indices among the turns.
-        slopes: (f, 3, a) specific force by the arms, body axes, 1/s^2. Each attitude in which the
-            unit is turned has three: two across the axis, one along it.
-        deviations: (a,) standard deviations of the arms beforehand, m.
+        slopes: (f, 3, a) derivatives of the specific force by the arms, body axes, 1/s^2. Each
+            attitude in which the unit is turned has three: two across the axis, one along it.
+        deviations: (a,) prior standard deviations of the arms, m.
     """
 
     turns: NDArray[np.intp]
@@ -53,7 +54,7 @@ class Arms:
 
     @classmethod
     def of(cls, turns: Sequence[Turn], up_rate: float) -> Arms:
-        """Choose the turns that a table made at one rate, about one axis: by hand none is held.
+        """Choose the turns that a table made at constant rate, about one axis; none by hand.
 
         Args:
             turns: Of a session.
@@ -83,13 +84,13 @@ class Arms:
 
 
 def _left_along(up: Floats) -> float:
-    """Return the standard deviation of what is left of places along an axis, m."""
+    """Return the standard deviation of the remaining differences of places along an axis, m."""
     oblique = np.sqrt(max(0.0, 1 - float(np.abs(up).max()) ** 2))
     return float(np.hypot(_ASKEW, APART * oblique))
 
 
 def _alike(turn: Turn, other: Turn) -> bool:
-    """Say whether two turns have the unit at the same place on the joint that turns."""
+    """Return whether the unit is at the same place on the turning joint in two turns."""
     if turn.joint != other.joint or np.abs(turn.up - other.up).max() > _SAME:
         return False
     if turn.angles is None or other.angles is None:

@@ -1,9 +1,9 @@
-"""What several units on one table have in common: errors of it that all their outputs hold.
+"""Errors of a table that enter the outputs of all units on it.
 
-Units that one table turns go through the same attitudes, and err by the same angles: the
-positioning error of each stop, what its description leaves open of axes, zeros and encoders, the
-noise of its encoders, and the latitude of the site. Each of these is one unknown of deviation one,
-whatever the number of units; azimuth and tilts are in the state of each unit, and are the same.
+Units on one table go through the same attitudes, with the same errors: the positioning error of
+each stop, the uncertainty of its axes, zeros and encoders, the noise of its encoders, and the
+latitude of the site. Each of these is one unknown of deviation one, for any number of units;
+azimuth and tilts are in the state of each unit, and are the same.
 
 Source: docs/mathematics.md, 'Several units on one table'.
 """
@@ -26,7 +26,7 @@ from .positioning_errors import PositioningErrors, axes_of, stops_of
 from .session_model import Nuisance
 
 TABLE_STATE = (Nuisance.AZIMUTH, Nuisance.TILT_X, Nuisance.TILT_Y)
-"""What of the state of each unit is the table's."""
+"""Entries of each unit's state that belong to the table."""
 
 SHARED = frozenset(
     {
@@ -50,18 +50,18 @@ _KINDS = (
     Source.STOPS,
     Source.ENCODER_NOISE,
 )
-"""Of joints that stop, by themselves and by the way of whole motions, and of what else errs."""
+"""Of joints that stop, by themselves and over whole motions, and of all other errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class CommonErrors:
-    """The errors that the outputs of all units hold.
+    """The errors that enter the outputs of all units.
 
     Attributes:
         sources: Of each of k errors, whose prior deviation is one.
-        names: Of each, for a person; empty for one that is not determined by itself.
-        sizes: (k,) what a deviation of one is of those with a name, rad.
-        columns: For each unit (m, k) what one deviation does to its outputs.
+        names: Of each, for messages; empty for one that is not determined separately.
+        sizes: (k,) size of a deviation of one, for those with a name, rad.
+        columns: For each unit (m, k) effect of one deviation on its outputs.
     """
 
     sources: tuple[Source, ...]
@@ -72,11 +72,11 @@ class CommonErrors:
 
 @dataclass(frozen=True)
 class CommonSizes:
-    """How large the errors of a table are thought to be.
+    """Assumed sizes of the errors of a table.
 
     Attributes:
         errors: Of its axes, zeros and encoders.
-        positioning: What joints and stops err by beyond what its description states.
+        positioning: Positioning errors of joints and stops beyond its description.
     """
 
     errors: TableErrors
@@ -84,13 +84,13 @@ class CommonSizes:
 
     @classmethod
     def found_by(cls, unit: Equations) -> CommonSizes:
-        """Return what a unit by itself found of them."""
+        """Return the estimates of one unit by itself."""
         table = unit.evidence.table
         return cls(TableErrors() if table is None else table.errors, unit.positioning)
 
 
 class CommonTable:
-    """The table of several units: which stops, turns and errors are the same."""
+    """The table of several units: which stops, turns and errors are common."""
 
     def __init__(self, units: Sequence[Equations], sizes: CommonSizes) -> None:
         self._units = units
@@ -120,11 +120,11 @@ class CommonTable:
         ]
         sources = [s for s, part in zip(_KINDS, found[0], strict=True) for _ in part.T]
         columns = [np.hstack(parts) for parts in found]
-        # Of joints alone each error has a name and a size.
+        # Only the errors of joints have a name and a size.
         named = len(self._joints.names)
         names = [*self._joints.names, *[''] * (len(sources) - named)]
         sizes = np.where(np.arange(len(sources)) < named, joints, 0.0)
-        # What none of the units sees is no unknown.
+        # Errors that no unit observes are left out.
         seen = np.any([part.any(axis=0) for part in columns], axis=0)
         kept = np.flatnonzero(seen)
         return CommonErrors(
@@ -135,7 +135,7 @@ class CommonTable:
         )
 
     def _unit_columns(self, k: int, unit: Equations, state: Floats, joints: float) -> list[Floats]:
-        """Return what each kind of error does to the outputs of a unit, (m, e) each."""
+        """Return the effect of each kind of error on the outputs of a unit, (m, e) each."""
         evidence = unit.evidence
         assert evidence.table is not None
         stopping = unit.by_attitude_errors(state, *self._joints.leaning[k])
@@ -144,7 +144,7 @@ class CommonTable:
         rates = _summed(unit.by_encoder_rates(state), self._turns[k], _count(self._turns))
         by_way = [n for n, t in zip(self._turns[k], evidence.turns, strict=True) if t.whole_way]
         ways = _summed(unit.by_ways(state), np.array(by_way, dtype=np.intp), _count(self._turns))
-        # About the axes that the table mounts, which all units have in common.
+        # About the axes of the table's mounting, which all units have in common.
         inward = evidence.table.mount.T
         rests, turned = self._rests[k], self._turns[k]
         count = _count(self._rests)
@@ -171,7 +171,7 @@ class CommonTable:
 
 
 def shares_a_table(equations: Equations) -> bool:
-    """Say whether a session is of a table whose joint angles are known at all of its parts."""
+    """Return whether all parts of a session have joint angles of a table."""
     evidence = equations.evidence
     if evidence.table is None or evidence.plan.by_hand or evidence.free:
         return False
@@ -180,7 +180,7 @@ def shares_a_table(equations: Equations) -> bool:
 
 
 def dwells_seen(units: Sequence[Equations]) -> tuple[list[int], int]:
-    """Return how many of the table's dwells each unit saw, and how many there are in all."""
+    """Return the number of the table's dwells that each unit saw, and their total."""
     evidences = [unit.evidence for unit in units]
     dwells = _alike([_times(e, e.segments) for e in evidences])
     return [len(np.unique(mine)) for mine in dwells], _count(dwells)
@@ -195,7 +195,7 @@ class _Joints:
 
 
 def _of_joints(evidences: Sequence[Evidence]) -> _Joints:
-    """Return what joints that stop beside their mark do, one error for all units at each stop."""
+    """Return the effect of positioning errors of joints, one error for all units at each stop."""
     parts: list[Segment | Turn] = []
     owners: list[tuple[int, int]] = []
     times: list[Floats] = []
@@ -236,7 +236,7 @@ def _angles(evidence: Evidence) -> Floats:
 
 
 def _times(evidence: Evidence, parts: Sequence[Segment | Turn]) -> Floats:
-    """Return begin and end by the table's clock, (k, 2) s."""
+    """Return start and end by the table's clock, (k, 2) s."""
     clock = evidence.clock
     stamps = np.array([[part.start, part.end] for part in parts], dtype=np.float64).reshape(-1, 2)
     since = (stamps - clock.epoch) * 1e-9
@@ -244,9 +244,9 @@ def _times(evidence: Evidence, parts: Sequence[Segment | Turn]) -> Floats:
 
 
 def _alike(times: Sequence[Floats]) -> list[NDArray[np.intp]]:
-    """Number what units saw at the same time, across units; what overlaps is the same.
+    """Number what units saw at the same time, across units; what overlaps has one number.
 
-    Between two dwells, and between two turns, the table moves: what is not the same lies apart.
+    Between two dwells, and between two turns, the table moves: different ones are apart in time.
     """
     found = [np.zeros(len(of), dtype=np.intp) for of in times]
     owners = [(unit, k) for unit, of in enumerate(times) for k in range(len(of))]
@@ -254,7 +254,7 @@ def _alike(times: Sequence[Floats]) -> list[NDArray[np.intp]]:
     number, end, shortest = -1, -np.inf, 0.0
     for unit, k in owners:
         begin, own_end = times[unit][k]
-        # Half of the shorter one: clocks are some samples off, dwells tens of seconds long.
+        # Half of the shorter one: clocks differ by some samples, dwells are tens of seconds long.
         if begin > end - min(own_end - begin, shortest) / 2:
             number, end, shortest = number + 1, own_end, own_end - begin
         end, shortest = max(end, own_end), min(shortest, own_end - begin)
@@ -267,7 +267,7 @@ def _count(numbers: Sequence[NDArray[np.intp]]) -> int:
 
 
 def _blocks(numbers: NDArray[np.intp], count: int, sizes: Floats, axes: Floats) -> Floats:
-    """Return three rotations for each of `count` that the units have in common, (k, 3, 3 count)."""
+    """Return three rotations for each of `count` common ones, (k, 3, 3 count)."""
     result = np.zeros((len(numbers), 3, 3 * count))
     for k, number in enumerate(numbers.tolist()):
         result[k, :, 3 * number : 3 * number + 3] = sizes[k] * axes
@@ -275,7 +275,7 @@ def _blocks(numbers: NDArray[np.intp], count: int, sizes: Floats, axes: Floats) 
 
 
 def _summed(columns: Floats, numbers: NDArray[np.intp], count: int) -> Floats:
-    """Return columns (m, t) added up by their numbers, (m, count)."""
+    """Return columns (m, t) summed by their numbers, (m, count)."""
     result = np.zeros((len(columns), count))
     for k, number in enumerate(numbers.tolist()):
         result[:, number] += columns[:, k]

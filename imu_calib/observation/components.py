@@ -1,4 +1,6 @@
-"""The covariance of a session's outputs as a sum over sources, and what each does to parameters."""
+"""The covariance of a session's outputs as a sum over sources, and the effect of each on
+parameters.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +17,13 @@ from ..stream import Floats
 
 
 class Part(Protocol):
-    """A covariance (m, m) of outputs, kept by what it is made of."""
+    """A covariance (m, m) of outputs, stored in factors."""
 
     def add_to(self, matrix: Floats) -> None:
         """Add it to an (m, m) matrix."""
 
     def through(self, gain: Floats) -> Floats:
-        """Return what it is in parameters that are (n, m) times the outputs: (k, n, n).
+        """Return its covariance in parameters that are (n, m) times the outputs: (k, n, n).
 
         The k terms are independent of each other.
         """
@@ -29,7 +31,7 @@ class Part(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Diagonal:
-    """Independent errors of every output, whose size is one and the same estimate.
+    """Independent errors of every output, whose size is one common estimate.
 
     Attributes:
         variances: (m,).
@@ -51,7 +53,7 @@ class Factor:
     """Errors that enter several outputs at once.
 
     Attributes:
-        columns: (m, e) how the outputs change by one standard deviation of each error.
+        columns: (m, e) changes of the outputs by one standard deviation of each error.
     """
 
     columns: Floats
@@ -90,10 +92,10 @@ class Blocks:
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """A part of the covariance of the outputs, and where it comes from.
+    """A part of the covariance of the outputs, and its source.
 
     Attributes:
-        source: Where from.
+        source: Its source.
         part: The covariance.
         freedom: Degrees of freedom of its size; infinite where that is known.
     """
@@ -104,7 +106,7 @@ class Component:
 
 
 def add_all(components: Iterable[Component], matrix: Floats) -> None:
-    """Add components to a covariance (m, m): all that enters several outputs at once."""
+    """Add components to a covariance (m, m): errors that enter several outputs at once."""
     columns = []
     for component in components:
         if isinstance(component.part, Factor):

@@ -1,4 +1,4 @@
-"""The latitude that the gyros see at rest: what a stated one is held against before all else."""
+"""The latitude seen by the gyros at rest, to check a stated one before the estimate."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from ..earth import EARTH_RATE
 from ..segmentation.segment import Segment
 
 _NOMINAL = 0.03
-"""Relative: how well nominal scale factors of gyros are known; data sheets of cheap units state it
+"""Relative uncertainty of nominal scale factors of gyros; data sheets of cheap units state it
 (MPU-9150: sensitivity tolerance of 3 %)."""
 _FEWEST = 3
-"""Rests: three in two attitudes determine six unknowns by nine readings."""
+"""Static dwells: three in two attitudes determine six unknowns by nine readings."""
 _CONTRADICTION = 5.0
-"""Standard deviations: false in one of 1.7 million sessions."""
+"""Standard deviations: exceeded by chance in one of 1.7 million sessions."""
 _TELLS = np.radians(10.0)
-"""rad: a latitude that is known worse is not worth telling, as in `methods.checks`."""
+"""rad: a latitude with a larger uncertainty is not reported, as in `methods.checks`."""
 
 
 def up_rate_seen(segments: Sequence[Segment]) -> tuple[float, float] | None:
-    """Return the Earth rate about up that gyros see in several attitudes, and its deviation, rad/s.
+    """Estimate the Earth rate about up from several attitudes; return it and its deviation, rad/s.
 
     Least squares over dwells k with attitudes R_k = R_nb: y_k = b + R_k' w, of the biases b and the
-    Earth rate w in the table's frame; what misalignments make of 15 deg/h is neglected. The
-    deviation is that of the scatter about the fit, and of nominal scale factors.
+    Earth rate w in the table's frame; the effect of misalignments on 15 deg/h is neglected. The
+    deviation includes the scatter about the fit and that of nominal scale factors.
 
     Source: docs/mathematics.md, 'Latitude at a glance'.
 
@@ -48,7 +48,7 @@ def up_rate_seen(segments: Sequence[Segment]) -> tuple[float, float] | None:
 
 
 def latitude_seen(up: float, std: float) -> tuple[float, float] | None:
-    """Return the latitude of an Earth rate about up and its deviation, rad; None where it is vague.
+    """Return the latitude of an Earth rate about up and its deviation, rad; None if too uncertain.
 
     Args:
         up: rad/s.
@@ -61,5 +61,5 @@ def latitude_seen(up: float, std: float) -> tuple[float, float] | None:
 
 
 def contradicts(up: float, std: float, stated: float) -> bool:
-    """Say whether an Earth rate about up cannot be that of a stated latitude (rad)."""
+    """Return whether an Earth rate about up contradicts a stated latitude (rad)."""
     return bool(abs(up - EARTH_RATE * np.sin(stated)) > _CONTRADICTION * std)

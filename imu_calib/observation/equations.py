@@ -1,4 +1,4 @@
-"""A session as equations: what it should read, how well each output is known, and priors.
+"""A session as equations: predicted outputs, their covariance, and priors.
 
 Source: docs/mathematics.md, 'Joint estimate'.
 """
@@ -25,24 +25,24 @@ from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 from .session_model import Nuisance, SessionModel, Value
 
 ANY_AZIMUTH = 180 * DEG / np.sqrt(3)
-"""Standard deviation of a heading that may be any."""
+"""Standard deviation of an unknown heading."""
 
 _FEW = 32
-"""Outputs of five dwells, which determine nothing: numpy solves for so few in 0.1 ms, and loading
-scipy takes longer than all else that is done with such a session."""
+"""Outputs of five dwells, which determine nothing: numpy solves so few in 0.1 ms, and loading scipy
+takes longer than the rest of the work on such a session."""
 
 _ROUNDING = 4 * float(np.finfo(float).eps)
-"""Of a variance, for each output: what a root of the covariance loses of it (Higham 2002, Accuracy
-and Stability of Numerical Algorithms, theorem 10.7)."""
+"""Of a variance, for each output: loss by rounding in a root of the covariance (Higham 2002,
+Accuracy and Stability of Numerical Algorithms, theorem 10.7)."""
 
 GIVEN_AZIMUTH = 1 * ARCMIN
-"""How well a table's azimuth is known where its configuration states it."""
+"""Standard deviation of a table's azimuth where its configuration states it."""
 
 
 def once_weighed(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Floats], Value]:
-    """Let what is the same of the same weights be worked out once at the last states (n,).
+    """Cache results that depend on the weights alone, at the last states (n,).
 
-    A fit ends where what follows begins, often with equations that are made anew.
+    A fit ends where the next step begins, often with new equation objects.
     """
 
     @wraps(method)
@@ -63,15 +63,15 @@ class Equations(SessionModel):
     """The equations of a session.
 
     Attributes:
-        levelled: Standard deviation of the table's tilt about either axis, rad; None for what the
-            table states.
-        any_heading: Whether the azimuth may be any, though the table's configuration states one.
-        positioning: What positioning errors scatter by beyond what the table states.
+        levelled: Standard deviation of the table's tilt about either axis, rad; None for that of
+            the table's file.
+        any_heading: Whether the azimuth is unknown, though the table's configuration states one.
+        positioning: Scatter of positioning errors beyond that of the table's file.
         extra: Further parts of the covariance of the outputs.
         inflation: (m,) factors on the variance of each output's own noise, or None.
         doubts: Parameters that are not in the state, and the standard deviation about zero of each.
-        held: Kinds of parameters of motion that are zero for certain: what is in no state the
-            covariance allows for otherwise.
+        held: Kinds of parameters of motion that are exactly zero: for others that are not in the
+            state the covariance allows.
     """
 
     levelled: float | None = None
@@ -89,7 +89,7 @@ class Equations(SessionModel):
 
     @cached_property
     def prior(self) -> tuple[Floats, Floats]:
-        """What is known of the nuisances beforehand: means and standard deviations, (k,) each."""
+        """Prior means and standard deviations of the nuisances, (k,) each."""
         evidence = self.evidence
         azimuth = GIVEN_AZIMUTH if self.north_known else ANY_AZIMUTH
         clock_std = evidence.clock_rate()[1]
@@ -99,9 +99,9 @@ class Equations(SessionModel):
         return np.zeros(self.nuisances), np.array(deviations)
 
     def prior_rows(self, state: Floats) -> Floats:
-        """Return the priors as equations: (k, n + 1), derivatives and what is left.
+        """Return the priors as equations: (k, n + 1), derivatives and residuals.
 
-        A heading that may be any is pulled nowhere; its width stands for what is not known of it.
+        An unknown heading has no pull; its width stands for its uncertainty.
         """
         mean, deviation = self.prior
         rows = np.zeros((self.nuisances, self.size + 1))
@@ -113,7 +113,7 @@ class Equations(SessionModel):
 
     @cached_property
     def own(self) -> tuple[Component, ...]:
-        """The parts of the covariance that each output has for itself, whatever the state."""
+        """The parts of the covariance that are independent for each output, for any state."""
         return own_parts(self.evidence, self.inflation)
 
     @cached_property
@@ -121,15 +121,15 @@ class Equations(SessionModel):
         """Variances of the outputs by walk, quantisation and encoders, (m,)."""
         diagonals = [c.part.variances for c in self.own if isinstance(c.part, Diagonal)]
         own = np.asarray(np.sum(diagonals, axis=0)).reshape(len(self.outputs))
-        # Parts that make up the smallest variance may round above it, and no noise is no scatter.
+        # The parts of the smallest variance may round above it, and zero noise is zero scatter.
         least = own < SMALLEST_VARIANCE * (1 + 1e-9)
         return np.asarray(np.where(least, SMALLEST_VARIANCE, own))
 
     def shared(self, state: Floats) -> tuple[Component, ...]:
-        """Return the parts of the covariance that outputs have in common.
+        """Return the parts of the covariance that are common to several outputs.
 
         The outputs of one turn share the error of the encoder's rate, those of neighbours the
-        positioning error of the table, and all the error of the latitude.
+        positioning error of the table, and all of them the error of the latitude.
         """
         evidence, response = self.evidence, self.model(state).gyro.response
         turning, rates, _ = evidence.turn_inputs
@@ -146,7 +146,7 @@ class Equations(SessionModel):
             columns = self.by_parameters(state, parameters) * np.array(deviations)
             found.append(Component(Source.TERMS, Factor(columns)))
         if self.layout.moves_with_accels:
-            # What lever arms and the accelerometers' delay do to the velocities of moves.
+            # The effect of lever arms and the accelerometers' delay on the velocities of moves.
             known = self.held | {p.kind for p in self.parameters}
             rate, model = self.surroundings(state).rate, self.model(state)
             by_moves = evidence.links.shared_velocity_errors(model, rate, known)
@@ -165,7 +165,7 @@ class Equations(SessionModel):
         return tuple(found)
 
     def _of_moves(self, led: Floats) -> Floats:
-        """Return values (m, 6, ...) of moves in the order of the outputs, those of others zero."""
+        """Return values (m, 6, ...) of moves in the order of the outputs, zero for all others."""
         at_rest, turned = (
             np.zeros((count, *led.shape[1:])) for count in (self.layout.dwells, self.layout.turns)
         )
@@ -176,7 +176,7 @@ class Equations(SessionModel):
         """Return the covariance of the outputs, (m,) square."""
         result = np.diag(self.own_variances)
         add_all(self.shared(state), result)
-        # Without noise what outputs share leaves no more of them than rounding, and no root.
+        # Without noise, common errors leave only rounding of the outputs, and there is no root.
         result[np.diag_indices(len(result))] *= 1 + _ROUNDING * len(result)
         result.flags.writeable = False
         return result
@@ -185,7 +185,7 @@ class Equations(SessionModel):
         """Return by source the covariance of parameters that are a `gain` times the outputs.
 
         Args:
-            state: (n,) where they are.
+            state: (n,).
             gain: (p, m).
 
         Source: docs/mathematics.md, 'Uncertainty budget'.
@@ -194,7 +194,7 @@ class Equations(SessionModel):
 
     @property
     def prior_sources(self) -> tuple[tuple[Source, list[int], float], ...]:
-        """Whose priors the rows of `prior_rows` are, and degrees of freedom of their size."""
+        """Sources of the priors in `prior_rows`, and degrees of freedom of their size."""
         return (
             (Source.AZIMUTH, [Nuisance.AZIMUTH], np.inf),
             (Source.TILT, [Nuisance.TILT_X, Nuisance.TILT_Y], np.inf),
@@ -219,10 +219,10 @@ class Equations(SessionModel):
         return parts
 
     def _shortened(self, state: Floats) -> Floats:
-        """Return what the cosines of leaning holds take off what is vertical, (m, 1 + s + t).
+        """Return the effect of leaning on vertical inputs by the cosine, (m, 1 + s + t).
 
-        Of two angles of variance s^2 about level axes 1 - cos has the mean s^2, which all holds
-        and turns have in common, and the standard deviation s^2 about it, each for itself.
+        For two angles of variance s^2 about level axes 1 - cos has the mean s^2, common to all
+        holds and turns, and the standard deviation s^2 about it, independent for each.
         """
         biases = self.by_parameters(state, BIASES) @ self.model(state).values(BIASES)
         vertical = self.predict(state) - biases
@@ -244,13 +244,13 @@ class Equations(SessionModel):
 
     @once_weighed
     def _weighed(self, state: Floats) -> tuple[Floats, Floats]:
-        """Return the root of the covariance, and the columns that are whitened by it."""
+        """Return the root of the covariance, and the columns whitened by it."""
         factor = np.asarray(np.linalg.cholesky(self.covariance(state)), dtype=float)
         return factor, self.whitened_by(factor, state)
 
     @property
     def weights(self) -> tuple[object, ...]:
-        """All but session, state and `inflation` that the equations depend on."""
+        """All but session, state and `inflation` on which the equations depend."""
         return (
             self.parameters,
             self.changes,

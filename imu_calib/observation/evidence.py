@@ -1,4 +1,4 @@
-"""What a method works on: the labelled segments of a session, and how well each is known."""
+"""Input of a method: the labelled segments of a session, and their uncertainties."""
 
 from __future__ import annotations
 
@@ -32,24 +32,25 @@ from .positioning_errors import Leaning, around, of_holds, of_joints, of_stops
 UP = np.array([0.0, 0.0, 1.0])
 """In east, north, up."""
 _AXIS_TOLERANCE = 0.05
-"""By how much the cosine of an axis that counts as vertical may be below one: 18 deg, beyond any
-error of a table and less than half of the 45 deg to the next attitude of any plan."""
+"""Largest amount by which the cosine of a vertical axis is below one: 18 deg, beyond any error of a
+table and less than half of the 45 deg to the next attitude of any plan."""
 _REMEMBERED = 30
-"""Ten at each of three states: the last step, and two from which the next fits start."""
+"""Ten at each of three states: that of the last step, and two from which the next fits start."""
 _WEIGHED = 6
-"""Covariance, and equations by it, of two solutions looked at by turns and of the last step."""
+"""Covariance, and equations by it, of two solutions used alternately and of the last step."""
 _OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms', 'whole_ways'}
-"""What of a session follows from its dwells and turns alone."""
+"""Results that depend on the dwells and turns of a session alone."""
 
 _QUARTZ = 50e-6
-"""Standard deviation of the rate of clocks that no motion compares, as a ratio: quartz oscillators
-are sold for 20 to 100 ppm over their temperatures."""
+"""Standard deviation of the rate between clocks that are not compared by motions, as a ratio:
+quartz oscillators are sold for 20 to 100 ppm over their temperatures."""
 
 SMALLEST_VARIANCE = 1e-24
-"""Stands for zero where a noise-free session is divided by its variance, SI units squared.
+"""Replaces zero where a noise-free session is divided by its variance, SI units squared.
 
-Of 64-bit numbers a mean over samples of gravity is known to some 1e-14 m/s^2, and whole turns at
-90 deg/s, cut at a line through thousands of angles, to some 1e-12 rad/s: nothing below is claimed.
+In 64-bit numbers a mean over samples of gravity is resolved to some 1e-14 m/s^2, and whole turns at
+90 deg/s, cut at a line through thousands of angles, to some 1e-12 rad/s: no smaller error is
+claimed.
 """
 
 
@@ -66,18 +67,18 @@ class Evidence:
         azimuth: Heading of the table's zero against north, rad; None when unknown.
         walk: (6,) random-walk coefficients, rad/sqrt(s) and (m/s)/sqrt(s).
         positioning: Standard deviation of a positioning error of the table, rad; 0 when not stated.
-        instability: (6,) standard deviation of biases that drift, by the data sheet, rad/s and
-            m/s^2; 0 when not stated.
+        instability: (6,) standard deviation of drifting biases, by the data sheet, rad/s and m/s^2;
+            0 when not stated.
         walk_freedom: (6,) degrees of freedom of the squares of `walk`; infinite for exact ones.
-        moves: What the gyros saw between one static dwell and the next.
-        table: What turned the unit; None where the errors of its axes are unknown.
+        moves: Motions seen by the gyros between one static dwell and the next.
+        table: The table that turned the unit; None where the errors of its axes are unknown.
         units: Of the numbers of the unit's stream.
-        temperature: Of the session; None where no thermometer shows it.
+        temperature: Of the session; None without a thermometer.
         thermal: (2, 2) scale factor and bias per K of gyros and of accelerometers, by the data
             sheet, standard deviations, 1/K and SI/K; 0 where not stated.
-        free: Whether the attitudes are unknown: they are estimated, and moves join them.
-        coarse: Whether velocities of moves count that tell next to nothing beside the dwells: where
-            parameters are sought that only motion shows.
+        free: Whether the attitudes are unknown: they are then estimated, and moves join them.
+        coarse: Whether to use velocities of moves with little information beside the dwells: for
+            parameters that only motion determines.
     """
 
     segments: tuple[Segment, ...]
@@ -111,7 +112,7 @@ class Evidence:
         """Gather the evidence of a session whose dwells and turns have names.
 
         Raises:
-            NotObservable: Neither the data nor the IMU's description tells the noise.
+            NotObservable: Neither the data nor the IMU's description gives the noise.
         """
         walk, freedom = known_noise(labelled.segments, imu)
         return cls(
@@ -133,17 +134,14 @@ class Evidence:
         )
 
     def with_moves(self, moves: tuple[Move, ...]) -> Evidence:
-        """Return the session with other moves, or none: of dwells and turns nothing is done again.
-
-        Whatever is worked out of these alone is kept.
-        """
+        """Return the session with other moves, or none; results of dwells and turns are kept."""
         return self._but(_OF_DWELLS | {'leaning', 'positioning_leans'}, moves=moves)
 
     def with_table_errors(self, errors: TableErrors) -> Evidence:
-        """Return the session on its table with other errors: no more than `leaning` is by them.
+        """Return the session on its table with other errors; only `leaning` depends on them.
 
         Raises:
-            ValueError: There is no table.
+            ValueError: No table is given.
         """
         if self.table is None:
             raise ValueError('no table, and none of its errors')
@@ -160,17 +158,17 @@ class Evidence:
 
     @cached_property
     def state_cache(self) -> deque[tuple[Any, ...]]:
-        """What was worked out of it at the last few states (`Equations`)."""
+        """Cached results at the last few states (`Equations`)."""
         return deque(maxlen=_REMEMBERED)
 
     @cached_property
     def weighed(self) -> deque[tuple[Any, ...]]:
-        """What was worked out of it at the last states with the last weights (`Equations`)."""
+        """Cached results at the last states with the last weights (`Equations`)."""
         return deque(maxlen=_WEIGHED)
 
     @cached_property
     def cache(self) -> dict[Any, Any]:
-        """What was worked out of it whatever the state (`Equations`)."""
+        """Cached results that do not depend on the state (`Equations`)."""
         return {}
 
     @cached_property
@@ -180,16 +178,16 @@ class Evidence:
 
     @cached_property
     def turn_inputs(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Up in body axes (t, 3), rate by the table's own clock (t,), whether that clock counts."""
+        """Up in body axes (t, 3), rate by the table's clock (t,), whether that clock is used."""
         ups = np.array([t.up for t in self.turns]).reshape(-1, 3)
         timed = np.array([t.seconds is not None for t in self.turns], dtype=bool)
         return ups, np.array([t.rate() for t in self.turns]), timed
 
     @cached_property
     def whole_ways(self) -> tuple[Floats, NDArray[np.bool_]]:
-        """What one rad at either end does to the rate of a whole motion, relative, (t,).
+        """Relative change of the rate of a whole motion by one rad at either end, (t,).
 
-        Zero where a turn has no way from rest to rest; and whether it has one.
+        Zero for a turn without a whole motion from rest to rest; and whether it has one.
         """
         ways = [t.whole_way for t in self.turns]
         some = np.array([way is not None for way in ways], dtype=bool)
@@ -197,12 +195,12 @@ class Evidence:
 
     @cached_property
     def headings(self) -> Floats:
-        """The attitudes that turns go through, (t, 8, 3, 3), see `headings`."""
+        """The attitudes during turns, (t, 8, 3, 3), see `headings`."""
         return headings(self.turn_inputs[0])
 
     @cached_property
     def links(self) -> Moves:
-        """The moves that count as observations."""
+        """The moves that are used as observations."""
         site = self.site
         return Moves.between(
             self.segments,
@@ -224,15 +222,15 @@ class Evidence:
 
     @cached_property
     def arms(self) -> Arms:
-        """The lever arms of the turns whose accelerometers count."""
+        """The lever arms of the turns whose accelerometers are used."""
         return Arms.of(self.turns, self.site.up_rate)
 
     @cached_property
     def leaning(self) -> tuple[Floats, Floats]:
-        """How attitudes lean by what is left open of the table, rad per standard deviation.
+        """Lean of attitudes by the uncertainty of the table's geometry, rad per standard deviation.
 
-        (s, 3, e) of the static dwells and (t, 3, e) of the turns, about the body axes, turns
-        the mean over all angles of the joint that turns.
+        (s, 3, e) of the static dwells and (t, 3, e) of the turns, about the body axes, turns the
+        mean over all angles of the joint that turns.
         """
         known = [s.angles for s in self.segments] + [t.angles for t in self.turns]
         if self.table is None or self.table.errors.exact or any(a is None for a in known):
@@ -243,7 +241,7 @@ class Evidence:
             held[None] if turn.joint is None else around(held, turn.joint)
             for turn, held in zip(self.turns, angles[dwells:], strict=True)
         ]
-        # All at once: a call takes longer than the numbers of one turn.
+        # All at once: a call takes longer than the computation for one turn.
         leaning = self.table.leaning(np.concatenate([angles[:dwells], *turned]))
         ends = dwells + np.cumsum([len(one) for one in turned], dtype=int)
         turning = [
@@ -254,9 +252,9 @@ class Evidence:
 
     @cached_property
     def positioning_leans(self) -> tuple[Leaning, Leaning]:
-        """How attitudes lean where joints stop beside their mark, and by each stop of its own.
+        """Lean of attitudes by positioning errors of joints, and by each stop separately.
 
-        Hands have no joints: both are the same.
+        In the hand both are the same.
         """
         if self.plan.by_hand:
             held = of_holds(self.segments, self.turns)
@@ -273,9 +271,9 @@ class Evidence:
 
     @property
     def encoder_step(self) -> float:
-        """The step of the encoders as half of the turns show it at least, rad; else 0.
+        """The step of the encoders as half of the turns or more show it, rad; else 0.
 
-        A ramp of round numbers, read at even intervals, looks coarse by chance.
+        A ramp of round numbers, read at equal intervals, looks coarse by chance.
         """
         steps = sorted(turn.step for turn in self.turns)
         return steps[(len(steps) - 1) // 2] if steps else 0.0
@@ -299,7 +297,7 @@ class Evidence:
         return np.array([s.statistics.mean for s in self.segments]).reshape(-1, 6)
 
     def variances(self) -> Floats:
-        """Return the variances of the mean outputs at rest, (s, 6): no less than of rounding."""
+        """Return the variances of the mean outputs at rest, (s, 6): not below those of rounding."""
         rows = [s.variance(self.walk, self.site.gravity) for s in self.segments]
         return np.maximum(np.array(rows).reshape(-1, 6), SMALLEST_VARIANCE)
 
@@ -328,15 +326,15 @@ class Evidence:
         return [vertical_axis(a[2], s.position) for a, s in zip(self.attitudes(), self.segments)]  # noqa: B905
 
     def off_axis(self) -> Floats:
-        """Return up in body axes, by the encoders, less the axis that is vertical, (s, 3)."""
+        """Return the deviation of up, by encoders, from the vertical body axis, (s, 3)."""
         exact = [sign * np.eye(3)[axis] for axis, sign in self.vertical_axes()]
         return np.asarray(self.attitudes()[:, 2] - np.array(exact).reshape(-1, 3))
 
     def clock_rate(self) -> tuple[float, float]:
-        """Return by how much the IMU's clock is faster than the table's, and its deviation.
+        """Return the relative rate of the IMU's clock against the table's, and its deviation.
 
-        What the motions show is weighed with what two quartz clocks may differ by. Where no turn
-        was timed by a table, neither matters.
+        The estimate from the motions is combined with the tolerance of two quartz clocks. Where no
+        turn was timed by a table, neither has an effect.
         """
         if all(turn.seconds is None for turn in self.turns):
             return 0.0, 0.0
@@ -347,39 +345,39 @@ class Evidence:
 
     @property
     def clocks_compared(self) -> bool:
-        """Whether motions of a table determine the rate of the clock that stamps the samples."""
+        """Whether motions of a table determine the rate of the clock of the stamps."""
         timed = any(turn.seconds is not None for turn in self.turns)
         return timed and bool(np.isfinite(self.clock.rate_std))
 
     @property
     def turns_clock_std(self) -> float:
-        """Standard deviation of the clocks' rate, as far as it enters responses to turns.
+        """Standard deviation of the clocks' rate, where it affects responses to turns.
 
-        Pulses are counted over seconds of the one clock and turns timed by the other; counts and SI
-        values are rates by themselves.
+        Pulses are counted over seconds of one clock and turns timed by the other; counts and SI
+        values are already rates.
         """
         return self.clock_rate()[1] if self.units is Units.PULSES else 0.0
 
     @property
     def clock_freedom(self) -> float:
-        """Degrees of freedom of the deviation of `clock_rate`; infinite where quartz alone says."""
+        """Degrees of freedom of the deviation of `clock_rate`; infinite if from quartz alone."""
         if not np.isfinite(self.clock.rate_std):
             return np.inf
         # A rate, and an offset for each piece between jumps.
         return max(1.0, float(self.clock.motions - 2 - len(self.clock.jumps)))
 
     def missing_positions(self) -> list[str]:
-        """Name the positions of the plan without a usable segment."""
+        """Return the names of the plan's positions without a usable segment."""
         found = {s.position for s in self.segments}
         return [p.id for p in self.plan.positions if p.dwell > 0 and p.id not in found]
 
     def missing_words(self) -> str:
-        """Name them at the end of a clause; nothing where none is missing."""
+        """Return them as the end of a clause; empty where none is missing."""
         missing = self.missing_positions()
         return f' (missing: {", ".join(missing)})' if missing else ''
 
     def positions_in_words(self) -> str:
-        """Say how many positions were found, and which are missing."""
+        """Return a sentence on how many positions were found, and which are missing."""
         return f'{len({s.position for s in self.segments})} positions{self.missing_words()}'
 
 
@@ -388,7 +386,7 @@ def vertical_axis(up: Floats, position: str | None) -> tuple[int, int]:
 
     Args:
         up: (3,) up in body axes.
-        position: Whose, for the message.
+        position: Its position, for the message.
 
     Raises:
         NotObservable: None of the three is.

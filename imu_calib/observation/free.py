@@ -1,11 +1,11 @@
 """Dwells in unknown attitudes, with moves between them: a unit in the hand.
 
-The state of `Equations` goes on with the level Earth rate and with a small rotation of each dwell.
-The level rate is one vector of the world, and moves without a gap carry its direction along: what
-it does at one dwell it does in the move after and at the next dwell, so that it is no independent
-noise of each. Of every unbroken run of moves two components are unknown, in standard deviations of
-their prior: a vector of known length and any heading has half the square of that length in each of
-two level axes. The heading of the first dwell of a run is a choice of frame.
+The state of `Equations` is extended by the level Earth rate and by a small rotation of each dwell.
+The level rate is one constant vector, and moves without a gap transfer its direction: its effects
+on one dwell, the move after and the next dwell are correlated, not independent noise. For every
+unbroken run of moves two components are unknown, in standard deviations of their prior: a vector of
+known length and any heading has half the square of that length in each of two level axes. The
+heading of the first dwell of a run is a choice of frame.
 
 Source: docs/mathematics.md, 'Free positions'.
 """
@@ -31,7 +31,7 @@ from .surroundings import Surroundings
 
 @dataclass(frozen=True, eq=False)
 class FreeEquations(Equations):
-    """The equations of a session whose attitudes are sought: those of the evidence are where.
+    """The equations of a session with unknown attitudes, linearised at those of the evidence.
 
     The state ends with (2 c,) components of the Earth rate, of c unbroken runs of moves, and with
     rotations of the dwells about east, north and up, rad.
@@ -39,21 +39,21 @@ class FreeEquations(Equations):
 
     @cached_property
     def runs(self) -> Indices:
-        """In which unbroken run of moves each dwell lies, (s,)."""
+        """Index of the unbroken run of moves of each dwell, (s,)."""
         unled = np.ones(len(self.evidence.segments), dtype=np.intp)
         unled[[link.second for link in self.evidence.links.links]] = 0
         return np.asarray(np.cumsum(unled) - 1)
 
     @cached_property
     def _sought(self) -> NDArray[np.bool_]:
-        """Which rotations are sought, (3 s,): all but the heading of the first dwell of a run."""
+        """Mask of estimated rotations, (3 s,): all but the heading of the first dwell of a run."""
         sought = np.ones((len(self.runs), 3), dtype=bool)
         sought[np.unique(self.runs, return_index=True)[1], 2] = False
         return sought.ravel()
 
     @property
     def north(self) -> slice:
-        """Where the components of the level Earth rate lie in the state."""
+        """Slice of the components of the level Earth rate in the state."""
         start = self.sensors + self.nuisances + len(self.changes)
         return slice(start, start + 2 * (int(self.runs.max(initial=-1)) + 1))
 
@@ -64,7 +64,7 @@ class FreeEquations(Equations):
 
     @property
     def leaning_last(self) -> slice:
-        """Where the rotations of the last dwell about east and north lie in the state."""
+        """Slice of the rotations of the last dwell about east and north in the state."""
         start = self.size - int(np.count_nonzero(self._sought[-3:]))
         return slice(start, start + 2)
 
@@ -78,7 +78,7 @@ class FreeEquations(Equations):
         return np.append(super().nominal(), np.zeros(self.size - self.north.start))
 
     def surroundings(self, _: Floats) -> Surroundings:
-        """Return what is vertical of Earth rate and gravity: no azimuth and no tilt turns it."""
+        """Return the vertical parts of Earth rate and gravity, which no azimuth or tilt turns."""
         return Surroundings.vertical(self.evidence.site)
 
     def earth(self, state: Floats) -> Floats:
@@ -104,7 +104,7 @@ class FreeEquations(Equations):
         return result
 
     def prior_rows(self, state: Floats) -> Floats:
-        """Return the priors as equations: (k, n + 1), derivatives and what is left."""
+        """Return the priors as equations: (k, n + 1), derivatives and residuals."""
         rows = np.zeros((self.north.stop - self.north.start, self.size + 1))
         rows[:, self.north] = np.eye(len(rows))
         rows[:, -1] = -state[self.north]
@@ -112,7 +112,7 @@ class FreeEquations(Equations):
 
     @property
     def prior_sources(self) -> tuple[tuple[Source, list[int], float], ...]:
-        """Whose priors the rows of `prior_rows` are, and degrees of freedom of their size."""
+        """Sources of the priors in `prior_rows`, and degrees of freedom of their size."""
         north = range(self.nuisances, self.nuisances + self.north.stop - self.north.start)
         return ((Source.NORTH, list(north), np.inf),)
 
@@ -127,12 +127,12 @@ class FreeEquations(Equations):
 
 
 def led_on(evidence: Evidence, ups: Floats, model: SensorModel) -> Evidence:
-    """Return a session in attitudes with given ups, at the headings to which moves lead.
+    """Return a session in attitudes with given ups, at the headings found by the moves.
 
     Args:
         evidence: The session.
         ups: (s, 3) up in body axes, unit vectors.
-        model: Its gyros lead.
+        model: Whose gyros are integrated.
     """
     east, north = across(ups)
     attitudes = np.stack([east, north, ups], axis=1)

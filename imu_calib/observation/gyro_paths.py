@@ -1,7 +1,7 @@
-"""From one dwell to the next as the gyros of a model see it: a rotation and its derivatives.
+"""Motion from one dwell to the next by the gyros of a model: a rotation and its derivatives.
 
-What has been joined to steps holds what its directions added by changing (`segmentation/moves.py`);
-single samples do not.
+Steps of joined samples include the coning of their directions (`segmentation/moves.py`); single
+samples do not.
 
 Sources: Bortz 1971, IEEE Trans. AES 7, 61, and Savage 1998, J. Guidance 21, 19, eq. (45), for the
 rotation vector of an interval; the derivatives are those of docs/mathematics.md, 'Moves'.
@@ -27,13 +27,13 @@ class GyroPath:
 
     Attributes:
         rates: (n, 3) mean rate of each interval about the body axes, rad/s.
-        forces: (n, 3) specific force in its middle, m/s^2; zeros where none was stated.
+        forces: (n, 3) specific force in its middle, m/s^2; zeros where not stated.
         seconds: (n,) its length, s.
-        rotation: (3, 3) takes the components of what stands still in inertial space from the start
-            to the end.
-        axes: (n, 3, 3) takes components from the middle of an interval to the end.
-        error_transfer: (n, 3, 3) takes an error of the gyros' outputs over an interval, rad, to the
-            rotation of the body axes at the end that it feigns.
+        rotation: (3, 3) transforms the components of a vector fixed in inertial space from the
+            start to the end.
+        axes: (n, 3, 3) transforms components from the middle of an interval to the end.
+        error_transfer: (n, 3, 3) transforms an error of the gyros' outputs over an interval, rad,
+            to the error in the rotation of the body axes at the end.
     """
 
     rates: Floats
@@ -47,16 +47,16 @@ class GyroPath:
     def of_each(
         cls, motions: Sequence[tuple[Floats, Floats, Floats | None]], model: SensorModel
     ) -> tuple[GyroPath, ...]:
-        """Lead on through motions.
+        """Integrate motions.
 
         The effect of gravity on the gyros is computed from the attitudes of the path itself: the
         accelerometers also measure the accelerations of the hand or the joint. All intervals are
-        compensated at once: each has the same bits alone as among others.
+        compensated at once: the result of each is bit-identical to that of a single call.
 
         Args:
-            motions: Of each the (n, 3) rotation vectors of its intervals as the gyros gave them,
-                rad, their lengths (n,), s, and the (3,) specific force at rest at the end, body
-                axes, m/s^2; None: of no account.
+            motions: Of each the (n, 3) rotation vectors of its intervals by the gyros, rad, their
+                lengths (n,), s, and the (3,) specific force at rest at the end, body axes, m/s^2;
+                None if not needed.
             model: The sensors.
         """
         if not motions:
@@ -73,7 +73,7 @@ class GyroPath:
             forces = np.split(np.ascontiguousarray(felt.T), ends)
             if model.gyros_feel_force:
                 rates, middles, wholes = _led(outputs, seconds, model, forces)
-        # An error over an interval counts as one in its middle, to the second order of its angle.
+        # An error over an interval acts as one in its middle, to the second order of its angle.
         transfer = product(middles, np.asarray(np.linalg.inv(model.gyro.response))[..., None])
         first = (np.ascontiguousarray(np.moveaxis(each, -1, 0)) for each in (middles, transfer))
         parts = (np.split(each, ends) for each in (rates, *first))
@@ -86,11 +86,11 @@ class GyroPath:
 
     @cached_property
     def timed_transfer(self) -> Floats:
-        """`error_transfer` times the seconds: of errors that are rates.
+        """`error_transfer` times the seconds: for errors of rates.
 
-        Summed up over courses it is the derivative of log(`rotation` S^T), for S near it, by what
-        is added to outputs. That is taken off them: the path turns by so much less, and components
-        of what stands still by so much more.
+        Summed over courses it is the derivative of log(`rotation` S^T), for S near it, by additions
+        to the outputs. These are subtracted from outputs: the path turns less by as much, and
+        components of fixed vectors turn more.
         """
         return np.asarray(self.error_transfer * self.seconds[:, None, None])
 
@@ -112,7 +112,8 @@ def _led(
     outputs: Floats, seconds: list[Floats], model: SensorModel, forces: list[Floats]
 ) -> tuple[Floats, Floats, Floats]:
     """Return rates (n, 3), rotations (3, 3, n) from the middle of each interval, the whole ones."""
-    # What is felt matters to gyros that feel it; terms are inverted of all outputs together.
+    # The specific force matters only for gyros with g-sensitivity; terms are inverted for all
+    # outputs at once.
     felt = np.zeros((1, 3)) if model.linear and not model.gyros_feel_force else np.vstack(forces)
     _, accel = model.predict(np.zeros(3), felt)
     rates, _ = model.compensate(outputs, accel)
@@ -123,15 +124,15 @@ def _led(
 
 
 def followed(passed: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
-    """Follow vectors that stand still in the world through m motions, one after the other.
+    """Transform fixed vectors through m motions, one after the other.
 
     Args:
-        passed: (3, 3, n) rotations from the start of each interval to its end; used up.
-        counts: (m,) how many intervals each motion has.
+        passed: (3, 3, n) rotations from the start of each interval to its end; overwritten.
+        counts: (m,) number of intervals of each motion.
 
     Returns:
-        (m, 3, 3) that take a vector's components from the start of each motion to its end, and
-        (3, 3, n) from the end of each interval to the end of its motion.
+        (m, 3, 3) from the start of each motion to its end, and (3, 3, n) from the end of each
+        interval to the end of its motion.
     """
     ends = np.cumsum(counts)
     _follow(passed, _order(tuple(counts)))
@@ -142,11 +143,11 @@ def followed(passed: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
 
 @lru_cache(maxsize=16)
 def _order(counts: tuple[int, ...]) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...]:
-    """Return which steps of motions of so many are multiplied by their next, in turns.
+    """Return which steps of motions of so many are multiplied by their next, in rounds.
 
-    Pairs of neighbours are followed first, then what is between them: two products for each step,
-    however many follow (Brent and Kung 1982, IEEE Trans. Comput. C-31, 260). Each turn is of the
-    pairs of the one before.
+    Pairs of neighbours are multiplied first, then those between: two products for each step, for
+    any number of steps (Brent and Kung 1982, IEEE Trans. Comput. C-31, 260). Each round pairs the
+    results of the one before.
     """
     follow = np.repeat(np.cumsum(counts), counts) - np.arange(sum(counts)) - 1
     turns = []
@@ -168,5 +169,5 @@ def _follow(steps: Floats, order: tuple[tuple[NDArray[np.intp], NDArray[np.intp]
 
 
 def _with_next(steps: Floats, which: NDArray[np.intp]) -> Floats:
-    # Taking is three times as fast as indexing.
+    # `take` is three times as fast as indexing.
     return product(steps.take(which + 1, axis=-1), steps.take(which, axis=-1))

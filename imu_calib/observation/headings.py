@@ -1,4 +1,4 @@
-"""Whole turns, seen at headings at equal steps: what is meant over a turn is the mean over them."""
+"""Whole turns at equally spaced headings: a mean over a turn is the mean over these."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _HEADINGS = 8
 
 
 def headings(ups: Floats) -> Floats:
-    """Return the attitudes that whole turns go through at equal steps, (t, 8, 3, 3): to body axes.
+    """Return the attitudes of whole turns at equal steps, (t, 8, 3, 3): to body axes.
 
-    Those of the second half are the first half's with the level axes reversed to the last bit: what
-    a whole turn cancels vanishes, and does not stay as rounding that seems observed.
+    Those of the second half are the first half's with the level axes exactly reversed: terms that
+    cancel over a whole turn are then exactly zero, not rounding that seems observed.
 
     Args:
         ups: (t, 3) up in body axes.

@@ -1,4 +1,4 @@
-"""What gyros would give on the way from rest to rest: by a table's joints, and by hand."""
+"""Ideal gyro outputs between dwells: by a table's joints, and by hand."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from ..turntable import Table
 from .evidence import UP
 
 BY_HAND_MOVE = 2.0
-"""From one dwell to the next, s."""
+"""Duration of a move from one dwell to the next, s."""
 
 _STEP = 0.01
-"""Into which a move is cut, s: no step turns by more than a degree at 100 deg/s."""
+"""Length of the steps of a move, s: no step turns by more than a degree at 100 deg/s."""
 
 _SHORT_STEPS = 40
-"""Into which a turn by hand is cut: at most 4.5 degrees each."""
+"""Steps of a turn by hand: at most 4.5 degrees each."""
 
 _PARALLEL = 1e-6
-"""Sine of the angle between two directions below which they give no axis: rounding of 1e-16 turns
-one of so short a product by 1e-10."""
+"""Sine of the angle between two directions below which they define no axis: rounding of 1e-16 turns
+the axis of so short a product by 1e-10."""
 
 
 def joint_course(table: Table, origin: Floats, goal: Floats) -> Course:
@@ -47,20 +47,20 @@ def ideal_move(
     truth: SensorModel,
     world: tuple[Floats, Floats],
 ) -> Move:
-    """Return what the sensors would give on the way from one dwell to the next.
+    """Return the ideal sensor outputs on the way from one dwell to the next.
 
     Args:
-        before: The rest that it begins at.
-        after: The rest that it ends at.
+        before: The static dwell at its start.
+        after: The static dwell at its end.
         course: Of the joints.
-        table: Whose.
+        table: The table.
         truth: The sensors.
         world: (3,) Earth rate and (3,) specific force in the frame of the attitudes, SI.
     """
     seconds = (after.start - before.end) * 1e-9
     knots = np.linspace(0.0, course.end, max(2, math.ceil(course.end / _STEP)) + 1)
     attitudes = table.attitude(course.at(knots)[0])
-    # What the table stands at both ends, before and after.
+    # The attitude of the table at both ends, before and after.
     stood = (seconds - course.end) / 2
     attitudes = np.concatenate([attitudes[:1], attitudes, attitudes[-1:]])
     spans = np.array([stood, *np.diff(knots), stood])
@@ -73,7 +73,7 @@ def ideal_move(
 def _along(
     attitudes: Floats, spans: Floats, truth: SensorModel, world: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
-    """Return what the sensors would give through (n + 1, 3, 3) attitudes, (n,) seconds apart.
+    """Return the ideal sensor outputs through (n + 1, 3, 3) attitudes, (n,) seconds apart.
 
     Returns:
         (n, 3) angles, rad, and (n, 3) velocities, m/s.
@@ -87,7 +87,9 @@ def _along(
 
 
 def ideal_holds(segments: list[Segment]) -> list[Segment]:
-    """Return holds in other attitudes of the same ups, each the short way from the one before."""
+    """Return holds in other attitudes with the same ups, each by the shortest rotation from the
+    last.
+    """
     found = segments[:1]
     for segment in segments[1:]:
         assert segment.attitude is not None
@@ -97,12 +99,12 @@ def ideal_holds(segments: list[Segment]) -> list[Segment]:
 
 
 def next_hold(last: Segment, up: Floats, seconds: float) -> Segment:
-    """Return a hold like another one, to which the unit is turned the short way.
+    """Return a hold like another one, reached by the shortest rotation.
 
     Args:
         last: The hold before, in its attitude.
         up: (3,) in body axes, unit vector.
-        seconds: How long it is held.
+        seconds: Its duration.
     """
     start = last.end + nanoseconds(BY_HAND_MOVE)
     statistics = replace(last.statistics, duration=seconds, walk_gain=np.full(6, 1 / seconds))
@@ -116,20 +118,20 @@ def next_hold(last: Segment, up: Floats, seconds: float) -> Segment:
 
 
 def shortest(last: Segment, up: Floats) -> Floats:
-    """Return the attitude (3, 3) to which the short way leads where (3,) `up` is up."""
+    """Return the attitude (3, 3) with (3,) `up` up, by the shortest rotation."""
     assert last.attitude is not None
     rising = last.attitude[2]
     axis = np.cross(up, rising)
     sine, cosine = float(np.linalg.norm(axis)), float(up @ rising)
     if sine < _PARALLEL:
-        # Half a turn goes about any level axis; rounding must not choose it.
+        # Half a turn may go about any level axis; rounding must not choose it.
         axis = across(np.round(rising, 9))[0]
     turn = rotation(axis / np.linalg.norm(axis), math.atan2(sine, cosine))
     return np.asarray(last.attitude @ turn)
 
 
 def ideal_move_by_hand(before: Segment, after: Segment, truth: SensorModel, site: Site) -> Move:
-    """Return what the gyros would give on the short way from hold to hold, at an even pace."""
+    """Return the ideal gyro outputs of the shortest rotation between holds, at constant rate."""
     assert before.attitude is not None
     assert after.attitude is not None
     ends = np.array([before.attitude, after.attitude])
@@ -143,5 +145,5 @@ def ideal_move_by_hand(before: Segment, after: Segment, truth: SensorModel, site
 
 
 def nanoseconds(seconds: float) -> int:
-    """Return seconds as stamps count them."""
+    """Return seconds at the resolution of stamps."""
     return round(seconds * 1e9)

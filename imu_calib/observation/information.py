@@ -1,7 +1,7 @@
-"""What a session, whole or partial, tells about the parameters before anything is solved.
+"""Information of a session, whole or partial, on the parameters, before the estimate.
 
 The Fisher information of the equations (docs/mathematics.md, 'Joint estimate') and its null space:
-what the singular vectors of the column-scaled system say cannot be separated.
+the singular vectors of the column-scaled system show which parameters cannot be separated.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ from .evidence import Evidence
 
 _SINGULAR = 1e-10
 """Of the largest singular value, columns of norm one: 64-bit numbers leave 1e-14 where it is zero,
-and a session without noise that rests on the levelling of the table has 3e-10."""
+and a session without noise that depends on the levelling of the table has 3e-10."""
 
 _MIXED = 1e-4
-"""Length of the part of a parameter, a column of norm one, in directions that count as not
-determined: rounding of 1e-14 turns those that just count (`_SINGULAR`) by as much."""
+"""Length of the part of a parameter, a column of norm one, in undetermined directions: rounding of
+1e-14 turns those just above the limit (`_SINGULAR`) by as much."""
 _MEANINGLESS = {ParameterKind.SCALE_FACTOR_ERROR: 0.01, ParameterKind.MISALIGNMENT: 0.01}
-"""Standard deviations, of ratios and in rad, that are of no use: of what has no largest amount that
-an IMU may have."""
+"""Standard deviations, of ratios and in rad, from which on a parameter without a largest plausible
+value is not useful."""
 
 _USEFUL = 0.02
-"""Share of the largest coefficient of a term that any IMU may have: of ratios it leaves 0.1 %."""
+"""Share of the largest plausible coefficient of a term: for ratios it leaves 0.1 %."""
 
 ALONG = 0.5
-"""Component of a unit vector from which on it counts as along an axis: below 1 / sqrt(3) = 0.577,
-so that any direction is along one at least."""
+"""Component of a unit vector from which on it is along an axis: below 1 / sqrt(3) = 0.577, so that
+any direction is along at least one."""
 _STRAY = 1e-3
-"""Component of a unit vector below which it is taken for zero: 3.4 arcmin, above the errors of
-encoders and axes, far below any angle that a plan asks for."""
+"""Component of a unit vector below which it counts as zero: 3.4 arcmin, above the errors of
+encoders and axes, far below any angle of a plan."""
 
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What the equations of a session determine.
+    """The information in the equations of a session.
 
     Attributes:
-        covariance: (n, n) of the whole state; rows of what is not observed are NaN.
+        covariance: (n, n) of the whole state; rows of unobserved entries are NaN.
         observed: (n,) whether an entry of the state is observed.
         condition: Largest over smallest singular value of the column-scaled system.
         gain: (n, m) derivatives of the solution by the equations; its square is the covariance.
@@ -59,7 +59,7 @@ class Information:
 
     @classmethod
     def of(cls, jacobian: Floats) -> Information:
-        """Invert the information of whitened equations where it can be inverted.
+        """Invert the information of whitened equations on its observable subspace.
 
         Args:
             jacobian: (m, n) derivatives in standard deviations, priors included.
@@ -68,7 +68,7 @@ class Information:
         seen = norms > 0
         scale = np.where(seen, norms, 1.0)
         rows = jacobian / scale
-        # Rows of zeros make the null space of too few equations come out as vectors of its own.
+        # Rows of zeros let the SVD return the null space of too few equations.
         rows = np.vstack([rows, np.zeros((max(0, len(norms) - len(rows)), len(norms)))])
         left, values, vectors = np.linalg.svd(rows, full_matrices=False)
         sound = values > _SINGULAR * values[0]
@@ -85,14 +85,14 @@ class Information:
 
 
 def log_determinant(information: Floats, first: int) -> float:
-    """Return the logarithm of the determinant of the information on what a state begins with.
+    """Return the log determinant of the information on the first entries of a state.
 
-    What comes after it are nuisance parameters, which are eliminated. Columns are scaled
-    to length one first: rad/s and m/s^2 are far apart.
+    The other entries are nuisance parameters, which are eliminated. Columns are scaled to length
+    one first: rad/s and m/s^2 differ by orders of magnitude.
 
     Args:
         information: (n, n) of the whole state.
-        first: How many entries are wanted.
+        first: Number of entries wanted.
     """
     scale = 1 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     scaled = information * np.outer(scale, scale)
@@ -103,14 +103,14 @@ def log_determinant(information: Floats, first: int) -> float:
 
 
 def attainable_std(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS) -> Floats:
-    """Return the standard deviations that a session allows so far.
+    """Return the standard deviations that a session gives so far.
 
     Args:
-        evidence: Any subset of a session's static dwells and turns, none at all included.
-        parameters: That are to be estimated.
+        evidence: Any subset of a session's static dwells and turns, or none.
+        parameters: The parameters to be estimated.
 
     Returns:
-        (n,) SI units; NaN where nothing determines a parameter, or to no use (`determined`).
+        (n,) SI units; NaN where a parameter is not observed, or not determined (`determined`).
     """
     try:
         information = nominal_information(Equations(evidence, parameters))
@@ -121,26 +121,26 @@ def attainable_std(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAM
 
 
 def nominal_information(equations: Equations) -> Information:
-    """Return what a session tells of ideal sensors, its attitudes taken as they are meant.
+    """Return the information of a session on ideal sensors, at its nominal attitudes.
 
-    What the last digits of an encoder add to an axis that stands level separates no parameters:
-    they would seem observed, with deviations beyond all sense, and spoil others.
+    The last digits of an encoder tilt a level axis without separating any parameters: these would
+    seem observed, with absurd deviations, and affect others.
     """
     ideal = replace(equations, evidence=with_nominal_attitudes(equations.evidence))
     found = Information.of(ideal.whitened(ideal.nominal())[0])
     if found.observed.all() or not len(ideal.evidence.links):
         return found
-    # Without noise moves are a million times as sharp as the levelling of the table: what rests on
-    # that is lost beside them to rounding, though more evidence tells no less.
+    # Without noise moves are a million times as accurate as the levelling of the table: parameters
+    # that depend on that are lost to rounding, though more evidence has no less information.
     ideal = replace(ideal, evidence=replace(ideal.evidence, moves=()))
     resting = Information.of(ideal.whitened(ideal.nominal())[0])
     return resting if resting.observed.sum() > found.observed.sum() else found
 
 
 def with_nominal_attitudes(evidence: Evidence) -> Evidence:
-    """Return the evidence with attitudes as they are meant: without an encoder's last digits.
+    """Return the evidence at nominal attitudes: without an encoder's last digits.
 
-    It is made once, and keeps what is worked out of it.
+    It is created once, with its cached results.
     """
     if 'nominal' not in evidence.cache:
         segments = tuple(
@@ -183,7 +183,7 @@ def _deviations(information: Information, parameters: tuple[Parameter, ...]) -> 
 
 
 def undetermined_in_words(evidence: Evidence, term: Term, lost: Sequence[Parameter]) -> str:
-    """Say that a session does not determine a term, and what would.
+    """Return a sentence that a session does not determine a term, and what would.
 
     Args:
         evidence: The session, which determines the 24 parameters without the term.
@@ -200,17 +200,17 @@ def undetermined_in_words(evidence: Evidence, term: Term, lost: Sequence[Paramet
 
 
 def segments_in_words(evidence: Evidence) -> str:
-    """Say how many static dwells and turns there are."""
+    """Return the numbers of static dwells and turns in words."""
     dwells = counted(len(evidence.segments), 'static dwell')
     return f'{dwells} and {counted(len(evidence.turns), "turn")}'
 
 
 def unobservable_in_words(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
-    """Say in words what a session cannot observe, and for want of what.
+    """Return a sentence on the parameters a session cannot observe, and what is missing.
 
     Args:
         evidence: The session.
-        lost: (24,) which parameters.
+        lost: (24,) mask of these parameters.
     """
     words = []
     left = {p.name for p, gone in zip(PARAMETERS, lost, strict=True) if gone}

@@ -1,4 +1,4 @@
-"""How noisy the sensors are: by a session's blocks, and by the data sheet where those are few."""
+"""Noise of the sensors: from a session's blocks, and from the data sheet where those are few."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from ..segmentation.statistics import pooled_walk
 from ..stream import Floats
 
 _SMALLEST = 1e-24
-"""Variance below which nothing is told of noise, (m/s^2)^2: rounding of 64-bit numbers."""
+"""Variance below which the noise is not determined, (m/s^2)^2: rounding of 64-bit numbers."""
 _STATED_FREEDOM = 10.0
-"""Degrees of freedom that a data sheet's random walk counts for: of ten a standard deviation is
-known to 1 / sqrt(20) = 22 %. A judgement of how far units of a type differ."""
+"""Degrees of freedom assigned to a data sheet's random walk: with ten a standard deviation is known
+to 1 / sqrt(20) = 22 %. A judgement of how far units of a type differ."""
 _BY_CHANCE = 1e-3
-"""Probability that chance alone lets any static dwell of a session count by its own noise. A
-judgement, as of groups that scatter (`methods/free_positions.py`)."""
+"""Probability that by chance any static dwell of a session gets its own noise. A judgement, as of
+groups that scatter (`methods/free_positions.py`)."""
 _NEAR, _NEAR_FREEDOM = 3.6, 8.0
 """Ratio of variances up to which one of so many degrees of freedom is no larger than by chance:
-chi-square of eight is 28.8 once in 2900 times, that of fewer oftener, and three dwells or more ask
-for once in 6000."""
+chi-square of eight is 28.8 once in 2900 times, that of fewer more often, and three dwells or more
+require once in 6000."""
 _ENOUGH_FREEDOM = 20.0
-"""Degrees of freedom from which on a random walk needs no allowance for its own doubt, where no
-data sheet stands beside it: it is known to 1 / sqrt(40) = 16 % there."""
+"""Degrees of freedom from which on a random walk needs no allowance for its uncertainty, where no
+data sheet states it: it is then known to 1 / sqrt(40) = 16 %."""
 
 
 def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, Floats]:
-    """Return the random-walk coefficients that the data shows, (6,), and degrees of freedom, (6,).
+    """Return the random-walk coefficients shown by the data, (6,), and degrees of freedom, (6,).
 
-    Short dwells tell little: their scatter may be small by chance, and deviations that rest on it
-    would be far too small. The data sheet's figure then counts like blocks of its own, the fewer
-    the more the data shows; without one, a standard deviation is added to what the data shows.
+    Short dwells show little: their scatter may be small by chance, and standard deviations based on
+    it would be far too small. The data sheet's figure is then averaged in like additional blocks,
+    fewer with more data; without one, a standard deviation is added to the estimate.
 
     Raises:
-        NotObservable: Neither the data nor the IMU's description tells.
+        NotObservable: Neither the data nor the IMU's description gives the noise.
     """
     found = pooled_walk([s.statistics for s in segments])
     stated = np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
@@ -57,11 +57,11 @@ def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, F
 
 
 def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
-    """Let dwells at which accelerometers are noisier than chance makes them count by that noise.
+    """Give dwells whose accelerometers are noisier than by chance their own noise.
 
-    A unit that leans to and fro turns gravity and keeps its length: noise along gravity and across
-    it is told apart. Each is held against that of the other dwells by the F test, the largest
-    first, and what is larger beyond chance is taken out of theirs before the next is looked at.
+    A unit that sways turns gravity without changing its length: noise along gravity and across it
+    is separated. Each is compared with that of the other dwells by the F test, the largest first; a
+    significantly larger one is removed from theirs before the next is tested.
 
     Source: docs/mathematics.md, 'Free positions'.
 
@@ -102,26 +102,26 @@ def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
 def _squares(statistics: Statistics, up: Floats) -> Floats:
     """Return the squared random walks (2,) of accelerometers along gravity and across it.
 
-    With what quantisation leaves.
+    Quantisation is included.
     """
     blocks = np.array(statistics.blocks[3:])
     seen = np.cov(blocks[:, :, 0])
     along = float(up @ seen @ up)
     both = np.array([along, (np.trace(seen) - along) / 2])
-    # What codes leave of no noise at all tells none from another.
+    # Quantisation without noise does not distinguish dwells.
     least = max(_SMALLEST, float(blocks[:, :, 2].mean()))
     return np.asarray(np.maximum(both, least) / blocks[:, :, 1].mean())
 
 
 def _alike(squares: Floats, freedom: Floats, chance: float) -> NDArray[np.bool_]:
-    """Say which of variances (n,) are alike; no more than half of them are not."""
+    """Return which of variances (n,) are alike; at most half of them are not."""
     alike = np.ones(len(squares), dtype=bool)
     for _ in range(len(squares) // 2):
         sums = np.where(alike, freedom * squares, 0.0)
         others = (sums.sum() - sums) / (np.where(alike, freedom, 0.0).sum() - freedom)
         ratios = squares / others
         if not (alike & ((ratios > _NEAR) | (freedom > _NEAR_FREEDOM))).any():
-            # Without `scipy.special`, which takes longer to load than all of this takes.
+            # Without `scipy.special`: loading it takes longer than this computation.
             break
         odds = scipy.special.fdtrc(freedom, (alike @ freedom) - freedom, ratios)
         worst = int(np.argmin(np.where(alike, odds, 1.0)))

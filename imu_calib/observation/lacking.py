@@ -1,7 +1,7 @@
-"""What a session lacks: parameters that it leaves open, and the dwells and turns that would do.
+"""Parameters that a session does not determine, and the dwells and turns that would do so.
 
-Whatever a plan says of its positions, observability is a matter of the attitudes and axes that a
-session has: one more dwell or turn of each kind is tried, in the equations of the session itself.
+Observability depends on the attitudes and axes of a session, not on the plan's description of
+positions: one more dwell or turn of each kind is tried in the equations of the session itself.
 """
 
 from __future__ import annotations
@@ -22,31 +22,30 @@ from .evidence import UP, Evidence
 from .information import ALONG, determined, nominal_information
 
 _RATE = TURN / 36
-"""Rate of a turn that is tried, rad/s: ten degrees a second, as rate tests begin with."""
+"""Rate of a tried turn, rad/s: ten degrees a second, as rate tests begin with."""
 
 _MOST = 9
-"""Dwells and turns that are proposed at most: six ups and downs and a turn about each axis are all
-that the 24 parameters of any unit need."""
+"""Most dwells and turns that are proposed: six attitudes, up and down, and a turn about each axis
+determine the 24 parameters of any unit."""
 
 _UNSEEN = 1e-6
-"""Stands for the information of a direction of the state of which nothing is known, where
-directions are compared by their logarithms."""
+"""Information of an unobserved direction of the state, where directions are compared by their
+logarithms."""
 
 Addition = tuple[str, Segment | Turn]
 
 
 def lacking_parameters(equations: Equations) -> NDArray[np.bool_]:
-    """Say of the 24 parameters, which are those of the equations, whether a session lacks them."""
+    """Return which of the 24 parameters, those of the equations, a session does not determine."""
     return ~determined(nominal_information(equations)) | without_turns(equations.evidence)
 
 
 def without_turns(evidence: Evidence) -> NDArray[np.bool_]:
-    """Say of the 24 parameters whether they are responses of gyros that lack their rate test.
+    """Return which of the 24 parameters are responses of gyros without a rate test.
 
-    The Earth's rate alone tells them to a percent: not what a rate test is made for. A plan says
-    about which axes it has such; without a plan they must tell all three responses. Directions
-    about which next to nothing turns are the eigenvectors of the sum of u u^T over all turns,
-    u their axes in the body.
+    The Earth's rate alone determines them to a percent, which a rate test is meant to improve. A
+    plan states its axes; without a plan all three responses are required. Directions with nearly no
+    turns are the eigenvectors of the sum of u u^T over all turns, u their axes in the body.
     """
     axes = np.array([turn.up for turn in evidence.turns]).reshape(-1, 3)
     if evidence.plan.is_stated:
@@ -63,10 +62,10 @@ def without_turns(evidence: Evidence) -> NDArray[np.bool_]:
 
 
 def advice(equations: Equations) -> str:
-    """Say which dwells and turns would determine what a session leaves open; empty if none would.
+    """Return which dwells and turns would determine the missing parameters; empty if none.
 
-    The next one is always that which leaves the fewest parameters open and, among those, tells
-    most of all others. What only several tell together is said of them together.
+    The next one is always that which leaves the fewest parameters undetermined and, among those,
+    gives most information on all others. Those that help only in combination are reported together.
     """
     if not equations.evidence.segments:
         return ''
@@ -103,7 +102,7 @@ def advice(equations: Equations) -> str:
 def _additions(evidence: Evidence) -> list[Addition]:
     """List dwells with each axis up and down at four headings, and turns about each axis.
 
-    They last as long as the session's own dwells do.
+    They last as long as the session's own dwells.
     """
     durations = [s.statistics.duration for s in evidence.segments]
     like = evidence.segments[int(np.argsort(durations)[len(durations) // 2])]
@@ -115,7 +114,7 @@ def _additions(evidence: Evidence) -> list[Addition]:
             found.append((f'a static dwell with {attitude_words(attitude)}', rest))
     seconds = like.statistics.duration
     for axis in np.eye(3):
-        # No table needs it: static dwells measure gravity better than turns do.
+        # Tables do not need it: static dwells measure gravity better than turns do.
         turn = Turn(like.start, like.end, like.statistics, _RATE * seconds, None, axis)
         found.append((f'whole turns at a steady rate with {up_words(axis)}', turn))
     return found
@@ -138,11 +137,11 @@ def _with(equations: Equations, thing: Segment | Turn) -> Equations:
 
 
 def _information(equations: Equations, scale: Floats) -> float:
-    """Return by how much a session narrows the parameters of the sensors down, as a logarithm.
+    """Return the information gain of a session on the sensors' parameters, as a logarithm.
 
     Args:
         equations: The session.
-        scale: (n,) what a unit of each parameter is worth, so that units do not matter.
+        scale: (n,) scale of each parameter, to remove the units.
     """
     jacobian = equations.whitened(equations.nominal())[0]
     sensors, others = np.split(jacobian, [equations.sensors], axis=1)

@@ -1,8 +1,8 @@
-"""Where the outputs of a session lie among its equations: this module alone knows their order.
+"""The order of a session's outputs in its equations; it is defined in this module only.
 
 Six for each dwell (gyros x y z, accelerometers x y z), then three for each turn (gyros), then three
-for each move (angles), then three for each turn whose accelerometers count, then three for each
-move whose accelerometers count (velocities).
+for each move (angles), then three for each turn whose accelerometers are used, then three for each
+move whose accelerometers are used (velocities).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class OutputLayout:
         dwells: Their number.
         turns: Likewise.
         moves: Likewise.
-        turns_with_accels: Which of the turns have accelerometers that count.
-        moves_with_accels: Which of the moves have.
+        turns_with_accels: Turns whose accelerometers are used.
+        moves_with_accels: Moves whose accelerometers are used.
     """
 
     dwells: int
@@ -70,23 +70,23 @@ class OutputLayout:
 
     @cached_property
     def moving(self) -> Indices:
-        """Of all that moves gave: angles, velocities."""
+        """Of all outputs of moves: angles, velocities."""
         return np.concatenate([self.move.ravel(), self.velocity.ravel()])
 
     @cached_property
     def gyros(self) -> Indices:
-        """Of all that gyros gave, in groups of three: dwells, turns, moves."""
+        """Of all outputs of gyros, in groups of three: dwells, turns, moves."""
         return np.concatenate([self.dwell[:, :3].ravel(), self.turn.ravel(), self.move.ravel()])
 
     @cached_property
     def accels(self) -> Indices:
-        """Of all that accelerometers gave, in groups of three: dwells, turns, moves."""
+        """Of all outputs of accelerometers, in groups of three: dwells, turns, moves."""
         parts = (self.dwell[:, 3:], self.turn_accels, self.velocity)
         return np.concatenate([part.ravel() for part in parts])
 
     @cached_property
     def channels(self) -> Indices:
-        """Which channel each output is of, 0 to 5; an axis of a move counts as one."""
+        """Channel of each output, 0 to 5; an axis of a move counts as one."""
         result = np.empty(len(self), dtype=np.intp)
         result[self.dwell] = np.arange(6)
         result[self.turn] = result[self.move] = np.arange(3)
@@ -95,7 +95,7 @@ class OutputLayout:
 
     @cached_property
     def segment(self) -> Indices:
-        """Which dwell, turn or move each output is of: these counted on in this order."""
+        """Index of each output's dwell, turn or move: numbered through in this order."""
         result = np.empty(len(self), dtype=np.intp)
         result[self.dwell] = np.arange(self.dwells)[:, None]
         result[self.turn] = self.dwells + np.arange(self.turns)[:, None]
@@ -112,7 +112,7 @@ class OutputLayout:
 
         Args:
             dwell: (s, 6, ...).
-            turn: (t, 6, ...): of turns whose accelerometers do not count they are left out.
+            turn: (t, 6, ...): turns whose accelerometers are not used are left out.
             move: (m, 6, ...), angles, then velocities: likewise.
         """
         parts = (

@@ -1,9 +1,9 @@
 """Dwells in unknown attitudes as equations: lengths, and the rate along gravity.
 
-The length of the specific force is gravity, that of the rate the Earth's, and its part along
-gravity the vertical Earth rate, wherever the unit stands: what is left of the six equations of a
-dwell where its three angles are free. Squares are compared, whose mean over the noise is known
-though the heading drowns in it, as it does for gyros whose noise exceeds the Earth's rate.
+In any attitude the length of the specific force is gravity, that of the rate the Earth's, and its
+part along gravity the vertical Earth rate: these remain of the six equations of a dwell with three
+free angles. Squares are compared: their mean over the noise is known even where noise hides the
+heading, as for gyros whose noise exceeds the Earth's rate.
 
 Source: docs/mathematics.md, 'Verification'.
 """
@@ -29,13 +29,13 @@ class Sensors:
 
     @classmethod
     def of(cls, parameters: tuple[Parameter, ...], *, gyros: bool) -> Sensors:
-        """Take the three gyros' or accelerometers' of a model; skewed gyros are not among them."""
+        """Return the three gyros or accelerometers of a model, without skewed gyros."""
         letter = 'g' if gyros else 'a'
         return cls(gyros, tuple(p for p in parameters if p.triad == letter and p.row < len(AXES)))
 
     @property
     def channels(self) -> slice:
-        """Where they are among the six."""
+        """Their indices among the six."""
         return slice(0, 3) if self.gyros else slice(3, 6)
 
     def model(self, values: Floats) -> SensorModel:
@@ -45,12 +45,12 @@ class Sensors:
     def compensated(
         self, values: Floats, outputs: Floats, forces: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """Return the inputs that outputs mean, with derivatives by outputs and by parameters.
+        """Return the inputs for given outputs, with derivatives by outputs and by parameters.
 
         Args:
             values: (p,) of the parameters.
             outputs: (m, 3).
-            forces: (m, 3) specific forces at which gyros read them, m/s^2.
+            forces: (m, 3) specific forces that act on gyros, m/s^2.
 
         Returns:
             (m, 3), (m, 3, 3) and (m, 3, p).
@@ -71,7 +71,7 @@ class Sensors:
 
 @dataclass(frozen=True, eq=False)
 class Up:
-    """What the accelerometers of a calibration show of up where no attitude tells it.
+    """Up by the accelerometers of a calibration where the attitude is unknown.
 
     Attributes:
         forces: (s, 3) specific forces at rest, m/s^2, as long as gravity.
@@ -88,7 +88,7 @@ class Up:
         """Turn errors of the accelerometers into errors of up, to first order.
 
         Args:
-            found: Specific forces at rest and their derivatives, as `Sensors.compensated` has them.
+            found: Specific forces at rest and their derivatives, from `Sensors.compensated`.
             noise: (s, 3, 3) covariances of the outputs.
             factor: (p, k) of the covariance of the parameters.
             gravity: m/s^2.
@@ -107,7 +107,7 @@ class Up:
 def compare_lengths(
     sensors: Sensors, values: Floats, read: Floats, noise: Floats, up: Up, site: Site
 ) -> tuple[Floats, Floats, Floats]:
-    """Set up one equation for each dwell, and of gyros a second.
+    """Set up one equation for each dwell, and a second for gyros.
 
     Args:
         sensors: Gyros or accelerometers.
@@ -118,8 +118,8 @@ def compare_lengths(
         site: Gravity and Earth rate.
 
     Returns:
-        (m, p) derivatives, (m,) squares of lengths, and rates along up, short of what they should
-        be, and their covariance (m, m).
+        (m, p) derivatives, (m,) residuals of squared lengths and of rates along up, and their
+        covariance (m, m).
     """
     seen, by_outputs, by_parameters = sensors.compensated(values, read, up.forces)
     noise = propagated(by_outputs, noise)
@@ -140,7 +140,7 @@ def compare_lengths(
 def squares(vectors: Floats, covariances: Floats) -> tuple[Floats, Floats]:
     """Return the squared lengths of (m, 3) vectors without their noise, and their variances, (m,).
 
-    Noise makes a vector longer: the mean of a square is the square of the mean and the noise.
+    Noise makes a vector longer: the mean of a square is the square of the mean plus the variance.
 
     Args:
         vectors: With normal noise.
@@ -153,7 +153,7 @@ def squares(vectors: Floats, covariances: Floats) -> tuple[Floats, Floats]:
 
 
 def noise_at_rest(variances: Floats, magnitude: float) -> Floats:
-    """Return covariances (s, 3, 3) of outputs of a size, no less than their rounding leaves."""
+    """Return covariances (s, 3, 3) of outputs of a size, not below those of their rounding."""
     least = SMALLEST_VARIANCE * max(1.0, magnitude) ** 2
     return np.asarray(np.maximum(variances, least)[:, :, None] * np.eye(3))
 

@@ -1,9 +1,8 @@
-"""What a tilted table does to a closed form, which takes the table to be level.
+"""Effect of a table's tilt on a closed form, which assumes a level table.
 
-The accelerometers at rest show the tilt. What it does to a solver is what the solver makes of the
-outputs that its own solution predicts on the table so tilted, less what it makes of those on a
-level one: to twelve positions 1 - cos tilt in K_a, to others more
-(docs/mathematics.md, 'Twelve positions').
+The accelerometers at rest show the tilt. Its effect on a solver is the difference of the solver's
+results for the outputs that its own solution predicts on the tilted table and on a level one: for
+twelve positions 1 - cos tilt in K_a, for others more (docs/mathematics.md, 'Twelve positions').
 """
 
 from __future__ import annotations
@@ -20,20 +19,20 @@ from ..units import ARCSEC
 from .evidence import UP, Evidence
 
 Accelerometers = Callable[[Evidence], Triad]
-"""How a closed form makes accelerometers of a session."""
+"""A closed form for the accelerometers of a session."""
 
 _SURE = 5.0
-"""Standard deviations from which a tilt is taken for one: of normal noise in two axes once in
-270 000 sessions."""
+"""Standard deviations from which a tilt is significant: by normal noise in two axes once in 270 000
+sessions."""
 
 _TELLING = 0.5
-"""An error of so many standard deviations is worth a sentence and widens them, by 12 %; below, what
-it does is lost in them."""
+"""An error of so many standard deviations gets a sentence and widens them, by 12 %; smaller ones
+are negligible against them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tilt:
-    """The plumb line as the accelerometers at rest see it.
+    """The plumb line by the accelerometers at rest.
 
     Attributes:
         up: (3,) unit vector in the frame of the attitudes.
@@ -58,7 +57,7 @@ class Tilt:
 
         Args:
             vector: (3,).
-            covariance: (3, 3) its covariance; that of the tilt comes on top.
+            covariance: (3, 3) its covariance, without that of the tilt.
         """
         turned = shortest(self.up, UP)
         leaning = np.cross(np.eye(3)[:2], vector) * self.std
@@ -66,7 +65,7 @@ class Tilt:
 
 
 def tilt_bias(evidence: Evidence, accel: Triad, solver: Accelerometers, tilt: Tilt) -> Floats:
-    """Return by how much a closed form errs for a tilt, (12,) in the order of the parameters."""
+    """Return the errors of a closed form by a tilt, (12,) in the order of the parameters."""
 
     def solved(up: Floats) -> Floats:
         forces = evidence.site.gravity * np.einsum('skj,k->sj', evidence.attitudes(), up)
@@ -83,14 +82,14 @@ def tilt_bias(evidence: Evidence, accel: Triad, solver: Accelerometers, tilt: Ti
 def widened_for_tilt(
     evidence: Evidence, accel: Triad, covariance: Floats, solver: Accelerometers, tilt: Tilt
 ) -> tuple[Floats, list[str]]:
-    """Add what a tilt that shows does to the accelerometers' parameters, and name it.
+    """Add the effect of a significant tilt to the accelerometers' covariance, and report it.
 
-    It is not corrected for: of six positions the tilt about one axis shows and that about the
-    other does not, and a result half corrected would not be that of the published formula.
+    It is not corrected: six positions show the tilt about one axis but not about the other, and a
+    partly corrected result would not be that of the published formula.
 
     Args:
         evidence: The session.
-        accel: What the closed form found.
+        accel: Result of the closed form.
         covariance: (n, n) of all parameters.
         solver: The closed form.
         tilt: Of the table.

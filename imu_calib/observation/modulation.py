@@ -1,4 +1,4 @@
-"""Parameters that change during a session: their courses at its outputs, and the derivatives.
+"""Parameters that change during a session: courses and derivatives for its outputs.
 
 The derivative by a coefficient is its course, the mean over the segment, times the sum of the
 derivatives by the parameters that it changes: the outputs are linear in the parameters, but for a
@@ -22,12 +22,11 @@ from ..stream import Floats, Stamps
 from .evidence import Evidence
 
 LEAST_RISE = 0.5
-"""By so many kelvins the temperature of the outputs must differ to tell what follows it:
-thermometers of IMUs resolve a sixteenth to a half of one, and sessions that are combined differ by
-as much."""
+"""Least range of temperature among the outputs, K, to determine its effects: thermometers of IMUs
+resolve a sixteenth to a half of a kelvin, and combined sessions differ by as much."""
 
 TIME_CONSTANTS = 2.0 ** np.arange(-4, 1.5, 0.5)
-"""Grid of the time constant of a warm-up, as fractions of the session: a shorter one has faded
+"""Grid of the time constant of a warm-up, as fractions of the session: a shorter one has decayed
 within the first dwell, and a longer one is a trend."""
 
 
@@ -66,7 +65,7 @@ def courses(evidence: Evidence, course: Course, time_constant: float) -> Floats:
 
 
 def rates(evidence: Evidence, course: Course, time_constant: float) -> Floats:
-    """Return by how much a course rises over each dwell, turn and move, (s + t + m,) per s.
+    """Return the slope of a course over each dwell, turn and move, (s + t + m,) per s.
 
     Args:
         evidence: The session.
@@ -103,21 +102,21 @@ def temperatures(evidence: Evidence) -> Floats:
 
 
 def reference(evidence: Evidence) -> float:
-    """Return the session's mean temperature, degrees Celsius, at which its parameters hold."""
+    """Return the session's mean temperature, degrees Celsius, to which its parameters refer."""
     assert evidence.temperature is not None
     return evidence.temperature.mean
 
 
 def warms(evidence: Evidence) -> bool:
-    """Say whether the session has a temperature, and one that moves enough to tell what follows."""
+    """Return whether the session has a temperature with a sufficient range."""
     return evidence.temperature is not None and bool(np.ptp(temperatures(evidence)) >= LEAST_RISE)
 
 
 def check_temperature(evidence: Evidence) -> None:
-    """Refuse a session whose temperature does not move, or is not known.
+    """Raise if a session's temperature does not vary, or is not known.
 
     Raises:
-        NotObservable: Says by how much it moves and by how much it must.
+        NotObservable: States the range found and the range needed.
     """
     seen = temperatures(evidence)
     if not warms(evidence):
@@ -143,9 +142,9 @@ def columns(
         evidence: The session.
         changes: The k coefficients.
         derivatives: (m, n) of the outputs by parameters.
-        parameters: What the first columns of these stand for.
+        parameters: Parameters of the first columns of these.
         time_constant: Of a warm-up, as a fraction of the session.
-        along: `courses`; or `rates`, for how much outputs rise within their segment, per s.
+        along: `courses`; or `rates`, for slopes of the outputs within their segment, per s.
     """
     found = np.zeros((len(derivatives), len(changes)))
     known = {c: along(evidence, c, time_constant) for c in {change.course for change in changes}}
@@ -159,7 +158,7 @@ def columns(
 def stated_changes(
     parameters: Sequence[Parameter], thermal: Floats
 ) -> tuple[tuple[Change, ...], Floats]:
-    """Return a coefficient per K for each scale factor and bias, and what the data sheet states.
+    """Return a coefficient per K for each scale factor and bias, and the data sheet's values.
 
     Args:
         parameters: Of the sensors.

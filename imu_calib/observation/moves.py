@@ -1,14 +1,14 @@
 """Moves as observations: gyros and accelerometers integrated between two static dwells.
 
-With C the rotation that the gyros of a model saw from rest a to rest b, of what stands still in
-inertial space, v what its accelerometers gained (`thrust`), f the specific force of gravity and T
+With C the rotation by the gyros of a model from rest a to rest b, of a vector fixed in inertial
+space, v the velocity gained by its accelerometers (`thrust`), f the specific force of gravity and T
 the time,
 
     e = log( C (R_b^T exp(-[w_ie] T) R_a)^T ) = noise,    three equations in the body axes at rest b
     z = exp(-[R_b e] / 2) R_b v - f T = noise,            three in the frame of the attitudes
 
-Half of the rotation error is removed from the velocity. The attitudes of both ends then enter it
-alike, and the noise of the gyros enters the two equations independently.
+Half of the rotation error is removed from the velocity. The attitudes of both ends then have the
+same effect on it, and the noise of the gyros is independent in the two equations.
 
 Source: docs/mathematics.md, 'Moves' and 'Velocities of moves'; the strapdown equations of Savage
 1998.
@@ -43,27 +43,27 @@ deviation: both ends of a move of two seconds then have phases of their own. Of 
 a bias that is off by 50 ug is as much, and gravity for a millisecond more is twenty."""
 
 _EDGES = 1 / 6
-"""Square of a pulse that the counter's remainders at both ends of a move leave: 2 / 12. What those
-between leave besides, see `remainders`, is little for gyros, which count in every step."""
+"""Square of a pulse due to the counter's remainders at both ends of a move: 2 / 12. The remainders
+between (`remainders`) have little effect for gyros, which count in every step."""
 
 _LATE = 0.01
-"""By how much accelerometers may answer later than gyros, s, a standard deviation: low-pass filters
-of MEMS delay either by 2 to 19 ms (MPU-6050, register map, DLPF_CFG)."""
+"""Standard deviation of the delay of accelerometers against gyros, s: low-pass filters of MEMS
+delay either by 2 to 19 ms (MPU-6050, register map, DLPF_CFG)."""
 
 _LEAST_OFF = 1e-3
-"""By how much accelerometers are off what they should read at least, as a ratio: misalignments do
-not show in the size of gravity."""
+"""Least assumed error of accelerometers, as a ratio: misalignments do not change the measured size
+of gravity."""
 
 _WORSE = 10.0
 """Upper limit of the standard deviation of a move's mean force by its velocity, over that of a
 dwell's: beyond it a move adds less than a hundredth to what the dwell before it gives."""
 
 _LEVEL = np.array([1.0, 1.0, 0.0])
-"""What a rotation of the axes makes of gravity: nothing along it."""
+"""Effect of a rotation of the axes on gravity: none along it."""
 
 _REMEMBERED = 4
-"""Models by which the moves are led on and kept: a search looks at two solutions by turns, and at
-the step to the next from either."""
+"""Models whose integrated moves are cached: a search uses two solutions alternately, and the step
+to the next from either."""
 
 _LINEAR = frozenset(p for p in PARAMETERS if p.triad == 'a' and p.column is not None)
 """Scale factors and misalignments of the accelerometers."""
@@ -73,12 +73,12 @@ Led = TypeVar('Led')
 
 @dataclass(frozen=True, eq=False)
 class LinkedMove:
-    """A move, and the indices of the segments at rest that it leads from and to.
+    """A move, and the indices of the segments at rest at its ends.
 
-    `rounding` (6,) is the variance that rounding each sample leaves, rad^2 and (m/s)^2,
-    `coning_variance` that of what a rate that does not change linearly leaves, `encoders` that by
-    the noise of the encoders at both ends, about any axis, rad^2. `second_order_error` is what the
-    second order leaves of a velocity, m/s.
+    `rounding` (6,) is the variance by rounding of each sample, rad^2 and (m/s)^2, `coning_variance`
+    that by rates that do not change linearly, `encoders` that by the noise of the encoders at both
+    ends, about any axis, rad^2. `second_order_error` is the error of a velocity by the second
+    order, m/s.
     """
 
     first: int
@@ -92,13 +92,13 @@ class LinkedMove:
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """The moves between segments whose attitudes encoders show.
+    """The moves between segments whose attitudes are known from encoders.
 
     Attributes:
         links: In order.
         attitudes: (s, 3, 3) of all segments.
         gravity: m/s^2.
-        rough: What the sensors answer; None where the attitudes are unknown.
+        rough: Approximate outputs of the sensors; None where the attitudes are unknown.
     """
 
     links: tuple[LinkedMove, ...]
@@ -122,20 +122,21 @@ class Moves:
         free: bool = False,
         coarse: bool = False,
     ) -> Moves:
-        """Choose the moves that count; all of a unit in the hand, whose attitudes are `free`.
+        """Choose the moves to use; all of a unit in the hand, whose attitudes are `free`.
 
-        A move that holds measured turns shares its noise with them and tells hardly more: it is
-        left to them. Where no joint moved there is nothing to be led. A velocity that tells next to
-        nothing beside the rest is left out: pulses of some mm/s hide what it would.
+        A move that contains measured turns shares its noise with them and adds little: the turns
+        are used instead. Where no joint moved the move is not used. A velocity with little
+        information beside the rest is left out: pulses of some mm/s dominate it.
 
         Args:
             segments: At rest, in order.
-            turns: That were measured.
+            turns: Measured turns.
             moves: Between segments.
             gravity: m/s^2.
             walk: (6,) random-walk coefficients of the channels.
-            free: Whether the attitudes are sought.
-            coarse: Whether such velocities count too: other things than the rest tells are sought.
+            free: Whether the attitudes are estimated.
+            coarse: Whether to use such velocities too: for parameters that the rest does not
+                determine.
         """
         by_end = {s.end: k for k, s in enumerate(segments) if free or s.angles is not None}
         by_start = {s.start: k for k, s in enumerate(segments) if free or s.angles is not None}
@@ -151,14 +152,14 @@ class Moves:
             if not free and np.array_equal(np.asarray(before), np.asarray(after)):
                 continue
             encoders = sum(segments[end].attitude_error ** 2 for end in (first, second))
-            # A hand holds no rate: rounded one by one, its samples average out.
+            # A hand does not hold a rate: samples rounded one by one average out.
             rounding = np.zeros(6) if free else _rounding(move, segments[first])
             telling = move if coarse else _telling(move, rounding, segments[first], walk)
             cut = wrong * gravity * _second_order(move)
             links.append(
                 LinkedMove(first, second, telling, rounding, encoders, coning_variance(move), cut)
             )
-        # Without them no table's move counts; of a unit in the hand they are estimated.
+        # Without them no move of a table is used; for a unit in the hand they are estimated.
         attitudes = [np.eye(3) if s.attitude is None else s.attitude for s in segments]
         turned = np.array(attitudes).reshape(-1, 3, 3)
         known = links and not free
@@ -170,19 +171,19 @@ class Moves:
 
     @property
     def with_accels(self) -> tuple[int, ...]:
-        """Which of them have accelerometers that count."""
+        """Which of them have accelerometers that are used."""
         return tuple(k for k, link in enumerate(self.links) if link.move.velocity_steps is not None)
 
     def paths(self, model: SensorModel) -> tuple[GyroPath, ...]:
-        """Return the moves as a model's gyros see them."""
+        """Return the moves by a model's gyros."""
         return _remembered(self._paths, model.gyros_fingerprint(), lambda: self._led(model))
 
     def velocity_increments(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
-        """Return what a model's accelerometers gained; None where they do not count."""
+        """Return the velocities gained by a model's accelerometers; None where not used."""
         return _remembered(self._thrusts, model.fingerprint(), lambda: self._gained(model))
 
     def _led(self, model: SensorModel) -> tuple[GyroPath, ...]:
-        """Lead the moves on."""
+        """Integrate the moves."""
         motions = [
             (k.move.turned, k.move.seconds, self.gravity * self.attitudes[k.second, 2])
             for k in self.links
@@ -190,7 +191,7 @@ class Moves:
         return GyroPath.of_each(motions, model)
 
     def _gained(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
-        """Sum up what the accelerometers felt on the way."""
+        """Sum the specific forces of the moves."""
         paths = self.paths(model)
         gained = [link.move.velocity_steps for link in self.links]
         known = [one for one in gained if one is not None]
@@ -198,7 +199,7 @@ class Moves:
         return tuple(None if one is None else next(felt) for one in gained)
 
     def _pushes(self, model: SensorModel) -> list[VelocityIncrement]:
-        """Return what was gained on the moves whose accelerometers count, `_pushed` of them."""
+        """Return the velocities of the moves whose accelerometers are used, `_pushed` of them."""
         return [one for one in self.velocity_increments(model) if one is not None]
 
     @cached_property
@@ -208,17 +209,17 @@ class Moves:
 
     @cached_property
     def _ends(self) -> NDArray[np.intp]:
-        """Indices of the segments that moves lead from and to, (2, m)."""
+        """Indices of the segments at the start and end of moves, (2, m)."""
         ends = [(link.first, link.second) for link in self.links]
         return np.array(ends, dtype=np.intp).reshape(-1, 2).T
 
     @property
     def _reached(self) -> Floats:
-        """Attitudes at the end of the moves whose accelerometers count, (v, 3, 3)."""
+        """Attitudes at the end of the moves whose accelerometers are used, (v, 3, 3)."""
         return np.asarray(self.attitudes[self._ends[1][self._pushed]])
 
     def misclosures(self, model: SensorModel, earth_rate: Floats, force: Floats) -> Floats:
-        """Return e and z, (m, 6) rad and m/s; z is zero where accelerometers do not count.
+        """Return e and z, (m, 6) rad and m/s; z is zero where accelerometers are not used.
 
         Args:
             model: The sensors.
@@ -231,7 +232,7 @@ class Moves:
         first, second = self._ends
         rates = np.broadcast_to(earth_rate, (len(self.attitudes), 3))[second]
         seconds, ends = self._seconds[:, None], self.attitudes[second]
-        # What encoders show, the other way round.
+        # The rotation by the encoders, inverted.
         back = _transposed(self.attitudes[first]) @ rotations(rates * seconds) @ ends
         led = np.array([path.rotation for path in self.paths(model)])
         found[:, :3] = rotation_vector(led @ back)
@@ -284,13 +285,13 @@ class Moves:
         return result
 
     def by_clock(self, model: SensorModel, force: Floats, *, counted: bool) -> Floats:
-        """Return the derivatives of `misclosures` by how fast the clock is, (m, 6).
+        """Return the derivatives of `misclosures` by the rate of the clock, (m, 6).
 
         Args:
             model: The sensors.
             force: (3,) as in `misclosures`.
-            counted: Whether the outputs are pulses, which stay over the shorter seconds. Rates
-                times these turn by less.
+            counted: Whether the outputs are pulses, whose sum does not depend on the clock. Rates
+                times shorter seconds turn by less.
         """
         found = np.zeros((len(self), 6))
         pushes, mine = self._pushes(model), self._pushed
@@ -313,7 +314,7 @@ class Moves:
     def by_rate(self) -> Floats:
         """Return the derivatives of `misclosures` by the Earth rate, (m, 6, 3) rad per rad/s.
 
-        Half way between both ends the turning of the frame moves no velocity.
+        In axes half way between both ends the rotation of the frame does not change the velocity.
         """
         found = np.zeros((len(self), 6, 3))
         found[:, :3] = _transposed(self.attitudes[self._ends[1]]) * self._seconds[:, None, None]
@@ -342,7 +343,7 @@ class Moves:
         led = np.array([path.rotation for path in self.paths(model)])
         found[:, :3] = leaning[second] - led @ leaning[first]
         mine = self._pushed
-        # Half of either, crossed with what gravity gives.
+        # Half of either, times gravity as a cross product.
         about = self.attitudes[:, :2] @ leaning
         half = (self.gravity / 2 * self._seconds[mine])[:, None, None]
         both = (about[first[mine]] + about[second[mine]]) * half
@@ -355,7 +356,7 @@ class Moves:
         earth_rate: Floats,
         known: AbstractSet[ParameterKind] = frozenset(),
     ) -> tuple[Floats, Floats]:
-        """Return the errors of velocities beyond the parameters, which many moves share.
+        """Return the errors of velocities beyond the parameters, common to many moves.
 
         Args:
             model: The sensors.
@@ -363,7 +364,7 @@ class Moves:
             known: Kinds that are parameters, or taken as zero.
 
         Returns:
-            (m, 6, 12) by where the unit is and its accelerometers are, 3 where their places are
+            (m, 6, 12) by the place of the unit and of its accelerometers, 3 where their places are
             known, and (m, 6, 1) by their delay, per standard deviation.
         """
         apart, late = (kind not in known for kind in (ParameterKind.PLACE, ParameterKind.DELAY))
@@ -373,7 +374,7 @@ class Moves:
         if not pushes:
             return arms, delays
         mine, reached = self._pushed, self._reached
-        # The unit ends elsewhere than it began.
+        # The unit ends at another place than it began.
         away = reached - self.attitudes[self._ends[0][mine]]
         arms[mine, 3:, :3] = -2 * LONGEST * cross_matrix(earth_rate) @ away
         if late:
@@ -385,9 +386,9 @@ class Moves:
     def noise(self, walk: Floats) -> tuple[Floats, Floats]:
         """Return the variances of `misclosures` by gyros and by accelerometers, (m, 6) each.
 
-        Random walks of the three channels are alike: what of them the turning of the axes mixes
-        stays what it was. Half way between both ends a velocity knows a twelfth of what the
-        rotation at the end would do to it over the whole time.
+        Random walks of the three channels are equal, so that mixing by the rotation of the axes
+        does not change them. In axes half way between both ends a velocity has a twelfth of the
+        effect of the rotation at the end over the whole time.
         """
         gyro, accel = (float(np.mean(part**2)) for part in (walk[:3], walk[3:]))
         seconds = self._seconds[:, None]
@@ -398,8 +399,8 @@ class Moves:
     def quantisation(self) -> Floats:
         """Return the variances of `misclosures` by pulses, rounding and samples' length, (m, 6).
 
-        Of a remainder at either end half of the rotation is in the velocity, and what each step may
-        be off adds to it like random walk.
+        Half of the rotation by a remainder at either end is in the velocity, and the error of each
+        step adds to it like random walk.
         """
         found = np.zeros((len(self), 6))
         for k, (link, turning) in enumerate(zip(self.links, self._turning, strict=True)):
@@ -414,7 +415,7 @@ class Moves:
 
     @cached_property
     def held_back(self) -> Floats:
-        """The covariances of velocities by what counters hold back, (m, 3, 3) (m/s)^2."""
+        """The covariances of velocities by the remainders of counters, (m, 3, 3) (m/s)^2."""
         found = np.zeros((len(self), 3, 3))
         for k in self.with_accels:
             gained = self.links[k].move.velocity_steps
@@ -444,20 +445,20 @@ class Moves:
 
     @cached_property
     def _seconds(self) -> Floats:
-        """How long they last, (m,)."""
+        """Their durations, (m,)."""
         return np.array([link.move.duration for link in self.links], dtype=float)
 
     @property
     def _turning(self) -> Floats:
-        """Squares of what a rotation of the axes at the end makes of e and of R_b v, (m, 6)."""
+        """Squares of the effect of a rotation of the axes at the end on e and on R_b v, (m, 6)."""
         along = _LEVEL * (self.gravity * self._seconds[:, None]) ** 2
         return np.hstack([np.ones((len(self), 3)), along])
 
 
 def _remembered(memo: dict[bytes, Led], key: bytes, worked_out: Callable[[], Led]) -> Led:
-    """Return what is remembered of a model, or what is worked out: the oldest is forgotten.
+    """Return the cached result for a model, or compute it; the oldest is dropped.
 
-    A term whose coefficients are zero leads nowhere else than none.
+    A model whose term has zero coefficients gives the same result as one without the term.
     """
     if key not in memo:
         if len(memo) == _REMEMBERED:
@@ -476,7 +477,7 @@ def _transposed(matrices: Floats) -> Floats:
 
 
 def _telling(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> Move:
-    """Return a move without its velocity, if that tells nothing beside the rest before it."""
+    """Return a move without its velocity, if that adds little to the rest before it."""
     if move.velocity_steps is None:
         return move
     left = _EDGES * move.velocity_steps.pulse**2 + rounding[3:] + walk[3:] ** 2 * move.duration
@@ -487,24 +488,24 @@ def _telling(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> Move:
 
 
 def _off(segments: Sequence[Segment], gravity: float) -> float:
-    """Return by how much the size of what accelerometers read at rest is off gravity, a ratio."""
+    """Return the deviation of the accelerometers' length at rest from gravity, a ratio."""
     sizes = [float(np.linalg.norm(s.statistics.mean[3:])) / gravity for s in segments]
     return max([_LEAST_OFF, *(abs(size - 1) for size in sizes)])
 
 
 def _second_order(move: Move) -> float:
-    """Return what a step leaves of its velocity where a model changes its samples, in all, s.
+    """Return the total error of the steps' velocities where a model changes the samples, s.
 
-    Within a step each sample is turned by the angle to its middle: of a change of force that is
-    even in the time from there a twelfth of the square of the step's angle is left.
+    Within a step each sample is turned by the angle to its middle: for a change of force that is
+    even in the time from there the error is a twelfth of the square of the step's angle.
     """
     return float((move.turned**2).sum(axis=1) @ move.seconds) / 12
 
 
 def _rounding(move: Move, rest: Segment) -> Floats:
-    """Return the variance by what an ADC rounds: at rest a mean is off by it, and a move likewise.
+    """Return the variance by an ADC's rounding: the mean at rest has this error, and so has a move.
 
-    A counter carries its remainder on: at the ends of a move alone, see `_EDGES`.
+    A counter carries its remainder on: it has an error only at the ends of a move, see `_EDGES`.
     """
     left = rest.statistics.quantisation_variance * move.duration**2
     pulses = np.zeros(3) if move.velocity_steps is None else move.velocity_steps.pulse
@@ -512,11 +513,11 @@ def _rounding(move: Move, rest: Segment) -> Floats:
 
 
 def coning_variance(move: Move) -> float:
-    """Return the variance of an angle by what coning leaves out beyond the second order, rad^2.
+    """Return the variance of an angle by coning beyond the second order, rad^2.
 
-    Of a rate that changes linearly the cross product of one step with the next is the same all
-    the way, and a twelfth of it is what the directions add: a joint that starts or stops, and
-    directions that turn, change it. By as much each step may be off, for itself.
+    For a rate that changes linearly the cross product of one step with the next is constant, and a
+    twelfth of it is the coning term: a joint that starts or stops, and directions that turn, change
+    it. Each step may have that error, independently.
     """
     crossed = np.cross(move.turned[:-1], move.turned[1:])
     return float((np.diff(crossed, axis=0) ** 2).sum()) / 12**2

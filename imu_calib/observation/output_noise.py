@@ -1,4 +1,4 @@
-"""What of the covariance of a session's outputs does not depend on how they are predicted."""
+"""Parts of the covariance of a session's outputs that do not depend on the prediction."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from .components import Blocks, Component, Diagonal
 from .evidence import SMALLEST_VARIANCE, Evidence
 
 ENCODER_FREEDOM = 14.0
-"""Degrees of freedom of an encoder's rate, the least: sixteen blocks less a line's two unknowns
+"""Least degrees of freedom of an encoder's rate: sixteen blocks less a line's two unknowns
 (`segmentation/plateau.py`)."""
 UNREST_FREEDOM = 3.0
-"""Degrees of freedom of the noise that a dwell has for itself, the least: four blocks less their
-mean (`segmentation/statistics.py`)."""
+"""Least degrees of freedom of the noise of a single dwell: four blocks less their mean
+(`segmentation/statistics.py`)."""
 
 _ANGLES, _VELOCITIES = np.repeat(np.eye(2), 3, axis=1)
-"""Which outputs of a move are which."""
+"""Slices of the outputs of a move."""
 
 
 def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, ...]:
-    """Return what each output has for itself: noise, quantisation, the encoders' noise.
+    """Return the independent errors of each output: noise, quantisation, the encoders' noise.
 
     The first six are the random walk of the channels.
 
@@ -33,7 +33,7 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
         evidence: The session.
         inflation: (m,) factors on these variances, or None.
     """
-    # Most equations of a session differ in what comes on top of this.
+    # Most equations of a session differ only in the other parts.
     if 'own' not in evidence.cache:
         evidence.cache['own'] = _without_inflation(evidence)
     parts = cast(tuple[Component, ...], evidence.cache['own'])
@@ -44,7 +44,7 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
     inflated = []
     for c in range(6):
         own = np.where(evidence.layout.channels == c, more, 0.0)
-        # What scatters, less the two unknowns of a line.
+        # Degrees of freedom of the scatter: less the two unknowns of a line.
         freedom = max(1.0, np.count_nonzero(own) - 2.0)
         inflated.append(Component(Source.SCATTER, Diagonal(own), freedom))
     return (*parts, *inflated)
@@ -67,7 +67,7 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
         [walk**2 * s.walk_gain for s in turned],
         leading * _ANGLES + pushing,
     )
-    # What the gyros' noise makes of velocities.
+    # Effect of the gyros' noise on velocities.
     none = np.zeros(6)
     leaning = joined([none for _ in segments], [none for _ in turns], leading * _VELOCITIES)
     quantisation = joined(
@@ -93,7 +93,7 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
         Component(Source.ENCODER_NOISE, Diagonal(encoder)),
     ]
     if held := led.with_accels:
-        # What a level channel holds back is off along both level axes.
+        # The remainder of a level channel is an error along both level axes.
         across = led.held_back[list(held)] * (1 - np.eye(3))
         rows = np.array(evidence.layout.velocity)
         parts.append(Component(Source.QUANTISATION, Blocks(rows, across)))
@@ -108,13 +108,13 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
 def encoder_rates(
     evidence: Evidence, rates: Floats, response: Floats, pulled: Floats
 ) -> list[Component]:
-    """Return the error of the encoder's rate, which the outputs of a turn share.
+    """Return the error of the encoder's rate, common to the outputs of a turn.
 
     Args:
         evidence: The session.
         rates: (t,) of the turns, rad/s.
         response: (3, 3) of the gyros.
-        pulled: (f, 3) what the square of the rate adds to accelerometers that count, m/s^2.
+        pulled: (f, 3) effect of the square of the rate on accelerometers that are used, m/s^2.
     """
     found = []
     relative = np.array([t.rate_std(evidence.walk) for t in evidence.turns])
@@ -127,7 +127,7 @@ def encoder_rates(
 def encoder_rate_errors(
     evidence: Evidence, relative: Floats, rates: Floats, response: Floats, pulled: Floats
 ) -> list[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
-    """Return what an error of the table's rate does to the outputs of each turn.
+    """Return the effect of an error of the table's rate on the outputs of each turn.
 
     Args:
         evidence: The session.
@@ -137,8 +137,8 @@ def encoder_rate_errors(
         pulled: Likewise.
 
     Returns:
-        For turns of gyros alone, and for those whose accelerometers count: which turns (k,), which
-        outputs (k, 3) or (k, 6), and what it does to them.
+        For turns of gyros alone, and for those whose accelerometers are used: which turns (k,),
+        which outputs (k, 3) or (k, 6), and the effect on them.
     """
     turns = evidence.turns
     ups = np.array([t.up for t in turns]).reshape(-1, 3)
@@ -156,7 +156,7 @@ def encoder_rate_errors(
 
 
 def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component:
-    """Return what cuts within samples leave of level gravity in turns on a table that leans.
+    """Return the error by cuts within samples and level gravity in turns on a tilted table.
 
     Args:
         evidence: The session.
@@ -171,10 +171,10 @@ def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component
 
 
 def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Component:
-    """Count the level Earth rate as noise of its own size where its direction is unknown.
+    """Return the level Earth rate as noise of its size where its direction is unknown.
 
-    By hand every static dwell has a heading of its own, and a turn from rest to rest does not
-    average all of it out. Of attitudes that are sought the state holds it.
+    By hand every static dwell has an independent heading, and a turn from rest to rest does not
+    average all of it out. Where attitudes are estimated it is in the state.
 
     Args:
         evidence: The session.

@@ -1,8 +1,8 @@
-"""How a table that stops beside its mark leans the attitudes of dwells and turns.
+"""Effect of positioning errors of a table on the attitudes of dwells and turns.
 
-A joint that stops is off what its encoder reads until it moves again: dwells and turns in between
-share that error, about the joint's axis. And each stop leans and turns a little of its own,
-whichever joint moved. Only the sensors see either.
+The difference of a stopped joint from its encoder reading is constant until it moves again: dwells
+and turns in between share that error, about the joint's axis. In addition each stop has a small
+independent rotation, whichever joint moved. Only the sensors show either.
 
 Source: docs/mathematics.md, 'Positioning errors'.
 """
@@ -22,14 +22,14 @@ from ..turntable import TURN, Table
 from ..units import DEG
 
 SAME_UP = 0.01
-"""Distance of two unit vectors up below which they are one way up: 0.6 deg, far above what encoders
-scatter by and far below the 45 deg between attitudes of any plan."""
+"""Distance of two unit vectors up below which they count as equal: 0.6 deg, far above encoders'
+noise and far below the 45 deg between attitudes of any plan."""
 _MOVED = 0.05 * DEG
-"""By how much the readings of a joint that has moved differ at least: far above what encoders
-scatter by (seconds of arc), far below the moves of any plan."""
+"""Least difference of the readings of a joint that has moved: far above encoders' noise (seconds of
+arc), far below the moves of any plan."""
 
 _HEADINGS = 8
-"""Over which a turn is averaged: errors go round at most three times in it, axes once."""
+"""Steps over which a turn is averaged: errors have at most three periods in it, axes one."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class PositioningErrors:
     """Standard deviations of positioning errors beyond what the table states, rad.
 
     Attributes:
-        joints: Of a joint that stops, about its axis.
+        joints: Of a stopped joint, about its axis.
         stops: Of a stop, about each of three axes.
     """
 
@@ -46,12 +46,12 @@ class PositioningErrors:
 
 
 NO_POSITIONING_ERRORS = PositioningErrors()
-"""What the table states, and nothing beyond."""
+"""No error beyond that of the table's file."""
 
 
 @dataclass(frozen=True, eq=False)
 class Leaning:
-    """How attitudes turn about the body axes by one radian of each of e errors.
+    """Rotations of attitudes about the body axes by one radian of each of e errors.
 
     Attributes:
         at_rest: (s, 3, e) of the static dwells.
@@ -63,7 +63,7 @@ class Leaning:
 
     @classmethod
     def of(cls, columns: list[Floats], dwells: int, parts: int) -> Leaning:
-        """Take (s + t, 3) rotations, one by one error, apart."""
+        """Split (s + t, 3) rotations into dwells and turns, one column for each error."""
         whole = np.stack(columns, axis=2) if columns else np.zeros((parts, 3, 0))
         return cls(whole[:dwells], whole[dwells:])
 
@@ -71,11 +71,11 @@ class Leaning:
 def of_joints(
     segments: tuple[Segment, ...], turns: tuple[Turn, ...], table: Table | None
 ) -> Leaning:
-    """Return what joints that stop beside their mark do.
+    """Return the effect of positioning errors of joints.
 
-    Without joint angles it is the attitudes that say what moved: while up stays the same in body
-    axes the vertical joint alone turns. The error of the others is then common to all dwells and
-    turns of such a group, about both level axes; its own is another for each dwell.
+    Without joint angles the attitudes show which joint moved: while up stays the same in body axes
+    only the vertical joint turns. The error of the others is then common to all dwells and turns of
+    such a group, about both level axes; that of the vertical joint differs for each dwell.
     """
     parts: list[Segment | Turn] = [*segments, *turns]
     known = [part.angles for part in parts]
@@ -94,7 +94,7 @@ def of_joints(
 
 
 def of_stops(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
-    """Return what stops do that lean and turn of their own: three errors for each static dwell."""
+    """Return the effect of independent rotations of stops: three errors for each static dwell."""
     count = len(segments)
     at_rest = np.zeros((count, 3, 3 * count))
     for k in range(count):
@@ -103,7 +103,9 @@ def of_stops(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
 
 
 def of_holds(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
-    """Return what hands do: three errors for each hold, and for each turn."""
+    """Return the effect of unknown attitudes by hand: three errors for each hold, and for each
+    turn.
+    """
     count = len(segments) + len(turns)
     own = np.eye(count)[:, None, :, None] * np.eye(3)[None, :, None, :]
     own = own.reshape(count, 3, 3 * count)
@@ -118,9 +120,9 @@ def around(angles: Floats, joint: int) -> Floats:
 
 
 def axes_of(table: Table, joint: int, angles: Floats, turns: tuple[Turn, ...]) -> Floats:
-    """Return the axis of a joint in body axes, (s + t, 3), over a turn its mean.
+    """Return the axis of a joint in body axes, (s + t, 3), the mean over a turn.
 
-    The error of a joint that turns is its encoder's, and goes round.
+    The error of a turning joint is that of its encoder, and is periodic.
     """
     about = np.array(table.joint_axis(joint, angles), dtype=float)
     first = len(angles) - len(turns)
@@ -165,7 +167,7 @@ def _by_up(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
 
 
 def _groups(ups: Floats, starts: list[int]) -> NDArray[np.intp]:
-    """Number static dwells and turns by runs in time of one and the same direction of up."""
+    """Number static dwells and turns by runs in time with the same direction of up."""
     groups = np.zeros(len(starts), dtype=np.intp)
     current, last = -1, None
     for k in np.argsort(starts, kind='stable').tolist():

@@ -1,11 +1,10 @@
-"""What a session should read by a state, and its derivatives.
+"""Outputs of a session predicted from a state, and their derivatives.
 
-One state vector holds the parameters of the sensors and, after them, what the session does not
-care for but must allow for (`Nuisance`), the lever arms of turns and the coefficients by which
-parameters change.
+One state vector holds the parameters of the sensors, then the nuisance parameters (`Nuisance`), the
+lever arms of turns and the coefficients by which parameters change.
 
-Sources: Cao 2022, eqs. (1)-(2), and Luo 2018, section 6.2, for what the channels answer;
-docs/mathematics.md, 'Joint estimate', for what goes into the state.
+Sources: Cao 2022, eqs. (1)-(2), and Luo 2018, section 6.2, for the outputs of the channels;
+docs/mathematics.md, 'Joint estimate', for the contents of the state.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from .surroundings import Surroundings
 
 
 class Nuisance(IntEnum):
-    """What the state holds besides the sensors, in this order after them, and before the arms."""
+    """Entries of the state after the sensors and before the arms, in this order."""
 
     AZIMUTH = 0
     TILT_X = 1
@@ -45,7 +44,7 @@ Value = TypeVar('Value')
 
 
 def once(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Floats], Value]:
-    """Let what a state (n,) has whatever the weights be worked out once at each state."""
+    """Cache results at each state (n,) that do not depend on the weights."""
 
     @wraps(method)
     def remembered(session: Any, state: Floats) -> Value:
@@ -57,13 +56,13 @@ def once(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Floats], Valu
 
 @dataclass(frozen=True, eq=False)
 class SessionModel:
-    """What a session should read.
+    """Predicts the outputs of a session.
 
     The order of its outputs is that of `layout`.
 
     Attributes:
         evidence: The session, in the time of its table (`timebase`).
-        parameters: Of the sensors, in the order of the state, which they begin.
+        parameters: Of the sensors, in the order of the state, at its beginning.
         changes: Coefficients by which parameters change during the session: the end of the state.
         time_constant: Of a warm-up among them, as a fraction of the session.
     """
@@ -80,7 +79,7 @@ class SessionModel:
 
     @property
     def layout(self) -> OutputLayout:
-        """Where the outputs of dwells, turns and moves lie."""
+        """Indices of the outputs of dwells, turns and moves."""
         return self.evidence.layout
 
     @property
@@ -90,33 +89,33 @@ class SessionModel:
 
     @property
     def nuisances(self) -> int:
-        """How many entries of the state have priors: `Nuisance`, then the lever arms of turns."""
+        """Number of entries of the state with priors: `Nuisance`, then the lever arms of turns."""
         return len(Nuisance) + len(self.evidence.arms)
 
     @property
     def table(self) -> slice:
-        """Where the nuisances lie in the state."""
+        """Slice of the nuisances in the state."""
         return slice(self.sensors, self.sensors + self.nuisances)
 
     @property
     def arms(self) -> slice:
-        """Where the lever arms of turns lie in the state."""
+        """Slice of the lever arms of turns in the state."""
         return slice(self.sensors + len(Nuisance), self.sensors + self.nuisances)
 
     @property
     def clock(self) -> int:
-        """Where the rate between the clocks lies in the state."""
+        """Index of the rate between the clocks in the state."""
         return self.sensors + Nuisance.CLOCK
 
     @property
     def changing(self) -> slice:
-        """Where the coefficients of the session's terms lie in the state."""
+        """Slice of the coefficients of the session's terms in the state."""
         start = self.sensors + self.nuisances
         return slice(start, start + len(self.changes))
 
     @cached_property
     def outputs(self) -> Floats:
-        """What was read, (m,) rad/s, m/s^2, rad and m/s: moves read no difference."""
+        """Measured outputs, (m,) rad/s, m/s^2, rad and m/s: zero for the misclosures of moves."""
         turned = np.array([t.statistics.mean for t in self.evidence.turns]).reshape(-1, 6)
         moved = np.zeros((len(self.evidence.links), 6))
         return self.layout.joined(self.evidence.outputs(), turned, moved)
@@ -127,15 +126,15 @@ class SessionModel:
 
     @once
     def model(self, state: Floats) -> SensorModel:
-        """Return the sensors that a state (n,) describes, in the mean over the session."""
+        """Return the sensors of a state (n,), in the mean over the session."""
         return SensorModel().with_values(self.parameters, state[: self.sensors])
 
     @once
     def surroundings(self, state: Floats) -> Surroundings:
         """Return Earth rate and gravity in the frame of the attitudes, by a state (n,).
 
-        An azimuth that is given is already in the attitudes: the state holds what is left of it.
-        Holds by hand have a heading and a tilt each, and none in common: both are scatter.
+        A given azimuth is already in the attitudes: the state holds its correction. Holds by hand
+        have each a heading and a tilt, none in common: both are scatter.
         """
         if self.evidence.plan.by_hand:
             return Surroundings.vertical(self.evidence.site)
@@ -149,9 +148,9 @@ class SessionModel:
     def remembered(
         self, what: Hashable, state: Floats, worked_out: Callable[[Any, Floats], Value]
     ) -> Value:
-        """Return what is remembered of a state (n,), or what is worked out of these and it."""
+        """Return the cached result for a state (n,), or compute it from these and it."""
         key = (what, state.tobytes(), self.time_constant)
-        # Most of what is asked for is of the last state.
+        # Most requests are for the last state.
         for known, parameters, changes, value in reversed(self.evidence.state_cache):
             if known == key and parameters is self.parameters and changes is self.changes:
                 return cast(Value, value)
@@ -163,7 +162,8 @@ class SessionModel:
     def _inputs(self, state: Floats) -> _Inputs:
         """Return the surroundings, rates and forces at rest (s, 3), those of the turns (t, 8, 3).
 
-        Turns are seen at eight headings: of what is linear the mean is the part along the axis.
+        Turns are evaluated at eight headings: the mean of linear responses is the part along the
+        axis.
         """
         around, earth = self.surroundings(state), self.earth(state)
         ups, rates, _ = self.evidence.turn_inputs
@@ -179,11 +179,11 @@ class SessionModel:
         )
 
     def _pulled(self, state: Floats) -> Floats:
-        """Return the specific force that lever arms make in turns, (f, 3) m/s^2, body axes."""
+        """Return the specific force by lever arms in turns, (f, 3) m/s^2, body axes."""
         return np.asarray(self.evidence.arms.slopes @ state[self.arms])
 
     def predict(self, state: Floats) -> Floats:
-        """Return what a state says that should be read, (m,)."""
+        """Return the outputs predicted from a state, (m,)."""
         predicted = self._predicted(state)
         if not state[self.changing].any():
             return predicted
@@ -191,7 +191,7 @@ class SessionModel:
 
     @once
     def _predicted(self, state: Floats) -> Floats:
-        """Return what is read by the parameters of the session's mean, (m,)."""
+        """Return the outputs predicted from the session's mean parameters, (m,)."""
         around, model = self.surroundings(state), self.model(state)
         at_rest, turned = self.answers(state)
         led = self.evidence.links.misclosures(model, self.earth(state), around.force)
@@ -202,7 +202,7 @@ class SessionModel:
         return predicted
 
     def answers(self, state: Floats) -> tuple[Floats, Floats]:
-        """Return what dwells (s, 6) and turns (t, 6) read by the table's clock."""
+        """Return the predicted outputs of dwells (s, 6) and turns (t, 6) by the table's clock."""
         _, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
         at_rest = np.hstack(model.predict(rate, force))
@@ -212,7 +212,7 @@ class SessionModel:
     def jacobian(self, state: Floats) -> Floats:
         """Return the derivatives of `predict`, (m, n).
 
-        By the table they are those of the mean parameters: what changes of these is parts in 1e5.
+        Those by the table are taken at the mean parameters, whose changes are parts in 1e5.
         """
         return self._derivatives(state)
 
@@ -257,8 +257,8 @@ class SessionModel:
     def _divided(self) -> NDArray[np.intp]:
         """Which outputs are counts over seconds of the stamping clock.
 
-        Where no motions compare the clocks these seconds are taken as they are, but for turns: the
-        table's own clock times those.
+        Where motions do not compare the clocks these seconds are used unchanged, but for turns,
+        which are timed by the table's clock.
         """
         if self.evidence.units is not Units.PULSES:
             return np.zeros(0, dtype=np.intp)
@@ -285,7 +285,7 @@ class SessionModel:
         return columns(self.evidence, changes, derivatives, self.parameters, self.time_constant)
 
     def slopes(self, state: Floats) -> Floats:
-        """Return by how much outputs rise within their segment, (m,) per s: by what changes."""
+        """Return the slopes of outputs within their segment, (m,) per s, by changing parameters."""
         jacobian, known = self.jacobian(state), (self.parameters, self.time_constant)
         found = columns(self.evidence, self.changes, jacobian, *known, rates)
         return np.asarray(found @ state[self.changing])
@@ -314,24 +314,24 @@ class SessionModel:
             (m, 3) per rad about the body axes.
         """
         every = len(self.evidence.segments), len(self.evidence.turns)
-        # What the unit is turned by, attitudes lean the other way.
+        # Attitudes lean opposite to the rotation of the unit.
         at_rest, turned = (np.broadcast_to(-np.eye(3), (count, 3, 3)) for count in every)
         return self.by_attitude_errors(state, at_rest, turned)
 
     def by_table(self, state: Floats) -> Floats:
-        """Return what the errors that the table states do to the outputs, (m, e): one deviation."""
+        """Return the effect of the table's stated errors on the outputs, (m, e): one deviation."""
         at_rest, turning = self.evidence.leaning
         if not at_rest.shape[2]:
             return np.zeros((len(self.layout), 0))
         assert self.evidence.table is not None
-        # Trials with other errors of the table share what was worked out of the session.
+        # Trials with other errors of the table share the results of the session.
         what = 'table', self.evidence.table.errors
         return self.remembered(
             what, state, lambda me, there: me.by_attitude_errors(there, at_rest, turning)
         )
 
     def by_attitude_errors(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
-        """Return what e errors of attitudes do to the outputs, (m, e).
+        """Return the effect of e errors of attitudes on the outputs, (m, e).
 
         Args:
             state: (n,) of sensors and table.
@@ -343,14 +343,15 @@ class SessionModel:
         return self.layout.joined(by_each[:s] @ at_rest, by_each[s:] @ turned, led)
 
     def by_encoder_rates(self, state: Floats) -> Floats:
-        """Return what the error of the encoder's rate in each turn does, (m, t): one deviation."""
+        """Return the effect of one deviation of the encoder's rate in each turn, (m, t)."""
         walk = self.evidence.walk
         return self._by_rates(state, np.array([t.rate_std(walk) for t in self.evidence.turns]))
 
     def by_ways(self, state: Floats) -> Floats:
-        """Return what stops beside the mark do by the way of whole motions, (m, w) per rad.
+        """Return the effect of positioning errors on rates by whole motions, (m, w) per rad.
 
-        Either end of a motion is off, and the next may begin with the error of this one's end.
+        Either end of a motion has an error, and the next may begin with the error of this one's
+        end.
         """
         relative, some = self.evidence.whole_ways
         return self._by_rates(state, relative)[:, some]
@@ -370,9 +371,9 @@ class SessionModel:
 
     @once
     def by_positioning(self, state: Floats) -> tuple[Floats, Floats]:
-        """Return how positioning errors enter the outputs: (m, errors), per rad.
+        """Return the effect of positioning errors on the outputs: (m, errors), per rad.
 
-        Those of joints that stop, and what each stop leans of its own.
+        Those of joints, then those of each stop.
         """
         both = self.evidence.positioning_leans
         at_rest, turning = (
@@ -385,13 +386,13 @@ class SessionModel:
 
     @once
     def _by_leaning(self, state: Floats) -> Floats:
-        """Return the derivatives by rotations about the body axes, (s + t, 6, 3): not of moves."""
+        """Return the derivatives by rotations about the body axes, (s + t, 6, 3); without moves."""
         _, rate, force, turning, felt = self._inputs(state)
         seen = [
             np.vstack([at_rest, mean_over_turn(turned)])
             for at_rest, turned in ((rate, turning), (force, felt))
         ]
-        # What is seen is crossed with a rotation of the axes.
+        # The input crossed with a rotation of the axes.
         crossed = [np.tensordot(one, GENERATORS, axes=1) for one in seen]
         slopes = self.model(state).slopes(*seen)
         return np.asarray(slopes @ np.concatenate(crossed, axis=1))

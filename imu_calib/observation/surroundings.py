@@ -31,7 +31,7 @@ class Surroundings:
         rate_by_latitude: (3,) d rate by the latitude of the site, 1/s.
         rate_slopes: (3, 3) d rate, one column for each of azimuth and tilts.
         force_slopes: (3, 3) d force.
-        level: (3, 3) takes vectors of that frame to level, as far as the heading of its own.
+        level: (3, 3) transforms vectors of that frame to level, at the frame's own heading.
     """
 
     rate: Floats
@@ -60,7 +60,7 @@ class Surroundings:
 
     @classmethod
     def vertical(cls, site: Site) -> Surroundings:
-        """Return what is vertical of a site's vectors: no azimuth and no tilt turns it."""
+        """Return the vertical part of a site's vectors, which no azimuth or tilt turns."""
         none = np.zeros((3, 3))
         return cls(
             site.earth_rate * _Z,

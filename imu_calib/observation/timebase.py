@@ -1,9 +1,9 @@
-"""A session in the time of its table: what stamps count as a second is put right before solving.
+"""A session in the time of its table: the seconds of stamps are corrected before solving.
 
-The clock that stamps the samples runs fast by r against the table's. Pulses over its seconds are
-1 / (1 + r) of those over the table's; counts and SI values are what they are, and angles that are
-summed up over its seconds (1 + r) times too large. What is left of the rate's error goes into the
-equations (`Nuisance.CLOCK`), and the ratio with the calibration (`clock_ratio`).
+The clock of the stamps is fast by r against the table's. Pulses over its seconds are 1 / (1 + r) of
+those over the table's; counts and SI values are unchanged, and angles summed over its seconds are
+(1 + r) times too large. The remaining error of the rate is an unknown of the equations
+(`Nuisance.CLOCK`), and the ratio is stored with the calibration (`clock_ratio`).
 
 Source: docs/mathematics.md, 'Clocks'.
 """
@@ -23,7 +23,7 @@ from .evidence import Evidence
 def in_table_time(evidence: Evidence) -> Evidence:
     """Return a session whose seconds are the table's, as far as motions compare the clocks.
 
-    Standard deviations are left as they are: they change by parts in a million of themselves.
+    Standard deviations are unchanged: they would change by parts in a million.
     """
     rate = evidence.clock_rate()[0]
     if not rate:

@@ -1,12 +1,12 @@
-"""What the accelerometers of a model gained on a move, and its derivatives.
+"""Velocity gained on a move by the accelerometers of a model, and its derivatives.
 
 With C_i the rotation from the middle of step i to the end of the move, f_i its specific force by
 the model and t_i its length, all in the body axes at the end,
 
-    v = sum of C_i f_i t_i,    V_i = the sum before step i and half of its own.
+v = sum of C_i f_i t_i, V_i = the sum before step i and half of its own.
 
-Rotations and rates are those of the move's `GyroPath`. What a term of specific force multiplies is
-that of gravity on the path, as everywhere: not what pulses and levers add to it.
+Rotations and rates are those of the move's `GyroPath`. Terms of specific force multiply gravity on
+the path, as everywhere, without the effects of pulses and lever arms.
 
 Source: docs/mathematics.md, 'Velocities of moves'; the strapdown equations of Savage 1998, J.
 Guidance 21, 208.
@@ -31,13 +31,13 @@ from ..stream import Floats
 from .gyro_paths import GyroPath, summed
 
 _EACH = np.eye(3)[:, :, None] * np.eye(3)[:, None, :]
-"""Of each channel what a triad keeps of a vector: (3, 3, 3)."""
+"""For each channel the part of a vector that it measures: (3, 3, 3)."""
 
 _CROSS = np.ascontiguousarray(np.moveaxis(GENERATORS, 0, -1))
 """[v] = _CROSS @ v, the cross product by a vector from the left: (3, 3, 3)."""
 
 _ONE = np.zeros(1, dtype=np.intp)
-"""Where one motion begins."""
+"""Start index of a single motion."""
 
 _SQUARES = tuple(combinations_with_replacement(range(3), 2))
 """Products of rates, each once."""
@@ -50,9 +50,9 @@ class VelocityIncrement:
     Attributes:
         path: The rotation.
         model: The sensors.
-        beside: (n, 3) what biases and terms add to the outputs, m/s^2.
+        beside: (n, 3) outputs by biases and terms, m/s^2.
         felt: (n, 3) mean specific force of each step, m/s^2.
-        steps: (n, 3) what each step gained, body axes at the end, m/s.
+        steps: (n, 3) velocity of each step, body axes at the end, m/s.
     """
 
     path: GyroPath
@@ -94,16 +94,16 @@ class VelocityIncrement:
 
     @cached_property
     def moved(self) -> Floats:
-        """What it adds to v that places and delay of the accelerometers are taken off, (3,) m/s.
+        """Correction of v for places and delay of the accelerometers, (3,) m/s.
 
-        Linear in the places, and of the delay with the turning of the axes meanwhile: but for the
-        third order of how far the unit turns in it.
+        Linear in the places, and in the delay with the rotation of the axes meanwhile, up to the
+        third order of the angle turned during the delay.
         """
         found = np.zeros(3)
         if (apart := places(self.model)).any():
             found += by_places([self])[0] @ apart.ravel()
         if seconds := delay(self.model):
-            # The axes as long before, by the rate half way back.
+            # The axes earlier by the delay, by the rate half way back.
             change = _change(self.path.rates, self.path.seconds)
             back = self.path.rates - change * (seconds / 2)
             turned = rotations(-back * seconds) - np.eye(3)
@@ -123,45 +123,44 @@ class VelocityIncrement:
 
     @cached_property
     def turning(self) -> Floats:
-        """What v makes of outputs of the gyros (rad/s) during a step, (n, 3, 3) m.
+        """Derivative of v by outputs of the gyros (rad/s) during a step, (n, 3, 3) m.
 
-        A rotation of the axes at step i turns what was gained before; one of half of all by half of
-        the whole rotation is taken off: v is given in axes half way between those that the ends
-        show.
+        A rotation of the axes at step i turns the velocity gained before; half of the whole
+        rotation is removed from all of it: v is given in axes half way between those of the ends.
         """
         beyond = np.einsum('ijk,nk->nij', _CROSS, self.velocity / 2 - self._so_far)
         return np.asarray(beyond @ self.path.timed_transfer)
 
     @cached_property
     def _timed_axes(self) -> Floats:
-        """What v makes of a specific force during a step, (n, 3, 3) s."""
+        """Derivative of v by a specific force during a step, (n, 3, 3) s."""
         return np.asarray(self.path.axes * self.path.seconds[:, None, None])
 
     def pushed(self, products: Floats) -> Floats:
-        """Return what is gained by courses (n, q) added to each accelerometer, (3, 3, q) m/s."""
+        """Return the velocities by courses (n, q) added to each accelerometer, (3, 3, q) m/s."""
         answer = np.linalg.inv(self.model.accel.response)
         return np.asarray(answer.T @ summed(self._timed_axes, products))
 
     @cached_property
     def pushed_by_felt(self) -> Floats:
-        """The same by all that is felt: scale factors and misalignments answer to it."""
+        """The same by the whole specific force: for scale factors and misalignments."""
         return self.pushed(self.felt)
 
     @cached_property
     def by_seconds(self) -> Floats:
         """The derivative of v by the lengths of the steps as shares of them, (3,) m/s.
 
-        The pulses stay, and what biases and terms take off them grows.
+        The pulses are constant, but the subtracted biases and terms grow.
         """
         felt = self.beside @ np.linalg.inv(self.model.accel.response).T
         return -np.asarray(np.einsum('nij,nj->i', self._timed_axes, felt))
 
 
 def by_delay(thrusts: Sequence[VelocityIncrement]) -> Floats:
-    """Return what taking a delay s of the accelerometers off adds to v, per s, (m, 3) m/s^2.
+    """Return the correction of v for a delay s of the accelerometers, per s, (m, 3) m/s^2.
 
-    They give f(t - s) for f(t), which is s times the sum of C (w x f) t over a move from rest
-    to rest; this is minus that.
+    They give f(t - s) for f(t), which is s times the sum of C (w x f) t over a move from rest to
+    rest; this is minus that.
 
     Args:
         thrusts: m of one model.
@@ -172,11 +171,11 @@ def by_delay(thrusts: Sequence[VelocityIncrement]) -> Floats:
 
 
 def by_places(thrusts: Sequence[VelocityIncrement]) -> Floats:
-    """Return what taking off where the accelerometers are adds to v, per m, (m, 3, 9) 1/s.
+    """Return the correction of v for the places of the accelerometers, per m, (m, 3, 9) 1/s.
 
-    In the order x, y, z of accelerometer x, then of y and z. Accelerometer i reads row i of
-    (I + M) a_i, a_i = ([alpha] + [w][w]) r_i. From dwell to dwell the integral by parts holds no
-    alpha: that of C P_i a_i is that of C (P_i [w] - [w] P_i) [w] r_i, of which this is minus.
+    In the order x, y, z of accelerometer x, then of y and z. Accelerometer i reads row i of (I + M)
+    a_i, a_i = ([alpha] + [w][w]) r_i. From dwell to dwell integration by parts removes alpha: the
+    integral of C P_i a_i is that of C (P_i [w] - [w] P_i) [w] r_i; this is minus that.
 
     Args:
         thrusts: m of one model.
@@ -187,10 +186,10 @@ def by_places(thrusts: Sequence[VelocityIncrement]) -> Floats:
 
 @lru_cache(maxsize=1)
 def _by_kept() -> Floats:
-    """Return what P [w] - [w] P, times [w], is by P and products of w, once each, (9, 18 * 3)."""
+    """Return P [w] - [w] P, times [w], as a matrix of P and products of w, (9, 18 * 3)."""
     apart = np.einsum('mjp,klq->jkmpql', _CROSS, _CROSS)
     apart -= np.einsum('kap,alq,jm->jkmpql', _CROSS, _CROSS, np.eye(3))
-    # Products of rates are the same either way round.
+    # Products of rates are symmetric.
     folded = [apart[..., p, q, :] + (apart[..., q, p, :] if p != q else 0.0) for p, q in _SQUARES]
     return np.stack(folded, axis=3).reshape(9, -1)
 
@@ -213,7 +212,7 @@ def _moments(thrusts: Sequence[VelocityIncrement]) -> Floats:
 def _joined(
     thrusts: Sequence[VelocityIncrement],
 ) -> tuple[Floats, Floats, Floats, NDArray[np.intp]]:
-    """Return rates, axes and seconds of the steps of all, and where each begins."""
+    """Return rates, axes and seconds of all steps, and the start of each motion."""
     rates, axes, seconds = (
         np.concatenate([getattr(thrust.path, name) for thrust in thrusts])
         for name in ('rates', 'axes', 'seconds')
@@ -222,18 +221,18 @@ def _joined(
 
 
 def _kept(model: SensorModel) -> Floats:
-    """Return P_i = (I + M)^-1 e_i e_i' (I + M): what accelerometer i alone makes of a force."""
+    """Return P_i = (I + M)^-1 e_i e_i' (I + M): the response of accelerometer i alone."""
     response = model.accel.response
     return np.asarray(np.linalg.inv(response) @ _EACH @ response)
 
 
 def _change(rates: Floats, seconds: Floats, starts: NDArray[np.intp] = _ONE) -> Floats:
-    """Return by how much rates (n, 3) change, rad/s^2; before and after the unit stands.
+    """Return the change of rates (n, 3), rad/s^2; the unit is at rest before and after.
 
     Args:
         rates: Of the steps, rad/s.
         seconds: (n,) their lengths.
-        starts: Where motions begin, each from rest to rest.
+        starts: Starts of motions, each from rest to rest.
     """
     ends, last = np.cumsum(seconds), np.append(starts[1:], len(seconds)) - 1
     middles = ends - seconds / 2
