@@ -1,1 +1,1 @@
-"""Observations to unknowns: the fit of one system, its scatter, and the terms that it lacks."""
+"""Estimate the unknowns from observations: fit of one system, excess scatter, missing terms."""

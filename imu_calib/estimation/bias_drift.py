@@ -1,4 +1,4 @@
-"""A bias that drifts as a Gauss-Markov process, as means and slopes of segments see it.
+"""Bias drift as a Gauss-Markov process, observed in the means and slopes of segments.
 
 Source: docs/mathematics.md, 'Joint estimate'.
 """
@@ -13,21 +13,21 @@ from numpy.typing import NDArray
 from ..stream import Floats
 
 STATED_TIME = 1000.0
-"""Correlation time of the drift that a data sheet states, s, as the simulation has it."""
+"""Correlation time of the drift that a data sheet states, s, as in the simulation."""
 
 _NODES = 8
-"""Instants of a segment at which the process is looked at."""
+"""Instants per segment at which the process is evaluated."""
 
 
 @dataclass(frozen=True, eq=False)
 class BiasDrift:
-    """Where a process is looked at: nodes in time, and the means and slopes over them.
+    """Instants at which a process is evaluated: nodes in time, and the means and slopes over them.
 
     Attributes:
         nodes: (n, 8) instants of each segment, s.
-        of: (k,) the segment that each mean or slope is of, all means first.
+        of: (k,) the segment of each mean or slope, all means first.
         weights: (k, 8) of its nodes.
-        answers: (k, 3, 3) what three outputs make of three biases, for each.
+        answers: (k, 3, 3) responses of three outputs to three biases, for each.
     """
 
     nodes: Floats
@@ -39,14 +39,14 @@ class BiasDrift:
     def over(
         cls, starts: Floats, durations: Floats, answers: Floats, with_slope: NDArray[np.bool_]
     ) -> BiasDrift:
-        """Lay nodes over n segments, whose means come first, then the slopes.
+        """Place nodes in n segments, whose means come first, then the slopes.
 
         Args:
             starts: (n,) of the segments, s.
             durations: (n,) s.
-            answers: (n, 3, 3) derivatives of the outputs by constant biases. A move carries them
-                along as it turns: at its end they are not what their time alone would make.
-            with_slope: (n,) whether the slope counts too.
+            answers: (n, 3, 3) derivatives of the outputs by constant biases. In a move the effect
+                of biases rotates with the unit, so that it is not that of its duration alone.
+            with_slope: (n,) whether the slope is used too.
         """
         grid = (np.arange(_NODES) + 0.5) / _NODES
         centred = grid - 0.5
@@ -81,25 +81,25 @@ class BiasDrift:
         return np.asarray(np.kron(alone, np.ones((3, 3))) * (rows @ rows.T))
 
     def entering(self, project: Floats) -> Floats:
-        """Return by what the biases of the segments enter what is seen of means, (3, r, n).
+        """Return the factors of the segments' biases in the projected means, (3, r, n).
 
         Args:
-            project: (3n, r) by which means of three channels enter it.
+            project: (3n, r) projection of the means of three channels.
         """
         parts = project.T.reshape(project.shape[1], -1, 3)
         answers = self.answers[: parts.shape[1]]
         return np.asarray(np.einsum('rni,nic->crn', parts, answers))
 
     def seen(self, time: float, entering: Floats, slopes: Floats) -> Floats:
-        """Return `kernel` as it is seen by means and slopes, (r + 3s, r + 3s).
+        """Return `kernel` projected on means and slopes, (r + 3s, r + 3s).
 
-        Channels drift for themselves, and slopes are those of the biases: of the kernel only that
-        of one channel is needed.
+        Channels drift independently, and slopes are those of the biases: only the kernel of one
+        channel is needed.
 
         Args:
             time: As in `kernel`.
-            entering: (3, r, n) of the means.
-            slopes: (3s,) factors on the slopes.
+            entering: (3, r, n) factors of the means.
+            slopes: (3s,) factors of the slopes.
         """
         alone, (_, seen, count) = self.of_one(time * self.span), entering.shape
         drifting = entering @ alone[:count]
@@ -114,8 +114,8 @@ class BiasDrift:
     def of_one(self, time: float) -> Floats:
         """Return the covariance of one channel, (k, k), for a correlation time in s.
 
-        From one segment to a later one the process decays by how far apart they are: what each
-        holds of it, and the time between, are factors.
+        From one segment to a later one the process decays with the time between them: the kernel is
+        a product of a factor of each segment and one of that time.
         """
         nodes, weights = self.nodes[self.of], self.weights
         first, last = nodes[:, 0], nodes[:, -1]

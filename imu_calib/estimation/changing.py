@@ -1,4 +1,4 @@
-"""Which changes a session tells, and how fast a warm-up fades.
+"""Which changes a session determines, and the time constant of a warm-up.
 
 Source: docs/mathematics.md, 'Terms of a session'.
 """
@@ -26,11 +26,11 @@ from ..stream import Floats
 from .converge import least_squares
 
 USEFUL_CHANGE = 1e-3
-"""Standard deviation of the change of a scale factor over a session that is of use: that of terms,
+"""Largest useful standard deviation of the change of a scale factor over a session: that of terms,
 see `information`."""
 
 _QUARTER = 0.25
-"""The time constant for which a plan is judged, as a fraction of the session."""
+"""The time constant for which a plan is evaluated, as a fraction of the session."""
 
 _STEPS = 100
 """Most steps of each fit; what has not converged by then is refused."""
@@ -39,15 +39,15 @@ _STEPS = 100
 def with_changes(
     equations: Equations, changes: Sequence[Change]
 ) -> tuple[Equations, tuple[Change, ...]]:
-    """Let parameters change by the coefficients that a session tells.
+    """Let parameters change by the coefficients that a session determines.
 
-    Those of scale factors that were not asked for by name are left out where it does not.
+    Undetermined coefficients of scale factors are left out unless they were requested by name.
 
     Returns:
         The equations, and the coefficients left out.
 
     Raises:
-        NotObservable: Names what the session cannot tell, and what it takes.
+        NotObservable: Names what the session does not determine, and what would.
     """
     if not changes:
         return equations, ()
@@ -69,7 +69,7 @@ def with_changes(
 
 
 def _determined(equations: Equations) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Say of coefficients (k,) and of parameters (n,) whether the session tells them."""
+    """Return which coefficients (k,) and parameters (n,) the session determines."""
     found = nominal_information(equations)
     parameters = determined(found, equations.parameters)
     std = np.sqrt(np.diag(found.covariance)[equations.changing])
@@ -81,7 +81,7 @@ def _determined(equations: Equations) -> tuple[NDArray[np.bool_], NDArray[np.boo
 
 
 def change_of(equations: Equations, change: Change) -> float:
-    """Return by how much a coefficient of one changes its parameters during the session."""
+    """Return the change of the parameters by a coefficient of one during the session."""
     return float(np.ptp(courses(equations.evidence, change.course, equations.time_constant)))
 
 
@@ -101,7 +101,7 @@ def _refusal(equations: Equations, known: NDArray[np.bool_], parameters: NDArray
 
 
 def with_time_constant(equations: Equations, state: Floats) -> tuple[Equations, Floats]:
-    """Choose the time constant of a warm-up that explains most, and go there.
+    """Choose the likeliest time constant of a warm-up, and solve with it.
 
     Args:
         equations: With or without a warm-up.
@@ -121,10 +121,10 @@ def with_time_constant(equations: Equations, state: Floats) -> tuple[Equations, 
 
 
 def doubt_of_time_constant(equations: Equations, state: Floats) -> Floats | None:
-    """Return how far the state goes over the likely time constants, (n, n); None without a warm-up.
+    """Return the scatter of the state over likely time constants, (n, n); None without a warm-up.
 
-    Each counts by its likelihood; the outputs are linear in the coefficients, and one step goes
-    there.
+    Each is weighted by its likelihood; the outputs are linear in the coefficients, so that one step
+    leads to each.
     """
     if not _warming(equations):
         return None

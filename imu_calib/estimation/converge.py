@@ -1,4 +1,4 @@
-"""Gauss-Newton to the least squares, with Marquardt's damping where a step leads uphill.
+"""Gauss-Newton least squares, with Marquardt's damping where a step leads uphill.
 
 Source: Marquardt 1963, J. SIAM 11, 431; More 1978, Lecture Notes in Mathematics 630, 105, for the
 scaling by the columns' norms.
@@ -15,55 +15,56 @@ from ..errors import NotObservable
 from ..stream import Floats
 
 _CONVERGED = 1e-9
-"""Standard deviations, root mean square, by which a last step may move the prediction: far below
-all that counts."""
+"""Standard deviations, root mean square, by which a last step may move the prediction:
+negligible."""
 
 _SETTLED = 0.02
 """Standard deviations by which steps may go on moving the prediction, all outputs together, where
-they do not become smaller any more: each would lower chi-square by less than a thousandth. Rounding
-in a system of a large condition number does so, and a heading that the session does not show: its
-prior, which pulls nowhere, holds every step back."""
+they do not become smaller any more: each would lower chi-square by less than a thousandth. Causes
+are rounding in a system of a large condition number, and a heading that the session does not show:
+its prior has no pull but shortens every step."""
 
 _SLIGHT = 0.1
-"""Standard deviations, all outputs together, of a full step that does not matter: it would lower
-chi-square by a hundredth. Where chi-square grows by more than one instead, it is not resolved any
-finer (sessions without noise): the state is as good as it can be determined."""
+"""Standard deviations, all outputs together, of a negligible full step: it would lower chi-square
+by a hundredth. Where chi-square instead grows by more than one, its resolution is reached (sessions
+without noise): the state is as good as it can be determined."""
 
 _UPHILL = 1e-3
-"""Relative growth of chi-square that is no way uphill: weights follow the state, and change it. A
-judgement; by one it may grow besides, which is less than noise makes of it."""
+"""Relative growth of chi-square that does not count as uphill: weights follow the state, and change
+it. A judgement; growth by one is also allowed, which is less than its noise."""
 
 _ROUNDING = 4 * float(np.finfo(float).eps)
-"""Of the longest column: what remains of a step when parameters of the size of one are rounded."""
+"""Of the longest column: remainder of a step when parameters of size one are rounded."""
 
 _NO_NEARER = 0.9
-"""Of the step before: one as long that gains nothing, a thousandth of what the derivatives promise,
-goes round the minimum. A judgement: what shrinks by a tenth arrives."""
+"""Of the step before: a step of this length or longer that gains nothing, a thousandth of what the
+derivatives promise, oscillates about the minimum. A judgement: steps that shrink by a tenth
+converge."""
 
 _DAMPING = 1e-3
-"""The first damping, and the least: next to columns of norm one it takes a thousandth off a step
-that is well determined (Marquardt's lambda)."""
+"""The first damping, and the least: with columns of norm one it reduces a well-determined step by a
+thousandth (Marquardt's lambda)."""
 
 _NOTHING = 1e-4
-"""Of chi-square, that the least damped step gains where the full one before led uphill: what is
-well determined has arrived, and what is not is more curved than its derivatives say. A hundredth
-of what `_SLIGHT` lets pass."""
+"""Gain in chi-square of the least damped step below which the iteration ends after a full step
+uphill: well-determined parameters have converged, and the others are more curved than their
+derivatives show. A hundredth of what `_SLIGHT` allows."""
 
 _STRONGER, _WEAKER = 10.0, 0.1
-"""Factors of the damping after a step uphill and one that was taken (Marquardt's nu = 10)."""
+"""Factors of the damping after a step uphill and after an accepted one (Marquardt's nu = 10)."""
 
 _ARRIVED = 1e-4
-"""Standard deviations, all outputs together, of the last of half steps: what is left of the way is
-a few of them, a hundredth of what `_SETTLED` lets pass."""
+"""Standard deviations, all outputs together, of the last of half steps: the remaining distance is a
+few of them, a hundredth of what `_SETTLED` allows."""
 
 _STRONGEST = 1e12
-"""Beyond, a step is the gradient (by columns of norm one) over the damping, and moves nothing."""
+"""Beyond this a step is the gradient (by columns of norm one) over the damping, without effect."""
 
 State = TypeVar('State')
 
 
 class NotConverged(NotObservable):
-    """The steps of a least squares do not come to an end."""
+    """The steps of a least squares do not converge."""
 
 
 def least_squares(
@@ -74,28 +75,29 @@ def least_squares(
 ) -> State:
     """Minimise the sum of squares of residuals in standard deviations.
 
-    Each round is a full Gauss-Newton step unless it leads uphill: chi-square, weighed anew at its
-    end, would grow by more than one and a thousandth, which weights that follow the state do not
-    make of it. Then it is damped until it does not. Where residuals are large, and their curvature
-    with them, steps go beyond the minimum, and may go round it without chi-square growing by so
-    much: from then on they are halved. It ends where a step would move the prediction
-    by less than a billionth of its standard deviation, or than its rounding, or where small steps
-    do not become smaller or lead uphill, or where a full step leads uphill and the least damped one
-    gains nothing. Where rounds end, halved steps have arrived if a full one would hardly move.
+    Each round is a full Gauss-Newton step unless it leads uphill: unless chi-square, with the
+    weights at its end, grows by more than one and a thousandth, more than weights that follow the
+    state cause. Then it is damped until it does not. Where residuals, and with them their
+    curvature, are large, steps overshoot the minimum, and may oscillate about it without chi-square
+    growing by so much: from then on they are halved. The iteration ends where a step would move the
+    prediction by less than a billionth of its standard deviation, or than its rounding, where small
+    steps do not become smaller or lead uphill, or where a full step leads uphill and the least
+    damped one gains nothing. At the last round, halved steps have converged if a full one would
+    hardly move the prediction.
 
-    Where weights follow the state as much as the prediction does, as beside axes of a table that
-    lean by minutes of arc, chi-square grows on the way to where steps vanish. What does not arrive
-    by it begins anew with half steps, whose lengths alone are looked at.
+    Where weights follow the state as much as the prediction does, as with axes of a table that lean
+    by minutes of arc, chi-square grows towards the point where steps vanish. If the iteration does
+    not converge, it is repeated with half steps, judged by their lengths alone.
 
     Args:
-        state: Where to start.
+        state: Start of the iteration.
         system: (m, n) derivatives of the prediction at a state and (m,) outputs less it, both in
             standard deviations.
-        moved: The state moved by an (n,) step.
+        moved: Function that returns the state moved by an (n,) step.
         rounds: Most steps.
 
     Raises:
-        NotConverged: The steps do not come to an end.
+        NotConverged: The steps do not converge.
     """
     begin = state
     jacobian, left = system(state)
@@ -107,7 +109,7 @@ def least_squares(
         rounding = _ROUNDING * float(np.linalg.norm(jacobian, axis=0).max())
         settled = before * (1 - share / 2) < change < _SETTLED
         if not damping and change < _CONVERGED * np.sqrt(len(left)):
-            # Not where the step leads, which is as good: here the derivatives are known.
+            # Not the end of the step, which is as good: here the derivatives are known.
             return state
         if not damping and (settled or change < rounding):
             return tried
@@ -147,7 +149,7 @@ def least_squares(
 
 
 def linear_step(jacobian: Floats, left: Floats, damping: float = 0.0) -> Floats:
-    """Return the step (n,) that least squares take, the shortest by columns of norm one."""
+    """Return the least-squares step (n,), the shortest by columns of norm one."""
     norms = np.linalg.norm(jacobian, axis=0)
     scale = np.where(norms > 0, norms, 1.0)
     columns = jacobian / scale

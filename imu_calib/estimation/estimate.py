@@ -1,7 +1,7 @@
-"""The joint estimate: all of a session fitted at once, and what of it was distrusted.
+"""The joint estimate: fit all of a session at once, and reduce the weight of outliers.
 
-Bias drift and positioning errors widen the covariance (`excess`); a segment that does not fit the
-dwell counts for less (`outliers`).
+Bias drift and positioning errors widen the covariance (`excess`); a segment that contradicts the
+others gets less weight (`outliers`).
 
 Source: docs/mathematics.md, 'Joint estimate'.
 """
@@ -42,22 +42,21 @@ from .score import with_parameters
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What the least squares found, before it is held against the world.
+    """Result of the least squares, before checks against other knowledge.
 
     Attributes:
         equations: With the weights that were used.
         state: (n,) parameters of the sensors, then the nuisances.
         covariance: (n, n) of the state.
         condition: Condition number of the system solved, columns scaled to unit length.
-        scatter: What scatters beyond the noise.
-        outliers: What counts for less.
+        scatter: Scatter beyond the noise.
+        outliers: Segments of less weight.
         gain: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
-        turns_scatter: Largest chi-square per degree of freedom by which turns about an axis count
-            for less; 1 where they agree.
+        turns_scatter: Largest chi-square per degree of freedom by which the weight of turns about
+            an axis is reduced; 1 where they agree.
         rejected_moves: Moves that were left out.
-        constant: Coefficients of the session's terms that it cannot tell, left out.
-        between: (n, n) what the doubt of a warm-up's time constant adds to the covariance, which
-            holds it.
+        constant: Coefficients of the session's terms that it does not determine, left out.
+        between: (n, n) part of the covariance by the uncertainty of a warm-up's time constant.
     """
 
     equations: Equations
@@ -79,12 +78,14 @@ class Estimate:
 
     @property
     def without_scatter(self) -> Equations:
-        """The equations with the noise that is known beforehand: nothing that the session shows."""
+        """The equations with the noise known beforehand, without estimates of scatter from the
+        session.
+        """
         return replace(self.equations, extra=self.scatter.stated, positioning=NO_POSITIONING_ERRORS)
 
     @property
     def downweighted_outputs(self) -> int:
-        """How many outputs count for less, or not at all."""
+        """Number of outputs with less weight or none."""
         inflation = self.equations.inflation
         down = 0 if inflation is None else int(np.count_nonzero(inflation > 1))
         return down + 3 * len(self.rejected_moves)
@@ -103,8 +104,8 @@ def shares(equations: Equations, state: Floats, gain: Floats) -> dict[Source, Sh
     """Return the covariance of the parameters by source: of the outputs, and of the priors.
 
     Args:
-        equations: That were solved.
-        state: (n,) where they were.
+        equations: The solved equations.
+        state: (n,) their solution.
         gain: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
     """
     n, m = equations.sensors, len(equations.outputs)
@@ -114,7 +115,7 @@ def shares(equations: Equations, state: Floats, gain: Floats) -> dict[Source, Sh
     for source, which, freedom in equations.prior_sources:
         prior = gain[:n, m + np.array(which, dtype=int)]
         parts = [(prior @ prior.T, freedom)]
-        # Of lever arms some are in the state, and the others' priors in the outputs' covariance.
+        # Some lever arms are in the state; the priors of the others are in the outputs' covariance.
         if source in found:
             parts.append((found[source].covariance, np.inf))
         found[source] = Share.of_parts(parts)
@@ -141,7 +142,8 @@ def estimate(
     equations = Equations(evidence, parameters, doubts=doubts)
     check_observable(equations)
     equations, constant = with_changes(equations, changes)
-    # Moves lead from attitude to attitude of a table that is known; they say less of where it is.
+    # Moves lead from attitude to attitude of a known table; they hold less information on its
+    # azimuth.
     moving = motion_parameters(parameters)
     resting = replace(
         equations,
@@ -158,7 +160,7 @@ def estimate(
         equations, state = with_parameters(equations, state, moving)
     observed = Information.of(equations.whitened(state)[0]).observed
     if not (moving or np.delete(observed, np.r_[equations.arms]).all()):
-        # See `information.before`. Of lever arms turns show what the 24 need, and not more.
+        # See `information.before`. Lever arms are determined in turns as far as the 24 need them.
         equations = resting
     found = _without_outliers(equations, state, turns=True)
     if turns_disagree(evidence, found.outliers):
@@ -173,7 +175,7 @@ def estimate(
 
 
 def _without_outliers(equations: Equations, state: Floats, *, turns: bool) -> Estimate:
-    """Weigh down what does not fit, one after the other; turns too, if so asked."""
+    """Reduce the weight of outliers, one after the other; of turns too, if requested."""
     outliers: list[Outlier] = []
     plain = state = fit(equations, state)
     scatter = excess(equations, plain)

@@ -1,8 +1,8 @@
-"""A table whose file states errors smaller than any table has: what that rests on, and what not.
+"""A table whose file states implausibly small errors: which results depend on that.
 
-A statement is taken at its word until the session shows an error of the table. Which one it is, so
-small a thing does not tell: a zero that is off looks like a joint whose axis leans, and a wobble
-like an encoder. From then on all that was stated too finely counts as it is of the best tables.
+The file is believed until the session shows an error of the table. Which error it is, cannot be
+determined for so small ones: a zero error looks like a joint axis that leans, and a wobble like an
+encoder error. From then on all errors stated too small are taken as those of the best tables.
 
 Source: docs/mathematics.md, 'Tables that are stated exact'.
 """
@@ -24,17 +24,21 @@ from .estimate import Estimate
 from .search import Search
 
 SHOWN = 0.99
-"""Probability, at even odds, from which on positioning errors are said: of sessions without any at
-most one in a hundred comes to it, since the mean of their likelihood ratio is one (Markov)."""
+"""Probability, at even odds, from which on positioning errors are reported: at most one in a
+hundred of sessions without any reaches it, since the mean of their likelihood ratio is one
+(Markov)."""
 
 _WIDER = 1.12
-"""Ratio of standard deviations from which on it is said: 4.5 of the one stated are then 4.0."""
+"""Ratio of standard deviations from which on it is reported: for 4.5 stated deviations the true
+number is then 4.0."""
 
 _FIGURE = f'{significant(FINEST / ARCSEC)} arcsec'
 
 
 def as_the_best(evidence: Evidence) -> Evidence:
-    """Return a session on its table, with what is stated too finely as of the best tables."""
+    """Return a session on its table, with errors stated too small replaced by those of the best
+    tables.
+    """
     if evidence.table is None:
         return evidence
     table = evidence.table.as_the_best()
@@ -42,7 +46,7 @@ def as_the_best(evidence: Evidence) -> Evidence:
 
 
 def contradicted(search: Search) -> bool:
-    """Say whether a session shows errors of a table whose file states too small ones."""
+    """Return whether a session shows errors of a table whose file states too small ones."""
     evidence = search.estimate.equations.evidence
     if evidence.plan.by_hand or evidence.table is None or not evidence.table.too_fine:
         return False
@@ -51,12 +55,12 @@ def contradicted(search: Search) -> bool:
 
 
 def on_the_best(equations: Equations, state: Floats, std: Floats) -> Floats:
-    """Return the standard deviations that parameters would have on a table as good as the best.
+    """Return the standard deviations of parameters on a table as good as the best.
 
     Args:
         equations: On the table as its file describes it.
         state: (n + k,) their solution.
-        std: (n,) of the parameters by them.
+        std: (n,) of the parameters by these equations.
     """
     better = replace(equations, evidence=as_the_best(equations.evidence))
     variances = [
@@ -67,7 +71,7 @@ def on_the_best(equations: Equations, state: Floats, std: Floats) -> Floats:
 
 
 def exactness_findings(estimate: Estimate) -> list[str]:
-    """Say what rests on a table's file that states errors smaller than any table has."""
+    """Return sentences on results that depend on implausibly small errors in a table's file."""
     equations, n = estimate.equations, estimate.equations.sensors
     table = equations.evidence.table
     if table is None:
@@ -82,12 +86,12 @@ def exactness_findings(estimate: Estimate) -> list[str]:
 
 
 def resting_on_the_table(equations: Equations, state: Floats, std: Floats) -> list[str]:
-    """Say which parameters rest on a table that is better than any is known to be.
+    """Return a sentence on parameters that depend on a table better than any known one.
 
     Args:
         equations: On the table as its file describes it.
         state: (n + k,) their solution.
-        std: (n,) of the parameters by them.
+        std: (n,) of the parameters by these equations.
     """
     table = equations.evidence.table
     if equations.evidence.plan.by_hand or table is None or not table.too_fine:

@@ -1,18 +1,18 @@
 """Scatter beyond random walk and quantisation: bias drift and positioning errors.
 
 Both are estimated from the session itself by restricted maximum likelihood (Patterson and Thompson
-1971, Biometrika 58, 545): the likelihood of what the parameters cannot explain. A bias drifts as a
-first-order Gauss-Markov process, variance s^2 and correlation time tau, seen between the segments
-by their means and within them by their slopes; gyros and accelerometers see the same positioning
-errors. Correlation times reach to three lengths of the session: a slower drift cannot be
-distinguished from a bias. Either counts where the likelihood asks for it, so that a session of pure
-noise keeps the weights that suit it. One session tells neither s nor tau well, nor the positioning
-errors of a dozen stops: the covariance that then counts is the mean of the posterior over a grid,
-not the most likely one, which would be too sure of itself.
+1971, Biometrika 58, 545): the likelihood of the residuals that the parameters cannot explain. A
+bias drifts as a first-order Gauss-Markov process, variance s^2 and correlation time tau, observed
+between the segments by their means and within them by their slopes; gyros and accelerometers see
+the same positioning errors. Correlation times reach to three lengths of the session: a slower drift
+cannot be distinguished from a bias. Each is used only where it raises the likelihood enough, so
+that a session of pure noise keeps its optimal weights. One session determines neither s nor tau
+well, nor the positioning errors of a dozen stops: the covariance used is therefore the mean of the
+posterior over a grid; the most likely one would understate the uncertainty.
 
-A drift that the data sheet states (bias instability) is a floor: a session of half an hour
-does not show a drift of the size of its own noise, and its mean errs by it all the same. It is
-weighed against less of it by what the data says, with odds of a thousand to one for the data sheet.
+A drift that the data sheet states (bias instability) is a floor: a session of half an hour does not
+show a drift of the size of its own noise, but its mean still has that error. Smaller drifts are
+weighted by their likelihood, with odds of a thousand to one for the data sheet.
 
 Source: docs/mathematics.md, 'Joint estimate' and 'Positioning errors'.
 """
@@ -43,63 +43,61 @@ from .likelihood import (
 )
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
-"""Correlation times of drift that are tried, in lengths of the session: half decades. What is
-slower than the last cannot be distinguished from a bias; the first is about one dwell of a usual
-plan."""
+"""Correlation times of drift on the grid, in lengths of the session: half decades. A drift slower
+than the last cannot be distinguished from a bias; the first is about one dwell of a usual plan."""
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
-"""Variances of drift that are tried, over the usual variance of a dwell's mean: half decades, from
-what no session shows to standard deviations ten thousand times the noise."""
+"""Variances of drift on the grid, over the usual variance of a dwell's mean: half decades, from
+invisible ones to standard deviations ten thousand times the noise."""
 _POSITIONING_RATIOS = 10.0 ** np.arange(-1, 6.1, 0.5)
-"""Variances of positioning errors that are tried, over what noise hides: half decades, from a tenth
-to standard deviations a thousand times the noise."""
+"""Variances of positioning errors on the grid, over those hidden by noise: half decades, from a
+tenth to standard deviations a thousand times the noise."""
 _KINDS = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
 """Shares of stops in the variance of positioning errors: none, all, and mixtures of both."""
 
 _CALLED_FOR = 4.5
-"""By how much a log likelihood must rise for scatter to count beyond what is known: chi-square of
-one size by 9, three standard deviations."""
+"""Least gain in log likelihood for scatter beyond what is known: chi-square of one size by 9, three
+standard deviations."""
 _SHARES = np.array([0.0, 1 / 16, 1 / 4, 1.0])
-"""Shares of the data sheet's variance that a session may have instead: standard deviations of
-nothing, a quarter, a half and all of it."""
+"""Shares of the data sheet's variance that a session may have instead: standard deviations of zero,
+a quarter, a half and all of it."""
 _ODDS = 1000.0
-"""For what the data sheet states, to one for the other shares together, a third of it each. By
-chance a session seems so much calmer than its unit is less than once in a thousand (Markov's
-inequality for a ratio of likelihoods); at ten to one two of 2000 sessions did, and were off by six
-deviations."""
+"""Odds for the data sheet against all other shares, a third of them each. By chance a session seems
+so much calmer than its unit less than once in a thousand (Markov's inequality for a ratio of
+likelihoods); at ten to one two of 2000 sessions did, and were off by six deviations."""
 _ODDS_BESIDE_OUTLIERS = 10.0
-"""The same where an outlier is held against what the others scatter: drift that is stated, and is
-not there, would hide it. A judgement."""
+"""The same where an outlier is tested against the scatter of the others: a stated drift that is
+absent would hide it. A judgement."""
 _UNLIKELY = 1e-3
-"""Weight below which a hypothesis is dropped: it changes variances far less than their spread."""
+"""Weight below which a hypothesis is dropped: its effect on variances is far below their spread."""
 
 _ALIKE = 1e-10
-"""Of the longest column, all scaled to one: what is left of a column beside others that counts as
-nothing, as in `information`."""
+"""Of the longest column, all scaled to one: residual of a column after projection that counts as
+zero, as in `information`."""
 
 _BLOCKS_FOR_A_SLOPE = 4
-"""Fewest blocks of 10 s that a slope is taken from: a line has two unknowns, and two degrees of
-freedom are left for its standard deviation."""
+"""Fewest blocks of 10 s for a slope: a line has two unknowns, and two degrees of freedom remain for
+its standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Triad:
     """Whitened residuals of one triad, orthogonal to the parameters.
 
-    In these r coordinates the noise has the covariance 1 and a scatter that the outputs share the
-    covariance given here: the likelihood of what is left is the restricted one.
+    In these r coordinates the noise has the covariance 1 and common scatter the covariance given
+    here: the likelihood of the residuals is the restricted one.
 
     Attributes:
         rows: (k,) of the outputs.
-        residuals: (r,) what is left.
+        residuals: (r,) residuals.
         calm: (r, r) covariance by the drift that the data sheet states.
         beyond: (r, r) covariances by drift of each time of `_TIMES`, for unit ratios.
-        positioning: (r, e) what joints that stop and what stops do, for one rad.
-        noise: Columns (r, k) of the random walk of each channel, and the degrees of freedom by
-            which its size is known.
-        bias_drift: Where the bias is looked at.
-        typical: What a ratio of one stands for, SI units squared.
+        positioning: (r, e) effect of the errors of stopped joints and of stops, for one rad.
+        noise: Columns (r, k) of the random walk of each channel, and the degrees of freedom of its
+            size.
+        bias_drift: Where the bias is evaluated.
+        typical: Variance of a ratio of one, SI units squared.
         stated: Variance of the drift stated, SI units squared.
-        log_odds: (shares,) logarithms of the odds of shares of it.
+        log_odds: (shares,) logarithms of the odds of its shares.
     """
 
     rows: NDArray[np.intp]
@@ -124,7 +122,7 @@ class _Triad:
     def weigh(self, joints: float = 0.0, stops: float = 0.0) -> tuple[Floats, Floats]:
         """Return log likelihoods for positioning errors of these variances, rad^2.
 
-        (shares,) for shares of the drift stated, and (taus, ratios) for what comes on top of it.
+        (shares,) for shares of the drift stated, and (taus, ratios) for drift in addition to it.
         """
         base = self.positioning_covariance(joints, stops)
         calm = [
@@ -135,21 +133,22 @@ class _Triad:
         )
 
     def drift_covariance(self, share: float, time: int, ratio: float) -> Floats:
-        """Return the covariance by a share of the drift stated and one beyond it."""
+        """Return the covariance by a share of the drift stated and a drift beyond it."""
         found = share * self.calm
         return found + ratio * self.beyond[time] if ratio else found
 
     def by_noise(self, drift: Floats, joints: float = 0.0, stops: float = 0.0) -> float:
-        """Return what the log likelihood gains beside a drift (r, r) and positioning errors, rad^2.
+        """Return the gain in log likelihood with a drift (r, r) and positioning errors, rad^2.
 
-        The variance of the noise is marginalised; the number of blocks states how well it is known.
+        The variance of the noise is marginalised; its uncertainty follows from the number of
+        blocks.
         """
         return gained_by_noise(
             self.positioning_covariance(joints, stops) + drift, self.residuals, self.noise
         )
 
     def lines(self, drift: Floats, variances: Floats) -> Floats:
-        """Return the log likelihoods of positioning errors, (kinds, v), beside a drift (r, r).
+        """Return the log likelihoods of positioning errors, (kinds, v), with a drift (r, r).
 
         The variances (v,), rad^2, are split into joints and stops by `_KINDS`.
         """
@@ -161,19 +160,17 @@ class _Triad:
 
 @dataclass(frozen=True, eq=False)
 class ExcessScatter:
-    """What scatters beyond random walk and quantisation, as the session shows it.
+    """Scatter beyond random walk and quantisation, estimated from the session.
 
     Attributes:
         positioning: Positioning errors beyond what the table states.
         bias_drift: (6,) standard deviation of the drift of biases, rad/s and m/s^2.
-        extra: What drift adds to the covariance of the outputs: as the data sheet states it,
-            and what the session shows beyond.
-        absent_drift: What of the drift that the data sheet states the session seems to be
-            without.
+        extra: Covariance of the outputs by drift: as the data sheet states it, and the excess shown
+            by the session.
+        absent_drift: The part of the data sheet's drift that the session seems not to have.
         positioning_probability: Probability that positioning errors exceed what the table states.
-        fast_drift: Of gyros and accelerometers, whether what they show beyond the data sheet comes
-            and goes within a thirtieth of the session, and sooner than biases drift by the data
-            sheet.
+        fast_drift: Of gyros and accelerometers, whether the excess over the data sheet varies
+            within a thirtieth of the session, and faster than biases drift by the data sheet.
     """
 
     positioning: PositioningErrors
@@ -185,7 +182,7 @@ class ExcessScatter:
 
     @property
     def shown(self) -> bool:
-        """Whether the session shows any that is not known beforehand."""
+        """Whether the session shows scatter that is not known beforehand."""
         return self.positioning_probability > 0 or any(
             c.source is Source.BIAS_FOUND for c in self.extra
         )
@@ -201,16 +198,16 @@ def excess(
 ) -> ExcessScatter:
     """Estimate the excess scatter of a session about a solution.
 
-    What is known beforehand stands unless the likelihood rises by the factor exp(`_CALLED_FOR`)
-    without it. Then the other cases share the weight: a few positioning errors and a bias that
-    drifts slowly are hard to separate, but affect the parameters differently.
+    The scatter known beforehand is kept unless the likelihood rises by the factor
+    exp(`_CALLED_FOR`) without it. Then the other cases share the weight: a few positioning errors
+    and a slow bias drift are hard to separate, but affect the parameters differently.
 
     Args:
-        equations: The session, any earlier excess is ignored.
+        equations: The session; any earlier excess is ignored.
         state: (n,) a solution close to the final one.
-        doubted: Whether the size of the noise is in doubt as far as blocks leave it so. Next to
-            outputs that do not fit noise seems larger than it is: these are to be found before.
-        suspecting: Whether an outlier is held against it.
+        doubted: Whether the size of the noise is uncertain as far as its blocks show. With outliers
+            the noise seems larger than it is: these have to be found first.
+        suspecting: Whether an outlier is tested against it.
     """
     plain = replace(equations, extra=(), positioning=NO_POSITIONING_ERRORS)
     if not plain.evidence.segments or plain.own_variances.max() <= SMALLEST_VARIANCE:
@@ -241,14 +238,14 @@ class _Drift:
     calm: Floats
     """(shares,) of the stated one, with the odds of the data sheet."""
     beyond: Floats
-    """(taus, ratios) of more than that, a weight of one spread over all."""
+    """(taus, ratios) of a larger one, a weight of one spread over all."""
 
     @classmethod
     def of(cls, triad: _Triad, joints: float = 0.0, stops: float = 0.0) -> _Drift:
-        """Weigh drifts beside positioning errors of these variances, rad^2.
+        """Weight drifts together with positioning errors of these variances, rad^2.
 
-        Noise whose size is known from few blocks may be larger than it seems. Where drift is
-        called for, what that explains is taken off.
+        Noise whose size is known from few blocks may be larger than it seems. Where a drift is
+        needed, the gain by larger noise is subtracted.
         """
         calm, beyond = triad.weigh(joints, stops)
         found = cls(calm + triad.log_odds, beyond - np.log(beyond.size))
@@ -259,32 +256,32 @@ class _Drift:
 
     @property
     def known(self) -> float:
-        """Log likelihood of what is known beforehand."""
+        """Log likelihood of the scatter known beforehand."""
         return float(np.logaddexp.reduce(self.calm))
 
     @property
     def unknown(self) -> float:
-        """Log likelihood of what is beyond it."""
+        """Log likelihood of the scatter beyond it."""
         return float(np.logaddexp.reduce(self.beyond, axis=None))
 
     @property
     def highest(self) -> float:
-        """Log likelihood of the likeliest of what is beyond, nothing spread."""
+        """Log likelihood of the likeliest scatter beyond, without spreading the weight."""
         return float(self.beyond.max()) + math.log(self.beyond.size)
 
     @property
     def called_for(self) -> bool:
-        """Whether the likelihood asks for more than is known."""
+        """Whether the likelihood requires more scatter than known."""
         return self.highest > self.known + _CALLED_FOR
 
     def weights(self) -> tuple[Floats, Floats]:
-        """Return the posterior of both, of sum one."""
+        """Return the posterior of both; its sum is one."""
         if self.called_for:
             return np.zeros_like(self.calm), np.exp(self.beyond - self.unknown)
         return np.exp(self.calm - self.known), np.zeros_like(self.beyond)
 
     def hypotheses(self, triad: _Triad) -> list[tuple[float, Floats]]:
-        """Return the likeliest drift of either kind: its weight's logarithm, covariance."""
+        """Return the likeliest drift of either kind: logarithm of its weight, covariance."""
         calm, (time, ratio) = (
             int(self.calm.argmax()),
             divmod(int(self.beyond.argmax()), len(_RATIOS)),
@@ -299,9 +296,9 @@ class _Drift:
 
 
 def _variances(equations: Equations) -> Floats:
-    """Return the variances of positioning errors that may be, (v,) rad^2.
+    """Return the plausible variances of positioning errors, (v,) rad^2.
 
-    From a tenth of what the noise of the sharpest outputs hides.
+    They start at a tenth of what the noise of the most accurate outputs hides.
     """
     evidence = equations.evidence
     at_rest = equations.own_variances[equations.layout.dwell[:, 3:]]
@@ -314,9 +311,9 @@ def _variances(equations: Equations) -> Floats:
 def _positioning(
     triads: Sequence[_Triad], still: Sequence[_Drift], variances: Floats
 ) -> tuple[float, float, float]:
-    """Return how likely positioning errors are, and their variances by joints and by stops, rad^2.
+    """Return the probability of positioning errors, and their variances of joints and stops, rad^2.
 
-    Those of a triad count beside the likeliest of its drifts, without positioning errors and
+    Those of a triad are combined with the likeliest of its drifts, without positioning errors and
     with the likeliest.
     """
     hypotheses = [drift.hypotheses(triad) for triad, drift in zip(triads, still, strict=True)]
@@ -331,15 +328,15 @@ def _positioning(
         its.append(weight + triad.lines(drift, variances))
     found = _pooled(lines)
     known = sum(drift.known for drift in still)
-    # Drifts of gyros and accelerometers are tested separately: half of the evidence in each is not
-    # enough.
+    # Drifts of gyros and accelerometers are tested separately: half of the required evidence in
+    # each is not enough.
     asked_for = any(drift.called_for for drift in still)
     if asked_for or float(found.max()) >= known + _CALLED_FOR:
         found += _by_noise(triads, hypotheses, lines, variances)
     if not asked_for and float(found.max()) < known + _CALLED_FOR:
         return 0.0, 0.0, 0.0
     either = sum(float(np.logaddexp(drift.known, drift.unknown)) for drift in still)
-    # Of what does not move the positioning errors all but what is known beforehand.
+    # For hypotheses that do not affect the positioning errors, all but the one known beforehand.
     none = either + math.log(max(-math.expm1(known - either), np.finfo(float).tiny))
     found -= math.log(found.size)
     some = float(np.logaddexp.reduce(found, axis=None))
@@ -365,10 +362,10 @@ def _by_noise(
     lines: Sequence[Sequence[Floats]],
     variances: Floats,
 ) -> float:
-    """Return what the size of the noise gains with the likeliest positioning errors, less without.
+    """Return the gain by larger noise with the likeliest positioning errors, less that without.
 
-    The hypotheses of each triad are drifts, the first what is known beforehand; `lines` are the log
-    likelihoods of positioning errors of (v,) variances beside each of them.
+    The hypotheses of each triad are drifts, the first the one known beforehand; `lines` are the log
+    likelihoods of positioning errors of (v,) variances for each of them.
     """
     found = _pooled(lines)
     joints, stops = _likeliest(found, variances)
@@ -387,9 +384,9 @@ def _pooled(lines: Sequence[Sequence[Floats]]) -> Floats:
 def _spread_out(
     triad: _Triad, mixture: list[tuple[float, _Drift]]
 ) -> tuple[float, tuple[Component, ...], tuple[Component, ...], bool]:
-    """Return the drift's standard deviation, and the posterior's mean of its covariance.
+    """Return the drift's standard deviation, and the posterior mean of its covariance.
 
-    And what that lacks of the drift stated, and whether what is beyond comes and goes swiftly.
+    Also the part of the drift stated that it lacks, and whether the excess varies fast.
     """
     calm, by_ratio = 0.0, np.zeros((len(_TIMES), len(_RATIOS)))
     for weight, drift in mixture:
@@ -418,7 +415,7 @@ def _spread_out(
 
 
 def _triads(plain: Equations, state: Floats, odds: float, *, doubted: bool = True) -> list[_Triad]:
-    """Return gyros and accelerometers, either with turns and moves, by odds for the data sheet."""
+    """Return gyros and accelerometers, each with turns and moves, by odds for the data sheet."""
     log_odds = np.log([*[1 / 3] * (len(_SHARES) - 1), odds]) - math.log(1 + odds)
     jacobian, left = plain.jacobian(state), plain.outputs - plain.predict(state)
     rising = plain.slopes(state)
@@ -435,7 +432,7 @@ def _triad(
     *,
     doubted: bool,
 ) -> _Triad:
-    """Cut out gyros (first = 0) or accelerometers (first = 3)."""
+    """Select gyros (first = 0) or accelerometers (first = 3)."""
     evidence = equations.evidence
     rows = equations.layout.gyros if first == 0 else equations.layout.accels
     segments = [(x.statistics, x.start) for x in evidence.segments]
@@ -444,7 +441,7 @@ def _triad(
     if first == 3:
         turns, moves = [turns[k] for k in evidence.layout.turns_with_accels], pushed
     else:
-        # What the gyros' biases do to the axes of a move is in its velocity too.
+        # The effect of the gyros' biases on the axes of a move is in its velocity too.
         rows = np.concatenate([rows, equations.layout.velocity.ravel()])
         moves = [*moves, *pushed]
     segments += [(x.statistics, x.start) for x in turns]
@@ -494,7 +491,7 @@ def _triad(
         np.vstack([project.T @ p[rows], np.zeros((len(slopes), p.shape[1]))]) for p in positioning
     ]
     noise = []
-    # The size of the noise is in doubt at the end alone.
+    # The size of the noise is taken as uncertain at the end only.
     for c, own in enumerate(equations.own[first : first + 3] if doubted else ()):
         assert isinstance(own.part, Diagonal)
         walk = np.zeros_like(of_slopes[..., 0])
@@ -521,15 +518,15 @@ def _restricted(
 ) -> tuple[Floats, Floats]:
     """Project k outputs onto the complement of p parameters, in units of their noise.
 
-    The prior (q, p + 1) is further equations in standard deviations, what they leave last. Returned
-    are (k, r) by which the outputs' scatter enters, and (r,) what is left.
+    The prior (q, p + 1) adds equations in standard deviations, residuals last. Returns (k, r) by
+    which the outputs' scatter enters, and (r,) residuals.
     """
     factor = np.linalg.cholesky(covariance)
     columns = np.column_stack([jacobian, left])
     columns = scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False)
     columns = np.vstack([columns, prior])
-    # A few velocities tell some of the accelerometers' parameters alike: what then is left of a
-    # column is rounding, and takes no direction up.
+    # A few velocities hold the same information on some accelerometer parameters: the remainder of
+    # a column is then rounding, and does not use up a direction.
     norms = np.linalg.norm(columns[:, :-1], axis=0)
     full, triangle, _ = scipy.linalg.qr(columns[:, :-1] / norms, pivoting=True)
     sizes = np.abs(np.diag(triangle))
@@ -541,7 +538,7 @@ def _restricted(
 
 
 def _slope_variance(blocks: Floats, walk: float) -> tuple[float, float]:
-    """Return the variance of the slope `Statistics.drift`: that by random walk, and all of it."""
+    """Return the variance of the slope `Statistics.drift`: that by random walk, and the total."""
     centred = blocks[:, 3] - blocks[:, 3].mean()
     weights = centred / (centred @ centred)
     noise = walk**2 * blocks[:, 1]

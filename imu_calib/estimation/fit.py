@@ -1,8 +1,8 @@
-"""The least squares behind the joint estimate: what they can observe, and where they start.
+"""The least squares of the joint estimate: observability and starting point.
 
 Parameters of the sensors, the table's azimuth, its two tilts and the rate between the clocks are
-fitted together to every static dwell and every turn of any plan, each output by the noise that the
-session shows.
+fitted together to every static dwell and every turn of any plan, each output weighted by the noise
+of the session.
 
 Source: docs/mathematics.md, 'Joint estimate'.
 """
@@ -31,27 +31,26 @@ from .converge import least_squares, linear_step
 from .excess_scatter import ExcessScatter, excess
 
 _STARTS = 8
-"""Headings from which the fit is started where north is unknown: the nearest is 22.5 deg off at
-most, an angle that its sine comes to within 3 %."""
+"""Headings from which the fit is started where north is unknown: the nearest is at most 22.5 deg
+off, an angle that equals its sine to 3 %."""
 
 _ITERATIONS = 100
-"""Most steps. Gyros of much noise hardly see north: a step then takes a fifth off its error."""
+"""Most steps. With very noisy gyros a step reduces the error of the heading by only a fifth."""
 
 _TILTED = 4.0
-"""Standard deviations of the levelling beyond which a tilt is no chance: normal noise passes them
+"""Standard deviations of the levelling beyond which a tilt is significant: exceeded by normal noise
 once in 16 000."""
 
 _CONTRADICTION = 5.0
-"""Standard deviations by which gyros must contradict a stated azimuth for it to be dropped: normal
-noise passes them once in 1.7 million."""
+"""Standard deviations by which gyros must contradict a stated azimuth for it to be dropped:
+exceeded by normal noise once in 1.7 million."""
 
 _LEAST_AZIMUTH = 0.05 * DEG
-"""Least contradiction of a stated azimuth, rad: one written to a tenth of a degree is off by so
-much through rounding."""
+"""Least contradiction of a stated azimuth, rad: rounding to a tenth of a degree has this error."""
 
 
 def check_observable(equations: Equations) -> None:
-    """Refuse a session that leaves parameters open, or lacks a rate test.
+    """Raise if a session does not determine all parameters, or lacks a rate test.
 
     Raises:
         NotObservable: Names the parameters and what is missing.
@@ -61,14 +60,14 @@ def check_observable(equations: Equations) -> None:
     open_ones = lacking_parameters(plain)
     if open_ones.any():
         text = unobservable_in_words(evidence, open_ones)
-        # A plan says itself what is missing of it.
+        # The plan itself states what is missing of it.
         raise NotObservable(text if evidence.plan.is_stated else f'{text} {advice(plain)}')
     if equations.parameters != PARAMETERS:
         _check_terms(equations)
 
 
 def _check_terms(equations: Equations) -> None:
-    """Refuse terms that the session leaves open, though it determines the 24 parameters."""
+    """Raise if terms are not determined, though the session determines the 24 parameters."""
     parameters = equations.parameters
     known = determined(nominal_information(equations), parameters)
     missing = [p for p, sure in zip(parameters, known, strict=True) if not sure]
@@ -81,7 +80,7 @@ def _check_terms(equations: Equations) -> None:
 
 
 def start(equations: Equations) -> Floats:
-    """Solve for the sensors at headings all around, where they are linear; take the best."""
+    """Solve for the sensors at headings all around, where they are linear; return the best."""
     known = equations.north_known
     angles = [0.0] if known else [k * 2 * np.pi / _STARTS for k in range(_STARTS)]
     best, smallest = equations.nominal(), np.inf
@@ -90,7 +89,7 @@ def start(equations: Equations) -> Floats:
     for angle in angles:
         state = equations.nominal()
         state[equations.sensors + Nuisance.AZIMUTH] = angle
-        # Of the table nothing is taken as known yet, of lever arms that they are no kilometres.
+        # Nothing is assumed of the table yet; lever arms are bounded only against absurd lengths.
         priors = len(equations.outputs) + np.arange(len(Nuisance))
         rows = np.delete(equations.whitened_by(factor, state), priors, axis=0)
         columns, left = rows[:, :-1], rows[:, -1]
@@ -119,15 +118,15 @@ def fit(equations: Equations, state: Floats) -> Floats:
 
 
 def with_scatter(equations: Equations, scatter: ExcessScatter) -> Equations:
-    """Return the equations with what scatters in their covariance."""
+    """Return the equations with the scatter in their covariance."""
     return replace(equations, extra=scatter.extra, positioning=scatter.positioning)
 
 
 def levelled(equations: Equations, state: Floats) -> Equations:
-    """Trust the levelling no further than the session bears it out.
+    """Widen the prior of the levelling to what the session shows.
 
-    Six positions see one tilt and not the other: where the one is many times what was assumed, so
-    may the other be.
+    Six positions see one tilt but not the other: if the first is many times the assumed levelling,
+    the other may be as large.
     """
     first = equations.sensors + Nuisance.TILT_X
     seen = float(np.abs(state[first : first + 2]).max())
@@ -136,13 +135,13 @@ def levelled(equations: Equations, state: Floats) -> Equations:
 
 
 def headed(equations: Equations, state: Floats) -> Equations:
-    """Trust the azimuth given unless the gyros contradict it."""
+    """Use the azimuth given unless the gyros contradict it."""
     if not equations.north_known:
         return equations
     free = replace(equations, any_heading=True)
     azimuth = equations.sensors + Nuisance.AZIMUTH
     state = fit(free, state)
-    # Biases that drift see north elsewhere: of cheap gyros by as much as their noise.
+    # Drifting biases change the apparent north: for cheap gyros by as much as their noise.
     drifting = with_scatter(free, excess(free, state))
     state = fit(drifting, state)
     covariance = Information.of(drifting.whitened(state)[0]).covariance

@@ -1,9 +1,10 @@
-"""Log likelihoods of residuals whose covariance is a sum, for many sizes of a part of it at once.
+"""Log likelihoods of residuals whose covariance is a sum, for many sizes of one part at once.
 
 For a covariance 1 + r K and residuals z, a reflection takes z to the first axis and K is made
-tridiagonal by rotations that leave this axis alone: for each r one factorisation of a tridiagonal
-matrix from its far end gives the determinant, and its last pivot the quadratic form. That is a
-third of the work of eigenvectors, and a covariance of each size costs next to nothing.
+tridiagonal by rotations that leave this axis unchanged: for each r one factorisation of a
+tridiagonal matrix from its far end gives the determinant, and its last pivot the quadratic form.
+That is a third of the work of eigenvectors, and the covariance of each further size costs almost
+nothing.
 
 Sources: Golub and Van Loan 2013, Matrix Computations, 5.1.2, 8.3.1 and 4.3.6; for noise of unknown
 size docs/mathematics.md, 'Joint estimate'.
@@ -22,12 +23,13 @@ _BLOCK = 32
 """Columns that are reduced at once; see LAPACK's ILAENV."""
 
 _LARGEST = float(np.log(8.0))
-"""Logarithm of the largest factor on a variance of noise: what a single degree of freedom leaves of
-it is larger once in four times, and channels that are eight times off are no noise."""
+"""Logarithm of the largest factor on a variance of noise: with a single degree of freedom it is
+exceeded once in four times, and the residuals of channels that are eight times off are not
+noise."""
 
 
 def log_likelihood(covariance: Floats, left: Floats) -> float:
-    """Return the log likelihood of what is left, (r,), with a covariance (r, r)."""
+    """Return the log likelihood of residuals (r,), with a covariance (r, r)."""
     _, z, size = _rooted(covariance, left)
     return -0.5 * float(z @ z) - size
 
@@ -35,17 +37,17 @@ def log_likelihood(covariance: Floats, left: Floats) -> float:
 def gained_by_noise(
     covariance: Floats, left: Floats, parts: Sequence[tuple[Floats, float]]
 ) -> float:
-    """Return by how much the log likelihood rises where noise is known by its estimate alone.
+    """Return the gain in log likelihood where noise is known only by its estimate.
 
-    A factor f on the variance of each part goes where what is left and the blocks from which the
-    part was estimated are likeliest together: these have -freedom / 2 (log f + 1 / f - 1), of which
-    f = 1 is the largest.
+    The factor f on the variance of each part maximises the joint likelihood of the residuals and
+    the blocks from which the part was estimated: these have -freedom / 2 (log f + 1 / f - 1),
+    largest at f = 1.
 
     Args:
         covariance: (r, r), the noise as estimated.
         left: (r,).
-        parts: Columns (r, m) whose product with their transpose is a part of the noise, and
-            degrees of freedom of its estimate.
+        parts: Columns (r, m) whose product with their transpose is a part of the noise, and degrees
+            of freedom of its estimate.
 
     Source: docs/mathematics.md, 'Joint estimate'.
     """
@@ -74,7 +76,7 @@ def gained_by_noise(
 def log_likelihoods_by_ratio(
     base: Floats, kernels: Sequence[Floats], left: Floats, ratios: Floats
 ) -> Floats:
-    """Return the log likelihoods of what is left with the covariances base + ratio kernel.
+    """Return the log likelihoods of residuals with the covariances base + ratio kernel.
 
     Args:
         base: (r, r).
@@ -95,12 +97,13 @@ def log_likelihoods_by_columns(
 ) -> Floats:
     """Return the log likelihoods for kernels X X', X several columns side by side.
 
-    What is across all of them is the same for all, and each kernel no larger than their number.
+    The component orthogonal to all of them is common to all kernels, and no kernel has a higher
+    rank than the number of columns.
 
     Args:
         base: (r, r).
         columns: p blocks of (r, e).
-        factors: n of (p,) by which each kernel multiplies the blocks.
+        factors: n of (p,) factors of the blocks in each kernel.
         left: (r,).
         ratios: (k,) of at least 0.
 
@@ -121,7 +124,7 @@ def log_likelihoods_by_columns(
 
 
 def _rooted(covariance: Floats, left: Floats) -> tuple[Floats, Floats, float]:
-    """Return the lower root of a covariance, what is left in units of it, its logarithm's sum."""
+    """Return the lower root of a covariance, whitened residuals, the sum of its logarithms."""
     root = np.asarray(np.linalg.cholesky(covariance), dtype=float)
     return root, _whitened(root, left), float(np.log(np.diag(root)).sum())
 
@@ -141,7 +144,7 @@ def _along(kernel: Floats, z: Floats, ratios: Floats) -> Floats:
     if len(z) < 2:
         return _by_eigenvectors(kernel, z, ratios)
     diagonal, beside = _tridiagonal(kernel, z)
-    # Matrices that nothing couples are one tridiagonal matrix.
+    # Uncoupled matrices form one tridiagonal matrix.
     parted = np.append(beside, 0.0)
     pivots, _, failed = scipy.linalg.lapack.dpttrf(
         1 + np.outer(ratios, diagonal).ravel(), np.outer(ratios, parted).ravel()[:-1]
@@ -153,7 +156,7 @@ def _along(kernel: Floats, z: Floats, ratios: Floats) -> Floats:
 
 
 def _tridiagonal(kernel: Floats, z: Floats) -> tuple[Floats, Floats]:
-    """Return the diagonal (r,) and what is beside it, from the far end to the axis of z."""
+    """Return the diagonal (r,) and the off-diagonal, from the far end to the axis of z."""
     across = z.copy()
     across[0] += np.copysign(np.linalg.norm(z), z[0])
     if (square := float(across @ across)) > 0:
@@ -167,7 +170,7 @@ def _tridiagonal(kernel: Floats, z: Floats) -> tuple[Floats, Floats]:
 
 
 def _by_eigenvectors(kernel: Floats, z: Floats, ratios: Floats) -> Floats:
-    """Return `_along` of a kernel whose rounding makes it negative at large ratios."""
+    """Return `_along` for a kernel that rounding makes negative at large ratios."""
     values, vectors = np.linalg.eigh(kernel)
     grown = 1 + np.outer(ratios, np.maximum(values, 0.0))
     square = (vectors.T @ z) ** 2

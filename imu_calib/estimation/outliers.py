@@ -1,4 +1,4 @@
-"""What of a session does not fit the rest: dwells, turns and moves that count for less, or not.
+"""Outliers of a session: dwells, turns and moves that get less weight, or none.
 
 Source: docs/mathematics.md, 'Joint estimate'.
 """
@@ -24,47 +24,48 @@ from .excess_scatter import excess
 from .fit import fit, with_scatter
 
 _OUTLYING = 1e-6
-"""Chance by which a sound dwell or turn counts for less: with fifty of them, one session in 20 000
-loses one. Noise is known by the blocks of the session alone, thirty and odd degrees of freedom of
+"""Chance by which a sound dwell or turn gets less weight: with fifty of them, one session in 20 000
+loses one. Noise is known by the blocks of the session alone, thirty-odd degrees of freedom for
 twelve positions of 40 s: the chance is that of F, 60 times that of chi-square."""
 
 _EXACT = 1e6
-"""Degrees of freedom that stand for infinitely many: F is then that of a known variance, to
-three parts in 10^4 at that chance."""
+"""Degrees of freedom that represent infinity: F is then that of a known variance, to three parts in
+10^4 at that chance."""
 
 _SUSPECT = 1e-5
-"""Chance below which the worst of them is looked at closely: ten times that by which it then counts
-for less, for the first look is under scatter that an outlier itself has widened."""
+"""Chance below which the worst of them is tested closely: ten times the final chance, since the
+first test is under scatter that an outlier itself has widened."""
 
 _UNLIKE = 1e-4
-"""Chance by which turns about an axis that agree count for less: of three axes and three channels,
+"""Chance by which consistent turns about an axis get less weight: of three axes and three channels,
 in one session of a thousand."""
 
 _ASTRAY = 1e-9
-"""Chance by which a sound move is left out, by noise and what the rest of the session leaves open.
-Far smaller than that of an outlier: positioning errors that both share are counted twice."""
+"""Chance by which a sound move is left out, by noise and the uncertainty of the rest. Far smaller
+than that of an outlier: positioning errors common to both are counted twice."""
 
 MOST_OUTLIERS = 1 / 3
-"""Share of a session's dwells, or of the turns about an axis, that may count for less. A judgement:
-where more disagree, the data does not say which of them are right."""
+"""Share of a session's dwells, or of the turns about an axis, that may get less weight. A
+judgement: where more disagree, the data does not show which of them are right."""
 
 _RANK = 1e-6
-"""Least eigenvalue, of a matrix with ones on its diagonal, of a direction that an outlier can take:
-rounding leaves 1e-16, and one so small is taken up by the state. A judgement between."""
+"""Least eigenvalue, of a matrix with ones on its diagonal, of a direction that an outlier can have:
+rounding leaves 1e-16, and a direction with a smaller one is absorbed by the state. A judgement
+between."""
 
 _LEFT_OUT = 1e8
-"""Times the variance of an output that is left out: it then weighs as good as nothing, and half the
-digits of a 64-bit number are left to the others."""
+"""Factor on the variance of an output that is left out: its weight is then practically zero, and
+half the digits of a 64-bit number remain for the others."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outlier:
-    """A static dwell or a turn that does not fit the rest.
+    """A static dwell or a turn that contradicts the rest.
 
     Attributes:
-        name: Position and kind, for a person.
+        name: Position and kind, for messages.
         rows: Its rows among the equations.
-        chi_square: By how much chi-square would fall without it.
+        chi_square: Decrease of chi-square without it.
     """
 
     name: str
@@ -77,10 +78,10 @@ class RejectedMove:
     """A move that is left out, or its velocity alone.
 
     Attributes:
-        positions: That it leads from and to.
-        misclosure: By how much its end by the gyros is off what the encoders show, rad; or how fast
-            it is by the accelerometers where it stands, m/s.
-        velocity: Whether it is the velocity.
+        positions: Its two ends.
+        misclosure: Difference of its end by the gyros from the encoders, rad; or velocity by the
+            accelerometers at its end, where the unit is at rest, m/s.
+        velocity: Whether only the velocity is left out.
     """
 
     positions: tuple[str, str]
@@ -91,16 +92,15 @@ class RejectedMove:
 def moves_that_fit(
     resting: Equations, state: Floats, moves: tuple[Move, ...]
 ) -> tuple[Evidence, tuple[RejectedMove, ...]]:
-    """Choose the moves that dwells and turns bear out: return the session with them.
+    """Choose the moves that agree with dwells and turns: return the session with them.
 
-    A gyro beyond its range, one that does not answer in proportion, or a table whose joints are
-    not what they are said to be, is off by many times the noise in what takes seconds: such a move
-    tells nothing of the parameters.
+    A gyro beyond its range or nonlinear, or a table whose joints differ from its description, makes
+    errors of many times the noise within seconds: such a move must not affect the parameters.
 
     Args:
         resting: The session without moves.
-        state: (n,) what they say.
-        moves: All of it.
+        state: (n,) their solution.
+        moves: All moves of the session.
     """
     evidence = resting.evidence.with_moves(moves)
     if not len(evidence.links):
@@ -113,7 +113,8 @@ def moves_that_fit(
             return evidence, ()
         if _count(fitting) <= _count(kept):
             return evidence.with_moves(fitting), astray
-        # Moves show positioning errors that dwells hide in their noise: with those, others may.
+        # Moves show positioning errors that are hidden in the noise of dwells: with those, others
+        # may agree.
         kept = fitting
         moved = replace(resting, evidence=evidence.with_moves(kept))
         scatter = replace(scatter, positioning=excess(moved, state).positioning)
@@ -127,7 +128,7 @@ def _count(moves: Sequence[Move]) -> int:
 def _judged(
     resting: Equations, state: Floats, evidence: Evidence
 ) -> tuple[tuple[Move, ...], tuple[RejectedMove, ...]]:
-    """Hold each move against dwells and turns, which scatter as they are said to."""
+    """Compare each move with dwells and turns, with their stated scatter."""
     known = Information.of(resting.whitened(state)[0]).covariance
     moving = replace(resting, evidence=evidence, extra=())
     predicted, jacobian = moving.predict(state), np.nan_to_num(moving.jacobian(state))
@@ -155,7 +156,7 @@ def _judged(
 
 
 def turns_weighed_down(equations: Equations, state: Floats) -> tuple[Equations, float]:
-    """Let turns count by how they scatter, each channel about each axis for itself.
+    """Weight turns by their scatter, each channel about each axis separately.
 
     Returns:
         The equations, and the largest chi-square per degree of freedom.
@@ -183,9 +184,10 @@ def _of_turns(evidence: Evidence) -> list[tuple[NDArray[np.intp], NDArray[np.int
 
 
 def turns_disagree(evidence: Evidence, outliers: Sequence[Outlier]) -> bool:
-    """Say whether so many turns about an axis fall out that it is unknown which are wrong.
+    """Return whether too many turns about an axis are outliers to know which are wrong.
 
-    Rates beyond the range, say: two turns of four agree with each other and not with the rest.
+    For example rates beyond the range: two turns of four agree with each other but not with the
+    rest.
     """
     rows = [o.rows[0] for o in outliers]
     return any(
@@ -205,11 +207,11 @@ def weighed_down(equations: Equations, rows: NDArray[np.intp], factor: float) ->
 
 
 def candidates(evidence: Evidence, *, turns: bool) -> list[tuple[str, NDArray[np.intp]]]:
-    """Name what may be an outlier as a whole: three outputs of one kind at a time.
+    """List possible outliers: three outputs of one kind at a time.
 
-    Of holds by hand no accelerometers: a tilt in one is as likely as the opposite one in the hold
-    the other way up, and which of them counts for less would be chance. It widens what rests on
-    both (`excess`).
+    Accelerometers of holds by hand are not listed: a tilt in one is as likely as the opposite one
+    in the hold the other way up, and the choice between them would be random. It widens the
+    parameters that depend on both (`excess`).
     """
     rows = evidence.layout
     found = []
@@ -242,12 +244,12 @@ def find_outlier(
     views: tuple[tuple[Equations, Floats], tuple[Equations, Floats]],
     candidates: list[tuple[str, NDArray[np.intp]]],
 ) -> Outlier | None:
-    """Find what fits least, and say whether the rest, judged without it, refuses it.
+    """Find the worst outlier, and return whether it contradicts the others, judged without it.
 
-    Looked at are the equations with the solution of each: without what scatters, and with it.
+    The equations are tested with the solution of each: without excess scatter, and with it.
 
-    One outlier among good segments looks like a bias that drifts, and hides behind the scatter
-    that it makes: the scatter that it is held against is that of the others alone.
+    One outlier among good segments looks like bias drift, and is hidden by the scatter that it
+    causes: it is therefore compared with the scatter of the others alone.
     """
     (plain, _), (_, state) = views
     if plain.own_variances.max() <= SMALLEST_VARIANCE:
@@ -272,12 +274,11 @@ def find_outlier(
 
 
 def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[float, int, float]:
-    """Return by how much chi-square falls when some outputs get offsets of their own, and how many.
+    """Return the decrease of chi-square with separate offsets of some outputs, and their number.
 
-    And the degrees of freedom by which the variances of these outputs' residuals are known, the
-    fewest of them; what an outlier got before is no knowledge of noise. The mean-shift test of Cook
-    and Weisberg 1982, section 2.2.2, for correlated outputs; docs/mathematics.md, 'Positioning
-    errors'.
+    And the degrees of freedom of the variances of these outputs' residuals, the fewest of them; an
+    earlier factor on an outlier is not knowledge of noise. The mean-shift test of Cook and Weisberg
+    1982, section 2.2.2, for correlated outputs; docs/mathematics.md, 'Positioning errors'.
     """
     prepared = _cleaned(equations, state)
     found = equations.shares(state, prepared[1][rows])
@@ -289,10 +290,10 @@ def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[
 
 
 def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
-    """Return C^-1 (outputs less prediction) and C^-1 less what the state takes up."""
+    """Return C^-1 (outputs less prediction) and C^-1 less the part absorbed by the state."""
     factor, (jacobian, left) = equations.factor(state), equations.whitened(state)
     root = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True)
-    # Next to outputs without noise the others may seem to observe nothing: they take up nothing.
+    # Beside noise-free outputs the others may seem to observe nothing: they then absorb nothing.
     taken = np.nan_to_num(Information.of(jacobian).covariance)
     weighed = root.T @ jacobian[: len(factor)]
     return root.T @ left[: len(factor)], root.T @ root - weighed @ taken @ weighed.T
@@ -301,9 +302,9 @@ def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
 def _drop(
     prepared: tuple[Floats, Floats], rows: NDArray[np.intp]
 ) -> tuple[Floats, NDArray[np.intp]]:
-    """Return by how much chi-square falls without outputs (..., k), and of how many directions."""
+    """Return the decrease of chi-square without outputs (..., k), and the number of directions."""
     pull, information = prepared[0][rows], prepared[1][rows[..., None], rows[..., None, :]]
-    # Without noise the state takes up all of an output but for rounding, and nothing is left.
+    # Without noise the state absorbs all of an output but rounding.
     own = np.diagonal(information, axis1=-2, axis2=-1)
     largest = np.abs(information).max(axis=(-2, -1), initial=np.finfo(float).tiny)
     least = np.finfo(float).eps * largest[..., None]

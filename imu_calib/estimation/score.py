@@ -1,10 +1,10 @@
-"""Score tests of what is off: terms of the sensors and errors of the table.
+"""Score tests of terms that are off: terms of the sensors and errors of the table.
 
-The columns by which the coefficients of a family enter the outputs are freed of all that is
-estimated, priors as rows, and the residuals are projected on what remains of them. With a known
-covariance the square of that is a chi-square (Rao's score test). The covariance is estimated: the
-residuals with the family on tell by how much it is too small and how well it is known, and the
-test becomes an F test with their degrees of freedom.
+The columns by which the coefficients of a family enter the outputs are made orthogonal to all
+estimated unknowns, priors as rows, and the residuals are projected on the remaining columns. With a
+known covariance the square of that is a chi-square (Rao's score test). The covariance is estimated:
+the residuals with the family on show by what factor it is too small and how well it is known, and
+the test becomes an F test with their degrees of freedom.
 
 Sources: Rao 1948, Proc. Camb. Phil. Soc. 44, 50; docs/mathematics.md, 'Terms that are missing'.
 """
@@ -43,20 +43,20 @@ from .excess_scatter import ExcessScatter, excess
 
 _SEEN = 10.0
 """Standard deviations by which a coefficient of the largest useful size must move the outputs: a
-direction of a family that moves them by less is not tested."""
+direction of a family with a smaller effect is not tested."""
 
 _TABLE = 1 * ARCMIN
-"""The largest useful size of an error of a table: ten times what a decent one has."""
+"""The largest useful size of an error of a table: ten times that of a decent one."""
 
 _BEYOND = 20.0
-"""The same over what is stated of it: what is less than ten times that, `_SEEN`, is not seen."""
+"""The same over its stated size: errors below ten times that, `_SEEN`, are not seen."""
 
 _FREE = 300 * ARCSEC
-"""Standard deviation of an error of a table that is as good as free: a thousand times what the
-best accelerometers and dwells see, and few enough for the covariance to be inverted."""
+"""Standard deviation of a practically free error of a table: a thousand times what the best
+accelerometers and dwells resolve, and small enough for the covariance to be inverted."""
 
 _SHARE = 0.5
-"""Most degrees of freedom that a family may take, of all that its outputs have left."""
+"""Largest share of the degrees of freedom of its outputs that a family may take."""
 
 _NINE_IN_TEN = 1.2816
 """Standard normal quantile of 90 %."""
@@ -67,12 +67,13 @@ _TINY = -500.0
 
 @dataclass(frozen=True)
 class Family:
-    """What is switched on together: a term of the sensors or the session, or errors of the table.
+    """Coefficients that are switched on together: a term of the sensors or the session, or errors
+    of the table.
 
     Attributes:
         name: Of the term, or of the field of `TableErrors`.
         term: The term of the sensors, or None.
-        course: What a term of the session follows, or None.
+        course: The course of a term of the session, or None.
     """
 
     name: str
@@ -91,16 +92,16 @@ class Family:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Of a term of the sensors; none for others."""
+        """Parameters of a term of the sensors; none for others."""
         return () if self.term is None else self.term.parameters
 
     def freed(self, equations: Equations, size: float, *, alone: bool = False) -> Equations:
-        """Return equations whose table has this error of a standard deviation, rad.
+        """Return equations whose table has this error with a standard deviation, rad.
 
         Args:
-            equations: Without it, or with what the table's file states of it.
-            size: In place of that.
-            alone: Whether the table has no other.
+            equations: Without it, or with its size in the table's file.
+            size: Replaces that.
+            alone: Whether all other errors of the table are removed.
         """
         table = equations.evidence.table
         others = TableErrors() if alone or table is None else table.errors
@@ -108,9 +109,9 @@ class Family:
         return replace(equations, evidence=equations.evidence.with_table_errors(errors))
 
     def scatter(self, equations: Equations, state: Floats, time_constant: float) -> ExcessScatter:
-        """Return what scatters beside the noise once the family explains what it can.
+        """Return the scatter beyond noise that remains with the family on.
 
-        Scatter that is estimated without a term that is missing holds the term, and hides it.
+        Scatter that is estimated without a missing term absorbs the term, and hides it.
 
         Args:
             equations: Without the family.
@@ -127,20 +128,22 @@ class Family:
 
     @property
     def held(self) -> frozenset[ParameterKind]:
-        """What is zero for certain if it is off: else what it does to velocities is allowed for."""
+        """Kinds that are exactly zero if the family is off: otherwise their effect on velocities is
+        allowed for.
+        """
         return frozenset(p.kind for p in motion_parameters(self.parameters))
 
     def weighed(self, equations: Equations, scatter: ExcessScatter) -> Equations:
         """Return the equations with the scatter under which the family is tested.
 
-        A bias that drifts is no drift: a term of the session takes the place of random drift, which
-        then seems less than the data sheet states, and is counted in full.
+        For a term of the session, its course replaces random drift, which then seems less than the
+        data sheet states, and is counted in full.
         """
         extra = scatter.extra if self.course is None else (*scatter.extra, *scatter.absent_drift)
         return replace(equations, extra=extra, positioning=scatter.positioning, held=self.held)
 
     def judged(self, equations: Equations) -> NDArray[np.bool_]:
-        """Return which outputs (m,) tell how well the covariance is known."""
+        """Return which outputs (m,) determine how well the covariance is known."""
         of_accels = equations.layout.channels >= len(AXES)
         if self.term is None:
             # Errors of the table and terms of the session enter both triads.
@@ -149,15 +152,15 @@ class Family:
 
 
 Pattern = tuple[Floats, Floats]
-"""How coefficients of the largest useful size move the outputs, (m, k), and those sizes, (k,)."""
+"""Effects of coefficients of the largest useful size on outputs, (m, k), and the sizes, (k,)."""
 
 
 def columns_of(
     found: Sequence[Family], equations: Equations, state: Floats
 ) -> dict[Family, tuple[Pattern, ...]]:
-    """Return the patterns of families: one, or of a warm-up one for each time constant.
+    """Return the patterns of families: one, or for a warm-up one for each time constant.
 
-    Attitudes count as they are meant: what the last digits of an encoder would tell is not seen.
+    Nominal attitudes are used: information in the last digits of an encoder is ignored.
     """
     ideal = replace(equations, evidence=with_nominal_attitudes(equations.evidence))
     parameters = tuple(p for family in found for p in family.parameters)
@@ -170,7 +173,7 @@ def columns_of(
         elif family.term is None:
             table = equations.evidence.table
             stated = 0.0 if table is None else getattr(table.errors, family.name)
-            # A zero that is off cannot be told from the next axis leaning about the joint's.
+            # A zero error cannot be separated from the next axis leaning about the joint's.
             size = _TABLE if family.name == 'zeros' else max(_TABLE, _BEYOND * stated)
             columns = family.freed(ideal, size, alone=True).by_table(state)
             result[family] = ((columns, np.full(columns.shape[1], size)),)
@@ -189,7 +192,7 @@ def times_of(family: Family) -> list[float]:
 def _changing(ideal: Equations, family: Family, derivatives: Floats, time: float) -> Pattern:
     """Return the pattern of a term of the session, (m, n) derivatives by the 24 parameters given.
 
-    Where scale factors cannot be told from it they are what the last digits of the others tell:
+    Scale factors that cannot be separated from it would depend on the last digits of the others:
     directions that no output shows are left out with them.
     """
     there = replace(ideal, changes=family.changes, time_constant=time)
@@ -199,24 +202,25 @@ def _changing(ideal: Equations, family: Family, derivatives: Floats, time: float
 
 
 def _largest(change: Change) -> float:
-    """Return the largest useful size of what a coefficient changes during a session, SI units."""
+    """Return the largest useful change by a coefficient during a session, SI units."""
     if change.of_scale_factor:
         return USEFUL_CHANGE
     return _LARGEST_DRIFT[change.parameters[0].triad]
 
 
 _LARGEST_DRIFT = {'g': 0.1 * DEG, 'a': 1e5 * MICRO_G}
-"""Of a bias during a session, rad/s and m/s^2: a chip that is switched on may do as much."""
+"""Of a bias during a session, rad/s and m/s^2: a chip that was just switched on may change as
+much."""
 
 
 def stepped(equations: Equations, state: Floats) -> Floats:
-    """Return a state moved by one step of the least squares: enough for what is linear."""
+    """Return a state after one step of the least squares: enough for linear unknowns."""
     jacobian, left = equations.whitened(state)
     return np.asarray(state + Information.of(jacobian).gain @ left)
 
 
 def families(equations: Equations) -> tuple[Family, ...]:
-    """Return all terms that are off and that the session can determine at all."""
+    """Return all terms that are off and that the session can determine."""
     on = terms_of(equations.parameters)
     found = [Family(term.name, term) for term in TERMS if term not in on]
     if not equations.layout.moves_with_accels:
@@ -233,13 +237,13 @@ def families(equations: Equations) -> tuple[Family, ...]:
 
 
 TABLE_ERRORS = ('zeros', 'orthogonality', 'wobble', 'encoder')
-"""Fields of `TableErrors`: what a table's file may state."""
+"""Fields of `TableErrors`: errors that a table's file may state."""
 
 
 def scores_of(
     patterns: Mapping[Family, Sequence[Pattern]], equations: Equations, state: Floats
 ) -> dict[Family, Score]:
-    """Test families about a solution, each as if it were zero for certain."""
+    """Test families about a solution, each with its coefficients held at zero."""
     held = dict.fromkeys(family.held for family in patterns)
     residuals = {one: WhitenedResiduals.of(replace(equations, held=one), state) for one in held}
     return {f: residuals[f.held].score(f, columns) for f, columns in patterns.items()}
@@ -256,26 +260,26 @@ def with_parameters(
 
 
 def values_of(parameters: Sequence[Parameter], equations: Equations, state: Floats) -> Floats:
-    """Return the values (p,) of parameters at a state (n,) of equations; 0 where it has none."""
+    """Return the values (p,) of parameters at a state (n,) of equations; 0 for those not in it."""
     values = dict(zip(equations.parameters, state.tolist(), strict=False))
     return np.array([values.get(parameter, 0.0) for parameter in parameters])
 
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What a test says of a family.
+    """Result of the test of a family.
 
     Attributes:
-        statistic: Chi-square, in the covariance that was assumed.
-        rank: Dimensions that it has: coefficients that the session tells apart from all else.
-        scale: What the residuals' variances are beyond that covariance, with the family on; 1 at
-            least.
+        statistic: Chi-square, in the assumed covariance.
+        rank: Its dimensions: coefficients that the session separates from all others.
+        scale: Factor on that covariance by the residuals with the family on; 1 at least.
         freedom: Degrees of freedom of that.
-        estimate: (k,) coefficients by one step from zero, SI units; 0 along what is not seen.
-        deviation: (k,) their standard deviations; infinite where they are not seen.
-        covariance: (k, k) of the coefficients along what is seen, in the covariance assumed.
-        tries: Patterns of which it is the most significant, each of which may be it by chance.
-        chosen: Which of them.
+        estimate: (k,) coefficients by one step from zero, SI units; 0 along unobserved directions.
+        deviation: (k,) their standard deviations; infinite where unobserved.
+        covariance: (k, k) of the coefficients along observed directions, in the assumed covariance.
+        tries: Number of patterns of which it is the most significant, any of which may be so by
+            chance.
+        chosen: Index of the chosen one.
     """
 
     statistic: float
@@ -290,7 +294,9 @@ class Score:
 
     @property
     def tested(self) -> bool:
-        """Whether the session can test the family: it sees it, and has outputs left to judge by."""
+        """Whether the session can test the family: it is observed, and outputs remain for the
+        scale.
+        """
         return 0 < self.rank <= _SHARE * (self.freedom + self.rank)
 
     @property
@@ -299,17 +305,17 @@ class Score:
         if not self.tested:
             return 0.0
         one = log_f(self.statistic / self.rank / self.scale, self.rank, self.freedom)
-        # Bonferroni: an upper bound, however much the patterns are alike.
+        # Bonferroni: an upper bound, for any correlation of the patterns.
         return min(0.0, one + float(np.log(self.tries)))
 
     def smallest(self, chance: float) -> Floats:
-        """Return the coefficients (k,) that are found nine times in ten, each alone, SI units.
+        """Return the coefficients (k,) that are detected nine times in ten, each alone, SI units.
 
-        Along its own direction the statistic is the square of a normal number about the
-        coefficient in deviations; it is found where that is beyond the limit.
+        Along its own direction the statistic is the square of a normal deviate about the
+        coefficient in deviations; it is detected where that is beyond the limit.
 
         Args:
-            chance: By which a family that is not there is taken for one that is.
+            chance: Probability of a false detection.
         """
         if not self.tested:
             return np.full(len(self.deviation), np.inf)
@@ -321,12 +327,12 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class WhitenedResiduals:
-    """The residuals of a session about a solution, in standard deviations, freed of the state.
+    """Whitened residuals of a session about a solution, orthogonal to the state.
 
     Attributes:
-        equations: With the covariance that is assumed.
-        basis: (m + 4, n) orthonormal, of what the state explains.
-        whitened: (m + 4,) residuals less what the state explains.
+        equations: With the assumed covariance.
+        basis: (m + 4, n) orthonormal, of the space explained by the state.
+        whitened: (m + 4,) residuals less the part explained by the state.
         factor: (m, m) lower triangle of the covariance of the outputs.
     """
 
@@ -345,7 +351,7 @@ class WhitenedResiduals:
         return cls(equations, np.asarray(basis), _without(left, basis), np.asarray(factor))
 
     def score(self, family: Family, patterns: Sequence[Pattern]) -> Score:
-        """Test a family by its `columns_of`: the most significant counts as one of so many."""
+        """Test a family by its `columns_of`: the most significant, as one of so many."""
         return most_significant(self.scores(family, patterns))
 
     def scores(self, family: Family, patterns: Sequence[Pattern]) -> list[Score]:
@@ -387,18 +393,18 @@ def most_significant(scores: Sequence[Score]) -> Score:
 
 
 _WHOLE = 1e-3
-"""Share of a coefficient that may lie along what is not seen."""
+"""Share of a coefficient that may lie along unobserved directions."""
 
 
 def _without(columns: Floats, basis: Floats) -> Floats:
-    """Free columns (m, k) or a vector (m,) of a basis; twice, since once leaves rounding."""
+    """Make columns (m, k) or a vector (m,) orthogonal to a basis; twice, against rounding."""
     for _ in range(2):
         columns = columns - basis @ (basis.T @ columns)
     return columns
 
 
 def log_f(value: float, first: float, second: float) -> float:
-    """Return the logarithm of the chance that F is larger than a value; exact far into its tail.
+    """Return the log of the chance that F exceeds a value; exact far into its tail.
 
     The first degrees of freedom are the numerator's, the second the denominator's.
 

@@ -1,11 +1,10 @@
 """Stepwise selection of sensor terms and of errors of the table.
 
-Scatter and terms compete. A term that is missing makes positioning errors, drift and outliers that
-are not there, and scatter that is estimated without it hides it. So every family is tested under
-the scatter that remains with it on, with all moves and no output set aside, and the best that is
-significant is switched on, until none is. All is then fitted anew, and every one must still be
-significant. It takes the place of outputs that were set aside only where it needs fewer
-coefficients than they are.
+Scatter and terms compete. A missing term causes apparent positioning errors, drift and outliers,
+and scatter that is estimated without the term hides it. So every family is tested under the scatter
+that remains with it on, with all moves and no output set aside, and the best significant one is
+switched on, until none is. All is then fitted anew, and every one must still be significant. A
+family replaces outputs that were set aside only where it needs fewer coefficients than they are.
 
 Source: docs/mathematics.md, 'Terms that are missing'; Holm 1979, Scand. J. Statist. 6, 65.
 """
@@ -45,30 +44,30 @@ from .score import (
 from .undecided_drifts import UndecidedDrifts, undecided
 
 CHANCE = 1e-3
-"""By which a session without any of them has a family found, all families together."""
+"""Chance of finding a family in a session without any, all families together."""
 
 _APART = 9.0
-"""Difference of chi-square below which two families explain a session alike: a factor of 90 in the
-likelihood, as `excess` asks for before it believes in scatter."""
+"""Difference of chi-square below which two families explain a session equally well: a factor of 90
+in the likelihood, as `excess` requires for scatter."""
 
 _AT_ONCE = 3
-"""Families that are tried before one of them is taken; the others wait until it is on."""
+"""Families that are tried before one of them is accepted; the others wait until it is on."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """A family that the session shows.
+    """A family that is significant in the session.
 
     Attributes:
-        family: Which.
+        family: The family.
         log_p: Natural logarithm of the probability by chance.
-        doubts: Coefficients of a term that the session does not determine, with the standard
-            deviation about zero that each is given; empty where it is estimated.
-        size: Standard deviation that an error of the table is given, rad; 0 for a term.
-        seen: Root mean square of what of it the session sees, rad, likewise.
-        spares: Coefficients that must spare more outputs than they are; 0 for a family that is
-            significant beside all that the first estimate set aside.
-        rivals: Families that explain the session as well.
+        doubts: Coefficients of a term that the session does not determine, with the prior standard
+            deviation about zero of each; empty where it is estimated.
+        size: Standard deviation assigned to an error of the table, rad; 0 for a term.
+        seen: Root mean square of its observed part, rad, likewise.
+        spares: Number of coefficients, which must save more outputs than that; 0 for a family that
+            is significant with all outputs set aside by the first estimate.
+        rivals: Families that explain the session equally well.
     """
 
     family: Family
@@ -85,18 +84,17 @@ class Search:
     """An estimate with the families selected, and the scores of the others.
 
     Attributes:
-        estimate: The last.
-        found: In the order in which they were.
-        scores: Of what is off.
+        estimate: The last one.
+        found: Families in the order of their selection.
+        scores: Of families that are off.
         alpha: Chance at which each of them is tested.
-        doubt: (n, n) covariance by what rivals, and drifts that are not shown, would make of the
-            parameters.
-        leverage: How parameters (n,) move by each coefficient (k,) of a term that is off, (n, k),
-            SI units.
-        probability: Of drifts that are off, each; empty where nothing was looked for.
+        doubt: (n, n) covariance of the parameters by rivals, and by drifts that are not shown.
+        leverage: Derivatives of parameters (n,) by each coefficient (k,) of a term that is off, (n,
+            k), SI units.
+        probability: Of each drift that is off; empty without a search.
         before_search: The estimate before anything was found.
-        by_drifts: (n, n) what of `doubt` is of drifts that are not shown.
-        broken_off: Whether it came to no end: nothing is on though something may have to be.
+        by_drifts: (n, n) part of `doubt` by drifts that are not shown.
+        broken_off: Whether the search did not end: nothing is on though something may be needed.
     """
 
     estimate: Estimate
@@ -123,7 +121,7 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """What is estimated: parameters, doubts, and errors of the table (in the evidence)."""
+    """Estimated unknowns: parameters, doubts, and errors of the table (in the evidence)."""
 
     evidence: Evidence
     parameters: tuple[Parameter, ...]
@@ -158,7 +156,7 @@ class _Model:
         return replace(self, parameters=parameters_of(terms))
 
     def on(self, equations: Equations, state: Floats) -> tuple[Equations, Floats]:
-        """Return equations of a session with what is on here, and their state; new ones are 0."""
+        """Return equations of a session with the families on, and their state; new ones are 0."""
         evidence = replace(equations.evidence, table=self.evidence.table)
         sensors = values_of(self.parameters, equations, state)
         here = replace(equations, parameters=self.parameters, doubts=self.doubts, evidence=evidence)
@@ -180,13 +178,13 @@ def search_terms(
     *,
     look: bool = True,
 ) -> Search:
-    """Estimate the parameters of a session and what it shows besides.
+    """Estimate the parameters of a session and the terms that it shows.
 
     Args:
         evidence: The session.
-        parameters: That are estimated whatever it shows.
-        changes: By which they change during the session, likewise.
-        look: Whether anything else is switched on; what is off is tested all the same.
+        parameters: Always estimated.
+        changes: Coefficients of their changes during the session, always estimated.
+        look: Whether other families are switched on; those that are off are tested in any case.
 
     Raises:
         NotObservable: Names what the session cannot observe.
@@ -218,11 +216,11 @@ def search_terms(
 
 
 def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found, ...]:
-    """Return families one after the other, the most significant first, until none is any more.
+    """Return families one after the other, the most significant first, until none is significant.
 
-    Nothing is set aside meanwhile, and again all that the first estimate set aside: a family that
-    is missing makes outliers, and outliers make a family that is not there. Raises `NotConverged`
-    where neither comes to an end with what was found.
+    First with no output set aside, then with all that the first estimate set aside: a missing
+    family causes outliers, and outliers cause an apparent family. Raises `NotConverged` where
+    neither converges with the families found.
     """
     as_kept = (first.without_scatter, first.state)
     views = [(_restored(start, first), first.state)]
@@ -231,14 +229,14 @@ def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found
     try:
         return _significant(start, views, rejected)
     except NotConverged:
-        # What was set aside fits nothing: a move in which the samples froze, say.
+        # Outputs that were set aside match nothing: a move with frozen samples, for example.
         return _significant(start, [as_kept], rejected)
 
 
 def _significant(
     start: _Model, views: list[tuple[Equations, Floats]], rejected: set[Family]
 ) -> tuple[Found, ...]:
-    """Return families one after the other by some views of a session, each with its state."""
+    """Return families one after the other by several views of a session, each with its state."""
     found: list[Found] = []
     while True:
         model = start.with_found(found)
@@ -258,7 +256,7 @@ def _significant(
         try:
             views = [model.on(*view) for view in views]
         except NotObservable:
-            # A term of the session that it does not tell apart from all else.
+            # A term of the session that cannot be separated from the others.
             found.pop()
             rejected.add(family)
             continue
@@ -266,10 +264,10 @@ def _significant(
 
 
 def _likeliest(shown: Sequence[Family], chances: Mapping[Family, float]) -> Family:
-    """Return the most significant; of those that are the same to the session the first of all.
+    """Return the most significant; the first of those that the session cannot separate.
 
-    What follows a temperature that was recorded is not taken for a drift with time that explains
-    the session alike: it holds in other sessions, too. Chances are natural logarithms.
+    A term that follows a recorded temperature is preferred to a drift with time that explains the
+    session equally well: it holds in other sessions, too. Chances are natural logarithms.
     """
     family = min(shown, key=lambda f: round(chances[f]))
     if family.course is not None:
@@ -281,12 +279,12 @@ def _likeliest(shown: Sequence[Family], chances: Mapping[Family, float]) -> Fami
 
 
 def _limit(open_ones: Sequence[Family]) -> float:
-    """Return the logarithm of the chance below which the best of several is significant."""
+    """Return the log of the chance below which the best of several is significant."""
     return float(np.log(CHANCE / max(1, len(open_ones))))
 
 
 def _restored(start: _Model, first: Estimate) -> Equations:
-    """Return the equations with all moves, nothing set aside, and the noise that is stated."""
+    """Return the equations with all moves, nothing set aside, and the stated noise."""
     evidence = replace(first.equations.evidence, moves=start.evidence.moves)
     return replace(first.without_scatter, evidence=evidence, inflation=None)
 
@@ -296,8 +294,8 @@ def _under_own_scatter(
 ) -> dict[Family, Score]:
     """Test families under the scatter that remains with each on, until some are significant.
 
-    Without any scatter the test has most power: what is nothing there is nothing, and what is
-    there most is tried first.
+    Without any scatter the test has most power: a family that is insignificant there is so with
+    scatter, and the most significant there is tried first.
     """
     columns = columns_of(open_ones, equations, state)
     scores = scores_of(columns, equations, state)
@@ -321,8 +319,8 @@ def _confirmed(
 ) -> tuple[Found, ...]:
     """Return those that are significant beside the others once all is fitted, with their rivals.
 
-    Those that are not there once the outputs are set aside that the first estimate set aside must
-    spare more of them than they have coefficients.
+    Those that are insignificant with the first estimate's outliers set aside must save more outputs
+    than they have coefficients.
     """
     kept = []
     spared = first.downweighted_outputs - trial.downweighted_outputs
@@ -332,7 +330,7 @@ def _confirmed(
             continue
         model = start.with_found((*found[:k], *found[k + 1 :]))
         without, state = model.on(trial.equations, trial.state)
-        # Of a table that errs, patterns are as many as there are outputs: terms alone are rivals.
+        # An erroneous table has as many patterns as outputs: only terms are rivals.
         others = [f for f in families(without) if not f.of_table or f == one.family]
         columns = columns_of(others, without, state)
         residuals = WhitenedResiduals.of(one.family.weighed(without, trial.scatter), state)
@@ -354,10 +352,10 @@ def _confirmed(
 def _size(
     model: _Model, family: Family, score: Score
 ) -> tuple[tuple[tuple[Parameter, float], ...], float, float]:
-    """Return what a family that is not estimated gets: doubts, the size of an error, what is seen.
+    """Return the treatment of an undetermined family: doubts, size of an error, observed part.
 
-    What is not seen of it is taken to be as large as what is seen, by Student's t for as many
-    directions as were seen.
+    The unobserved part is assumed as large as the observed part, by Student's t for as many
+    directions as are observed.
     """
     if family.course is not None:
         return (), 0.0, 0.0
@@ -378,7 +376,7 @@ def _concluded(
 ) -> Search:
     """Score the families that are off under the final weights, those of the current estimate.
 
-    Drifts that are not shown widen the covariance if they are to be weighed.
+    Drifts that are not shown widen the covariance if requested.
     """
     equations, state = current.equations, current.state
     named = [one.family for one in found]
@@ -426,10 +424,10 @@ def _concluded(
 
 
 def _by_rivals(current: Estimate, found: Found) -> Floats:
-    """Return what it adds to the covariance that a rival may be true in place of a family.
+    """Return the additional covariance if a rival may be true in place of a family.
 
-    Each explanation has the weight of its likelihood; the mean square of what a rival makes of the
-    parameters that both have is added (Hoeting et al. 1999, Statist. Sci. 14, 382).
+    Each explanation is weighted by its likelihood; the mean square of a rival's effect on the
+    common parameters is added (Hoeting et al. 1999, Statist. Sci. 14, 382).
     """
     equations = current.equations
     n = equations.sensors

@@ -1,9 +1,9 @@
-"""Several units on one table: what they share is estimated once, from all of them.
+"""Several units on one table: common unknowns are estimated once, from all units.
 
-The normal equations have the form of an arrowhead: a block for each unit, and a border for what
-they have in common. The parameters of each unit are eliminated (the Schur complement of its block),
-what is left of its information about the common unknowns is added up, these are solved for, and the
-parameters of each unit follow by substitution. Gauss-Newton over that.
+The normal equations have the form of an arrowhead: a block for each unit, and a border for the
+common unknowns. The parameters of each unit are eliminated (the Schur complement of its block), the
+reduced information on the common unknowns is summed, these are solved for, and the parameters of
+each unit follow by substitution. This is iterated by Gauss-Newton.
 
 Source: docs/mathematics.md, 'Several units on one table'; Golub and Plemmons 1980, Linear Algebra
 Appl. 34, 3 (block angular least squares); Schweppe 1973, section 5.5, for the test.
@@ -31,25 +31,25 @@ from ..stream import Floats
 from .estimate import Estimate
 
 _ROUNDS = 30
-"""Most steps: what each unit found alone is within its deviations of the end."""
+"""Most steps: the estimate of each single unit is within its deviations of the solution."""
 _CONVERGED = 1e-6
 """Standard deviations by which a last step may move any unknown."""
 _TELLS = 1e-3
-"""Of what the other units and the priors say of a direction: below, a unit tells nothing of it that
-could contradict them. A tenth of a percent of information is 0.05 % of a deviation."""
+"""Of the information of the other units and the priors on a direction: with less, a unit cannot
+contradict them in it. A tenth of a percent of information is 0.05 % of a deviation."""
 _CHANCE = 1e-6
 """Chance by which a sound unit is left out: one in a million units."""
 _HALF = 0.5
-"""Share of a session's dwells that a unit must have seen to say something of its table: a
-stream that ended or froze half way is worth no more than its own findings. A judgement."""
+"""Share of a session's dwells that a unit must have seen to be used for the table: a stream that
+ended or froze half way only has its own estimate. A judgement."""
 _SINGULAR = 1e-12
-"""Of the largest element of a triangle, columns of norm one: parameters that a unit leaves open
-even where the table is known."""
+"""Of the largest element of a triangle, columns of norm one: parameters that a unit does not
+determine even where the table is known."""
 
 
 @dataclass(frozen=True, eq=False)
 class SharedEstimate(Estimate):
-    """What the least squares over several units found of one of them.
+    """Least-squares result of one of several units.
 
     Attributes:
         by_source: The covariance of its parameters by source.
@@ -68,13 +68,13 @@ class SharedEstimate(Estimate):
 
 @dataclass(frozen=True, eq=False)
 class TableSeen:
-    """What several units found of their table.
+    """Common estimate of the table by several units.
 
     Attributes:
-        names: Of the k unknowns that are determined.
+        names: Of the k determined unknowns.
         values: (k,) rad.
         std: (k,) standard deviations, rad.
-        prior: (k,) those beforehand, rad.
+        prior: (k,) prior standard deviations, rad.
     """
 
     names: tuple[str, ...]
@@ -83,7 +83,7 @@ class TableSeen:
     prior: Floats
 
     def to_dict(self) -> list[dict[str, object]]:
-        """Return it as plain values, rad, by the keys of docs/files/output.md."""
+        """Return it as built-in values, rad, by the keys of docs/files/output.md."""
         rows = zip(self.names, self.values, self.std, self.prior, strict=True)
         return [
             {'name': name, 'value': float(value), 'std': float(std), 'prior_std': float(prior)}
@@ -93,12 +93,12 @@ class TableSeen:
 
 @dataclass(frozen=True)
 class Contradicting:
-    """A unit whose part in what is common the others contradict.
+    """A unit whose part in the common unknowns contradicts that of the others.
 
     Attributes:
-        unit: Its place among all.
-        chi_square: Of its part, by what the others and the priors say.
-        freedom: Degrees of freedom of that.
+        unit: Its index among all.
+        chi_square: Of its part, against the others and the priors.
+        freedom: Its degrees of freedom.
     """
 
     unit: int
@@ -108,14 +108,13 @@ class Contradicting:
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """Estimates of several units with what they share estimated once.
+    """Estimates of several units with common unknowns estimated once.
 
     Attributes:
-        estimates: Of each unit that took part, by its place.
-        table: What they found of the table.
+        estimates: Of each unit that took part, by its index.
+        table: Their common estimate of the table.
         contradicting: Those that were left out, the worst first.
-        partial: Units that saw less than half of the dwells: their place, how many they saw, and
-            how many there are.
+        partial: Units that saw less than half of the dwells: index, number seen, total number.
     """
 
     estimates: dict[int, SharedEstimate]
@@ -125,14 +124,14 @@ class Joined:
 
 
 def join(alone: Sequence[Estimate]) -> Joined:
-    """Estimate what several units share from all of them.
+    """Estimate the common unknowns of several units from all of them.
 
-    A unit that saw less than half of the dwells is left out, and one whose part does not go with
-    those of the others, the worst first, as long as three or more are left; of two that contradict
-    each other it is unknown which is right.
+    Units that saw less than half of the dwells are left out, and units whose part contradicts the
+    others, the worst first, while three or more remain; of two that contradict each other it is
+    unknown which is right.
 
     Args:
-        alone: What each found by itself, with the weights that count; all on one table.
+        alone: Estimate of each unit by itself, with its final weights; all on one table.
 
     Raises:
         NotObservable: The iteration does not converge.
@@ -153,10 +152,10 @@ def join(alone: Sequence[Estimate]) -> Joined:
 
 
 def _likeliest(alone: Sequence[Estimate]) -> _System:
-    """Solve with the table's errors as large as any unit found them; return what is likeliest.
+    """Solve with the table's errors as large as found by any unit; return the likeliest.
 
-    By the restricted likelihood of all units: one whose own scatter passes for errors of the table
-    convinces the others of none.
+    By the restricted likelihood of all units: a unit whose own scatter looks like errors of the
+    table does not raise it for the others.
     """
     sizes = dict.fromkeys(CommonSizes.found_by(found.equations) for found in alone)
     systems: list[_System] = []
@@ -175,7 +174,7 @@ def _likeliest(alone: Sequence[Estimate]) -> _System:
 
 
 def _worst(system: _System, kept: Sequence[int]) -> Contradicting | None:
-    """Return the unit that contradicts the others most, if any does."""
+    """Return the unit that contradicts the others most, if any."""
     worst: tuple[float, Contradicting] | None = None
     limit = float(np.log(_CHANCE))
     for i, unit in enumerate(kept):
@@ -190,28 +189,28 @@ def _worst(system: _System, kept: Sequence[int]) -> Contradicting | None:
 
 @dataclass(frozen=True, eq=False)
 class _Reduced:
-    """A unit about a state, its own parameters eliminated."""
+    """The equations of a unit about a state, its own parameters eliminated."""
 
     orthonormal: Floats
-    """(r, n) basis of what its own parameters do to its equations."""
+    """(r, n) basis of its own parameters' effects on its equations."""
     inverse: Floats
     """(n, n) of the triangle: parameters by coordinates in that basis."""
     common: Floats
-    """(r, c) derivatives by what is common, whitened, less what its own take up."""
+    """(r, c) derivatives by the common unknowns, whitened, orthogonal to its own parameters."""
     by_common: Floats
-    """(n, c) derivatives of its own parameters by what is common."""
+    """(n, c) derivatives of its own parameters by the common unknowns."""
     own: Floats
-    """(n,) step of its own parameters where what is common stays."""
+    """(n,) step of its own parameters with the common unknowns fixed."""
     pull: Floats
-    """(c,) gradient by what is common."""
+    """(c,) gradient by the common unknowns."""
     square: float
-    """Sum of squares that its own parameters leave, standard deviations."""
+    """Sum of squared whitened residuals after its own parameters."""
     factor: Floats
     """(m, m) root of the covariance of its outputs."""
 
     @property
     def information(self) -> Floats:
-        """(c, c) about what is common."""
+        """(c, c) information on the common unknowns."""
         return np.asarray(self.common.T @ self.common)
 
     def unwhitened(self, gain: Floats) -> Floats:
@@ -222,7 +221,7 @@ class _Reduced:
 
 
 class _System:
-    """The equations of several units, about the state that is reached."""
+    """The equations of several units about the current state."""
 
     def __init__(self, alone: Sequence[Estimate], sizes: CommonSizes) -> None:
         self._alone = alone
@@ -269,7 +268,7 @@ class _System:
         return -0.5 * float(square + gained)
 
     def estimate(self, k: int) -> SharedEstimate:
-        """Return what was found of a unit."""
+        """Return the result of a unit."""
         alone, unit, mine = self._alone[k], self._units[k], self._reduced[k]
         own, n = self._own(k), self._units[k].sensors
         common = self._inverse
@@ -301,10 +300,10 @@ class _System:
         )
 
     def contradiction(self, k: int) -> tuple[float, int]:
-        """Return chi-square and degrees of freedom of a unit's part, by all the others.
+        """Return chi-square and degrees of freedom of a unit's part, against all the others.
 
-        Its gradient where the others alone would be, and the covariance of that: along the
-        directions of which it tells something.
+        Its gradient at the solution of the others alone, and the covariance of that: along the
+        directions on which it has information.
         """
         mine = self._reduced[k].information
         others = self._information - mine
@@ -322,7 +321,7 @@ class _System:
         return float(square.sum()), int(tells.sum())
 
     def table_seen(self) -> TableSeen:
-        """Return what was found of the table."""
+        """Return the estimate of the table."""
         errors, count = self._errors, len(TABLE_STATE)
         std = np.sqrt(np.diag(self._inverse))
         named = [k for k, name in enumerate(errors.names) if name]
@@ -336,7 +335,7 @@ class _System:
         )
 
     def _own(self, k: int) -> NDArray[np.intp]:
-        """Return which entries of its state are a unit's own."""
+        """Return which entries of its state belong to a unit alone."""
         unit = self._units[k]
         return np.delete(np.arange(unit.size), unit.sensors + np.arange(len(TABLE_STATE)))
 
@@ -356,9 +355,9 @@ class _System:
         self._inverse = np.linalg.inv(scaled) * np.outer(scale, scale)
 
     def _priors(self) -> tuple[Floats, Floats]:
-        """Return the information of the priors about what is common, and their gradient."""
+        """Return the information of the priors on the common unknowns, and their gradient."""
         first = len(TABLE_STATE)
-        # Where one unit says that north is elsewhere, or the table less level, it is so for all.
+        # If one unit shows another north, or a less level table, this holds for all.
         deviations = np.max([unit.prior[1][:first] for unit in self._units], axis=0)
         known = np.ones(first + len(self._values))
         known[:first] = 1 / deviations**2
@@ -368,7 +367,7 @@ class _System:
         return np.diag(known), pulled
 
     def _eliminated(self, k: int) -> _Reduced:
-        """Whiten a unit's equations by what is its own, and take its own parameters out."""
+        """Whiten a unit's equations by its own covariance, and eliminate its own parameters."""
         unit, state, own = self._units[k], self._states[k], self._own(k)
         jacobian, columns = unit.jacobian(state), self._errors.columns[k]
         of_table = unit.sensors + np.arange(len(TABLE_STATE))
@@ -404,7 +403,8 @@ class _System:
     def _shares(self, k: int) -> dict[Source, Share]:
         """Return by source the covariance of a unit's parameters.
 
-        What is its own, what the others say, and the priors of what is common: they add up.
+        Its own errors, those of the other units, and the priors of the common unknowns: they add
+        up.
         """
         unit, mine, n = self._units[k], self._reduced[k], self._units[k].sensors
         by_common = mine.by_common[:n] @ self._inverse
@@ -435,9 +435,9 @@ class _System:
         return {source: Share.of_parts(parts) for source, parts in found.items() if parts}
 
     def _information_on_common(self, k: int) -> list[tuple[Floats, float]]:
-        """Return what a unit says of what is common: (c, c) information by its own errors.
+        """Return a unit's information on the common unknowns: (c, c) covariances by its own errors.
 
-        Each with the degrees of freedom of its size; what its own priors say is taken as known.
+        Each with the degrees of freedom of its size; that of its own priors is taken as known.
         """
         if k not in self._information_by_errors:
             unit, mine = self._units[k], self._reduced[k]
@@ -450,12 +450,12 @@ class _System:
 
 
 def own_components(unit: Equations, state: Floats) -> list[Component]:
-    """Return the parts of the covariance of a unit's outputs that no other unit has, too."""
+    """Return the parts of the covariance of a unit's outputs that are not common to all units."""
     return [c for c in (*unit.own, *unit.shared(state)) if c.source not in SHARED]
 
 
 def own_covariance(unit: Equations, state: Floats) -> Floats:
-    """Return the covariance (m, m) of a unit's outputs by what no other unit has, too."""
+    """Return their sum, the covariance (m, m) of a unit's outputs."""
     result = np.zeros((len(unit.outputs),) * 2)
     for component in own_components(unit, state):
         component.part.add_to(result)

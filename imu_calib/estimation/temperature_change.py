@@ -1,4 +1,4 @@
-"""What a temperature that moves during a session means for parameters taken as constant."""
+"""Effect of a temperature change during a session on parameters taken as constant."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from .estimate import Estimate
 
 _CHEAPEST = 200 * PPM
 """Scale factor per kelvin of the cheapest units (MPU-9150: 0.02 % of the accelerometers). Where
-that does not move a parameter by its standard deviation there is nothing to say."""
+that does not move a parameter by its standard deviation, nothing is reported."""
 
 
 def temperature_finding(found: Estimate) -> list[str]:
-    """Say by how much the temperature moved, and what that means where no term follows it.
+    """Report the change of the temperature, and its effect where no term follows it.
 
     Returns:
         One finding, or none.

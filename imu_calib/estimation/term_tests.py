@@ -1,4 +1,4 @@
-"""What is said of the terms: which are on, which are off, and what would have been found."""
+"""Report on the terms: which are on, which are off, and which sizes would have been detected."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from ..units import ARCSEC, significant
 from .search import Found, Search
 
 _AMOUNT = 10.0
-"""Units of a coefficient of which it is said what they would do."""
+"""Amounts of a coefficient for which the effect is reported."""
 
 _MATTERS = 0.1
 """Standard deviations by which `_AMOUNT` must move a parameter to be named."""
 
 _HIDDEN = 4.5
-"""Standard deviations by which a term of the session that is just not found moves a parameter that
-is then said to hold without it alone: chance passes them in one of 6000 sessions."""
+"""Standard deviations by which an undetected term of the session, just below detection, moves a
+parameter for the parameter to be reported as valid only without the term: exceeded by chance in one
+of 6000 sessions."""
 
 _SAID = PROBABILITY
-"""Probability beyond which a drift that is not found is said: that of expanded uncertainties. Of 20
-such sentences one is of a unit that does not drift; what is less likely widens the deviations all
-the same, and stands with its probability among the terms (`summary`)."""
+"""Probability beyond which an undetected drift is reported: that of expanded uncertainties. Of 20
+such reports one is of a unit that does not drift; less likely drifts still widen the deviations,
+and are listed with their probability among the terms (`summary`)."""
 
 _WORTH_NAMING = 0.1
-"""Share of that by which one of several courses is named."""
+"""Share of that for one of several courses to be named."""
 
 _WIDER = 0.1
 """Share by which a standard deviation must grow to be named."""
@@ -39,13 +40,13 @@ _WIDER = 0.1
 _RECORD = (
     'record the temperature (imu/temperature), or let the unit run for an hour before the session'
 )
-"""What tells drifts from what follows the temperature."""
+"""Advice that separates drifts from effects of the temperature."""
 
 _TEMPERATURE_TELLS = (
     'let the temperature rise and fall during the session, or let the unit run for an hour before '
     'it where the temperature stays'
 )
-"""What does where it was recorded."""
+"""The same where it was recorded."""
 
 _BROKEN_OFF = (
     'The search for further terms was stopped: with the terms that it tried the least squares did '
@@ -57,7 +58,7 @@ _LN10 = float(np.log(10.0))
 
 
 class TermState(Enum):
-    """What became of a family."""
+    """Status of a family."""
 
     ASKED = 'asked for'
     FOUND = 'found'
@@ -68,20 +69,20 @@ class TermState(Enum):
 
 @dataclass(frozen=True, eq=False)
 class TermTest:
-    """What a session says of a term, or of a kind of error of the table.
+    """Result of a session for a term, or for a kind of error of the table.
 
     Attributes:
         name: Of the term, or the key in the table's file.
-        state: What became of it.
-        log10_p: Decimal logarithm of the chance of such a test; None where there was none.
+        state: Its status.
+        log10_p: Decimal logarithm of the chance of such a test; None where not tested.
         parameters: Of a term of the sensors.
         changes: Coefficients of a term of the session.
-        smallest: (k,) coefficients that would have been found nine times in ten, SI units;
-            infinite for those that the session does not show. Empty for what is on.
-        moved: For each coefficient that is off, which parameter it would move most, and by how
-            much per SI unit of it; None where it would move none.
-        probability: That a drift is there all the same, by which the standard deviations allow for
-            it; None where they do not.
+        smallest: (k,) coefficients that would be detected nine times in ten, SI units; infinite for
+            those that the session does not show. Empty for families that are on.
+        moved: For each coefficient that is off, the parameter it would move most, and by how much
+            per SI unit of it; None where it would move none.
+        probability: Of an undetected drift, for which the standard deviations allow; None where
+            they do not.
     """
 
     name: str
@@ -94,7 +95,7 @@ class TermTest:
     probability: float | None = None
 
     def document(self) -> dict[str, object]:
-        """Return what calibration.yaml keeps of it, SI units."""
+        """Return its entries in calibration.yaml, SI units."""
         result: dict[str, object] = {'state': self.state.value}
         if self.log10_p is not None:
             result['log10_p'] = round(self.log10_p, 2)
@@ -116,11 +117,11 @@ class TermTest:
 def tested(
     search: Search, asked: tuple[Term, ...], asked_changes: tuple[Change, ...] = ()
 ) -> tuple[TermTest, ...]:
-    """Return what a search says of every family, the terms in their order.
+    """Return the results of a search for every family, the terms in their order.
 
     Args:
-        search: What was found.
-        asked: Terms of the sensors that were on whatever the session shows.
+        search: The finished search.
+        asked: Terms of the sensors that were requested.
         asked_changes: Coefficients of terms of the session, likewise.
     """
     result = [TermTest(t.name, TermState.ASKED, parameters=t.parameters) for t in asked]
@@ -156,13 +157,13 @@ def tested(
 
 
 _NONE = np.zeros((0, 0))
-"""Of families whose coefficients move no parameter."""
+"""For families whose coefficients move no parameter."""
 
 
 def _moved(
     search: Search, amount: float, slopes: Floats, least: float
 ) -> tuple[Parameter, float] | None:
-    """Return which parameter a coefficient moves most, in its deviations, and by how much.
+    """Return the parameter that a coefficient moves most, in its deviations, and by how much.
 
     The n parameters follow it by `slopes`; an amount must move one by `least` deviations.
     """
@@ -176,14 +177,14 @@ def _moved(
 
 
 def findings(search: Search) -> list[str]:
-    """Say what was found beside what was asked for."""
+    """Return sentences on the families found in addition to those requested."""
     broken_off = [_BROKEN_OFF] if search.broken_off else []
     table = search.before_search.equations.evidence.table
     return [*(_found(one, table) for one in search.found), *broken_off, *_likely(search)]
 
 
 def untold_errors(search: Search) -> tuple[str, ...]:
-    """Name the errors of the table that the session sees and has too few outputs to test."""
+    """Return a sentence on observed errors of the table with too few outputs to be tested."""
     return tuple(
         f'{_TABLE_WORDS[family.name]} ({family.name})'
         for family, score in search.scores.items()
@@ -192,10 +193,10 @@ def untold_errors(search: Search) -> tuple[str, ...]:
 
 
 def _likely(search: Search) -> list[str]:
-    """Say where a drift that is not found is there all the same, but for one case in twenty.
+    """Report undetected drifts that exist with a probability of 95 %.
 
-    Of a sound session the score is beyond that, 32 for eight coefficients and two courses, once in
-    ten thousand; beyond the even chance, 23, it is once in three hundred.
+    In a session without drift the score exceeds that, 32 for eight coefficients and two courses,
+    once in ten thousand; the even chance, 23, once in three hundred.
     """
     total = sum(search.probability.values())
     if total <= _SAID:
@@ -284,7 +285,7 @@ _TABLE_WORDS = {
 
 
 def summary(tests: tuple[TermTest, ...]) -> list[str]:
-    """Return lines for the screen: what was found, what is off and how small, what is not seen."""
+    """Return lines for the screen: families found, those off with their limits, those not seen."""
     lines = []
     on = [
         t.name
@@ -314,7 +315,7 @@ def summary(tests: tuple[TermTest, ...]) -> list[str]:
 
 
 def _hidden(one: TermTest) -> str:
-    """Say which parameters hold only if scale factors do not change: by how much they might."""
+    """Report parameters that hold only if scale factors do not change, with the possible change."""
     seen = [
         (change, least, moved)
         for change, least, moved in zip(one.changes, one.smallest, one.moved, strict=False)
@@ -347,9 +348,9 @@ def _power(one: TermTest) -> str:
 
 
 def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) -> str:
-    """Say which parameters hold only if a term that the session does not show is not there."""
+    """Report parameters that hold only without a term that the session does not show."""
     names = ', '.join(moved.name for _, (moved, _) in held)
-    # The first of those that are the same to the digits shown.
+    # The first of those that are equal to the digits shown.
     coefficient, (moved, slope) = max(held, key=lambda pair: float(f'{abs(pair[1][1]):.2g}'))
     unit = coefficient.unit
     by = abs(slope) * _AMOUNT * unit.scale / moved.unit.scale

@@ -1,12 +1,12 @@
-"""Drifts that a session neither shows nor excludes: how likely each is, and what it would do.
+"""Drifts that a session neither shows nor excludes: the probability and effect of each.
 
-A drift of the scale factors with the session's time that is too small to be found moves them by
-several standard deviations all the same. So every course has odds beforehand, the session's own
-evidence raises or lowers them, and what the course would make of the parameters enters their
-covariance by the probability that comes out (Bayesian model averaging).
+A drift of the scale factors with the session's time that is too small to be detected still moves
+them by several standard deviations. So every course has prior odds, the session's evidence raises
+or lowers them, and the effect of the course on the parameters enters their covariance with the
+resulting probability (Bayesian model averaging).
 
-Sources: Liang et al. 2008, J. Am. Statist. Assoc. 103, 410 (the prior of the coefficients);
-Hoeting et al. 1999, Statist. Sci. 14, 382; docs/mathematics.md, 'Terms that are missing'.
+Sources: Liang et al. 2008, J. Am. Statist. Assoc. 103, 410 (the prior of the coefficients); Hoeting
+et al. 1999, Statist. Sci. 14, 382; docs/mathematics.md, 'Terms that are missing'.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from ..stream import Floats
 from .score import Family, Score
 
 _ODDS = 1 / 20
-"""Of each of two courses, before the session is seen, to none: ten to one for none, a judgement:
-one session in eleven drifts."""
+"""Prior odds of each of two courses against none: ten to one for none, a judgement: one session in
+eleven drifts."""
 
 _LEAST = 1e-9
-"""Chi-square below which the integrals are taken at it: they are smooth there."""
+"""Chi-square below which the integrals are evaluated at this value: they are smooth there."""
 
 
 @dataclass(frozen=True, eq=False)
 class UndecidedDrifts:
-    """What drifts that are not shown may do.
+    """Possible effects of drifts that are not shown.
 
     Attributes:
         probability: Of each course, all of its time constants together.
-        doubt: (n, n) covariance by what they would make of the parameters.
+        doubt: (n, n) covariance of their effect on the parameters.
     """
 
     probability: Mapping[Family, float]
@@ -48,10 +48,10 @@ Possible = tuple[Score, Floats]
 
 
 def undecided(courses: Mapping[Family, Sequence[Possible]], count: int) -> UndecidedDrifts:
-    """Weigh courses against each other and against none.
+    """Weight courses against each other and against none.
 
     Args:
-        courses: With their time constants, each of which is as likely beforehand.
+        courses: With their time constants, each equally likely beforehand.
         count: n of the parameters.
     """
     logs: dict[Family, float] = {}
@@ -80,10 +80,10 @@ def _square(score: Score) -> tuple[float, int]:
 
 
 def log_bayes_factor(square: float, rank: int) -> float:
-    """Return the logarithm of how much likelier the data is with coefficients than without.
+    """Return the logarithm of the likelihood ratio with and without coefficients.
 
-    They are normal with g times the covariance by which the session knows them, and g has the
-    density (1 + g)^-1.5 / 2.
+    They are normal with g times the covariance of their estimate, and g has the density (1 +
+    g)^-1.5 / 2.
 
     Args:
         square: Chi-square of their score test.
@@ -96,7 +96,7 @@ def log_bayes_factor(square: float, rank: int) -> float:
 
 
 def shrinkage(square: float, rank: int) -> tuple[float, float]:
-    """Return the mean of g / (1 + g) and of its square, as the session leaves them.
+    """Return the posterior means of g / (1 + g) and of its square.
 
     Args:
         square: As in `log_bayes_factor`.
@@ -109,7 +109,7 @@ def shrinkage(square: float, rank: int) -> tuple[float, float]:
 
 
 def _doubt(score: Score, slopes: Floats) -> Floats:
-    """Return the mean of what a course does to the parameters, squared, (n, n)."""
+    """Return the mean squared effect of a course on the parameters, (n, n)."""
     mean, mean_square = shrinkage(*_square(score))
     moved = slopes @ score.estimate
     spread = slopes @ (score.scale * score.covariance) @ slopes.T

@@ -38,9 +38,9 @@ from .remainders import RoughAnswers, remainder_covariance
 from .velocity_increments import VelocityIncrement, by_delay, by_places
 
 _FORESEEN = 1.0
-"""Pulses a second by which counters may run otherwise than is thought before a session, a standard
-deviation: both ends of a move of two seconds then have phases of their own. Of pulses of 0.5 mm/s
-a bias that is off by 50 ug is as much, and gravity for a millisecond more is twenty."""
+"""Standard deviation of counters' rates from their prediction before a session, pulses a second:
+both ends of a move of two seconds then have independent phases. With pulses of 0.5 mm/s a bias
+error of 50 ug makes as much, and gravity for one more millisecond twenty pulses."""
 
 _EDGES = 1 / 6
 """Square of a pulse due to the counter's remainders at both ends of a move: 2 / 12. The remainders
@@ -425,7 +425,7 @@ class Moves:
         return found
 
     def _held_back(self, index: int, pulse: Floats, least: Floats) -> Floats:
-        """Return one of them, where rates of counters are in doubt by (3,) m/s^2 at least."""
+        """Return one of them, with counter rates uncertain by at least (3,) m/s^2."""
         if self.rough is None:
             return np.eye(3) * _EDGES * np.mean(pulse**2)
         path = self.paths(self.rough.model)[index]
