@@ -1,6 +1,6 @@
 """A table whose file states implausibly small errors: which results depend on that.
 
-The file is believed until the session shows an error of the table. Which error it is, cannot be
+The file is used as stated until the session shows an error of the table. Which error it is, cannot be
 determined for so small ones: a zero error looks like a joint axis that leans, and a wobble like an
 encoder error. From then on all errors stated too small are taken as those of the best tables.
 

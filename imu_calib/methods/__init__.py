@@ -39,7 +39,7 @@ METHODS: dict[str, Callable[[Evidence], Solution]] = {
 }
 
 JOINT: dict[str, tuple[Term, ...]] = {'joint': (), 'joint_33': (G_SENSITIVITY,)}
-"""The estimates from all of a session at once, and the terms that they begin with."""
+"""The estimates from all of a session at once, and the terms that they include."""
 
 _ESTIMATES: dict[str, tuple[Parameter, ...]] = {
     free_positions.NAME: free_positions.ESTIMATES,
@@ -51,7 +51,7 @@ _ESTIMATES: dict[str, tuple[Parameter, ...]] = {
     'static_six': static_six.ESTIMATES,
     'twelve_position': PARAMETERS,
 }
-"""What the others estimate."""
+"""Parameters of the other methods."""
 
 _JOINT_OF = {
     'n_positions': 'joint_33',
@@ -59,10 +59,10 @@ _JOINT_OF = {
     'six_position': 'joint',
     'twelve_position': 'joint',
 }
-"""Closed forms for all sensors at attitudes that are known, and what solves their sessions too.
+"""Closed forms for all sensors at known attitudes, whose sessions the joint estimate also solves.
 
-The others need their own: the joint estimate knows no gyros alone, no skewed one, and no attitudes
-of which nothing is known.
+Sessions of the others need their own method: the joint estimate does not solve for gyros alone, a
+skewed gyro, or unknown attitudes.
 """
 
 _CHECKS: dict[str, Callable[[Plan, Site], None]] = {
@@ -81,12 +81,12 @@ def method(
 
     Args:
         name: Of the method.
-        terms: To be estimated besides what the method estimates.
-        changes: By which parameters change during the session, likewise.
-        look: Whether terms that the session shows are estimated too, where the method knows any.
+        terms: To be estimated in addition to the method's parameters.
+        changes: Coefficients of changes during the session, likewise.
+        look: Whether terms that the session shows are estimated too, if the method supports terms.
 
     Raises:
-        InputError: No such method, which lists those that exist, or one that knows no terms.
+        InputError: Unknown method (the message lists all), or one without terms.
     """
     if name not in METHODS:
         raise InputError(f'No method is called {name!r}; there are: {", ".join(sorted(METHODS))}.')
@@ -106,7 +106,7 @@ def method(
 def provisional(
     name: str, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = ()
 ) -> Callable[[Evidence], Solution]:
-    """Return what a method makes of a session that goes on: `method`, looking for no terms.
+    """Return the solver for a session in progress: `method` without a search for terms.
 
     Raises:
         InputError: As `method`.
@@ -125,7 +125,7 @@ def estimated_parameters(name: str, terms: tuple[Term, ...] = ()) -> tuple[Param
     """Return the parameters that a method estimates, terms added.
 
     Raises:
-        InputError: No such method, or one that knows no terms.
+        InputError: Unknown method, or one without terms.
     """
     method(name, terms)
     if name in JOINT:
@@ -134,21 +134,21 @@ def estimated_parameters(name: str, terms: tuple[Term, ...] = ()) -> tuple[Param
 
 
 def default_method(plan: Plan) -> str:
-    """Return the joint estimate where it solves what a plan's own method solves, else that."""
+    """Return the joint estimate where it solves sessions of a plan's method, else that method."""
     return _JOINT_OF.get(plan.method, plan.method)
 
 
 def closed_form_beside(name: str, plan: Plan) -> str | None:
-    """Return the closed form to hold a joint estimate of a plan against, None where none goes."""
+    """Return the closed form to compare a joint estimate of a plan with, None if there is none."""
     return plan.method if name in JOINT and plan.method in _JOINT_OF else None
 
 
 def check_plan(name: str, plan: Plan, site: Site) -> None:
-    """Refuse a plan that its method cannot solve, before anybody runs it.
+    """Raise if a plan cannot be solved by its method, before it is run.
 
     Raises:
-        InputError: No such method, or one that needs a plan where there is none.
-        NotObservable: Names the parameters that the plan cannot tell apart.
+        InputError: Unknown method, or one that needs a plan where there is none.
+        NotObservable: Names the parameters that the plan cannot separate.
     """
     method(name)
     if not plan.is_stated and name not in JOINT:
@@ -156,7 +156,7 @@ def check_plan(name: str, plan: Plan, site: Site) -> None:
             f'Method {name} needs the plan that was run, and none is stated; without a plan there '
             f'are {", ".join(JOINT)}.'
         )
-    # What a closed form cannot tell apart, no estimate from the same plan tells well.
+    # Parameters that a closed form cannot separate are poorly determined by any estimate.
     for held in (name, closed_form_beside(name, plan)):
         if held in _CHECKS:
             _CHECKS[held](plan, site)

@@ -1,4 +1,4 @@
-"""What every solution is held to: axes, scales, clocks, encoders and the latitude."""
+"""Checks of every solution: axes, scales, clocks, encoders and the latitude."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ..stream import Floats
 from ..units import DEG, DEG_H, PPM, STANDARD_GRAVITY
 
 CONTRADICTION = 5.0
-"""Standard deviations: false in 6e-7 of Gaussian cases."""
+"""Standard deviations: exceeded in 6e-7 of Gaussian cases."""
 TIMES = ' A wrong rate of the samples, or unit of their times, does the same.'
-"""Of gyros: turned angles are their rates times time."""
+"""For gyros: their rates times time are compared with turned angles."""
 _RANGES = {
     2.0: 'Counts of half the range that the scale factor is for',
     0.5: 'Counts of twice the range that the scale factor is for',
@@ -32,30 +32,31 @@ _MISTAKES = {
         1 / STANDARD_GRAVITY: 'Accelerations in g, stated as m/s^2,',
     },
 }
-"""By how many times outputs are then too large."""
+"""Factor by which outputs are then too large."""
 _NEAR = 0.1
 """Relative: scale factors of the cheapest units are 3 % off."""
 SCALE_LIMIT = 1.9
-"""Times: what differs by more is stated in other units; sensors differ by percents. Twice the rate
-of the samples, and the next range of a converter, are 2 times, less 3 % of the cheapest units."""
+"""Ratio: larger differences are other units; sensors differ by percents. Twice the rate of the
+samples, and the next range of a converter, are a factor of 2, less 3 % of the cheapest units."""
 _AXIS_LIMIT = 0.5
-"""Of an axis's largest response: beyond, the axes are exchanged, not misaligned."""
+"""Of an axis's largest response: beyond it, axes are exchanged, not misaligned."""
 _FAR_SCALE = 0.1
 """Share: data sheets allow percents."""
 _COARSE_STEP = 2e-3 * DEG
-"""Steps of encoders that are worth a sentence, rad: 7 arcsec, 17.5 bits. A judgement: finer ones
+"""Smallest steps of encoders that are reported, rad: 7 arcsec, 17.5 bits. A judgement: finer ones
 are no reason to buy others."""
 
 _WELL_KNOWN_CLOCKS = 5e-6
-"""Of the rate: below it, K_g is known to 5 ppm all the same."""
+"""Of the rate: below it, K_g is still known to 5 ppm."""
 _LEAST_EARTH_RATE = 0.01 * DEG_H
-"""rad/s: what a latitude that is wrong by some hundredths of a degree changes."""
+"""rad/s: effect of a latitude that is wrong by some hundredths of a degree."""
 _TOLD = 0.2
-"""Of the Earth's rate: known worse, it tells a latitude to no better than ten degrees."""
+"""Of the Earth's rate: with a larger uncertainty, the latitude is known no better than to ten
+degrees."""
 
 
 def no_turn_about(axis: int) -> NotObservable:
-    """Return what is said where nothing turned about a body axis."""
+    """Return a sentence for body axes without a turn."""
     name = AXES[axis]
     return NotObservable(
         f'No whole turn about {name.upper()} was found: K_g{name} and the responses of the gyros '
@@ -64,7 +65,7 @@ def no_turn_about(axis: int) -> NotObservable:
 
 
 def turns_scatter_finding(scatter: float) -> str:
-    """Say by how much turns scatter beyond their noise, by chi-square per degree of freedom."""
+    """Report the scatter of turns beyond their noise, by chi-square per degree of freedom."""
     return (
         f'Between turns the gyros scatter {np.sqrt(scatter):.1f} times more than within them '
         '(a range that ends below the rates, a scale factor that depends on the rate): the '
@@ -73,7 +74,7 @@ def turns_scatter_finding(scatter: float) -> str:
 
 
 def clock_finding(evidence: Evidence) -> list[str]:
-    """Mention clocks that the session does not compare well: their rate goes straight into K_g."""
+    """Report clocks that the session does not compare well: their rate directly changes K_g."""
     std = evidence.turns_clock_std
     if std < _WELL_KNOWN_CLOCKS:
         return []
@@ -84,7 +85,7 @@ def clock_finding(evidence: Evidence) -> list[str]:
 
 
 def encoder_finding(evidence: Evidence) -> list[str]:
-    """Mention encoders whose steps hide what rates turns had."""
+    """Report encoders whose steps hide the rates of turns."""
     by_steps = [t.rate_std(evidence.walk) for t in evidence.turns if t.step >= _COARSE_STEP]
     worst = max(by_steps, default=0.0)
     if evidence.encoder_step < _COARSE_STEP or worst < _WELL_KNOWN_CLOCKS:
@@ -98,7 +99,7 @@ def encoder_finding(evidence: Evidence) -> list[str]:
 
 
 def far_scales(model: SensorModel) -> list[str]:
-    """Mention outputs so far from the nominal scale that the description may be another unit's."""
+    """Report outputs so far from the nominal scale that the description may be another unit's."""
     scales = {
         'gyros': abs(float(np.linalg.det(model.gyro.response))) ** (1 / 3),
         'accelerometers': abs(float(np.linalg.det(model.accel.response))) ** (1 / 3),
@@ -112,7 +113,7 @@ def far_scales(model: SensorModel) -> list[str]:
 
 
 def mistaken(scale: float, name: str) -> str:
-    """Return a sentence on the units that make sensors answer so many times; empty for none."""
+    """Return a sentence on units that give sensors so many times the response; empty for none."""
     for factor, mistake in _MISTAKES[name].items():
         if abs(scale / factor - 1) < _NEAR:
             return f' {mistake} do that.'
@@ -120,16 +121,16 @@ def mistaken(scale: float, name: str) -> str:
 
 
 def check_axes(response: Floats, name: str, what: str) -> None:
-    """Refuse a response that no orientation of three real axes explains.
+    """Raise if a response matches no orientation of three real axes.
 
     Args:
         response: (3, 3), row i the channel, column j the axis of the plan; dimensionless.
         name: Of the sensors, for the message.
-        what: To what they answer, for the message.
+        what: The input, for the message.
 
     Raises:
-        InputError: The response is many times, or a fraction of, what it should be: other units.
-        NotObservable: Axes are swapped, mirrored or turned; says which.
+        InputError: The response is many times, or a fraction of, its nominal value: other units.
+        NotObservable: Axes are swapped, mirrored or turned; names them.
     """
     scale = abs(float(np.linalg.det(response))) ** (1 / 3)
     if not 1 / SCALE_LIMIT < scale < SCALE_LIMIT:
@@ -159,11 +160,11 @@ def check_axes(response: Floats, name: str, what: str) -> None:
 
 
 class WrongLatitude(Contradiction):
-    """The gyros see the Earth turn as it does at another latitude.
+    """The gyros see the Earth rate of another latitude.
 
     Attributes:
         seen: That latitude, rad.
-        misfit: By how many standard deviations the whole rate differs from the Earth's.
+        misfit: Difference of the whole rate from the Earth's, in standard deviations.
     """
 
     def __init__(self, text: str, seen: float = float('nan'), misfit: float = float('inf')) -> None:
@@ -175,17 +176,17 @@ class WrongLatitude(Contradiction):
 def check_latitude(
     evidence: Evidence, earth: Floats, covariance: Floats, freedom: float = np.inf
 ) -> None:
-    """Refuse a latitude that the gyros contradict: gravity and the biases would rest on it.
+    """Raise if the gyros contradict the latitude: gravity and the biases depend on it.
 
     Args:
         evidence: The session, with the site that was given.
-        earth: (3,) Earth rate that the gyros see, against the plumb line, rad/s.
+        earth: (3,) Earth rate by the gyros, against the plumb line, rad/s.
         covariance: (3, 3) its covariance.
-        freedom: Degrees of freedom by which the size of that is known: of few, deviations are
-            distributed by Student's t, whose tails are long.
+        freedom: Degrees of freedom of its size: with few, deviations follow Student's t, whose
+            tails are long.
 
     Raises:
-        WrongLatitude: Says what is seen and what was expected, and which latitude would fit.
+        WrongLatitude: States the observed and the expected rate, and which latitude would fit.
         Contradiction: No latitude does.
     """
     site = evidence.site

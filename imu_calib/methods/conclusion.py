@@ -1,4 +1,4 @@
-"""A closed form against its data: what is left, what contradicts it, and what widens it."""
+"""A closed form against its data: residuals, contradictions, and wider standard deviations."""
 
 from __future__ import annotations
 
@@ -28,31 +28,33 @@ from .checks import (
 from .solution import Residual, Solution
 
 _SIGNIFICANT = 1e-6
-"""Probability of chance below which scatter counts: no false one in a laboratory's lifetime."""
+"""Probability of chance below which scatter is significant: no false one in a laboratory's
+lifetime."""
 _RANK = 1e-3
-"""Of the largest singular value, columns of one length: what attitudes show by no more is the last
-digits of an encoder. Six positions show one tilt, and not the other beside the misalignments."""
+"""Of the largest singular value, columns of one length: smaller ones come from the last digits of
+an encoder. Six positions show one tilt, but do not separate the other from the misalignments."""
 
 _OFF_POSITION = 0.02 * DEG
-"""rad: a plan rounds to hundredths of a degree, and tables position better; a judgement."""
+"""rad: a plan rounds to hundredths of a degree, and tables' positioning errors are smaller; a
+judgement."""
 _OUTSTANDING = 5.0
-"""Times 1.5 of the usual worst channel of a position: of Gaussian residuals in six channels some
+"""Times 1.5 of the usual worst channel of a position: for Gaussian residuals in six channels some
 12 standard deviations."""
 _LEAST_AZIMUTH = 0.05 * DEG
-"""rad: how well a table's zero is set to north without measuring it; a judgement."""
+"""rad: error of a table's zero that is set to north without measurement; a judgement."""
 SAME_UP = 0.99
-"""Cosine: 8 degrees, far less than positions of a plan differ by."""
+"""Cosine: 8 degrees, far less than the differences between positions of a plan."""
 _ON_TURNS = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
 
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """What linear least squares find, and leave.
+    """Result of linear least squares.
 
     Attributes:
         step: (k,) of the unknowns; the shortest where they are not determined.
         covariance: (k, k) its covariance.
-        square: Chi-square of what is left.
+        square: Chi-square of the residuals.
         freedom: Its degrees of freedom.
     """
 
@@ -66,9 +68,9 @@ class LeastSquares:
         """Solve (n, k) columns for (n,) outputs, both in standard deviations.
 
         Args:
-            columns: By the unknowns.
-            left: To be explained.
-            rank: Least singular value that counts, of the largest, columns of one length.
+            columns: Derivatives by the unknowns.
+            left: Outputs to be explained.
+            rank: Least singular value used, of the largest, columns of one length.
         """
         norms = np.linalg.norm(columns, axis=0)
         scale = np.where(norms > 0, norms, 1.0)
@@ -89,28 +91,28 @@ class LeastSquares:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Earth rate or gravity as the static dwells see it, by given sensors."""
+    """Earth rate or gravity observed in the static dwells, with given sensors."""
 
     vector: Floats
     """(3,) Earth rate or specific force in the frame of the attitudes."""
     covariance: Floats
     """(3, 3) its covariance."""
     residuals: Floats
-    """(s, 3) what is left."""
+    """(s, 3) residuals."""
     scatter: _Scatter
-    """Of what is left where more is free."""
+    """The same of the residuals with more unknowns."""
 
 
 @dataclass(frozen=True)
 class _Scatter:
-    """Chi-square per degree of freedom where it is beyond chance, else 1; degrees of freedom."""
+    """Chi-square per degree of freedom where significant, else 1; degrees of freedom."""
 
     ratio: float = 1.0
     freedom: float = np.inf
 
     @property
     def significant(self) -> bool:
-        """Whether it exceeds what the covariance of the outputs explains."""
+        """Whether it exceeds the covariance of the outputs."""
         return self.ratio > 1
 
 
@@ -130,14 +132,14 @@ def conclude(
 
     Args:
         evidence: The session.
-        model: What a method found.
+        model: Result of a method.
         shares: Its covariance (n, n) by source; NaN for accelerometers that were not estimated.
         condition: Condition number of its system.
         gain: (n, m) derivatives of its parameters by the outputs.
-        parameters: What the rows of the covariance stand for.
-        findings: What the method has to say already.
+        parameters: Of the rows of the covariance.
+        findings: Findings of the method so far.
         north_known: Whether the attitudes are against north.
-        accelerometers: How the method makes accelerometers of a session; None where it does not.
+        accelerometers: Closed form for the accelerometers; None if not estimated.
 
     Raises:
         InputError: The outputs are not in the units that the IMU's description states.
@@ -150,7 +152,7 @@ def conclude(
     if with_accels:
         check_axes(model.accel.response, 'accelerometers', 'gravity')
     notes = [*findings, *far_scales(model), *clock_finding(evidence)]
-    # A closed form knows no moves.
+    # A closed form does not use moves.
     equations = Equations(replace(evidence, moves=()), parameters)
     state = equations.nominal()
     state[: equations.sensors] = model.values(parameters)
@@ -169,7 +171,7 @@ def conclude(
             )
     of_turns = _turns_scatter(equations, state) if evidence.turns else _Scatter()
     if of_turns.significant:
-        # Scale factors and misalignments of the gyros rest on the turns, their biases do not.
+        # Scale factors and misalignments of the gyros depend on the turns, their biases do not.
         on_turns = [p.triad == 'g' and p.kind in _ON_TURNS for p in parameters]
         factors = np.where(on_turns, np.sqrt(of_turns.ratio), 1.0)
         widened *= np.outer(factors, factors)
@@ -214,18 +216,18 @@ def conclude(
 
 
 def _tilt(accel: _Fit) -> Tilt:
-    """Return the tilt of the table that the specific force at rest shows."""
+    """Return the tilt of the table by the specific force at rest."""
     size = float(np.linalg.norm(accel.vector))
     square = float(np.diag(accel.covariance)[:2].max()) * accel.scatter.ratio
     return Tilt(accel.vector / size, float(np.sqrt(square)) / size)
 
 
 def _fit(equations: Equations, state: Floats, first: int) -> _Fit:
-    """Free the vector that all static dwells see, and a common offset.
+    """Estimate the common vector of all static dwells, and a common offset.
 
-    What scatters is held against more: of accelerometers (`first` is 3), whose closed forms weigh
-    all positions alike, responses, biases and tilts are free. What a position of few pulses does to
-    them through its quantisation is no contradiction among the others.
+    Scatter is measured with more unknowns: for accelerometers (`first` is 3), whose closed forms
+    weight all positions equally, responses, biases and tilts are free. Their error by the
+    quantisation of a position of few pulses is then not a contradiction among the others.
 
     Source: docs/mathematics.md, 'Joint estimate' (azimuth and latitude from the session itself).
     """
@@ -240,7 +242,7 @@ def _fit(equations: Equations, state: Floats, first: int) -> _Fit:
         own = [k for k, p in enumerate(equations.parameters) if p.triad == 'a']
         tilts = [equations.sensors + which for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
         free = np.array([*own, *tilts], dtype=np.intp)
-        # Twice for what is of second order: tilts times errors of the closed form.
+        # Twice for second-order terms: tilts times errors of the closed form.
         moved = state.copy()
         moved[free] += LeastSquares.weighed(
             equations.jacobian(state)[np.ix_(rows, free)], left, covariance
@@ -262,7 +264,7 @@ def _fit(equations: Equations, state: Floats, first: int) -> _Fit:
 
 
 def _turns_scatter(equations: Equations, state: Floats) -> _Scatter:
-    """Hold the gyros' outputs in the turns about each axis to a line, which they must follow."""
+    """Compare the gyros' outputs in the turns about each axis with a line."""
     rows = equations.layout.turn.ravel()
     about = np.argmax(np.abs([turn.up for turn in equations.evidence.turns]), axis=1)
     on_turns = [k for k, p in enumerate(equations.parameters) if p.kind in _ON_TURNS]
@@ -274,7 +276,7 @@ def _turns_scatter(equations: Equations, state: Floats) -> _Scatter:
 
 
 def _scatter(equations: Equations, columns: Floats, left: Floats, covariance: Floats) -> _Scatter:
-    """Return by how much more than their covariance outputs scatter about what is free."""
+    """Return the scatter of outputs about the free unknowns over their covariance."""
     noisy = equations.own_variances.max() > SMALLEST_VARIANCE
     found = LeastSquares.weighed(columns, left, covariance)
     if not noisy or not found.freedom:
@@ -285,10 +287,10 @@ def _scatter(equations: Equations, columns: Floats, left: Floats, covariance: Fl
 
 
 def _means_by_up(evidence: Evidence) -> Floats:
-    """Return what makes means of static dwells with one direction up, (3 g, 3 s).
+    """Return the matrix that averages static dwells with one direction up, (3 g, 3 s).
 
     Between the positions of such a group only the vertical axis turned. A positioning error of the
-    other axes is common to them, and hides from the scatter within the group.
+    other axes is common to them, and is hidden from the scatter within the group.
     """
     ups = evidence.attitudes()[:, 2]
     groups = np.argmax(ups @ ups.T > SAME_UP, axis=1)
@@ -307,7 +309,7 @@ def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit | None) -> tuple[Resi
 
 
 def _outstanding(residuals: Sequence[Residual]) -> list[str]:
-    """Name positions whose residuals stand far out of the others'."""
+    """Return the names of positions with residuals far above the others'."""
     if not residuals:
         return []
     normalised = np.array(

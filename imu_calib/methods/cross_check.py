@@ -1,4 +1,4 @@
-"""The joint estimate beside the closed form of its plan: two ways through the same data."""
+"""Compare the joint estimate with the closed form of its plan: two solutions of the same data."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from ..stream import Floats
 from .solution import Solution
 
 _ONE_IN = 1e-3
-"""Share of sessions in which chance alone makes the two contradict each other."""
+"""Share of sessions in which the two contradict each other by chance."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What a closed form says of the parameters that the joint estimate has found.
+    """Result of the closed form for the parameters of the joint estimate.
 
     Attributes:
         method: Name of the closed form.
-        parameters: That both estimate.
+        parameters: Estimated by both.
         difference: (n,) closed form less joint, in units of the larger of the two standard
-            deviations. The difference of an estimate and the best one spreads by less than the
-            former's own deviation (Hausman 1978, Econometrica 46, 1251).
+            deviations. The difference of an estimate from the best one has a smaller deviation than
+            the estimate itself (Hausman 1978, Econometrica 46, 1251).
         ratio: (n,) standard deviation of the joint estimate over that of the closed form.
-        refusal: Why the closed form has no answer, else empty; nothing is compared then.
+        refusal: Why the closed form has no result, else empty; nothing is compared then.
     """
 
     method: str
@@ -37,13 +37,13 @@ class Comparison:
 
     @classmethod
     def of(cls, joint: Solution, closed: Solution, method: str) -> Comparison:
-        """Compare what both estimate."""
+        """Compare the parameters estimated by both."""
         parameters = tuple(p for p in joint.parameters if p in closed.parameters)
         values = [s.model.values(parameters) for s in (joint, closed)]
         deviations = [s.std[indices_of(parameters, s.parameters)] for s in (joint, closed)]
         larger = np.maximum(deviations[0], deviations[1])
         off = values[1] - values[0]
-        # Without noise both deviations are zero, and so is what they differ by but for rounding.
+        # Without noise both deviations are zero, and the difference is rounding.
         difference = np.divide(off, larger, out=np.zeros_like(off), where=larger > 0)
         ratio = np.divide(
             deviations[0], deviations[1], out=np.ones_like(off), where=deviations[1] > 0
@@ -52,7 +52,7 @@ class Comparison:
 
     @classmethod
     def refused(cls, method: str, refusal: str) -> Comparison:
-        """Note that the closed form has no answer."""
+        """Note that the closed form has no result."""
         return cls(method, (), np.empty(0), np.empty(0), refusal)
 
     @property
@@ -63,12 +63,12 @@ class Comparison:
 
     @property
     def tighter(self) -> float:
-        """By what share the joint estimate's deviations are smaller, in the geometric mean."""
+        """Share by which the joint estimate's deviations are smaller, in the geometric mean."""
         return 1 - float(np.exp(np.mean(np.log(self.ratio))))
 
     @property
     def disagrees(self) -> bool:
-        """Whether any parameter differs by more than chance makes one in a thousand sessions."""
+        """Whether any parameter differs by more than by chance in one of a thousand sessions."""
         return not self.refusal and self.furthest[1] > self._limit
 
     @property
@@ -77,7 +77,7 @@ class Comparison:
         return float(-scipy.special.ndtri(_ONE_IN / 2 / len(self.parameters)))
 
     def sentence(self) -> str:
-        """Say how far the two are apart, and what the joint estimate gains."""
+        """Report the difference of the two, and the gain of the joint estimate."""
         if self.refusal:
             return f'closed form {self.method} has no answer: {self.refusal}'
         name, far = self.furthest
@@ -90,7 +90,7 @@ class Comparison:
         )
 
     def finding(self) -> list[str]:
-        """Say what a person should know of it: that the two contradict each other, or nothing."""
+        """Report a contradiction between the two, if any."""
         if not self.disagrees:
             return []
         names = ', '.join(
@@ -105,7 +105,7 @@ class Comparison:
         ]
 
     def document(self) -> dict[str, object]:
-        """Return what calibration.yaml keeps of it."""
+        """Return its entries in calibration.yaml."""
         if self.refusal:
             return {'method': self.method, 'refusal': self.refusal}
         pairs = zip(self.parameters, self.difference, strict=True)

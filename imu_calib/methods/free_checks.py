@@ -1,8 +1,8 @@
-"""What contradicts a session in the hand: units, exchanged axes, a latitude that is not the site's.
+"""Contradictions in a session in the hand: units, exchanged axes, a latitude of another site.
 
-Free positions have no plan to be compared with, but three facts remain: gravity has one known
-length, the gyros must turn gravity from hold to hold as the accelerometers see it, and the Earth
-turns at the rate of the site.
+Free positions have no plan to compare with, but three facts remain: gravity has a known length, the
+gyros must turn gravity from hold to hold as seen by the accelerometers, and the Earth turns at the
+rate of the site.
 
 Source: docs/mathematics.md, 'Free positions'.
 """
@@ -22,35 +22,36 @@ from ..units import DEG
 from .checks import SCALE_LIMIT, TIMES, mistaken
 
 _ASTRAY = 10 * DEG
-"""rad, root mean square over the turns: gravity led on by the gyros misses the next hold by more
-only where channels or units are wrong. Scale factors and misalignments of percents leave a few
-degrees of half a turn."""
+"""rad, root mean square over the turns: gravity turned by the gyros misses the next hold by more
+only with wrong channels or units. Scale factors and misalignments of percents cause a few degrees
+in half a turn."""
 _BETTER = 3.0
-"""Times by which exchanged axes or other units must fit better to be named. A judgement: what is
-named leaves the few degrees of `_ASTRAY`, what is wrong some ninety."""
+"""Factor by which exchanged axes or other units must fit better to be named. A judgement: the right
+one leaves the few degrees of `_ASTRAY`, the wrong one some ninety."""
 _DOUBT = 3.0
-"""Standard deviations: three sessions in a thousand are solved in full before they are clear."""
+"""Standard deviations: three sessions in a thousand are solved in full before they are accepted."""
 _UNITS = (1.0, 1 / DEG, DEG, 2.0, 0.5)
-"""Responses of gyros in rad/s, where deg/s are stated as rad/s or rad/s as deg/s, and where half or
+"""Responses of gyros in rad/s where deg/s are stated as rad/s or rad/s as deg/s, and where half or
 twice the rate of the samples, or the next range of a converter, is stated."""
 
 _AROUND = np.geomspace(0.8, 1.25, 41).tolist()
-"""Of a response that is named, by 1.1 %: from those in `_UNITS` to what is solved and mentioned."""
+"""Of a named response, by 1.1 %: from those in `_UNITS` to those that are solved and reported."""
 
 
 def check_turns(evidence: Evidence, model: SensorModel) -> None:
-    """Refuse gyros that turn gravity elsewhere than the accelerometers at the next hold see it.
+    """Raise if the gyros turn gravity to another direction than the accelerometers of the next
+    hold.
 
-    All exchanges and signs of axes, in rad/s and in deg/s, are tried; that with the fewest changes
-    of those that fit is named. Where none fits nothing is refused here.
+    All exchanges and signs of axes, in rad/s and in deg/s, are tried; the one with the fewest
+    changes of those that fit is named. If none fits, this function does not raise.
 
     Args:
         evidence: In attitudes whose ups are those of the accelerometers.
-        model: Its biases of the gyros count.
+        model: Only its gyro biases are used.
 
     Raises:
-        InputError: Units or scale factor of the gyros are not those of the recording.
-        Contradiction: Axes are exchanged or mirrored; says which.
+        InputError: Units or scale factor of the gyros differ from those of the recording.
+        Contradiction: Axes are exchanged or mirrored; names them.
     """
     if not len(evidence.links):
         return
@@ -80,7 +81,9 @@ def check_turns(evidence: Evidence, model: SensorModel) -> None:
 
 
 def other_latitudes(evidence: Evidence) -> tuple[float, ...]:
-    """Return latitudes, rad, that may be meant: in the other hemisphere, and as gyros see it."""
+    """Return latitudes, rad, that may be meant: the opposite hemisphere, and that seen by the
+    gyros.
+    """
     seen = up_rate_seen(evidence.segments)
     found = None if seen is None else latitude_seen(*seen)
     stated = evidence.site.latitude
@@ -88,17 +91,17 @@ def other_latitudes(evidence: Evidence) -> tuple[float, ...]:
 
 
 def doubts_latitude(evidence: Evidence) -> bool:
-    """Say whether the gyros at rest see the Earth turn otherwise than at the stated latitude.
+    """Return whether the gyros at rest contradict the Earth rate of the stated latitude.
 
-    By three standard deviations: a doubt, no contradiction. The attitudes are those that have the
-    ups of the accelerometers.
+    By three standard deviations: a doubt, not a contradiction. The attitudes have the ups of the
+    accelerometers.
     """
     seen = up_rate_seen(evidence.segments)
     return seen is not None and abs(seen[0] - evidence.site.up_rate) > _DOUBT * seen[1]
 
 
 def wrong_latitude(evidence: Evidence, latitude: float) -> Contradiction:
-    """Return what is said of a latitude (rad) that fits in place of the stated one."""
+    """Return a sentence on a latitude (rad) that fits in place of the stated one."""
     return Contradiction(
         f'The data contradicts the latitude {evidence.site.latitude / DEG:.2f} deg: the gyros fit '
         f'a latitude of {latitude / DEG:.2f} deg, with odds of more than a thousand to one. State '
@@ -109,7 +112,7 @@ def wrong_latitude(evidence: Evidence, latitude: float) -> Contradiction:
 def _signed_axes() -> list[Floats]:
     """Return the 48 ways in which three channels can be exchanged or mirrored, few changes first.
 
-    (3, 3) each: row i the channel, column j the axis that it answers to.
+    (3, 3) each: row i the channel, column j its input axis.
     """
     found = [
         np.eye(3)[list(order)] * np.array(signs)[:, None]
@@ -119,7 +122,7 @@ def _signed_axes() -> list[Floats]:
 
 
 def _astray(evidence: Evidence, model: SensorModel, response: Floats) -> float:
-    """Return by how much gravity led on by gyros of a response (3, 3) misses, rad, mean square."""
+    """Return the error of gravity turned by gyros of a response (3, 3), rad, mean square."""
     tried = SensorModel(Triad(response - np.eye(3), model.gyro.bias), model.accel)
     links, ups = evidence.links, evidence.attitudes()[:, 2]
     led = np.array(
@@ -134,7 +137,7 @@ def _astray(evidence: Evidence, model: SensorModel, response: Floats) -> float:
 
 
 def _in_words(response: Floats) -> str:
-    """Say to which axis each channel answers, of those that answer to another than their own."""
+    """Return the input axis of each channel that is not its own."""
     words = []
     for channel, row in zip(AXES, response, strict=True):
         axis = int(np.argmax(np.abs(row)))

@@ -1,7 +1,7 @@
-"""Sensors from holds in unknown attitudes: gravity has one length, and turns lead it on.
+"""Sensors from holds in unknown attitudes: gravity has one length, and gyros turn it between holds.
 
-The equations are those of every session (`observation/free.py`), in attitudes that are sought. All
-is one weighted least squares: the uncertainty of a direction by the accelerometers counts in the
+The equations are those of every session (`observation/free.py`), with estimated attitudes. All is
+one weighted least squares: the uncertainty of a direction by the accelerometers enters the
 parameters of the gyros. G-sensitivity of the gyros is estimated too, where the session shows it.
 
 The frame is that of the accelerometers, as in imu_tk: X along the input axis of channel x, the
@@ -39,76 +39,77 @@ NAME = 'free_positions'
 _KEPT = {('a', 0, 1), ('a', 0, 2), ('a', 1, 2)}
 
 FREE = np.array([(p.triad, p.row, p.column) not in _KEPT for p in PARAMETERS])
-"""(24,) which of the 24 exist in the frame of the accelerometers: 21."""
+"""(24,) mask of the 24 that exist in the frame of the accelerometers: 21."""
 
 ESTIMATES = tuple(p for p, found in zip(PARAMETERS, FREE, strict=True) if found)
 
 _RATIOS = np.array([p.kind is not ParameterKind.BIAS for p in ESTIMATES])
-"""(21,) which of them are no biases."""
+"""(21,) mask of those that are not biases."""
 
 FEWEST = 9
-"""Holds below which gravity cannot tell nine parameters of the accelerometers."""
+"""Holds below which gravity does not determine nine parameters of the accelerometers."""
 
 _ITERATIONS = 100
 """Most steps of a fit; what has not converged by then is refused."""
 _ROUNDS = 10
-"""Rounds in which turns that fit nothing are left out and noise is weighed anew; a cap."""
+"""Rounds in which contradicting turns are left out and noise is estimated again; a cap."""
 _SIGNIFICANT = 1e-3
-"""Probability of chance below which a group is said to scatter."""
+"""Probability of chance below which the scatter of a group is reported."""
 _WIDENED = 0.01
-"""Probability of chance below which a group's noise counts as larger than it is known to be: three
-sound sessions in a hundred are widened. Held-out lengths of the Xsens of docs/real_recordings.md
-were off by up to 3.5 times what was stated with 1e-3, and by up to 2.4 with this."""
+"""Probability of chance below which a group's noise is enlarged: three sound sessions in a hundred
+are widened. Held-out lengths of the Xsens of docs/real_recordings.md were off by up to 3.5 times
+the stated deviation with 1e-3, and by up to 2.4 with this."""
 _TOLD = 0.5
-"""Degrees of freedom from which on a group says how it scatters: below, what is left is what the
-fit left of rounding. A judgement."""
+"""Degrees of freedom from which on a group shows its scatter: below, its residuals are rounding of
+the fit. A judgement."""
 _OUTLYING = 6.0
-"""Times the usual size of what is left of a turn: false in 2e-8 (Rayleigh)."""
+"""Times the usual size of a turn's residual: exceeded in 2e-8 (Rayleigh)."""
 _UNTESTED = 1e-3
-"""Variance that the fit leaves of a residual, below which it tests nothing: the turn alone tells
-there what it should be, and what is left is the iteration's own end."""
+"""Variance of a residual after the fit below which it tests nothing: the unknowns are then
+determined by that turn alone, and its residual is that of the iteration."""
 _MEDIANS = np.array([np.nan, 0.67448975, 1.17741002, 1.53817225])
-"""Of the size of a normal vector in no, one, two and three directions, in standard deviations."""
+"""Median length of a normal vector in zero, one, two and three directions, in standard
+deviations."""
 _JUDGING = 1.5
-"""Degrees of freedom of the other turns from which on they tell what is usual. Simulated turns that
-scatter by eight times their noise had half of one in ten holds, and one session in six would lose a
-turn; in twelve holds they had two, and none of 24 sessions did."""
+"""Degrees of freedom of the other turns from which on they show the usual size. Simulated turns with
+eight times their noise had half a degree of freedom in ten holds, and one session in six would lose
+a turn; in twelve holds they had two, and none of 24 sessions lost one."""
 _SHOWN = 1e-3
 """Probability of chance below which a term is in the model (docs/mathematics.md, 'Free
 positions')."""
 
 _USELESS = 0.05
-"""Standard deviation of a ratio from which on it says nothing of the unit: data sheets are
+"""Standard deviation of a ratio from which on it is useless for the unit: data sheets are
 better."""
 _CLEAR = 10.0
-"""Times: by so much a session keeps away from what is refused to be called clear by its first step
-alone. A judgement: the steps after it change standard deviations and residuals by percents."""
+"""Factor: margin of a session from all limits to be accepted by its first step alone. A judgement:
+the further steps change standard deviations and residuals by percents."""
 _STRAIGHT = 0.1
-"""Largest first step, of ratios and rotations (rad), within which the equations are as good as
-linear: what is left is of its square, 1 %."""
+"""Largest first step, of ratios and rotations (rad), for which the equations are nearly linear: the
+error is of the order of its square, 1 %."""
 _LIKELIER = 2 * np.log(1000)
-"""By how much chi-square must fall at another latitude for that to be meant: odds of a thousand."""
+"""Decrease of chi-square at another latitude for that to be meant: odds of a thousand."""
 _ACCELS = ('accelerometers', 'gravity')
-"""Whose response is checked, and to what."""
+"""Sensors whose response is checked, and its input."""
 _GROUPS = ('the accelerometers at rest', 'the gyros at rest', 'the turns')
 
 
 @dataclass(frozen=True, eq=False)
 class FreeFit:
-    """What the holds and turns determine.
+    """Estimate from holds and turns.
 
     Attributes:
         model: In the frame of the accelerometers.
         parameters: The n of the covariance: the 24, and those of terms that the session shows.
         covariance: (n, n); zero for the three that the frame sets to zero.
-        residuals: (k, 6) outputs at rest less what the model says.
+        residuals: (k, 6) outputs at rest less those predicted by the model.
         condition: Condition number of the system, columns scaled to unit length.
-        scatter: (3,) by how much accelerometers and gyros at rest and turns scatter more than
-            their noise, as standard deviations.
-        scatter_chances: (3,) probabilities that chance alone would let them scatter as much.
-        rejected_moves: Indices of the holds before turns that fit nothing.
+        scatter: (3,) factor on the noise of accelerometers at rest, gyros at rest and turns by
+            their scatter, as standard deviations.
+        scatter_chances: (3,) probabilities of such scatter by chance.
+        rejected_moves: Indices of the holds before turns that were left out.
         shares: The covariance by source.
-        chance: Probability that chance alone would show the terms as clearly; 1 without terms.
+        chance: Probability of so significant terms by chance; 1 without terms.
     """
 
     model: SensorModel
@@ -125,7 +126,7 @@ class FreeFit:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Equations, where they are, how much they scatter, and which turns fit nothing."""
+    """Equations, their state, factors on the noise, and turns left out."""
 
     equations: FreeEquations
     values: Floats
@@ -135,7 +136,7 @@ class _State:
 
     @property
     def groups(self) -> tuple[Indices, ...]:
-        """Which outputs scatter alike: see `FreeFit.scatter`."""
+        """Groups of outputs with common scatter: see `FreeFit.scatter`."""
         rows = self.equations.layout
         return rows.dwell[:, 3:].ravel(), rows.dwell[:, :3].ravel(), rows.move.ravel()
 
@@ -161,14 +162,14 @@ class _State:
         )
 
     def with_terms(self, terms: tuple[Term, ...]) -> _State:
-        """Return the state with the parameters of terms, zero so far."""
+        """Return the state with the parameters of terms, initially zero."""
         more = tuple(p for term in terms for p in term.parameters)
         equations = replace(self.equations, parameters=(*ESTIMATES, *more))
         values = np.insert(self.values, len(ESTIMATES), np.zeros(len(more)))
         return replace(self, equations=equations, values=values)
 
     def without(self, wild: int) -> _State:
-        """Return the state without a move: it parts a run in two, and north is found anew."""
+        """Return the state without a move: it splits a run in two, and north is estimated anew."""
         evidence = self.equations.evidence
         link = evidence.links.links[wild]
         moves = tuple(move for move in evidence.moves if move is not link.move)
@@ -180,15 +181,15 @@ class _State:
 
 
 def solve(evidence: Evidence) -> FreeFit:
-    """Estimate 21 parameters, and what the session shows besides, from holds and turns between.
+    """Estimate 21 parameters, and terms that the session shows, from holds and turns between.
 
     Args:
         evidence: Dwells in at least nine unknown attitudes, and the moves between them.
 
     Raises:
         InputError: The outputs are not in the units that the IMU's description states.
-        NotObservable: Too few holds, or attitudes that leave parameters open; names them. Or the
-            data contradicts itself, or the latitude.
+        NotObservable: Too few holds, or attitudes that do not determine all parameters; names them.
+            Or the data contradicts itself, or the latitude.
     """
     if len(evidence.segments) < FEWEST:
         raise NotObservable(
@@ -238,7 +239,7 @@ def solve(evidence: Evidence) -> FreeFit:
 
 
 def _check_latitude(state: _State) -> None:
-    """Refuse a latitude in place of which another explains what a term would."""
+    """Raise if another latitude explains the session in place of a term."""
     evidence = state.equations.evidence
     misfit = _square(state)
     for latitude in other_latitudes(evidence):
@@ -250,17 +251,17 @@ def _check_latitude(state: _State) -> None:
 
 
 def _square(state: _State) -> float:
-    """Return the chi-square of what is left."""
+    """Return the chi-square of the residuals."""
     left = state.rows()[1]
     return float(left @ left)
 
 
 def is_clear(evidence: Evidence) -> bool:
-    """Say whether it is clear by one linear step that `solve` refuses nothing; False in doubt.
+    """Return whether one linear step shows that `solve` will accept the session; False in doubt.
 
-    The equations stay close to linear over the step, no turn stands out, and what `solve` may widen
-    by scatter stays far from useless: inflating the noise of groups by factors up to s inflates the
-    covariance by s^2 at most.
+    The equations are nearly linear over the step, no turn is an outlier, and the standard
+    deviations that `solve` may widen by scatter remain far from useless: factors up to s on the
+    noise of groups inflate the covariance by s^2 at most.
 
     Source: docs/mathematics.md, 'Free positions'.
 
@@ -276,7 +277,7 @@ def is_clear(evidence: Evidence) -> bool:
     except (InputError, NotObservable):
         return False
     jacobian, left = equations.jacobian(values), equations.outputs - equations.predict(values)
-    # Not `whitened`, whose triangular solver takes longer to load than all of this takes.
+    # Not `whitened`: loading its triangular solver takes longer than this computation.
     root = np.linalg.cholesky(equations.covariance(values))
     rows = np.linalg.solve(root, np.column_stack([jacobian, left]))
     rows = np.vstack([rows, equations.prior_rows(values)])
@@ -305,7 +306,7 @@ def _largest(step: Floats, equations: FreeEquations) -> float:
 
 
 def initial_equations(evidence: Evidence) -> tuple[FreeEquations, Floats]:
-    """Return the equations in the attitudes that gravity and gyros show, and where they start.
+    """Return the equations in attitudes by gravity and gyros, and the starting state.
 
     Raises:
         NotObservable: The outputs of nine holds or more lie on no ellipsoid.
@@ -324,7 +325,7 @@ def initial_equations(evidence: Evidence) -> tuple[FreeEquations, Floats]:
 
 
 def _weighed(state: _State) -> _State:
-    """Return the least squares with what scatters more than its noise, and without wild turns."""
+    """Return the least squares with noise enlarged by its scatter, and without outlying turns."""
     for _ in range(_ROUNDS):
         state = state.settled()
         wild = _wild_turn(state)
@@ -342,10 +343,10 @@ def _weighed(state: _State) -> _State:
 
 
 def _chance(state: _State, term: Term) -> float:
-    """Return how likely chance alone makes a term explain as much of what is left.
+    """Return the probability that a term explains as much of the residuals by chance.
 
-    The F test of nested least squares, under the scatter that was found without the term: what a
-    hand that trembles leaves is no sign of it (docs/mathematics.md, 'Free positions').
+    The F test of nested least squares, under the scatter without the term: residuals of a trembling
+    hand are not evidence of it (docs/mathematics.md, 'Free positions').
     """
     try:
         found = state.with_terms((term,)).settled()
@@ -362,7 +363,7 @@ def _chance(state: _State, term: Term) -> float:
 
 
 def _check_observable(state: _State) -> None:
-    """Refuse attitudes and turns that leave parameters open."""
+    """Raise if attitudes and turns do not determine all parameters."""
     parameters, evidence = state.equations.parameters, state.equations.evidence
     covariance = Information.of(state.rows()[0]).covariance
     std = np.sqrt(np.diag(covariance)[: len(parameters)])
@@ -383,7 +384,7 @@ def _check_observable(state: _State) -> None:
 
 
 def refuse(_: Evidence) -> Solution:
-    """Say what this method needs beyond the evidence of static dwells and whole turns.
+    """Raise with the needs of this method beyond static dwells and whole turns.
 
     Raises:
         NotObservable: Always.
@@ -395,7 +396,7 @@ def refuse(_: Evidence) -> Solution:
 
 
 def scatter_words(fit: FreeFit) -> list[str]:
-    """Say what scatters more than its noise and than chance explains."""
+    """Report groups that scatter significantly more than their noise."""
     return [
         f'The residuals of {name} are {factor:.1f} times the noise (a hand that trembles, bias '
         'drift): the standard deviations are widened.'
@@ -405,7 +406,7 @@ def scatter_words(fit: FreeFit) -> list[str]:
 
 
 def term_words(fit: FreeFit) -> list[str]:
-    """Say which terms the session showed, and how clearly."""
+    """Report the terms that the session showed, and their significance."""
     if not set(G_SENSITIVITY.parameters) & set(fit.parameters):
         return []
     largest = np.abs(fit.model.g_sensitivity).max() * STANDARD_GRAVITY / DEG
@@ -417,10 +418,11 @@ def term_words(fit: FreeFit) -> list[str]:
 
 
 def in_frame_of_accelerometers(model: SensorModel) -> SensorModel:
-    """Return the same sensors seen from the frame of their accelerometers.
+    """Return the same sensors in the frame of their accelerometers.
 
-    The rotation Q of (I + M_a) = L Q, L lower triangular, takes any body axes to that frame. The
-    coefficients of terms stay as they are: a rotation by misalignments is of second order in them.
+    The rotation Q of (I + M_a) = L Q, L lower triangular, transforms any body axes to that frame.
+    The coefficients of terms are unchanged: a rotation by misalignments changes them to second
+    order.
     """
     orthogonal, upper = np.linalg.qr(model.accel.response.T)
     signs = np.sign(np.diag(upper))
@@ -436,7 +438,7 @@ def in_frame_of_accelerometers(model: SensorModel) -> SensorModel:
 def ellipsoid(outputs: Floats, gravity: float) -> Triad:
     """Return the accelerometers on whose ellipsoid (k, 3) outputs lie, by linear least squares.
 
-    |(I + M_a)^-1 (n - d)| = g is a quadric in n: a start for what weighs its noise.
+    |(I + M_a)^-1 (n - d)| = g is a quadric in n: a start for the weighted fit.
 
     Raises:
         NotObservable: The outputs lie on no ellipsoid.
@@ -459,13 +461,13 @@ def ellipsoid(outputs: Floats, gravity: float) -> Triad:
 
 
 def _scatter(state: _State) -> tuple[Floats, Floats, Floats]:
-    """Return by how much each group scatters more than its noise, 1 where chance explains it.
+    """Return the scatter of each group over its noise, 1 where not significant.
 
-    The square of a factor is that of the state times what it leaves of the group in its standard
-    deviations, per degree of freedom (Foerstner 1979, for components of variance). What chance
-    explains is asked with the group's own noise as it is known: what another group lends it by
-    weights that were wrong is none of its own. Returned are the factors (3,), as standard
-    deviations, the degrees of freedom that they rest on, and the probabilities by chance.
+    The square of a factor is that of the state times the group's chi-square per degree of freedom
+    in its standard deviations (Foerstner 1979, for components of variance). The significance is
+    tested with the group's noise as known beforehand: wrong weights of another group must not
+    affect it. Returns the factors (3,), as standard deviations, their degrees of freedom, and the
+    probabilities by chance.
     """
     factors, freedom, chances = np.ones(3), np.full(3, np.inf), np.ones(3)
     for k in range(3):
@@ -480,7 +482,7 @@ def _scatter(state: _State) -> tuple[Floats, Floats, Floats]:
 
 
 def _left_of(state: _State, group: int) -> tuple[float, float]:
-    """Return what least squares leaves of a group, as a sum of squares, and degrees of freedom."""
+    """Return the sum of squared residuals of a group, and its degrees of freedom."""
     jacobian, left = state.rows()
     basis = np.linalg.qr(jacobian)[0]
     rows = state.groups[group]
@@ -489,11 +491,11 @@ def _left_of(state: _State, group: int) -> tuple[float, float]:
 
 
 def _doubt(freedom: Floats) -> Floats:
-    """Return by how much scatter (n,) may be larger than it seems to so many degrees of freedom.
+    """Return the factor by which scatter (n,) may exceed its estimate, by degrees of freedom.
 
-    The mean of what a variance may be of which v degrees of freedom tell X is X / (v - 2), the
-    least for three (Gelman et al., Bayesian Data Analysis, 3rd ed., section 3.2: the prior is
-    1 / variance).
+    The posterior mean of a variance estimated as X / v with v degrees of freedom is X / (v - 2),
+    for v of at least three (Gelman et al., Bayesian Data Analysis, 3rd ed., section 3.2: the prior
+    is 1 / variance).
     """
     known = np.isfinite(freedom)
     few = np.where(known, freedom, 3.0)
@@ -501,7 +503,7 @@ def _doubt(freedom: Floats) -> Floats:
 
 
 def _wild_turn(state: _State) -> int | None:
-    """Find the turn that stands far out of the rest, if any does."""
+    """Find the turn that is an outlier, if any."""
     jacobian, left = state.rows()
     return _outstanding_turn(state, np.linalg.qr(jacobian)[0], left, _OUTLYING)
 
@@ -509,10 +511,10 @@ def _wild_turn(state: _State) -> int | None:
 def _outstanding_turn(state: _State, basis: Floats, left: Floats, limit: float) -> int | None:
     """Find the turn that the others contradict most, if by more than a limit, times the usual.
 
-    One wild turn bends the fit towards itself, and what is left of the others grows: each is judged
-    as the fit without the wildest would have it, by residuals in their own standard deviations
-    (deletion formulae of linear least squares: Cook and Weisberg 1982, sections 2.2 and 3.5). The
-    basis (m, n) spans the derivatives; residuals `left` (m,) and the limit are in deviations.
+    One outlying turn bends the fit towards itself and enlarges the residuals of the others: each is
+    judged by the fit without the worst one, by residuals in their own standard deviations (deletion
+    formulae of linear least squares: Cook and Weisberg 1982, sections 2.2 and 3.5). The basis (m,
+    n) spans the derivatives; residuals `left` (m,) and the limit are in deviations.
     """
     moves = state.equations.layout.move
     if not len(moves):
@@ -534,10 +536,10 @@ def _outstanding_turn(state: _State, basis: Floats, left: Floats, limit: float) 
 
 
 def _studentised(kept: Floats, left: Floats) -> tuple[Floats, Floats]:
-    """Return the sizes (k,) of residuals (k, 3) of covariances (k, 3, 3), and of what they are.
+    """Return the sizes (k,) of residuals (k, 3) of covariances (k, 3, 3), and their dimensions.
 
-    About the vertical nothing is left of a turn: headings are sought. The second are the numbers
-    of directions in which something may be left.
+    About the vertical the residual of a turn is zero, as headings are estimated. The dimensions are
+    the numbers of directions in which there may be a residual.
     """
     variances, axes = np.linalg.eigh(kept)
     along = np.einsum('kij,ki->kj', axes, left)

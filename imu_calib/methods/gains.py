@@ -1,8 +1,8 @@
-"""Estimators that are linear in the mean outputs, and the covariance of the very weights they use.
+"""Estimators that are linear in the mean outputs, and the covariance by their weights.
 
-A published method of this kind is a matrix of weights on the outputs of dwells and turns. With
-the covariance of the outputs (random walk, quantisation, positioning, encoder) that of the
-parameters follows.
+A published method of this kind is a matrix of weights on the outputs of dwells and turns. With the
+covariance of the outputs (random walk, quantisation, positioning, encoder) that of the parameters
+follows.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from .conclusion import SAME_UP, conclude
 from .solution import Solution
 
 BIAS = 3
-"""Place of the bias among the unknowns of a channel: three responses come before it."""
+"""Index of the bias among the unknowns of a channel, after three responses."""
 ILL_CONDITIONED = 100.0
-"""Where two digits are lost, only errors of the attitudes tell the parameters apart."""
+"""Where two digits are lost, only errors of the attitudes separate the parameters."""
 _INVOLVED = 0.1
-"""Of a unit vector: parameters that have this share in what is not determined are named."""
+"""Of a unit vector: parameters with this share in undetermined directions are named."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Weights that make unknowns of outputs.
+    """Weights of outputs that give the unknowns.
 
     Attributes:
         gyro: (u, s + t), or (3, u, s + t) where channels differ: three responses, the bias, and
@@ -60,7 +60,7 @@ class Gains:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What the weights make of the outputs, those of accelerometers included."""
+        """Return the weighted sums of the outputs, those of accelerometers included."""
         return parameters_of([G_SENSITIVITY] if self.gyro.shape[-2] > BIAS + 1 else [])
 
     @property
@@ -70,7 +70,7 @@ class Gains:
         return np.broadcast_to(self.accel, (3, *self.accel.shape[-2:]))
 
     def model(self, evidence: Evidence) -> SensorModel:
-        """Return the sensors that the outputs of a session give."""
+        """Return the sensors for the outputs of a session."""
         outputs = evidence.outputs()
         turned = np.array([t.statistics.mean[:3] for t in evidence.turns]).reshape(-1, 3)
         gyro = np.einsum('ium,mi->iu', self._gyro, np.vstack([outputs[:, :3], turned]))
@@ -83,7 +83,7 @@ class Gains:
         return model.with_values(further, gyro[:, BIAS + 1 :].ravel())
 
     def rows(self, evidence: Evidence) -> Floats:
-        """Return the derivatives of the parameters by the outputs but those of moves, (n, m)."""
+        """Return the derivatives of the parameters by the outputs without moves, (n, m)."""
         s = len(evidence.segments)
         parameters = self.parameters
         where = replace(evidence, moves=()).layout
@@ -103,13 +103,13 @@ class Gains:
         return rows
 
     def shares(self, evidence: Evidence, model: SensorModel) -> dict[Source, Share]:
-        """Return the covariance (n, n) by source, NaN for what is not estimated."""
+        """Return the covariance (n, n) by source, NaN for parameters that are not estimated."""
         return shares_of(evidence, model, self.rows(evidence))
 
     def conclude(
         self, evidence: Evidence, *, findings: Sequence[str] = (), north_known: bool
     ) -> Solution:
-        """Estimate, and hold the estimate against the data.
+        """Estimate, and check the estimate against the data.
 
         Raises:
             NotObservable: The data contradicts the estimate.
@@ -134,10 +134,10 @@ def shares_of(evidence: Evidence, model: SensorModel, rows: Floats) -> dict[Sour
     Args:
         evidence: The session.
         model: The sensors.
-        rows: (n, m) derivatives of the parameters by the outputs but those of moves, NaN for
-            what is not estimated.
+        rows: (n, m) derivatives of the parameters by the outputs without moves, NaN for parameters
+            that are not estimated.
     """
-    # A closed form knows no moves.
+    # A closed form does not use moves.
     equations = Equations(replace(evidence, moves=()))
     state = np.concatenate([model.vector(), np.zeros(equations.nuisances)])
     found = equations.shares(state, rows)
@@ -151,8 +151,8 @@ def inverse(design: Floats, names: Sequence[str], what: str) -> tuple[Floats, fl
 
     Args:
         design: (m, u), its columns of comparable size.
-        names: What each column stands for: the parameters that it determines.
-        what: Where the rows come from, for the message.
+        names: The parameters determined by each column.
+        what: Source of the rows, for the message.
 
     Raises:
         NotObservable: Columns that cannot be separated; names their parameters.
@@ -174,16 +174,15 @@ def inverse(design: Floats, names: Sequence[str], what: str) -> tuple[Floats, fl
 
 
 def rate_test_weights(evidence: Evidence) -> tuple[Floats, float]:
-    """Return the weights (3, t) on turns that give the responses, and the condition number.
+    """Return the weights (3, t) of turns for the responses, and the condition number.
 
-    Least squares of the outputs on the rate about the axis that is up, with an offset of its own
-    for each attitude: bias, g-sensitivity and vertical Earth rate cancel in it.
+    Least squares of the outputs on the rate about the axis that is up, with a separate offset for
+    each attitude: bias, g-sensitivity and vertical Earth rate cancel in it.
 
     Raises:
-        NotObservable: An axis about which nothing turned, or in one sense at one rate only.
+        NotObservable: An axis without turns, or with turns in one sense at one rate only.
 
-    Source: Luo 2018, eqs. (2-175) to (2-183), as corrected in
-    docs/mathematics.md, 'Rate test'.
+    Source: Luo 2018, eqs. (2-175) to (2-183), as corrected in docs/mathematics.md, 'Rate test'.
     """
     ups = np.array([turn.up for turn in evidence.turns]).reshape(-1, 3)
     rates = np.array([turn.rate() for turn in evidence.turns])
@@ -200,12 +199,12 @@ def rate_test_weights(evidence: Evidence) -> tuple[Floats, float]:
 
 
 def response_names(triad: str, axis: int) -> str:
-    """Name the parameters that say what a triad answers to one axis."""
+    """Return the names of a triad's response parameters to one axis."""
     return ', '.join(p.name for p in PARAMETERS if p.triad == triad and p.column == axis)
 
 
 def bias_names(triad: str) -> str:
-    """Name the biases of a triad."""
+    """Return the names of the biases of a triad."""
     return ', '.join(p.name for p in PARAMETERS if p.triad == triad and p.column is None)
 
 

@@ -1,7 +1,6 @@
 """The joint estimate: one weighted nonlinear least squares over all of a session, of any plan.
 
-What `fit` finds is held against the world: axes, latitude, what is left over; and what counted for
-less is named.
+The result of `fit` is checked: axes, latitude, residuals; and outputs with less weight are named.
 
 Source: docs/mathematics.md, 'Joint estimate'.
 """
@@ -41,8 +40,8 @@ from .joint_findings import estimate_findings
 from .solution import Residual, Solution
 
 _NEAR = 2.0
-"""Standard deviations within which what turns the gyros at rest is as fast as the Earth: 19 of 20
-sessions at a wrong latitude."""
+"""Standard deviations within which the rate seen by the gyros at rest has the Earth's size: 19 of
+20 sessions at a wrong latitude."""
 
 
 def solve(
@@ -56,12 +55,13 @@ def solve(
 
     Args:
         evidence: The session.
-        terms: Of the sensors, that are estimated whatever the session shows.
-        changes: By which parameters change during the session, likewise.
+        terms: Of the sensors, always estimated.
+        changes: Coefficients of changes during the session, always estimated.
         look: Whether terms that it shows are estimated too.
 
     Raises:
-        NotObservable: Names what the session cannot observe, or what contradicts itself.
+        NotObservable: Names the parameters that the session does not determine, or the
+            contradiction.
         InputError: The outputs are not in the units that the IMU's description states.
     """
     try:
@@ -79,10 +79,10 @@ def solve(
 
 
 def concluded(search: Search, terms: tuple[Term, ...], changes: tuple[Change, ...]) -> Solution:
-    """Hold what was found against the world, and say what of it was asked for.
+    """Check the result, and report the terms that were requested.
 
     Raises:
-        NotObservable: It contradicts itself.
+        NotObservable: The data contradicts itself.
     """
     found = _concluded(search.estimate, untold_errors(search))
     return replace(
@@ -102,7 +102,7 @@ def concluded(search: Search, terms: tuple[Term, ...], changes: tuple[Change, ..
 def provisional(
     evidence: Evidence, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = ()
 ) -> Solution:
-    """Estimate what `solve` does of a session that goes on: what is off is neither tested nor on.
+    """Solve a session in progress as `solve` does, without testing or selecting terms that are off.
 
     Args:
         evidence: The session so far.
@@ -118,7 +118,7 @@ def provisional(
 
 
 def _check_that_no_latitude_explains(plain: Estimate) -> None:
-    """Refuse to take for terms what another latitude explains alone, by an estimate without any."""
+    """Raise if another latitude alone explains the terms found, by an estimate without any."""
     equations, evidence = plain.equations, plain.equations.evidence
     try:
         check_latitude(evidence, *observed_earth_rate(plain))
@@ -133,10 +133,10 @@ def _check_that_no_latitude_explains(plain: Estimate) -> None:
 
 
 def _check_that_no_latitude_converges(evidence: Evidence) -> None:
-    """Refuse a latitude at which nothing converges where the one that the gyros see does.
+    """Raise if nothing converges at this latitude but does at the one seen by the gyros.
 
-    Gyros that turn with the Earth of another latitude leave residuals of hundreds of deviations,
-    about which the least squares need not converge.
+    At a wrong latitude the gyros leave residuals of hundreds of deviations, for which the least
+    squares need not converge.
     """
     equations = Equations(evidence)
     rate, _ = _free_earth(equations, equations.nominal())
@@ -151,9 +151,9 @@ def _check_that_no_latitude_converges(evidence: Evidence) -> None:
 
 
 def _concluded(found: Estimate, untold: Sequence[str] = ()) -> Solution:
-    """Hold an estimate against the world: axes, latitude, what is left over.
+    """Check an estimate: axes, latitude, residuals.
 
-    Errors of the table that positioning errors may be in truth are `untold`, in words.
+    `untold` names errors of the table that positioning errors may be in fact.
     """
     equations, evidence = found.equations, found.equations.evidence
     model = equations.model(found.state)
@@ -162,7 +162,7 @@ def _concluded(found: Estimate, untold: Sequence[str] = ()) -> Solution:
     earth, earth_covariance = observed_earth_rate(found)
     if not evidence.plan.by_hand:
         check_latitude(evidence, earth, earth_covariance)
-    # By hand each hold has a heading of its own.
+    # By hand each hold has a separate heading.
     azimuth, azimuth_std = float('nan'), float('inf')
     if not evidence.plan.by_hand:
         azimuth, azimuth_std = found.nuisance(Nuisance.AZIMUTH)
@@ -215,11 +215,11 @@ def _residuals(found: Estimate) -> tuple[Residual, ...]:
 
 
 def observed_earth_rate(found: Estimate) -> tuple[Floats, Floats]:
-    """Return the Earth rate that the gyros see, free in size and direction, and its covariance.
+    """Return the Earth rate by the gyros, free in size and direction, and its covariance.
 
-    It is taken out of the tilts that the session shows, whose uncertainty is in its own. The noise
-    alone is the measure, or what it leaves of the session if that is more: scatter that a wrong
-    latitude makes must not excuse it.
+    The tilts found in the session are removed from it; its covariance includes their uncertainty.
+    Only the noise is used, or the residuals it leaves if larger: scatter by a wrong latitude must
+    not hide it.
 
     Returns:
         (3,) rad/s, level but at the heading of the attitudes, and (3, 3).
@@ -233,11 +233,11 @@ def _free_earth(plain: Equations, state: Floats) -> tuple[Floats, Floats]:
     by_rate = plain.by_world(state)[:, :3]
     free = scipy.linalg.solve_triangular(plain.factor(state), by_rate, lower=True)
     jacobian, left = plain.whitened(state)
-    # The heading is one of the three that are now free.
+    # The heading is one of the three components that are now free.
     jacobian = np.delete(jacobian, sensors + Nuisance.AZIMUTH, axis=1)
     columns = np.hstack([jacobian, np.vstack([free, np.zeros((plain.nuisances, 3))])])
     seen = LeastSquares.of(columns, left, float(np.finfo(float).eps))
     covariance = seen.covariance[-3:, -3:] * max(1.0, seen.square / max(1, seen.freedom))
     around = plain.surroundings(state)
-    # The tilts' own columns turn the rate along with gravity: what is free comes on top of that.
+    # The tilts' own columns turn the rate along with gravity: the free rate is added.
     return around.level @ (around.rate + seen.step[-3:]), around.level @ covariance @ around.level.T

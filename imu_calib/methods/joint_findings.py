@@ -1,4 +1,4 @@
-"""What a person should know of a joint estimate: what counts for less in it, and what scatters."""
+"""Findings on a joint estimate: outliers and scatter that the user must know."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from ..units import ARCSEC, DEG, DEG_H, MICRO_G, significant
 from .checks import turns_scatter_finding
 
 _TELLING = 0.1
-"""Of what is stated anyway: positioning errors below it change no deviation by more than half a
+"""Of the stated values: positioning errors below it change no deviation by more than half a
 percent, biases that drift by so much more by no more than a tenth."""
 _OF_ATTITUDE = {'gyros': 'g_sensitivity', 'accelerometers': 'accel_cross'}
 """The largest of the terms that change with the attitude, for each triad."""
 _NAMED = 3
-"""Moves that a sentence names; a person looks into the first."""
+"""Moves named in a sentence; users inspect the first ones."""
 
 
 def estimate_findings(found: Estimate, untold: Sequence[str]) -> list[str]:
-    """Say what a person should know of an estimate, in sentences.
+    """Return the findings on an estimate, in sentences.
 
-    Errors of the table that positioning errors may be in truth are `untold`, in words.
+    `untold` names errors of the table that positioning errors may be in fact.
     """
     notes = []
     if found.outliers:
@@ -59,16 +59,16 @@ def estimate_findings(found: Estimate, untold: Sequence[str]) -> list[str]:
 
 
 def _leaning(found: Estimate, outlier: Outlier) -> str:
-    """Say which attitude error of the table does this; nothing where that explains little.
+    """Return the attitude error of the table that explains this; empty where it explains little.
 
-    What is along gravity is then below a third of the 5.5 deviations from which on a dwell counts
-    for less: two, as noise does.
+    The residual along gravity is then below a third of the 5.5 deviations from which on a dwell
+    gets less weight: two, as by noise.
     """
     equations = found.equations
     if not any(np.array_equal(rows, outlier.rows) for rows in equations.layout.dwell[:, 3:]):
         return ''
     force = equations.predict(found.state)[outlier.rows]
-    # Channels lie along their axes but for milliradians, and so does what is off.
+    # Channels lie along their axes to milliradians, and so do their errors.
     off = (equations.outputs[outlier.rows] - force) / np.linalg.norm(force)
     along = float(off @ force) / float(np.linalg.norm(force))
     lean = float(np.linalg.norm(np.cross(off, force))) / float(np.linalg.norm(force))
@@ -90,7 +90,7 @@ def _constant(found: Estimate) -> str:
 
 
 def _astray(found: Estimate) -> list[str]:
-    """Say which moves were left out, or their velocities, by how much, and what does so."""
+    """Report the moves or velocities that were left out, their errors and possible causes."""
     notes = []
     turned = [move for move in found.rejected_moves if not move.velocity]
     pushed = [move for move in found.rejected_moves if move.velocity]
@@ -117,14 +117,14 @@ def _astray(found: Estimate) -> list[str]:
 
 
 def _ways(moves: Sequence[RejectedMove]) -> str:
-    """Name the first of several moves."""
+    """Return the names of the first of several moves."""
     names = ', '.join(' to '.join(move.positions) for move in moves[:_NAMED])
     more = '' if len(moves) <= _NAMED else f' and {len(moves) - _NAMED} more'
     return f'from position {names}{more}'
 
 
 def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
-    """Say what scatters beyond the noise and beyond what table and data sheet state."""
+    """Report scatter beyond the noise and beyond the files of table and data sheet."""
     evidence, scatter = found.equations.evidence, found.scatter
     notes = []
     small = evidence.positioning / ARCSEC
@@ -186,7 +186,7 @@ def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
 
 
 def _in_steps(errors: float, evidence: Evidence) -> str:
-    """Say that encoders do not show positioning errors (rad) which are within their steps."""
+    """Report that encoders do not show positioning errors (rad) that are within their steps."""
     step = evidence.encoder_step
     if errors > step:
         return ''

@@ -1,4 +1,4 @@
-"""The closed forms as what they are: linear maps from mean outputs to parameters.
+"""The closed forms as linear maps from mean outputs to parameters.
 
 Per channel i the unknowns are its three responses delta_ij + M_ij and its bias. Each equation of a
 method reads `coefficients . unknowns = weights . outputs`, so that the estimate follows from one
@@ -19,7 +19,7 @@ from ..stream import Floats
 UNKNOWNS = 4
 """Of a channel: three responses and a bias."""
 BIAS = 3
-"""Its place among them."""
+"""Its index among them."""
 
 
 @dataclass(eq=False)
@@ -40,7 +40,7 @@ class ChannelSystem:
         self.weights.append(weights)
 
     def solve(self) -> tuple[Floats, float]:
-        """Return the weights (4, size) that make the unknowns of outputs, and the condition number.
+        """Return the weights (4, size) of outputs for the unknowns, and the condition number.
 
         Raises:
             NotObservable: The equations do not determine the channel.
@@ -60,7 +60,7 @@ class SolvedTriad:
 
     Attributes:
         triad: The parameters.
-        gain: (3, 4, size) weights that make responses and bias of each channel's outputs.
+        gain: (3, 4, size) weights of each channel's outputs for responses and bias.
         condition: The worst condition number.
     """
 

@@ -33,7 +33,7 @@ def solve(evidence: Evidence) -> Solution:
     """Estimate the 33 parameters.
 
     Raises:
-        NotObservable: North is unknown, or turns or positions do not tell parameters apart.
+        NotObservable: North is unknown, or turns or positions do not separate parameters.
     """
     if evidence.azimuth is None:
         raise NotObservable(
@@ -50,7 +50,7 @@ def solve(evidence: Evidence) -> Solution:
     g = evidence.site.gravity
     rates = evidence.attitudes().transpose(0, 2, 1) @ evidence.site.earth_rate
     at_rest = np.vstack([np.zeros_like(fitted[1:]), fitted[:1], fitted[1:] / g])
-    # n_g - (I + M_g) w: the rate test has its share in whatever is fitted to that.
+    # n_g - (I + M_g) w: the rate test enters all that is fitted to it.
     gyro = np.hstack([at_rest, -(at_rest @ rates) @ turned])
     gyro[:BIAS, len(rates) :] = turned
     accel = np.vstack([fitted[1:] / g, fitted[:1]])
@@ -58,7 +58,7 @@ def solve(evidence: Evidence) -> Solution:
 
 
 def check(plan: Plan, parameters: tuple[Parameter, ...] = ESTIMATES) -> None:
-    """Refuse a plan that cannot tell the parameters of its method apart, before it is run.
+    """Raise if a plan does not separate the parameters of its method, before it is run.
 
     Raises:
         NotObservable: Names the parameters.
@@ -71,7 +71,7 @@ def check(plan: Plan, parameters: tuple[Parameter, ...] = ESTIMATES) -> None:
 
 
 def check_turns(plan: Plan) -> None:
-    """Refuse a plan that does not turn about each axis.
+    """Raise if a plan does not turn about each axis.
 
     Raises:
         NotObservable: Names the parameters.
@@ -93,15 +93,15 @@ def force_weights(
     Args:
         ups: (s, 3) up in body axes.
         weights: (s,) weight of each row.
-        what: Where the rows come from, for the message.
-        parameters: That rest on them, for the message.
+        what: Source of the rows, for the message.
+        parameters: Those that depend on them, for the message.
 
     Returns:
         (4, s) weights on the outputs that give the constant and, per g, the response to X, Y, Z;
         condition number.
 
     Raises:
-        NotObservable: Names the parameters that the attitudes cannot tell apart.
+        NotObservable: Names the parameters that the attitudes do not separate.
 
     Source: Luo 2018, eqs. (2-184) to (2-189), [1 f^T] with f in units of gravity.
     """

@@ -1,7 +1,8 @@
 """Four positions about an axis between X and Y, gyros only (off-axis 2019, section 2).
 
 The inner axis of a two-axis table lies at 45 degrees to X and Y, so that half a turn moves all
-three axes: X points north and south once and level twice, so does Y; Z is up and down twice.
+three axes: X points north and south once each and is level twice, so does Y; Z is up and down
+twice.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from .solution import Solution
 from .static_six import gyros_only, require_north
 
 _ALONG = 0.99
-"""Cosine: 8 degrees; an axis that is off by more is at no position of this method."""
+"""Cosine: 8 degrees; an axis that is off by more is not at a position of this method."""
 _LEAST_RATE = 0.5 * DEG_H
 """rad/s: that of two degrees from a pole or the equator."""
 _WORDS = ('X north', 'X south', 'Y north', 'Y south')
@@ -39,7 +40,7 @@ def solve(evidence: Evidence) -> Solution:
 
 
 def check(plan: Plan, site: Site) -> None:
-    """Refuse a plan without the four positions, or a site where they do not serve.
+    """Raise if a plan lacks one of the four positions, or for a site where they do not suffice.
 
     Raises:
         NotObservable: Names the position and the parameters.
@@ -51,8 +52,8 @@ def check(plan: Plan, site: Site) -> None:
 def _weights(attitudes: Floats, site: Site, where: str) -> Floats:
     """Return (4, s) weights on the outputs: responses to X, Y, Z and the bias.
 
-    The positions are recognised by where X and Y point, so that the same holds with
-    P = (X + Y) / sqrt(2), where 2 and 3 change places.
+    The positions are recognised by the directions of X and Y, so that the same holds with P = (X +
+    Y) / sqrt(2), where 2 and 3 change places.
 
     Source: off-axis 2019, section 2; docs/mathematics.md, 'Gyros from the Earth rate'.
     """

@@ -1,7 +1,7 @@
-"""Positions with one axis vertical: the equations that twelve and six positions share.
+"""Positions with one axis vertical: the equations common to twelve and six positions.
 
-Sources: Cao 2022, sections 3.2 and 4, with the corrections of
-docs/mathematics.md, 'Twelve positions'.
+Sources: Cao 2022, sections 3.2 and 4, with the corrections of docs/mathematics.md, 'Twelve
+positions'.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .rate_test import RateTestEquations
 from .solution import Solution
 
 _PASSES = 2
-"""Rounds: tilts are milliradians, so that each leaves a thousandth of what it corrects."""
+"""Rounds: tilts are milliradians, so that each reduces the error to a thousandth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class BiasEquation:
 
     Attributes:
         weights: (s, 3) of the static dwells, per channel.
-        mean_input: (3,) rad/s that these weights leave.
+        mean_input: (3,) rad/s, weighted mean of the Earth rate.
     """
 
     weights: Floats
@@ -42,7 +42,7 @@ def solve_gyros(evidence: Evidence, bias: BiasEquation) -> SolvedTriad:
     """Solve the gyros from the rate test and one equation for the bias.
 
     Raises:
-        NotObservable: An axis about which nothing turned.
+        NotObservable: An axis without turns.
     """
     test = RateTestEquations.of(evidence)
     solved = _gyros(evidence, test, bias, test.outputs)
@@ -55,7 +55,7 @@ def solve_gyros(evidence: Evidence, bias: BiasEquation) -> SolvedTriad:
 def _gyros(
     evidence: Evidence, test: RateTestEquations, bias: BiasEquation, turned: Floats
 ) -> SolvedTriad:
-    """Solve for (t, 3) outputs of the turns as if the vertical axis alone had turned."""
+    """Solve for (t, 3) outputs of turns, as if about exactly the vertical axis."""
     at_rest = len(evidence.segments)
     outputs = np.vstack([evidence.outputs()[:, :3], turned])
     systems = [ChannelSystem(len(outputs)) for _ in range(3)]
@@ -69,7 +69,8 @@ def _gyros(
 
 
 def solve_accelerometers(evidence: Evidence) -> SolvedTriad:
-    """Solve the accelerometers: half the difference of up and down is the response, the mean bias.
+    """Solve the accelerometers: half the difference of up and down is the response, the mean the
+    bias.
 
     delta_ij + M_ij = (n_i(u) - n_i(d)) / (2 g); d_i = mean over the axes of (n_i(u) + n_i(d)) / 2:
     Cao 2022, eqs. (15) to (18).
@@ -86,7 +87,7 @@ def solve_accelerometers(evidence: Evidence) -> SolvedTriad:
 
 
 def _accelerometers(evidence: Evidence, outputs: Floats) -> SolvedTriad:
-    """Solve for (s, 3) outputs as if the vertical axis stood exactly so."""
+    """Solve for (s, 3) outputs, as if the vertical axis stood exactly so."""
     up_weights, down_weights = _up_and_down(evidence)
     systems = [ChannelSystem(len(outputs)) for _ in range(3)]
     for channel, system in enumerate(systems):
@@ -126,7 +127,7 @@ def _up_and_down(evidence: Evidence) -> tuple[Floats, Floats]:
 def finish(
     evidence: Evidence, gyros: SolvedTriad, *, findings: Sequence[str] = (), north_known: bool
 ) -> Solution:
-    """Solve the accelerometers too, and hold both triads against the data.
+    """Solve the accelerometers too, and check both triads against the data.
 
     Raises:
         NotObservable: An axis that was never up or down, or data that contradicts the estimate.

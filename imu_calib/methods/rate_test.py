@@ -16,7 +16,7 @@ from .checks import no_turn_about
 from .linear import BIAS, UNKNOWNS, ChannelSystem
 
 _ONE_RATE = 0.2
-"""Of the largest rate: spread below which a line has no slope of its own."""
+"""Of the largest rate: spread below which a line has no determined slope."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class RateTestEquations:
         outputs: (t, 3) mean gyro outputs, rad/s.
         inputs: (t,) rate about the vertical body axis, Earth included, rad/s.
         axes: (t,) which body axis was vertical.
-        off_axis: (t, 3) what the encoders say that the other axes turned, rad/s.
+        off_axis: (t, 3) rates of the other axes by the encoders, rad/s.
     """
 
     outputs: Floats
@@ -40,7 +40,7 @@ class RateTestEquations:
         """Collect the turns of a session.
 
         Raises:
-            NotObservable: An axis about which nothing turned.
+            NotObservable: An axis without turns.
         """
         axes, inputs, off = [], [], []
         for turn in evidence.turns:
@@ -58,9 +58,9 @@ class RateTestEquations:
     def add_to(self, system: ChannelSystem, axis: int, first: int) -> None:
         """Add the equation for the response to one axis.
 
-        Turns at several rates or in both senses: the slope of the output on the input, which
-        bias and vertical Earth rate leave alone. One sense at one rate (a turn by hand): output
-        less bias over input, the bias from elsewhere.
+        Turns at several rates or in both senses: the slope of the output on the input, independent
+        of bias and vertical Earth rate. One sense at one rate (a turn by hand): output less bias
+        over input, with the bias from elsewhere.
 
         Args:
             system: Equations of one channel.

@@ -16,8 +16,8 @@ from .solution import Solution
 def solve(evidence: Evidence) -> Solution:
     """Estimate the 24 parameters; D_i is the mean of n_i - [(I + M_g) w] over the positions.
 
-    Where the session was turned by hand no north is needed: every hold has a heading of its own
-    that is unknown, and the level Earth rate widens the biases' standard deviations.
+    Sessions turned by hand need no north: every hold has a separate unknown heading, and the level
+    Earth rate widens the biases' standard deviations.
 
     Raises:
         NotObservable: North is unknown, or positions are missing.

@@ -1,8 +1,9 @@
 """Three orthogonal gyros and one skewed, from turns alone.
 
 Each channel's outputs are fitted by a bias and its couplings to X, Y and Z over all rates and all
-axes: 16 numbers, scale and direction in one, no small angle. First every rate point counts alike;
-the spread of its single turns, pooled over the points of one |rate|, then gives it its weight.
+axes: 16 numbers, scale and direction in one, without small-angle approximation. First every rate
+point has the same weight; then its weight follows from the spread of its single turns, pooled over
+the points of one |rate|.
 
 Source: CN103697918A; docs/mathematics.md, 'A skewed gyro'.
 """
@@ -32,9 +33,9 @@ _PARAMETERS = parameters_of(skewed=1)
 ESTIMATES = tuple(p for p in _PARAMETERS if p.triad == 'g')
 
 _SAME_RATE = 0.05
-"""Share: rates closer than that are one rate of the plan."""
+"""Share: rates closer than that count as one rate of the plan."""
 _PARITY = 5.0
-"""Standard deviations: false in 6e-7 of Gaussian cases."""
+"""Standard deviations: exceeded in 6e-7 of Gaussian cases."""
 _SLIGHT = 0.01
 """Of the logarithm of a variance: a step of the numerical derivative."""
 
@@ -47,10 +48,10 @@ class RatePoints:
         inputs: (t, 3) rate about the body axes, vertical Earth rate included, rad/s.
         outputs: (t, 4) mean outputs of x, y, z and the skewed gyro, rad/s.
         own: (t, 4) variances of these by random walk and quantisation, (rad/s)^2.
-        groups: (t,) number of the |rate| that a point belongs to.
-        spread: (t, 4) variance of the mean of a point by the scatter of its single turns, NaN
-            where there is one turn only.
-        freedom: (t,) degrees of freedom of that scatter, 0 where there is one turn only.
+        groups: (t,) number of a point's |rate|.
+        spread: (t, 4) variance of the mean of a point by the scatter of its single turns, NaN for
+            one turn only.
+        freedom: (t,) degrees of freedom of that scatter, 0 for one turn only.
         turned: (t,) rate of the table, rad/s.
         rate_error: (t,) standard deviation of that, relative.
     """
@@ -66,7 +67,7 @@ class RatePoints:
 
     @classmethod
     def of(cls, evidence: Evidence) -> RatePoints:
-        """Collect the turns that the skewed gyro saw too.
+        """Collect the turns that the skewed gyro also recorded.
 
         Raises:
             NotObservable: There are none.
@@ -105,10 +106,10 @@ class RatePoints:
         """Return (4 channels, 4, t) weights for responses and bias, and the condition number.
 
         Args:
-            variances: (t, 4) of the outputs; None: every point counts alike.
+            variances: (t, 4) of the outputs; None: equal weights.
 
         Raises:
-            NotObservable: Names the parameters that the turns cannot tell apart.
+            NotObservable: Names the parameters that the turns do not separate.
         """
         scale = float(np.abs(self.inputs).max())
         design = np.column_stack([self.inputs / scale, np.ones(len(self.inputs))])
@@ -128,11 +129,11 @@ class RatePoints:
     def pooled(self, unknowns: Floats) -> Floats:
         """Return the variance (t, 4) of each output, pooled over the points of one |rate|.
 
-        The scatter of single turns about their point, and where each point is one turn only what
-        the plain fit leaves: a point's own residual alone would be no spread.
+        The scatter of single turns about their point, or the residuals of the unweighted fit where
+        each point is one turn: a point's own residual alone would not show the spread.
 
         Args:
-            unknowns: (4, 4) responses and bias of each channel by the plain fit.
+            unknowns: (4, 4) responses and bias of each channel by the unweighted fit.
         """
         left = self.outputs - self.inputs @ unknowns[:, :BIAS].T - unknowns[:, BIAS]
         share = len(left) / max(len(left) - unknowns.shape[1], 1)
@@ -152,7 +153,7 @@ def solve(evidence: Evidence) -> Solution:
     The accelerometers are not estimated.
 
     Raises:
-        NotObservable: Turns are missing, or no skewed gyro saw them.
+        NotObservable: Turns are missing, or none was recorded by a skewed gyro.
     """
     points = RatePoints.of(evidence)
     plain, condition = points.weights()
@@ -164,7 +165,7 @@ def solve(evidence: Evidence) -> Solution:
     skewed = Skewed(unknowns[3:, :BIAS], unknowns[3:, BIAS])
     model = SensorModel(gyro, skewed=skewed)
     check_axes(model.gyro.response, 'gyros', 'whole turns')
-    # What the noise of one turn explains is the least: a few turns may agree by chance.
+    # Not below the noise of one turn: a few turns may agree by chance.
     sure = np.maximum(variances, points.own)
     covariance = _covariance(points, weights, unknowns, sure, evidence.turns_clock_std)
     findings = (
@@ -202,7 +203,7 @@ def _gain(evidence: Evidence, weights: Floats) -> Floats:
 
 
 def variance_by_weights(evidence: Evidence) -> Floats:
-    """Return what the variances of all parameters gain because the weights are estimates.
+    """Return the increase of all variances because the weights are estimated.
 
     To second order: a pooled variance of f degrees of freedom errs by 2/f of its square, and moves
     the weights by their derivative. The scatter of normal noise does not depend on its mean.
@@ -230,7 +231,7 @@ def gauss_markov_bound(points: RatePoints, extra: Floats | None = None) -> Float
     """Return the least covariance (4, 4) of the skewed gyro's responses and bias (Gauss-Markov).
 
     Args:
-        points: Turns that it saw.
+        points: Turns that it recorded.
         extra: (t, t) covariance of its outputs beyond walk and pulses, or None.
     """
     design = np.column_stack([points.inputs, np.ones(len(points.inputs))])
@@ -241,9 +242,9 @@ def gauss_markov_bound(points: RatePoints, extra: Floats | None = None) -> Float
 
 
 def parity(outputs: Floats, unknowns: Floats) -> tuple[Floats, Floats]:
-    """Return what four channels contradict each other by, and the parity vector.
+    """Return the contradiction of four channels, and the parity vector.
 
-    Of four outputs three tell the rate; the combination that no rate can move is left.
+    Three of four outputs determine the rate; the combination that no rate changes remains.
 
     Args:
         outputs: (..., 4) rad/s.
@@ -279,7 +280,8 @@ def _covariance(
     square = np.zeros((4, 4, 4, 4))
     for c in range(4):
         square[c, :, c, :] = (weights[c] * variances[:, c]) @ weights[c].T
-    # The encoder's rate errs for all four channels at once, the clocks for all turns.
+    # The error of the encoder's rate is common to all four channels, that of the clocks to all
+    # turns.
     felt = (points.inputs * points.rate_error[:, None]) @ unknowns[:, :BIAS].T
     by_rate = np.einsum('cut,tc->cut', weights, felt)
     square += np.einsum('cut,dvt->cudv', by_rate, by_rate)
@@ -298,7 +300,7 @@ def _in_order(square: Floats) -> Floats:
 
 
 def _groups(rates: Floats) -> Floats:
-    """Number rates by their size: those within a few percent are one."""
+    """Number rates by their size: those within a few percent count as one."""
     order = np.argsort(rates, kind='stable')
     numbers = np.zeros(len(rates))
     current = 0

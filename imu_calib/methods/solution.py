@@ -1,4 +1,4 @@
-"""What a method returns."""
+"""Result of a method."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..stream import Floats
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """What a static dwell shows beyond the solution.
+    """Residuals of a static dwell.
 
     Attributes:
         position: Id of the plan's position.
@@ -40,24 +40,24 @@ class Solution:
         covariance: (n, n) in the order of `parameters`, SI units. NaN for a triad that was not
             estimated.
         residuals: One per static dwell.
-        azimuth: Heading of the table's zero that the gyros show, rad; NaN where they cannot.
+        azimuth: Heading of the table's zero by the gyros, rad; NaN where not determined.
         azimuth_std: Its standard deviation, rad.
-        earth_up: Vertical Earth rate that the gyros show, rad/s.
+        earth_up: Vertical Earth rate by the gyros, rad/s.
         earth_up_std: Its standard deviation, rad/s.
         condition: Condition number of the system solved, columns scaled to unit length.
-        findings: What a person should know, in sentences.
-        bias_drift: (6,) standard deviation of drifting biases that the covariance allows for,
-            rad/s and m/s^2; None for a method that knows of no such thing.
-        parameters: (n,) what the rows of the covariance stand for.
-        shares: The covariance by source, which adds up to it; None for a method that does not tell.
-        changes: By which the parameters change during the session; None where none were asked for.
-        tests: What the session says of every term and of the table's errors; empty for a method
-            that knows none.
+        findings: Findings that the user must know, in sentences.
+        bias_drift: (6,) standard deviation of drifting biases in the covariance, rad/s and m/s^2;
+            None for a method that does not estimate it.
+        parameters: (n,) parameters of the rows of the covariance.
+        shares: The covariance by source, which adds up to it; None for a method that does not give
+            it.
+        changes: Changes of the parameters during the session; None where not requested.
+        tests: Results for every term and error of the table; empty for a method without tests.
         gain: (n, m + u) derivatives of the parameters by the outputs of dwells and turns, then by
-            those of a skewed gyro in the u turns that it saw; None for a method that weighs them
-            by what they show.
-        search: What the joint estimate found, from which several units on a table go on; None for
-            other methods, and for a session that goes on.
+            those of a skewed gyro in the u turns that it recorded; None for a method whose weights
+            depend on the data.
+        search: Result of the joint estimate, used for several units on a table; None for other
+            methods, and for a session in progress.
     """
 
     model: SensorModel
@@ -78,7 +78,7 @@ class Solution:
     search: Search | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a covariance of other parameters."""
+        """Raise if the covariance is of other parameters."""
         assert self.covariance.shape == (len(self.parameters),) * 2
 
     @property

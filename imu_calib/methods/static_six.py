@@ -1,7 +1,7 @@
-"""Six positions at rest, gyros only: Earth rate is the input (off-axis 2019, section 1.2).
+"""Six positions at rest, gyros only: the Earth rate is the input (off-axis 2019, section 1.2).
 
-Three responses and a bias per channel by least squares over known attitudes. Any arrangement serves
-whose matrix [w / omega_ie, 1] is well conditioned at the latitude of the site.
+Three responses and a bias per channel by least squares over known attitudes. Any arrangement is
+valid whose matrix [w / omega_ie, 1] is well conditioned at the latitude of the site.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ def solve(evidence: Evidence) -> Solution:
     """Estimate the 12 parameters of the gyros; the accelerometers are not estimated.
 
     Raises:
-        NotObservable: North is unknown, the attitudes do not tell parameters apart, or the Earth
-            is too slow for the noise.
+        NotObservable: North is unknown, the attitudes do not separate parameters, or the Earth is
+            too slow for the noise.
     """
     require_north(evidence)
     weights, condition = _weights(
@@ -45,7 +45,7 @@ def solve(evidence: Evidence) -> Solution:
 
 
 def check(plan: Plan, site: Site) -> None:
-    """Refuse a plan that cannot tell the parameters apart at a site, before it is run.
+    """Raise if a plan does not separate the parameters at a site, before it is run.
 
     Raises:
         NotObservable: Names the parameters.
@@ -57,10 +57,10 @@ def check(plan: Plan, site: Site) -> None:
 
 
 def require_north(evidence: Evidence) -> None:
-    """Refuse a session whose north is unknown.
+    """Raise if the north of a session is unknown.
 
     Raises:
-        NotObservable: With what cannot be determined.
+        NotObservable: Names the parameters that cannot be determined.
     """
     if evidence.azimuth is None:
         lost = ', '.join(response_names('g', axis) for axis in range(3))
@@ -74,7 +74,7 @@ def gyros_only(evidence: Evidence, gyro: Floats, condition: float) -> Solution:
     """Estimate the gyros with (4, s) weights on the static dwells.
 
     Raises:
-        NotObservable: A response is known no better than to a tenth.
+        NotObservable: A response has a relative uncertainty above a tenth.
     """
     at_rest = replace(evidence, turns=())
     gains = Gains(gyro, None, condition)

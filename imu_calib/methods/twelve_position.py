@@ -18,14 +18,14 @@ from .positions import BiasEquation, finish, solve_gyros
 from .solution import Solution
 
 _LEFT_OVER = 3e-3
-"""Of the mean input: a complete set cancels to how well it is positioned."""
+"""Of the mean input: a complete set cancels to within its positioning errors."""
 
 
 def solve(evidence: Evidence) -> Solution:
     """Estimate the 24 parameters; the session's azimuth is not used.
 
     Raises:
-        NotObservable: Names what is missing and what cannot be determined for it.
+        NotObservable: Names what is missing and what cannot be determined without it.
     """
     weights, findings = _bias_weights(evidence)
     gyros = solve_gyros(evidence, BiasEquation(weights, np.zeros(3)))
