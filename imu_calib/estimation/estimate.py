@@ -78,9 +78,7 @@ class Estimate:
 
     @property
     def without_scatter(self) -> Equations:
-        """The equations with the noise known beforehand, without estimates of scatter from the
-        session.
-        """
+        """The equations with the noise known beforehand, without scatter from the session."""
         return replace(self.equations, extra=self.scatter.stated, positioning=NO_POSITIONING_ERRORS)
 
     @property

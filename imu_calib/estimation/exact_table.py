@@ -1,8 +1,8 @@
 """A table whose file states implausibly small errors: which results depend on that.
 
-The file is used as stated until the session shows an error of the table. Which error it is, cannot be
-determined for so small ones: a zero error looks like a joint axis that leans, and a wobble like an
-encoder error. From then on all errors stated too small are taken as those of the best tables.
+The file is used as stated until the session shows an error of the table. So small an error cannot
+be identified: a zero error looks like a joint axis that leans, and a wobble like an encoder error.
+From then on all errors stated too small are taken as those of the best tables.
 
 Source: docs/mathematics.md, 'Tables that are stated exact'.
 """
@@ -36,9 +36,7 @@ _FIGURE = f'{significant(FINEST / ARCSEC)} arcsec'
 
 
 def as_the_best(evidence: Evidence) -> Evidence:
-    """Return a session on its table, with errors stated too small replaced by those of the best
-    tables.
-    """
+    """Return a session with the table's errors stated too small set to those of the best."""
     if evidence.table is None:
         return evidence
     table = evidence.table.as_the_best()

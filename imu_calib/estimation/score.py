@@ -67,8 +67,7 @@ _TINY = -500.0
 
 @dataclass(frozen=True)
 class Family:
-    """Coefficients that are switched on together: a term of the sensors or the session, or errors
-    of the table.
+    """Coefficients that are switched on together: a term, or errors of the table.
 
     Attributes:
         name: Of the term, or of the field of `TableErrors`.
@@ -128,8 +127,7 @@ class Family:
 
     @property
     def held(self) -> frozenset[ParameterKind]:
-        """Kinds that are exactly zero if the family is off: otherwise their effect on velocities is
-        allowed for.
+        """Kinds that are exactly zero if the family is off: others are allowed for in velocities.
         """
         return frozenset(p.kind for p in motion_parameters(self.parameters))
 
@@ -294,9 +292,7 @@ class Score:
 
     @property
     def tested(self) -> bool:
-        """Whether the session can test the family: it is observed, and outputs remain for the
-        scale.
-        """
+        """Whether the session can test the family: it is observed, and enough outputs remain."""
         return 0 < self.rank <= _SHARE * (self.freedom + self.rank)
 
     @property

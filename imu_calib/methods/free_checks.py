@@ -39,8 +39,7 @@ _AROUND = np.geomspace(0.8, 1.25, 41).tolist()
 
 
 def check_turns(evidence: Evidence, model: SensorModel) -> None:
-    """Raise if the gyros turn gravity to another direction than the accelerometers of the next
-    hold.
+    """Raise if gravity turned by the gyros disagrees with the accelerometers of the next hold.
 
     All exchanges and signs of axes, in rad/s and in deg/s, are tried; the one with the fewest
     changes of those that fit is named. If none fits, this function does not raise.
@@ -81,9 +80,7 @@ def check_turns(evidence: Evidence, model: SensorModel) -> None:
 
 
 def other_latitudes(evidence: Evidence) -> tuple[float, ...]:
-    """Return latitudes, rad, that may be meant: the opposite hemisphere, and that seen by the
-    gyros.
-    """
+    """Return latitudes, rad, that may be meant: the opposite one, and that seen by the gyros."""
     seen = up_rate_seen(evidence.segments)
     found = None if seen is None else latitude_seen(*seen)
     stated = evidence.site.latitude

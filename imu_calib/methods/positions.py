@@ -69,8 +69,7 @@ def _gyros(
 
 
 def solve_accelerometers(evidence: Evidence) -> SolvedTriad:
-    """Solve the accelerometers: half the difference of up and down is the response, the mean the
-    bias.
+    """Solve the accelerometers: response and bias from differences and means of up and down.
 
     delta_ij + M_ij = (n_i(u) - n_i(d)) / (2 g); d_i = mean over the axes of (n_i(u) + n_i(d)) / 2:
     Cao 2022, eqs. (15) to (18).

@@ -1,6 +1,4 @@
-"""The covariance of a session's outputs as a sum over sources, and the effect of each on
-parameters.
-"""
+"""Covariance of a session's outputs as a sum over sources, and of parameters by source."""
 
 from __future__ import annotations
 

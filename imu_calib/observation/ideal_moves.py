@@ -87,9 +87,7 @@ def _along(
 
 
 def ideal_holds(segments: list[Segment]) -> list[Segment]:
-    """Return holds in other attitudes with the same ups, each by the shortest rotation from the
-    last.
-    """
+    """Return holds with the same ups, each reached from the last by the shortest rotation."""
     found = segments[:1]
     for segment in segments[1:]:
         assert segment.attitude is not None

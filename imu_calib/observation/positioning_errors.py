@@ -103,9 +103,7 @@ def of_stops(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
 
 
 def of_holds(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
-    """Return the effect of unknown attitudes by hand: three errors for each hold, and for each
-    turn.
-    """
+    """Return the effect of unknown attitudes by hand: three errors for each hold and turn."""
     count = len(segments) + len(turns)
     own = np.eye(count)[:, None, :, None] * np.eye(3)[None, :, None, :]
     own = own.reshape(count, 3, 3 * count)

@@ -49,8 +49,7 @@ _UNKNOWN = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class RoughAnswers:
-    """Approximate response of the sensors, accurate enough to count pulses: a line through all
-    segments.
+    """Approximate sensors, accurate enough to count pulses: a line through all segments.
 
     Attributes:
         model: Without terms, and without the Earth rate.

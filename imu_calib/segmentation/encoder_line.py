@@ -109,9 +109,7 @@ class Line:
         return cls(n, middle, spread, mean, slope, slope_std, step, noise, smoothed)
 
     def limit(self, time: Floats) -> Floats:
-        """Return the largest departure of the mean of some angles from the line by chance, (n,)
-        rad.
-        """
+        """Return the largest departure of a mean of some angles by chance, (n,) rad."""
         own = 1 / self.smoothed + 1 / self.count + (time - self.time) ** 2 / self.spread
         return np.asarray(_LEAVES * self.noise * np.sqrt(own) + max(self.step, _ENCODER))
 

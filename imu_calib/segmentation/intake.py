@@ -103,9 +103,7 @@ class StreamBuffer:
 
     @property
     def strangers(self) -> str:
-        """Sentence on joint states of other joints than the table's; empty if some were the
-        table's.
-        """
+        """Sentence on joint states of other joints than the table's; empty if some were its own."""
         if self._table is None or self._of_the_table or not self._strange:
             return ''
         return (

@@ -122,9 +122,7 @@ class JointTracker:
         return self._judge()
 
     def _unwrapped(self, position: Floats) -> Floats:
-        """Add whole turns: counted, as the sums of `np.unwrap` are rounded at each cut of the
-        stream.
-        """
+        """Add whole turns: counted, as each cut of the stream rounds the sums of `np.unwrap`."""
         steps = np.empty_like(position)
         steps[0] = position[0] - self._delivered
         np.subtract(position[1:], position[:-1], out=steps[1:])

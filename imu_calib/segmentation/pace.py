@@ -119,9 +119,7 @@ class Pace:
         self._known = None
 
     def _number_of_first(self, time: float, middle: float, grid: SampleGrid) -> int | None:
-        """Return the index of this segment's first sample since the first segment; None if
-        uncertain.
-        """
+        """Return the index of this segment's first sample in the session; None if uncertain."""
         if not self._knots:
             return None
         last = self._knots[-1]

@@ -49,9 +49,7 @@ class SharedStamps:
         self._next = self._next_alike = 0
 
     def take(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats, Stamps]:
-        """Take (n,) stamps, ns, and (n, columns) values; return those kept, and the repeats'
-        stamps.
-        """
+        """Take (n,) stamps, ns, and (n, columns) values; return those kept, and repeats' stamps."""
         apart, kept = self.set_apart(stamp, values)
         if kept is None:
             return apart, values, stamp[:0]

@@ -222,9 +222,7 @@ def _channel_mean(samples: Samples, channel: int, walk: float) -> MeanRate:
 
 
 def _uncounted(samples: Samples, channel: int, gained: float, duration: float) -> MeanRate:
-    """Return the mean rate of values that are not pulses; the rounding of an ADC or counter
-    remains.
-    """
+    """Return the mean rate of values that are not pulses, with their rounding error."""
     of_ends = END_POINT_VARIANCE * float(samples.carried[channel]) ** 2 / duration**2
     rounding = _rounding(samples.increments[:, channel], float(samples.grid[channel]))
     return MeanRate(float(gained) / duration, 1 / duration, of_ends + rounding / samples.period**2)

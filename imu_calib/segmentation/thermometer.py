@@ -57,9 +57,7 @@ class Temperature:
 
 
 class Thermometer:
-    """Sums temperatures as whole micro-kelvins: the sum is independent of order and free of
-    rounding.
-    """
+    """Sums temperatures as whole micro-kelvins: independent of order, without rounding."""
 
     def __init__(self) -> None:
         self._cells: defaultdict[int, list[int]] = defaultdict(lambda: [0, 0, 0])
