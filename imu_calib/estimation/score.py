@@ -127,8 +127,7 @@ class Family:
 
     @property
     def held(self) -> frozenset[ParameterKind]:
-        """Kinds that are exactly zero if the family is off: others are allowed for in velocities.
-        """
+        """Kinds that are exactly zero if the family is off; others enter the covariance."""
         return frozenset(p.kind for p in motion_parameters(self.parameters))
 
     def weighed(self, equations: Equations, scatter: ExcessScatter) -> Equations:

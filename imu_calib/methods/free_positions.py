@@ -71,9 +71,9 @@ _MEDIANS = np.array([np.nan, 0.67448975, 1.17741002, 1.53817225])
 """Median length of a normal vector in zero, one, two and three directions, in standard
 deviations."""
 _JUDGING = 1.5
-"""Degrees of freedom of the other turns from which on they show the usual size. Simulated turns with
-eight times their noise had half a degree of freedom in ten holds, and one session in six would lose
-a turn; in twelve holds they had two, and none of 24 sessions lost one."""
+"""Degrees of freedom of the other turns from which on they show the usual size. Simulated turns
+with eight times their noise had half a degree of freedom in ten holds, and one session in six would
+lose a turn; in twelve holds they had two, and none of 24 sessions lost one."""
 _SHOWN = 1e-3
 """Probability of chance below which a term is in the model (docs/mathematics.md, 'Free
 positions')."""
