@@ -15,8 +15,7 @@ from ..errors import NotObservable
 from ..stream import Floats
 
 _CONVERGED = 1e-9
-"""Standard deviations, root mean square, by which a last step may move the prediction:
-negligible."""
+"""Standard deviations, root mean square, of a negligible last step of the prediction."""
 
 _SETTLED = 0.02
 """Standard deviations by which steps may go on moving the prediction, all outputs together, where

@@ -140,8 +140,7 @@ def estimate(
     equations = Equations(evidence, parameters, doubts=doubts)
     check_observable(equations)
     equations, constant = with_changes(equations, changes)
-    # Moves lead from attitude to attitude of a known table; they hold less information on its
-    # azimuth.
+    # Moves lead between attitudes of a known table; they hold less information on its azimuth.
     moving = motion_parameters(parameters)
     resting = replace(
         equations,

@@ -328,8 +328,7 @@ def _positioning(
         its.append(weight + triad.lines(drift, variances))
     found = _pooled(lines)
     known = sum(drift.known for drift in still)
-    # Drifts of gyros and accelerometers are tested separately: half of the required evidence in
-    # each is not enough.
+    # Drifts of gyros and accelerometers are tested separately: half of the evidence is not enough.
     asked_for = any(drift.called_for for drift in still)
     if asked_for or float(found.max()) >= known + _CALLED_FOR:
         found += _by_noise(triads, hypotheses, lines, variances)

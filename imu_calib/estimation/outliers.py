@@ -113,8 +113,7 @@ def moves_that_fit(
             return evidence, ()
         if _count(fitting) <= _count(kept):
             return evidence.with_moves(fitting), astray
-        # Moves show positioning errors that are hidden in the noise of dwells: with those, others
-        # may agree.
+        # Moves show positioning errors hidden in the noise of dwells: with those, others may agree.
         kept = fitting
         moved = replace(resting, evidence=evidence.with_moves(kept))
         scatter = replace(scatter, positioning=excess(moved, state).positioning)
@@ -244,7 +243,7 @@ def find_outlier(
     views: tuple[tuple[Equations, Floats], tuple[Equations, Floats]],
     candidates: list[tuple[str, NDArray[np.intp]]],
 ) -> Outlier | None:
-    """Find the worst outlier, and return whether it contradicts the others, judged without it.
+    """Return the worst outlier if it contradicts the others, judged without it; else None.
 
     The equations are tested with the solution of each: without excess scatter, and with it.
 

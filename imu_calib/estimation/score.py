@@ -127,7 +127,7 @@ class Family:
 
     @property
     def held(self) -> frozenset[ParameterKind]:
-        """Kinds that are exactly zero if the family is off; others enter the covariance."""
+        """Kinds held at zero in its test; otherwise the covariance allows for them."""
         return frozenset(p.kind for p in motion_parameters(self.parameters))
 
     def weighed(self, equations: Equations, scatter: ExcessScatter) -> Equations:
@@ -206,8 +206,7 @@ def _largest(change: Change) -> float:
 
 
 _LARGEST_DRIFT = {'g': 0.1 * DEG, 'a': 1e5 * MICRO_G}
-"""Of a bias during a session, rad/s and m/s^2: a chip that was just switched on may change as
-much."""
+"""Of a bias during a session, rad/s and m/s^2: after switch-on a chip may change as much."""
 
 
 def stepped(equations: Equations, state: Floats) -> Floats:

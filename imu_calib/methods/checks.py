@@ -51,8 +51,7 @@ _WELL_KNOWN_CLOCKS = 5e-6
 _LEAST_EARTH_RATE = 0.01 * DEG_H
 """rad/s: effect of a latitude that is wrong by some hundredths of a degree."""
 _TOLD = 0.2
-"""Of the Earth's rate: with a larger uncertainty, the latitude is known no better than to ten
-degrees."""
+"""Of the Earth's rate: with a larger uncertainty, the latitude has one of over ten degrees."""
 
 
 def no_turn_about(axis: int) -> NotObservable:

@@ -28,15 +28,13 @@ from .checks import (
 from .solution import Residual, Solution
 
 _SIGNIFICANT = 1e-6
-"""Probability of chance below which scatter is significant: no false one in a laboratory's
-lifetime."""
+"""Probability of chance of significant scatter: no false one in a laboratory's lifetime."""
 _RANK = 1e-3
 """Of the largest singular value, columns of one length: smaller ones come from the last digits of
 an encoder. Six positions show one tilt, but do not separate the other from the misalignments."""
 
 _OFF_POSITION = 0.02 * DEG
-"""rad: a plan rounds to hundredths of a degree, and tables' positioning errors are smaller; a
-judgement."""
+"""rad: plans round to hundredths of a degree, and tables position better; a judgement."""
 _OUTSTANDING = 5.0
 """Times 1.5 of the usual worst channel of a position: for Gaussian residuals in six channels some
 12 standard deviations."""

@@ -68,8 +68,7 @@ _UNTESTED = 1e-3
 """Variance of a residual after the fit below which it tests nothing: the unknowns are then
 determined by that turn alone, and its residual is that of the iteration."""
 _MEDIANS = np.array([np.nan, 0.67448975, 1.17741002, 1.53817225])
-"""Median length of a normal vector in zero, one, two and three directions, in standard
-deviations."""
+"""Median length of a normal vector in 0 to 3 directions, in standard deviations."""
 _JUDGING = 1.5
 """Degrees of freedom of the other turns from which on they show the usual size. Simulated turns
 with eight times their noise had half a degree of freedom in ten holds, and one session in six would
@@ -79,8 +78,7 @@ _SHOWN = 1e-3
 positions')."""
 
 _USELESS = 0.05
-"""Standard deviation of a ratio from which on it is useless for the unit: data sheets are
-better."""
+"""Standard deviation of a ratio from which on it is useless: data sheets are better."""
 _CLEAR = 10.0
 """Factor: margin of a session from all limits to be accepted by its first step alone. A judgement:
 the further steps change standard deviations and residuals by percents."""

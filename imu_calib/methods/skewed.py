@@ -280,8 +280,7 @@ def _covariance(
     square = np.zeros((4, 4, 4, 4))
     for c in range(4):
         square[c, :, c, :] = (weights[c] * variances[:, c]) @ weights[c].T
-    # The error of the encoder's rate is common to all four channels, that of the clocks to all
-    # turns.
+    # The encoder's rate error is common to all four channels, that of the clocks to all turns.
     felt = (points.inputs * points.rate_error[:, None]) @ unknowns[:, :BIAS].T
     by_rate = np.einsum('cut,tc->cut', weights, felt)
     square += np.einsum('cut,dvt->cudv', by_rate, by_rate)

@@ -33,8 +33,7 @@ _ASKEW = 5e-5
 units, 3 mm by 17 mrad of a chip."""
 
 _SAME = 0.01
-"""Attitudes that differ by less count as one, rad: a tenth of a millimetre for an arm of a
-centimetre."""
+"""Attitudes that differ by less count as one, rad: 0.1 mm for an arm of a centimetre."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -112,8 +112,7 @@ def _led(
     outputs: Floats, seconds: list[Floats], model: SensorModel, forces: list[Floats]
 ) -> tuple[Floats, Floats, Floats]:
     """Return rates (n, 3), rotations (3, 3, n) from the middle of each interval, the whole ones."""
-    # The specific force matters only for gyros with g-sensitivity; terms are inverted for all
-    # outputs at once.
+    # Specific force matters only with g-sensitivity; terms are inverted for all outputs at once.
     felt = np.zeros((1, 3)) if model.linear and not model.gyros_feel_force else np.vstack(forces)
     _, accel = model.predict(np.zeros(3), felt)
     rates, _ = model.compensate(outputs, accel)

@@ -29,8 +29,7 @@ _MOST = 9
 determine the 24 parameters of any unit."""
 
 _UNSEEN = 1e-6
-"""Information of an unobserved direction of the state, where directions are compared by their
-logarithms."""
+"""Information of an unobserved direction, where directions are compared by logarithms."""
 
 Addition = tuple[str, Segment | Turn]
 
@@ -137,7 +136,7 @@ def _with(equations: Equations, thing: Segment | Turn) -> Equations:
 
 
 def _information(equations: Equations, scale: Floats) -> float:
-    """Return the information gain of a session on the sensors' parameters, as a logarithm.
+    """Return the logarithm of a session's information on the sensors' parameters.
 
     Args:
         equations: The session.

@@ -22,8 +22,7 @@ Accelerometers = Callable[[Evidence], Triad]
 """A closed form for the accelerometers of a session."""
 
 _SURE = 5.0
-"""Standard deviations from which a tilt is significant: by normal noise in two axes once in 270 000
-sessions."""
+"""Standard deviations of a significant tilt: exceeded in two axes once in 270 000 sessions."""
 
 _TELLING = 0.5
 """An error of so many standard deviations gets a sentence and widens them, by 12 %; smaller ones

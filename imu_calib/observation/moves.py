@@ -51,8 +51,7 @@ _LATE = 0.01
 delay either by 2 to 19 ms (MPU-6050, register map, DLPF_CFG)."""
 
 _LEAST_OFF = 1e-3
-"""Least assumed error of accelerometers, as a ratio: misalignments do not change the measured size
-of gravity."""
+"""Least assumed error of accelerometers, as a ratio: misalignments do not change the length."""
 
 _WORSE = 10.0
 """Upper limit of the standard deviation of a move's mean force by its velocity, over that of a

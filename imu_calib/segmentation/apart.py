@@ -17,8 +17,7 @@ FARTHEST = 60.0
 minute for weeks."""
 
 _CELL = 0.1
-"""s in which table and gyros turn by the same angle: the rest of the offset is found motion by
-motion."""
+"""s in which table and gyros turn by the same angle: the rest is found motion by motion."""
 
 _MOVING = 1.0 * DEG
 """rad/s: more than a table at rest shows, or gyros by their bias."""

@@ -180,8 +180,7 @@ def _average(increments: Floats, rows: NDArray[np.intp], holes: list[_Hole], rea
         near = near[(near >= hole.first) & (near < hole.last)]
         missing = hole.stop - hole.start
         increments[hole.start : hole.stop] = increments[near].mean()
-        # The noise of the lost samples is not in the sum, but that of their neighbours has more
-        # weight.
+        # The noise of the lost samples is not in the sum, but their neighbours have more weight.
         total += missing + missing**2 / len(near)
     return total
 
@@ -211,8 +210,7 @@ def _count(counts: Floats, holes: list[_Hole], noise: float, reach: int | None) 
                 spread = gain.variance(rate, noise, min(len(a), len(b)))
                 pulses, variance = _likely(pulses, spread, rate * missing, missing * noise**2)
             means[k], total = pulses, total + variance
-            # Not yet rounded: a wrong whole number would pass its error on to the neighbouring
-            # gaps.
+            # Not yet rounded: a wrong whole number would change the neighbouring gaps.
             counts[hole.start : hole.stop] = pulses / missing
         if np.abs(means - before).max() < _SETTLED:
             break

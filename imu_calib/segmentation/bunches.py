@@ -28,15 +28,14 @@ MANY = 0.25
 """Share of steps that are short where samples come in bunches: half of them do in pairs."""
 
 _FEWEST = 3
-"""Fewest whole bunches that show a pattern; fewest samples in time that show that none is missing
-before them."""
+"""Fewest whole bunches that show a pattern; fewest samples in time before which none is missing."""
 
 _ALIKE = 0.75
 """Share of bunches that are of one size, give or take a sample: a reader that polls gets one more
 or less, and queues of delayed samples have all sizes. A judgement."""
 
 _QUEUED = 0.05
-"""Share of short steps from which on samples queue: single late samples are detected as such. A
+"""Share of short steps from which on samples queue; single late ones are detected as such. A
 judgement."""
 
 _IN_ROW = 0.5
@@ -58,8 +57,7 @@ Of 40 simulated streams of 75 s, one sample in twenty late by 100 ms, three were
 than 128."""
 
 _LARGEST = 0.9
-"""Quantile of the sizes that is the size of whole packets: a few are two packets that came
-together."""
+"""Quantile of the sizes that is the size of whole packets: a few are two that came together."""
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ _WINDOW_SECONDS = 0.5
 _OUTLIER = 7.0
 """Times the scatter of the windows' means: exceeded by 3e-12 of Gaussian ones."""
 _SHIFT = 5.0
-"""Standard deviations of the angle from which a mount has turned: exceeded by 6e-7 of Gaussian
-ones."""
+"""Standard deviations of the angle of a turned mount: exceeded by 6e-7 of Gaussian ones."""
 _LEAST_SHIFT = 0.005 * DEG
 """rad: 18 arcsec, three times what a table is assumed to position to (table_errors)."""
 _TOLD_APART = _SHIFT**2
@@ -166,8 +165,7 @@ class _Means:
         """
         length = windows.shape[1]
         inside = np.flatnonzero(bad[first:last]) + first
-        # A slow shock may show in some of its windows only: runs separated by one good window are
-        # one.
+        # A slow shock may show in some windows only: one good window does not separate runs.
         for run in np.split(inside, np.flatnonzero(np.diff(inside) > 2) + 1):
             start, stop = int(run[0]), int(run[-1]) + 1
             turned = self.left[start:stop, :3].sum(axis=0)

@@ -23,7 +23,7 @@ _ENCODER = 1e-3 * DEG
 """Least significant departure, rad. A judgement: 3.6 arcsec for an encoder's error within the turn,
 which the encoder does not state."""
 _COARSEST = 0.2 * DEG
-"""Largest step taken for that of an encoder, rad: 11 bits a turn, coarser than any used for
+"""Largest step taken for that of an encoder, rad: 11 bits a turn, coarser than any in
 calibration."""
 _CORNERS = 20
 """Readings at which the gain of a smooth motion changes, at most: three at each corner of the rate,

@@ -35,7 +35,7 @@ _SURE = 0.5
 """Of an interval: with a smaller error a span is rounded to the right number of intervals."""
 
 _ACROSS = 8
-"""Least spans for each one with a step in it: so few of these move a median by a fifth of its
+"""Least spans for each one with a step in it: these then move a median by a fifth of its
 scatter."""
 
 _SELDOM = 500
@@ -111,7 +111,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class SampleGrid:
-    """Equal intervals laid through the stamps of a segment.
+    """Equal intervals fitted to the stamps of a segment.
 
     Attributes:
         index: (n,) which interval each sample ends, from 0; omitted numbers are missing.

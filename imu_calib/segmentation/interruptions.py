@@ -15,8 +15,7 @@ INTERRUPTION = 1_000_000_000
 judgement: nodes take longer to start, and a line rarely fails for longer."""
 
 _LAST = 1024
-"""Stamps before a silence from which the sample interval is taken, half of which are late at
-most."""
+"""Stamps before a silence that give the sample interval, half of which are late at most."""
 
 _OVER = 32
 """Samples without gain on the clock after which a queue is over: a reader with other work returns

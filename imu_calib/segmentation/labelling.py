@@ -31,7 +31,7 @@ from .without_joint_states import (
 )
 
 _ARRIVAL_TOLERANCE = 0.2 * DEG
-"""rad: far more than tables' positioning errors (table_errors); another position is tens of degrees
+"""rad: far above tables' positioning errors (table_errors); other positions are tens of degrees
 off."""
 _ATTITUDE_TOLERANCE = 1.0 * DEG
 """rad: positions of plans are further apart."""

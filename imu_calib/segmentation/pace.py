@@ -20,8 +20,7 @@ _NEAR_WHOLE = 0.25
 it they lie on two lines."""
 
 _SURE = 0.1
-"""Of an interval: largest standard deviation for which the number of intervals between is
-certain."""
+"""Of an interval: largest standard deviation for which the number between is certain."""
 
 _FEWEST_FREE = 2
 """Degrees of freedom from which on the scatter of segments about their line is used."""

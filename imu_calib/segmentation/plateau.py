@@ -37,8 +37,8 @@ freedom, and the work does not grow with the rate of the joint states."""
 
 
 _DEGREE = 3
-"""Degree of the polynomial about which angles scatter: a ramp is a square, a jerk-limited one a
-cubic."""
+"""Degree of the polynomial about which angles scatter: ramps are squares, jerk-limited ones
+cubics."""
 
 _BENT = 5.0
 """Standard deviations by which half a turn may seem bent: the hypotenuse of both parts exceeds them
@@ -56,8 +56,7 @@ extrapolated: t grows by 8^(1/2) = 2.8 where it grows with the square, by 8^(1/3
 part (docs/mathematics.md, 'Rate test')."""
 
 _ROUNDS = 60
-"""Most growths of a line: one may add half its length at either end, and the last rounds add few
-angles."""
+"""Most growths of a line: one may add half its length at either end, the last ones few angles."""
 
 _SURE = 0.8
 """Share of the time next to the turns in which the rate counts as constant. A judgement: the rest

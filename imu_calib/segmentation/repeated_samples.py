@@ -26,8 +26,7 @@ _NOISY = 4
 two without noise, and three where it drifts to the next edge."""
 
 _TURNS = 10 * DEG
-"""rad/s: a judgement. More than the bias of any gyro on a turntable; cheap ones have a few
-deg/s."""
+"""rad/s: a judgement. More than the bias of gyros on a turntable; cheap ones have a few deg/s."""
 
 
 def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:

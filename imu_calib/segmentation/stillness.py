@@ -38,8 +38,8 @@ _WINDOWS_OF_SPAN = 20
 """Two seconds, the shortest hold accepted."""
 
 _Window: TypeAlias = tuple[int, int, list[float]]
-"""First and last stamp, ns, and the mean of each channel: lists are faster than arrays for so few
-numbers."""
+"""First and last stamp, ns, and the mean of each channel: for so few, lists are faster than
+arrays."""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from ..stream import Floats, Stamps, TemperatureBlock
 _STEP = 1e-6
 """K: less is rounding."""
 _COLDEST, _HOTTEST = -273.15, 1000.0
-"""Valid range of a thermometer, degrees Celsius: absolute zero, and more than electronics
-survives."""
+"""Range of a thermometer, degrees Celsius: absolute zero, and more than electronics survives."""
 _CELL = 10 * 10**9
 """Readings within 10 s are stored as one, ns: a session of a day has 8640 of them, and units warm
 by only a small part of their range in that time."""

@@ -38,15 +38,13 @@ _LEAST_TURNED = TURN / 72
 
 
 _BESIDE = 0.5
-"""Time at rest on either side of a motion in which the gyros' output is read, s: half of the time
-read."""
+"""Time at rest on either side of a motion for the gyros' output, s: half of the time read."""
 
 _RESTING = 0.05 * DEG
 """Largest difference of the gyros' output after a motion and before, rad/s: a table at rest."""
 
 _ARRIVED = 0.01 * DEG
-"""rad: a motion that ends further from whole turns, by encoders without steps, is not of whole
-turns."""
+"""rad: a motion that ends further from whole turns, by encoders without steps, has none."""
 
 _SURER = 2.0
 """Ratio: a whole motion known so much better than the line replaces it. A judgement: the common
