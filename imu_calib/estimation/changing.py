@@ -33,7 +33,7 @@ _QUARTER = 0.25
 """The time constant for which a plan is evaluated, as a fraction of the session."""
 
 _STEPS = 100
-"""Most steps of each fit; what has not converged by then is refused."""
+"""Most steps of each fit; one that has not converged by then raises."""
 
 
 def with_changes(

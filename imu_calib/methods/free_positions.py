@@ -50,7 +50,7 @@ FEWEST = 9
 """Holds below which gravity does not determine nine parameters of the accelerometers."""
 
 _ITERATIONS = 100
-"""Most steps of a fit; what has not converged by then is refused."""
+"""Most steps of a fit; one that has not converged by then raises."""
 _ROUNDS = 10
 """Rounds in which contradicting turns are left out and noise is estimated again; a cap."""
 _SIGNIFICANT = 1e-3

@@ -19,7 +19,7 @@ _OUTLIER = 7.0
 _SHIFT = 5.0
 """Standard deviations of the angle of a turned mount: exceeded by 6e-7 of Gaussian ones."""
 _LEAST_SHIFT = 0.005 * DEG
-"""rad: 18 arcsec, three times what a table is assumed to position to (table_errors)."""
+"""rad: 18 arcsec, three times the assumed positioning error of a table (table_errors)."""
 _TOLD_APART = _SHIFT**2
 """Samples of one sign whose sum exceeds the root of the sum of their squares by `_SHIFT`: with
 fewer no test distinguishes a turn from vibration."""
