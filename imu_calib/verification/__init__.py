@@ -1,4 +1,4 @@
-"""A calibration against a recording that did not make it: accepted or not, and why not."""
+"""Verification of a calibration by an independent recording: verdict and diagnosis."""
 
 from .comparison import ComparedQuantity, Quantity
 from .diagnosis import ShiftedParameter

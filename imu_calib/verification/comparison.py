@@ -1,4 +1,4 @@
-"""What comes out of the compensation beside what should: gravity, Earth rate, turned angles."""
+"""Compare the compensated outputs with gravity, Earth rate and turned angles."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Quantity(Enum):
 
     @property
     def of_gyros(self) -> bool:
-        """Whether gyros or accelerometers are at stake."""
+        """Whether it is a quantity of the gyros."""
         return self not in {Quantity.GRAVITY, Quantity.DIRECTION}
 
     @property
@@ -41,17 +41,17 @@ class Quantity(Enum):
 
 @dataclass(frozen=True, eq=False)
 class ComparedQuantity:
-    """One quantity at one position: what came out less what should.
+    """One quantity at one position: compensated value less reference.
 
     Attributes:
         name: Position.
-        at: When it began, s after the first dwell; NaN for a turn.
-        rate: Of a turn, rad/s; zero at rest.
+        at: Start, s after the first dwell; NaN for a turn.
+        rate: Rate of a turn, rad/s; zero at rest.
         quantity: What is compared.
         deviation: m/s^2, rad/s or rad.
-        std: Its standard deviation, by the calibration's covariance and the session's noise.
-        ratio: Deviation in standard deviations; that of one number with the same chance, for
-            directions, which have two.
+        std: Its standard deviation, from the calibration's covariance and the session's noise.
+        ratio: Deviation in standard deviations; for directions, which have two components, the
+            normal deviate of equal probability.
     """
 
     name: str
@@ -63,7 +63,7 @@ class ComparedQuantity:
     ratio: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values; `at` and `rate` are those of what was compared."""
+        """Return it as plain values."""
         return {
             'position': self.name,
             'at': float(self.at),
@@ -79,13 +79,13 @@ class ComparedQuantity:
 def compare(
     system: TriadSystem, values: Floats, factor: Floats, fit: Fit
 ) -> list[ComparedQuantity]:
-    """Compare at every dwell and every turn.
+    """Compare all quantities at every dwell and every turn.
 
     Args:
-        system: The session as one triad sees it.
+        system: The session's equations for one triad.
         values: (p,) of the calibration's parameters.
         factor: (p, k) of their covariance.
-        fit: What fits this calibration best: the tilt of the table.
+        fit: Best fit with this calibration: gives the tilt of the table.
     """
     outputs, spread = system.outputs, system.spread(values)
     found = system.sensors.compensated(values, outputs, system.forces)
@@ -98,13 +98,13 @@ def compare(
 
 
 def _covariances(found: tuple[Floats, Floats, Floats], spread: Floats, factor: Floats) -> Floats:
-    """Return the (m, 3, 3) covariances of what outputs mean: by themselves and by parameters."""
+    """Return the covariances (m, 3, 3) of inferred inputs: output noise and parameters."""
     by_parameters = found[2] @ factor
     return propagated(found[1], spread) + by_parameters @ np.swapaxes(by_parameters, 1, 2)
 
 
 def _at_rest(system: TriadSystem) -> Iterator[tuple[str, float]]:
-    """Name each dwell, and say how long after the first it began, s."""
+    """Yield the name of each dwell and its start after the first, s."""
     segments = system.evidence.segments
     return ((str(s.position), (s.start - segments[0].start) * 1e-9) for s in segments)
 
@@ -145,7 +145,7 @@ def _turns(
     ups, rates = np.array([t.up for t in turns]), np.array([t.rate() for t in turns])
     forces, along = ups * site.gravity, ups * (rates + site.up_rate)[:, None]
     outputs = np.array([t.statistics.mean[:3] for t in turns])
-    # What goes round with the unit leaves something in the mean of what is not linear.
+    # The mean over a turn of nonlinear terms that depend on the angle is subtracted first.
     turned = slice(len(system.outputs), len(system.outputs) + len(turns))
     beside = system.predicted(values)[turned] - model.predict(along, forces)[0]
     found = system.sensors.compensated(values, outputs - beside, forces)
@@ -168,9 +168,9 @@ def _one(
 def _two(
     name: str, at: float, rate: float, quantity: Quantity, vector: Floats, spread: Floats
 ) -> ComparedQuantity:
-    """Compare an angle that has two components: chi-square with two degrees of freedom."""
+    """Compare an angle of two components: chi-square with two degrees of freedom."""
     square = float(vector @ np.linalg.solve(spread, vector))
-    # Far out the chance is no number any more, and the square root comes close enough.
+    # Above this the probability underflows; the square root is close enough.
     ratio = np.sqrt(square)
     if square < 1000:
         ratio = -scipy.special.ndtri(np.exp(-square / 2) / 2)

@@ -1,4 +1,4 @@
-"""Which mistake a calibration suffers from: the candidates are tried, and the data decides."""
+"""Find which mistake explains a rejected calibration: fit and score each hypothesis."""
 
 from __future__ import annotations
 
@@ -17,39 +17,39 @@ from .hypotheses import Hypothesis, mistakes, share_in_words
 from .system import Fit, TriadSystem
 
 _EXPLAINED = 1e-5
-"""Probability of a chi-square from which on a change explains what is left; small, since the
-changes are looked at only after the session failed."""
+"""Chi-square probability above which a hypothesis explains the residuals; small, since hypotheses
+are tried only after the session failed."""
 _AS_GOOD = 6.0
-"""Of Schwarz's criterion: strong evidence (Kass and Raftery 1995); what is nearer is named too."""
+"""Difference in Schwarz's criterion: strong evidence (Kass and Raftery 1995). Hypotheses nearer to
+the best are named too."""
 _ODDS = 12.0
-"""Of Schwarz's criterion: odds of 400 to 1 for a plain mistake beforehand; a judgement."""
+"""In Schwarz's criterion: prior odds of 400 to 1 for a plain mistake; a judgement."""
 _EXCESS = 1e-3
-"""Probability of chance below which residuals scatter."""
+"""Chi-square probability below which residuals show excess scatter."""
 _ENOUGH = 8.0
-"""Degrees of freedom that new parameters must leave: fewer fit whatever is wrong."""
+"""Fewest degrees of freedom left by new parameters: with fewer, any fit succeeds."""
 _MOVED = 5.0
-"""Standard deviations: false in 1e-5 of 24 parameters."""
+"""Standard deviations: a false alarm in 1e-5 of sessions with 24 parameters."""
 _HALF = 0.5
-"""Of the parameters that the session determines: so many have moved in another unit."""
+"""Share of the determined parameters that must have changed to name another unit."""
 _FAR = 0.05
-"""Share by which a scale is another unit of measurement; sensors drift by far less."""
+"""Relative scale change that indicates another unit of measurement; sensors drift far less."""
 _DETERMINED = 0.3
-"""Of what was known beforehand: the session determines it, ten times in variance."""
+"""Ratio of std to prior std below which the session determines a parameter: a tenth in variance."""
 _LARGEST_ROTATION = 3 * DEG
-"""rad: the equations are linear, and leave out half the square of it, a thousandth."""
+"""rad: linear equations neglect half its square, a thousandth."""
 _NO_SENSE = 1.0 * DEG
-"""Noise over signal from which on accelerometers tell no direction."""
+"""Noise-to-signal ratio above which accelerometers determine no direction."""
 _WIDE = {ParameterKind.SCALE_FACTOR_ERROR: 0.2, ParameterKind.MISALIGNMENT: 0.2}
-"""Ratios, and rad, before anything is known of a unit: of what has no largest amount that any may
-have."""
+"""Prior standard deviations, ratios and rad, of an unknown unit: for kinds without a largest
+plausible amount."""
 _WIDE_BIAS = {'g': 0.05, 'a': 0.5}
 _WIDE_G = 1e-3
-"""s/m: g-sensitivity before anything is known of a unit."""
+"""s/m: prior standard deviation of g-sensitivity of an unknown unit."""
 _OF_TERMS = {term.kind for term in TERMS}
-"""Kinds of which nothing is known but their words."""
+"""Kinds that belong to terms."""
 _ALL_BUT_ZERO = 1e-9
-"""By how much a factor that is one may differ from it: what rounding leaves is far below, any wrong
-unit far above."""
+"""Tolerance on a factor of one: far above rounding, far below any wrong unit."""
 _FREED = {
     ParameterKind.BIAS: ('the biases are others', 'They have moved: another temperature, or time.'),
     ParameterKind.SCALE_FACTOR_ERROR: (
@@ -62,13 +62,13 @@ _FREED = {
         '(positioning in its YAML).',
     ),
 }
-"""What is said where parameters of a kind, let go of, explain a session; of terms their words."""
+"""Condition and cause where freed parameters of a kind explain a session."""
 _ALIKE = ' Where all are off alike, gravity or latitude are other than for the calibration.'
 
 
 @dataclass(frozen=True, eq=False)
 class ShiftedParameter:
-    """A parameter that the session sees elsewhere: by how much, and its deviation, SI units."""
+    """A parameter with another value in the session: difference and its std, SI units."""
 
     parameter: Parameter
     difference: float
@@ -86,7 +86,7 @@ class ShiftedParameter:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What is wrong, in a sentence, and the parameters that are elsewhere."""
+    """What is wrong, in a sentence, and the parameters that have changed."""
 
     symptom: str
     moved: tuple[ShiftedParameter, ...] = ()
@@ -94,7 +94,7 @@ class Diagnosis:
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """A hypothesis as the data judges it: what it frees counts against it."""
+    """A fitted hypothesis; the number of freed parameters counts against it."""
 
     diagnosis: Diagnosis
     when: str
@@ -102,21 +102,21 @@ class _Tried:
     freed: int = 0
 
     def score(self) -> float:
-        """Schwarz's criterion, with odds in favour of a plain mistake."""
+        """Return Schwarz's criterion, with odds in favour of a plain mistake."""
         price = self.freed * float(np.log(max(self.fit.freedom, 2)))
         return self.fit.chi_square + price + (_ODDS if self.freed else 0.0)
 
 
 def refitted_parameters(system: TriadSystem) -> Fit:
-    """Fit all parameters anew, from a unit without errors: what no calibration explains is left.
+    """Fit all parameters, starting from an error-free unit: residuals are those of any calibration.
 
-    The outputs are taken as the recording describes them.
+    The outputs are read as the recording describes them.
     """
     return replace(system, reading=1.0).fit(np.zeros(len(system.sensors.parameters)), _wide(system))
 
 
 def _refitted_from(nested: Fit, system: TriadSystem) -> tuple[float, Callable[[], Fit]]:
-    """Begin `refitted_parameters` at a fit of its first parameters, as `TriadSystem.begun` does."""
+    """Start `refitted_parameters` at a fit of its first parameters; see `TriadSystem.begun`."""
     count, wide = len(system.sensors.parameters), _wide(system)
     delta = np.pad(nested.delta, (0, count - len(nested.delta)))
     begin = np.append(delta / np.diag(wide), nested.unknown)
@@ -124,13 +124,13 @@ def _refitted_from(nested: Fit, system: TriadSystem) -> tuple[float, Callable[[]
 
 
 def with_true_noise(system: TriadSystem) -> TriadSystem:
-    """Widen the noise to what the session scatters by, whatever the parameters.
+    """Widen the noise to the scatter that remains with all parameters fitted.
 
-    A session of few dwells, or of lengths alone, cannot tell: the data sheet's bias instability
-    then counts. What a term explains that the calibration does not have is no scatter.
+    With few dwells, or lengths alone, scatter cannot be estimated: the bias instability of the data
+    sheet is used. Residuals explained by a term that the calibration lacks are not scatter.
 
     Raises:
-        NotObservable: It scatters so much that no calibration can be judged by it.
+        NotObservable: The scatter is too large to judge any calibration.
     """
     with_drift = replace(system, bias_drift=system.spec.bias_instability)
     if system.up is not None:
@@ -155,11 +155,10 @@ def with_true_noise(system: TriadSystem) -> TriadSystem:
 
 
 def _with_missing_terms(system: TriadSystem, without: Fit) -> Fit:
-    """Return a fit of all parameters, or one with terms where they leave nothing but noise.
+    """Return the fit of all parameters, extended by terms if these remove all excess scatter.
 
-    Terms are no scatter. The next is the one that explains most, and counts where chi-square falls
-    by what scatter of the size that it leaves makes of nothing once in a hundred thousand sessions
-    (F test).
+    Terms are added one at a time, the one that explains most first. A term counts if the F test
+    gives its reduction of chi-square a probability below `_EXPLAINED`.
     """
     fit = without
     while _scatters(fit):
@@ -169,7 +168,7 @@ def _with_missing_terms(system: TriadSystem, without: Fit) -> Fit:
         best, larger = _best(begun, fit.chi_square)
         count = len(larger.sensors.parameters) - len(system.sensors.parameters)
         left = best.freedom - len(larger.sensors.parameters)
-        # A few dwells fit many a term, whatever is wrong with them.
+        # With few dwells, many terms fit any error.
         if left < 1 or best.spare < _ENOUGH:
             return without
         ratio = (fit.chi_square - best.chi_square) / count / (best.chi_square / left)
@@ -182,11 +181,11 @@ def _with_missing_terms(system: TriadSystem, without: Fit) -> Fit:
 def _best(
     begun: list[tuple[float, Callable[[], Fit], TriadSystem]], before: float
 ) -> tuple[Fit, TriadSystem]:
-    """Return the fit of least chi-square among those that promise one, and its system.
+    """Return the fit of least chi-square among candidates, and its system.
 
-    What promises less than half of what the best has brought is not fitted: twice is left for what
-    is not linear. Each comes with what chi-square would be if all were linear, and `before` is it
-    where they begin.
+    Each candidate comes with its chi-square by the linear equations, and `before` is chi-square at
+    the start. A candidate is fitted only if its linear reduction is at least half of the best
+    reduction so far: the factor of two allows for nonlinearity.
     """
     (_, fitted, best), *others = sorted(begun, key=lambda one: one[0])
     found = fitted()
@@ -204,10 +203,10 @@ def _scatters(fit: Fit) -> bool:
 
 
 def diagnose(system: TriadSystem, values: Floats, factor: Floats) -> Diagnosis:
-    """Try the candidate mistakes and name the one that explains the data.
+    """Fit the candidate mistakes and return the one that explains the data.
 
     Args:
-        system: The session as one triad sees it, with its true noise.
+        system: The session's equations for one triad, with the estimated noise.
         values: (p,) of the triad's parameters in the calibration.
         factor: (p, k) of their covariance.
     """
@@ -227,9 +226,9 @@ def diagnose(system: TriadSystem, values: Floats, factor: Floats) -> Diagnosis:
 def _fit(
     system: TriadSystem, values: Floats, factor: Floats, chance: float = _EXPLAINED
 ) -> Fit | None:
-    """Fit a hypothesis; None where nothing comes of it, or a model without an inverse.
+    """Fit a hypothesis; None if it fails or the model has no inverse.
 
-    Six lengths hold nine parameters of a term by their prior alone: they go where they may.
+    With six lengths, nine parameters of a term are held by their prior alone and may diverge.
     """
     try:
         return system.fit_likely(values, factor, chance)
@@ -238,11 +237,11 @@ def _fit(
 
 
 def _mistaken(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tried]:
-    """Take the file, or the outputs, for what they are not."""
+    """Fit mistakes in the calibration file and in the reading of the outputs."""
     for mistake in (*mistakes(system.sensors, values), *_readings(system, values)):
         if mistake.of_body_axes and system.up is not None:
             continue
-        # Read as it is, the session's equations are not made anew.
+        # Without a factor on the outputs, the session's equations are reused.
         read = system
         if mistake.reading != 1:
             read = replace(system, reading=system.reading * mistake.reading)
@@ -251,7 +250,7 @@ def _mistaken(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_
 
 
 def _readings(system: TriadSystem, values: Floats) -> Iterator[Hypothesis]:
-    """Take the outputs for those of another scale: the recording's own, or any that fits."""
+    """Yield other scales of the outputs: the recording's own, and the best-fitting one."""
     if abs(system.reading - 1) > _ALL_BUT_ZERO:
         yield Hypothesis(
             f'the outputs are read as the recording describes them ({system.observed.imu.id})',
@@ -266,7 +265,7 @@ def _readings(system: TriadSystem, values: Floats) -> Iterator[Hypothesis]:
 
 
 def _of_scale(system: TriadSystem, share: float) -> tuple[str, str]:
-    """Say when outputs are multiplied by a share, and why: a small one is of all channels alike."""
+    """Return condition and cause of a scale change; a small one is common to all channels."""
     if abs(share - 1) > _FAR:
         words = share_in_words(share, gyros=system.gyros)
         return (
@@ -286,7 +285,7 @@ def _of_scale(system: TriadSystem, share: float) -> tuple[str, str]:
 
 
 def _freed(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tried]:
-    """Let go of some parameters, of a term, or of the mount: what has moved since."""
+    """Free parameters of one kind, of a missing term, or of the mount, and fit."""
     mine = system.sensors.parameters
     for kind in dict.fromkeys((*_FREED, *(p.kind for p in mine))):
         columns = [k for k, p in enumerate(mine) if p.kind is kind]
@@ -300,7 +299,7 @@ def _freed(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tri
         why = f'The calibration was made without it: calibrate with the term {term.name} (`terms`).'
         yield from _without(larger, values, factor, columns, when, why)
     if system.up is None:
-        # A large rotation is not linear: its minimum is always sought.
+        # A large rotation is nonlinear: its minimum is always searched for.
         fit = replace(system, mount_free=True).fit(values, factor)
         mounted = fit.unknown[-3:]
         about = ', '.join(
@@ -314,10 +313,10 @@ def _freed(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tri
 def _without(
     system: TriadSystem, values: Floats, factor: Floats, columns: list[int], when: str, why: str
 ) -> Iterator[_Tried]:
-    """Let go of the parameters of some columns; those that the calibration lacks come last."""
+    """Free the parameters of some columns; those that the calibration lacks come last."""
     more = len(system.sensors.parameters) - len(values)
     freed = np.hstack([np.pad(factor, ((0, more), (0, 0))), _wide(system)[:, columns]])
-    # Lengths are not linear in what may be anything: their minimum is always sought.
+    # Lengths are nonlinear in freed parameters: their minimum is always searched for.
     if fit := _fit(system, np.pad(values, (0, more)), freed, 0.0 if system.up else _EXPLAINED):
         far = _far(system.sensors.parameters, fit, columns)
         yield _Tried(Diagnosis(why, far), when, fit, len(columns))
@@ -326,7 +325,7 @@ def _without(
 def _far(
     parameters: Sequence[Parameter], fit: Fit, columns: Sequence[int]
 ) -> tuple[ShiftedParameter, ...]:
-    """Return which of some parameters a fit sees elsewhere."""
+    """Return the parameters whose fitted values differ significantly."""
     moved = [
         ShiftedParameter(parameters[k], float(fit.delta[k]), float(fit.std[k])) for k in columns
     ]
@@ -334,7 +333,7 @@ def _far(
 
 
 def _with_another(system: TriadSystem) -> Iterator[tuple[Term, TriadSystem]]:
-    """Return terms of the triad that the parameters lack, and the system with each."""
+    """Yield each term of the triad that the parameters lack, and the system with it."""
     mine = system.sensors.parameters
     for term in TERMS:
         if (term.triad == 'g') is system.gyros and term.kind not in {p.kind for p in mine}:
@@ -343,11 +342,11 @@ def _with_another(system: TriadSystem) -> Iterator[tuple[Term, TriadSystem]]:
 
 
 def _another_unit(system: TriadSystem, values: Floats, factor: Floats, name: str) -> Diagnosis:
-    """Compare with parameters fitted anew, since no single mistake explains the data."""
+    """Compare with refitted parameters, since no single mistake explains the data."""
     fit = refitted_parameters(system)
     apart = fit.delta - values
     if not fit.converged:
-        # Biases of degrees a second are far from a unit without errors: nearer to the calibration.
+        # Biases of degrees per second are nearer to the calibration than to an error-free unit.
         fit = replace(system, reading=1.0).fit(values, _wide(system))
         apart = fit.delta
     if not fit.converged:
@@ -371,7 +370,7 @@ def _another_unit(system: TriadSystem, values: Floats, factor: Floats, name: str
 
 
 def _wide(system: TriadSystem) -> Floats:
-    """Return a prior that says little, (p, p): standard deviations of any unit's parameters."""
+    """Return wide prior standard deviations of the parameters as a diagonal matrix (p, p)."""
     return np.diag([_width(p) for p in system.sensors.parameters])
 
 
@@ -385,7 +384,7 @@ def _width(parameter: Parameter) -> float:
 
 
 def _words(kind: ParameterKind) -> tuple[str, str]:
-    """Say when parameters of a kind are let go of, and why."""
+    """Return condition and cause for freed parameters of a kind."""
     if kind in _OF_TERMS:
         return f'the {kind.value.words} is another', 'It has moved, or is that of another unit.'
     return _FREED[kind]

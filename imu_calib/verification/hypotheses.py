@@ -1,4 +1,4 @@
-"""What may be wrong with a calibration, each as the model that would then be the right one."""
+"""List hypotheses about what is wrong with a calibration, each with its corrected model."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ _SHARES = {
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A mistake, and the parameters as they would be without it.
+    """A mistake, and the parameters corrected for it.
 
     Attributes:
         when: Ends the sentence 'the residuals vanish when'.
         why: What must then have happened, a sentence.
         values: (p,) of the triad's parameters without the mistake.
-        reading: Factor on the outputs that goes with it.
-        of_body_axes: Whether it turns or mirrors the body axes alone, which lengths do not see.
+        reading: Factor on the outputs under this hypothesis.
+        of_body_axes: Whether it only rotates or mirrors the body axes, which lengths cannot show.
     """
 
     when: str
@@ -50,7 +50,7 @@ class Hypothesis:
 
 
 def mistakes(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
-    """List what people do to a calibration file, the likely first.
+    """Yield common mistakes in a calibration file, the likely first.
 
     Args:
         sensors: Gyros or accelerometers.
@@ -69,7 +69,7 @@ def _but(values: Floats, matrix: Floats | None = None, bias: Floats | None = Non
 
 
 def _parts(values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the error matrix, its diagonal, what is beside that, and the biases."""
+    """Return the error matrix, its diagonal, its off-diagonal part, and the biases."""
     triad = Triad.from_vector(values)
     diagonal = np.diag(np.diag(triad.error_matrix))
     return triad.error_matrix, diagonal, triad.error_matrix - diagonal, triad.bias
@@ -156,7 +156,7 @@ def _units(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
         ),
     ]
     for what, words, matrix in matrices:
-        # Responses without limit make nothing of any rate at rest, whatever is wrong.
+        # A response without limit explains any rate at rest.
         if is_of_strapdown(np.eye(3) + matrix):
             yield _of_unit(what, words, _but(values, matrix))
 
@@ -220,7 +220,7 @@ def _channel_words(signed: Floats) -> str:
 
 
 def share_in_words(share: float, *, gyros: bool) -> str:
-    """Say what a factor on the outputs may come from."""
+    """Return what may cause a factor on the outputs."""
     for known, words in _SHARES[gyros].items():
         if abs(share / known - 1) < 0.01:
             return words

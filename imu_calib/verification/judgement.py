@@ -1,9 +1,9 @@
-"""The acceptance test of a calibration: accepted, marginal or rejected, and with which symptom.
+"""The acceptance test of a calibration: PASS, MARGINAL or FAIL, with the symptom.
 
-Accepted is what the data does not contradict: errors of the calibration's parameters within their
-covariance, noise of the session, tilt and azimuth of the table are allowed for. The limits are
-those of a false alarm in a session of sound data: one in a hundred for a doubt, one in a million
-for a rejection, shared among all that is compared.
+A calibration passes if the data agrees with it within the covariance of its parameters, the noise
+of the session, and tilt and azimuth of the table. The limits are false-alarm probabilities of a
+session of sound data: one in a hundred for MARGINAL, one in a million for FAIL, shared among all
+compared quantities.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from .observed import Observed
 from .system import Fit, TriadSystem, factor_of
 
 DOUBT, REJECTION = 1e-2, 1e-6
-"""Chances of a false alarm in a session of sound data."""
+"""Probabilities of a false alarm in a session of sound data."""
 
 
 _Doubts = tuple[tuple[Parameter, float], ...]
 """Parameters and standard deviations."""
 
 _TOO_WIDE = 5.0
-"""Times the stated scatter: such limits would pass a wrong latitude."""
+"""Times the stated scatter: wider limits would accept a wrong latitude."""
 
 
 class Verdict(IntEnum):
@@ -51,14 +51,14 @@ class Verdict(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """How the gyros or the accelerometers came out.
+    """Result for the gyros or the accelerometers.
 
     Attributes:
-        gyros: Which.
+        gyros: Whether it is of the gyros.
         verdict: The outcome.
         chi_square: Chi-square of all their equations.
         freedom: Its degrees of freedom.
-        diagnosis: What is wrong; None where nothing is.
+        diagnosis: What is wrong; None unless rejected.
     """
 
     gyros: bool
@@ -82,15 +82,15 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """A calibration held against a session.
+    """Result of verifying a calibration by a session.
 
     Attributes:
         triads: Gyros and accelerometers, as far as they were calibrated.
         compared: Every quantity at every position, in the order of the session.
-        limits: Standard deviations beyond which a quantity is doubtful, and rejected.
-        findings: What a person should know, in sentences.
-        own_recording: Whether the calibration was made from the recording: its residuals say
-            nothing of its errors, and it is not accepted by them.
+        limits: Standard deviations beyond which a quantity is marginal, and rejected.
+        findings: What the user must know, in sentences.
+        own_recording: Whether the calibration was made from this recording: its residuals then do
+            not show its errors, and it is not accepted.
     """
 
     triads: tuple[Judged, ...]
@@ -100,7 +100,7 @@ class Verification:
     own_recording: bool = False
 
     def __repr__(self) -> str:
-        """Return a line; `compared` has every quantity."""
+        """Return one line; `compared` has every quantity."""
         triads = ', '.join(
             f'{"gyros" if t.gyros else "accelerometers"} {t.verdict.name} (chi-square '
             f'{t.chi_square:.1f} with {t.freedom} degrees of freedom)'
@@ -111,7 +111,7 @@ class Verification:
 
     @property
     def accepted(self) -> bool:
-        """Whether the calibration is accepted: by another recording, which does not contradict."""
+        """Whether it passes, by a recording other than its own."""
         return not self.own_recording and self.verdict is not Verdict.FAIL
 
     @property
@@ -133,12 +133,12 @@ class Verification:
 
 
 def verify(calibration: Calibration, observed: Observed) -> Verification:
-    """Hold a calibration against a session that did not make it.
+    """Verify a calibration by a session that it was not made from.
 
     Raises:
-        NotObservable: No parameters whatever explain the session, or the model has no inverse.
+        NotObservable: No parameters explain the session, or the model has no inverse.
     """
-    # What has no inverse is refused here, in words.
+    # Refuse a model without an inverse here, with a message.
     calibration.model.compensate(np.zeros((1, 3)), np.zeros((1, 3)))
     gyros = _Trial.of(calibration, observed, gyros=True)
     trials = [gyros]
@@ -162,7 +162,7 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
 
 
 def _limit(chance: float, count: int) -> float:
-    """Return the limit that the largest of some standard normal numbers exceeds by chance."""
+    """Return the limit exceeded by the largest of `count` standard normal numbers by chance."""
     return float(-scipy.special.ndtri(chance / (2 * count)))
 
 
@@ -191,7 +191,7 @@ def _not_seen(calibration: Calibration, observed: Observed) -> list[str]:
 
 
 def _without_drift(trials: Sequence[_Trial], judged: Sequence[Judged]) -> list[str]:
-    """Say which triads failed whose biases are not allowed to differ between sessions."""
+    """List failed triads whose covariance has no bias instability between sessions."""
     names = [
         trial.name
         for trial, found in zip(trials, judged, strict=True)
@@ -209,7 +209,7 @@ def _without_drift(trials: Sequence[_Trial], judged: Sequence[Judged]) -> list[s
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """One triad of a calibration against one session."""
+    """One triad of a calibration, fitted to one session."""
 
     system: TriadSystem
     values: Floats
@@ -235,7 +235,7 @@ class _Trial:
         return 'gyros' if self.system.gyros else 'accelerometers'
 
     def findings(self) -> list[str]:
-        """Say by how much more the session scatters than its noise, and what was not found."""
+        """Report excess scatter of the session, and a search that did not converge."""
         found = [
             f'Between {what} the {self.name} scatter {factor:.1f} times more than within them, '
             'whatever the parameters (positioning errors, bias drift): the limits are widened.'
@@ -255,11 +255,12 @@ class _Trial:
         return found
 
     def judge(self, compared: list[ComparedQuantity], limits: tuple[float, float]) -> Judged:
-        """Give the verdict and, for anything but acceptance, the symptom."""
+        """Return the verdict and, for a rejection, the diagnosis."""
         mine = [abs(c.ratio) for c in compared if c.quantity.of_gyros == self.system.gyros]
         chance, worst = self.fit.chance, max(mine)
         verdict = Verdict.PASS
-        # Limits that wide would hide more than positioning and drift: another latitude, for one.
+        # Limits this wide would hide more than positioning errors and drift, such as a wrong
+        # latitude.
         if not (chance > DOUBT and worst < limits[0]) or max(self.system.inflation) > _TOO_WIDE:
             verdict = Verdict.MARGINAL
         if not (chance > REJECTION and worst < limits[1]):
@@ -273,11 +274,12 @@ class _Trial:
 def _carried(
     calibration: Calibration, observed: Observed, gyros: _Trial
 ) -> tuple[Observed, _Doubts]:
-    """Return the session for the accelerometers, and what the gyros leave open of it.
+    """Return the session for the accelerometers, and the uncertainty of the gyros in it.
 
-    Gyros carry the axes of velocities: moves are turned by what they mean with the parameters that
-    explain the session. Where the calibration's do not, whatever their deviations allow, there are
-    no velocities: what is wrong with gyros is no fault of the accelerometers.
+    Gyros propagate the axes of velocity changes: moves are rotated by the gyro readings, with the
+    parameters that explain the session. If the calibration's gyro parameters do not explain it
+    within their deviations, velocities are omitted, so that gyro errors do not affect the
+    accelerometers' verdict.
     """
     evidence = observed.evidence
     if not evidence.moves:
@@ -296,7 +298,7 @@ def _carried(
 
 
 def _meant(move: Move, model: SensorModel, reading: Floats) -> Move:
-    """Return a move with the angles that its gyros' readings mean; velocities as they were read."""
+    """Return a move with angles inferred from its gyro readings; velocities stay as read."""
     if move.velocity_steps is None:
         return move
     seconds = move.seconds[:, None]
@@ -307,7 +309,7 @@ def _meant(move: Move, model: SensorModel, reading: Floats) -> Move:
 
 
 def _up(calibration: Calibration, observed: Observed) -> Up:
-    """Return what the accelerometers of a calibration show of up."""
+    """Return the directions of up by the calibrated accelerometers."""
     accels = TriadSystem(
         observed,
         Sensors.of(calibration.parameters, gyros=False),
@@ -323,7 +325,7 @@ def _up(calibration: Calibration, observed: Observed) -> Up:
 
 
 def _factor(calibration: Calibration, system: TriadSystem) -> Floats:
-    """Return a factor of the parameters' covariance, bias instability and gravity included."""
+    """Return a factor of the parameters' covariance with bias instability and gravity."""
     parameters = system.sensors.parameters
     mine = indices_of(parameters, calibration.parameters)
     covariance = _with_both_gravities(calibration, system.evidence.site)[np.ix_(mine, mine)]
@@ -333,10 +335,10 @@ def _factor(calibration: Calibration, system: TriadSystem) -> Floats:
 
 
 def _with_both_gravities(calibration: Calibration, site: Site) -> Floats:
-    """Return the covariance with the doubt of gravity at the recording's site too, (n, n).
+    """Return the covariance (n, n) with the uncertainty of gravity at the recording's site.
 
-    Where both were made with the same gravity at the same latitude, they share its error: there is
-    none between them, and what the calibration states of it is taken off.
+    Where calibration and recording use the same gravity at the same latitude, they share its error:
+    it cancels, and the calibration's own part is subtracted.
     """
     if same_place(calibration, site.gravity, site.latitude / DEG):
         return without_gravity(calibration)

@@ -1,4 +1,4 @@
-"""What a recording offers to hold a calibration against."""
+"""The parts of a recording that a calibration can be compared with."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from ..turntable import Table
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """A session to be held against a calibration.
+    """A session to verify a calibration by.
 
     Attributes:
-        evidence: Dwells and turns by name; without attitudes and turns where these are unknown.
-        imu: How the recording describes its IMU.
+        evidence: Dwells and turns by name; without attitudes and turns if these are unknown.
+        imu: The recording's description of its IMU.
         sample_rate: Samples per second, Hz.
         notes: What was left out, in sentences.
     """
@@ -42,14 +42,14 @@ class Observed:
 
     @property
     def with_attitudes(self) -> bool:
-        """Whether directions can be compared, or lengths alone."""
+        """Whether directions can be compared, not only lengths."""
         return all(s.attitude is not None for s in self.evidence.segments)
 
     def reading(self, spec: ImuSpec) -> tuple[float, float]:
-        """Return by what the outputs are to be multiplied to be read as another description does.
+        """Return the factors on the outputs for reading them by another description.
 
-        Who applies a calibration takes the numbers of the stream for what the calibration's
-        description of the IMU says that they are: gyros and accelerometers, dimensionless.
+        A user of a calibration interprets the stream by the calibration's own description of the
+        IMU. The factors are for gyros and accelerometers, dimensionless.
         """
         gyro, accel = self._si_per_number(spec) / self._si_per_number(self.imu)
         return float(gyro), float(accel)
@@ -69,17 +69,17 @@ def observe(
     table: Table | None,
     clock: StampingClock | None = None,
 ) -> Observed:
-    """Collect what a session offers.
+    """Collect dwells and turns of a session.
 
     Args:
-        session: What the streams contain.
-        imu: How the recording describes its IMU.
+        session: Contents of the streams.
+        imu: The recording's description of its IMU.
         site: Gravity and Earth rate.
-        plan: What was run; `plan.UNPLANNED` where unknown: dwells are then named by their
-            attitudes, or numbered where those are unknown.
-        table: The table whose joint states came in; None with the IMU alone.
-        clock: What the calibration says of the clock that stamps the samples; None where its
-            parameters are by that clock.
+        plan: The plan that was run; `plan.UNPLANNED` if unknown: dwells are then named by their
+            attitudes, or numbered if those are unknown.
+        table: The table whose joint states were recorded; None for the IMU alone.
+        clock: The calibration's estimate of the stamping clock; None if its parameters refer to
+            that clock.
 
     Raises:
         InputError: The setpoints name none of the plan's positions.
@@ -92,10 +92,10 @@ def observe(
             f'Neither static dwells nor whole turns were found in {session.samples} IMU samples '
             f'({session.duration:.0f} s): nothing can be compared.'
         )
-    # A plan of turns alone names no dwells.
+    # A plan of turns alone has no named dwells.
     timed = [s.statistics for s in labelled.segments or labelled.turns]
     sample_rate = float(np.median([s.samples / s.duration for s in timed]))
-    # The attitudes of a plan that a person holds by hand are good to degrees, no more.
+    # Attitudes held by hand are accurate to degrees only.
     known = not plan.by_hand and all(s.attitude is not None for s in labelled.segments)
     segments = tuple(
         replace(s, position=s.position or str(k + 1), attitude=s.attitude if known else None)
@@ -111,15 +111,15 @@ def observe(
 
 
 def _by_the_clock_of(clock: StampingClock | None, evidence: Evidence) -> Evidence:
-    """Return a session by the clock by which a calibration is.
+    """Return a session by the clock that the calibration refers to.
 
-    A calibration that knows the ratio is by the table's clock, and so is a session that tells it;
-    one that does not tell is stamped by the same clock. Other calibrations of pulses are by the
-    clock of the stamps, which finds that the table's turns take longer.
+    A calibration that states the clock ratio refers to the table's clock, and so does a session
+    that determines it; a session that does not is taken to be stamped by the same clock. Other
+    calibrations of pulses refer to the stamping clock, by which the table's turns take longer.
     """
     if clock is not None:
         if not evidence.clocks_compared:
-            # Weighed with what quartz may differ by, the ratio would come out smaller.
+            # With the prior of quartz clocks, the estimated ratio would be too small.
             known = replace(evidence.clock, rate=clock.faster, rate_std=0.0)
             evidence = replace(evidence, clock=known)
         return in_table_time(evidence)

@@ -1,8 +1,8 @@
-"""A session as one triad sees it: which errors of a model's parameters explain what was read.
+"""Estimate which errors of a model's parameters explain a session, for one triad.
 
     left = jacobian d + unknown x + noise,    d ~ (0, factor factor'),    x by its own prior
 
-With attitudes the equations are those of the joint estimate, a triad's rows of them; unknown are
+With attitudes, the equations are the triad's rows of the joint estimate, and the unknowns are
 its nuisances. Source: docs/mathematics.md, 'Verification'.
 """
 
@@ -35,35 +35,34 @@ from ..stream import Floats
 from .observed import Observed
 
 _ROUNDS = 30
-"""Most steps of a fit. Near the minimum three do; what needs more fits nothing."""
+"""Most steps of a fit. Near the minimum three suffice; what needs more does not fit."""
 _ROUNDS_OF_LENGTHS = 100
-"""The same of lengths, where a calibration itself is judged: the variance of a square follows the
-state, and errors shrink by a constant factor a step, or go round the minimum until steps are
-halved. Calibrations whose biases were off by 0.005 to 20 deg/s took up to 85 steps, or 59 half
-steps."""
+"""Most steps with lengths, where a calibration itself is judged: the variance of a square depends
+on the state, and errors shrink by a constant factor a step or oscillate until steps are halved.
+Calibrations with biases off by 0.005 to 20 deg/s took up to 85 steps, or 59 half steps."""
 
 _TOO_FEW = 2.0
-"""Degrees of freedom up to which residuals tell nothing of the noise."""
+"""Degrees of freedom up to which residuals do not determine the noise."""
 
 _ANY_TILT = 0.1
-"""rad: a table that stands as it may. Accelerometers say how."""
+"""rad: prior std of an unlevelled table. Accelerometers determine the tilt."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What is left when errors of the parameters within their deviations are allowed for.
+    """Residuals after fitting errors of the parameters within their deviations.
 
     Attributes:
         chi_square: Chi-square.
         freedom: Its degrees of freedom.
-        delta: (p,) the parameters' likely errors.
+        delta: (p,) estimated errors of the parameters.
         std: (p,) their standard deviations.
-        unknown: (u,) what else the session shows: `Nuisance`, and where it was asked for a small
-            rotation in the mount, rad; nothing without attitudes.
+        unknown: (u,) the other unknowns: `Nuisance`, and if requested a small rotation in the
+            mount, rad; empty without attitudes.
         ratios: Squared residual over its expectation: of dwells, of turns, of moves (1 without).
-        spare: How many residuals at rest are left to tell by, beyond what was estimated.
-        converged: Whether the errors that explain the session best were found; else chi-square is
-            that of where the search began, which is larger.
+        spare: Degrees of freedom of the residuals at rest.
+        converged: Whether the search converged; else chi-square is that of its start, which is
+            larger.
     """
 
     chi_square: float
@@ -77,7 +76,7 @@ class Fit:
 
     @property
     def chance(self) -> float:
-        """Probability of a chi-square so large where all is well."""
+        """Probability of a larger chi-square if the model is right."""
         if self.freedom <= 0:
             return 1.0
         return float(scipy.special.chdtrc(self.freedom, self.chi_square))
@@ -97,14 +96,13 @@ class TriadSystem:
         observed: The session.
         sensors: Gyros or accelerometers.
         reading: Factor by which the outputs are to be multiplied.
-        up: By the accelerometers; None where attitudes tell it.
+        up: Direction of up by the accelerometers; None if attitudes are known.
         inflation: Factors on the noise of dwells, of turns and of moves.
-        bias_drift: Standard deviation of the biases from rest to rest, rad/s or m/s^2.
-        seen: The unknowns that the session shows whatever the parameters, to begin with; None
-            before that is known.
-        mount_free: Whether the unit may sit otherwise in its mount, by a small rotation.
-        doubts: Parameters of the other triad and their standard deviations: gyros carry the axes
-            of velocities.
+        bias_drift: Standard deviation of the biases from dwell to dwell, rad/s or m/s^2.
+        seen: The unknowns fitted with all parameters free, as a start; None before that fit.
+        mount_free: Whether a small rotation of the unit in its mount is estimated.
+        doubts: Parameters of the other triad and their standard deviations: gyros propagate the
+            axes of velocity changes.
     """
 
     observed: Observed
@@ -119,7 +117,7 @@ class TriadSystem:
 
     @property
     def gyros(self) -> bool:
-        """Which."""
+        """Whether the triad is that of the gyros."""
         return self.sensors.gyros
 
     @property
@@ -129,12 +127,12 @@ class TriadSystem:
 
     @property
     def spec(self) -> TriadSpec:
-        """How the recording describes the triad."""
+        """The recording's description of the triad."""
         return self.observed.imu.gyro if self.gyros else self.observed.imu.accel
 
     @cached_property
     def evidence(self) -> Evidence:
-        """The session as it is read: one for all systems that read it alike, with what it knows."""
+        """The session as read; shared, with its cache, by all systems with the same reading."""
         factors = np.ones(6)
         factors[self.sensors.channels] = self.reading
         known, key = self.observed.evidence.cache, ('read', tuple(factors.tolist()))
@@ -144,7 +142,7 @@ class TriadSystem:
 
     @cached_property
     def outputs(self) -> Floats:
-        """(s, 3) at rest, as they are read."""
+        """(s, 3) outputs at rest, as read."""
         return self.evidence.outputs()[:, self.sensors.channels]
 
     @property
@@ -156,7 +154,7 @@ class TriadSystem:
 
     @cached_property
     def equations(self) -> Equations:
-        """Those of the joint estimate, where attitudes are known."""
+        """The equations of the joint estimate, with known attitudes."""
         rows = self.evidence.layout
         drifts = np.zeros(len(rows))
         drifts[rows.dwell] = self.bias_drift * self.reading
@@ -174,12 +172,12 @@ class TriadSystem:
 
     @cached_property
     def _mine(self) -> Indices:
-        """Which of these are the triad's: those at rest, of turns, of moves."""
+        """Indices of the triad's equations: at rest, of turns, of moves."""
         return self.equations.layout.gyros if self.gyros else self.equations.layout.accels
 
     @cached_property
     def _kinds(self) -> Indices:
-        """Which of the triad's equations are at rest (0), of turns (1) and of moves (2), (m,)."""
+        """(m,) kind of each of the triad's equations: at rest (0), of turns (1), of moves (2)."""
         if self.up is not None:
             return np.zeros(len(self.outputs) * (2 if self.gyros else 1), dtype=np.intp)
         rows = self.evidence.layout
@@ -192,12 +190,12 @@ class TriadSystem:
 
     @cached_property
     def _known(self) -> Floats:
-        """Of nuisances what is known beforehand, (u,), as far as lengths have any."""
+        """(u,) prior values of the nuisances; empty with lengths."""
         return np.zeros(0) if self.up is not None else self.equations.prior[0]
 
     @cached_property
     def _free(self) -> NDArray[np.bool_]:
-        """Of which unknowns nothing is known: heading of gyros, tilt of accelerometers, mount."""
+        """Mask of unknowns without a prior: heading of gyros, tilt of accelerometers, mount."""
         free = np.zeros(len(self._known), dtype=bool)
         if self.up is None and not self.gyros:
             free[[Nuisance.TILT_X, Nuisance.TILT_Y]] = True
@@ -206,9 +204,9 @@ class TriadSystem:
         return np.concatenate([free, np.full(3 if self.mount_free else 0, True)])
 
     def spread(self, values: Floats) -> Floats:
-        """Return the covariances of what dwells, turns and moves read, whatever the parameters.
+        """Return the covariances of the readings of dwells, turns and moves, parameters excluded.
 
-        What is known beforehand but not exactly counts: clock, heading, tilt.
+        Unknowns with an uncertain prior are included: clock, heading, tilt.
 
         Args:
             values: (p,) of the parameters.
@@ -228,21 +226,21 @@ class TriadSystem:
 
     @cached_property
     def _noise_at_rest(self) -> Floats:
-        """The covariances of what dwells read, (s, 3, 3), whatever the parameters."""
+        """Covariances of the readings at rest, (s, 3, 3), parameters excluded."""
         variances = self.evidence.variances()[:, self.sensors.channels]
         return noise_at_rest(variances + (self.bias_drift * self.reading) ** 2, self.magnitude)
 
     def predicted(self, values: Floats) -> Floats:
-        """Return the predicted outputs (s + t + m, 3), the table as it is described."""
+        """Return the predicted outputs (s + t + m, 3), with the table as described."""
         state = np.append(values, self._known)
         return self.equations.predict(state)[self._mine].reshape(-1, 3)
 
     def share(self, values: Floats) -> float:
-        """Return by what the outputs would have to be multiplied to be as a model says."""
+        """Return the factor on the outputs that fits a model best."""
         if self.up is not None:
             bias = Triad.from_vector(values).bias
             return self.magnitude / float(np.median(np.linalg.norm(self.outputs - bias, axis=1)))
-        # Moves read no difference: they tell nothing of it.
+        # Moves read no difference and do not determine the factor.
         seen = self.equations.outputs[self._mine]
         weighed = seen / np.diagonal(self.spread(values), axis1=1, axis2=2).ravel()
         return float(weighed @ self.predicted(values).ravel() / (weighed @ seen))
@@ -254,7 +252,7 @@ class TriadSystem:
 
     @cached_property
     def _without_moves(self) -> TriadSystem:
-        """The system without moves, which are not linear in what is far off."""
+        """The system without moves, which are nonlinear for large errors."""
         if not len(self.evidence.links):
             return self
         known, key = self.observed.evidence.cache, 'without moves'
@@ -263,7 +261,7 @@ class TriadSystem:
         return replace(self, observed=cast(Observed, known[key]))
 
     def fit(self, values: Floats, factor: Floats) -> Fit:
-        """Explain the session by a model whose parameters have errors.
+        """Fit errors of the model's parameters to the session.
 
         Args:
             values: (p,) of the parameters.
@@ -277,7 +275,7 @@ class TriadSystem:
     def begun(
         self, values: Floats, factor: Floats, point: Floats
     ) -> tuple[float, Callable[[], Fit]]:
-        """Return what chi-square would be if all were linear at a point, and the fit from there.
+        """Return chi-square by the equations linearised at a point, and the fit from there.
 
         Args:
             values: (p,) of the parameters.
@@ -289,10 +287,10 @@ class TriadSystem:
         return _linear(columns, left)[1], partial(self._fitted, point, system, factor)
 
     def fit_likely(self, values: Floats, factor: Floats, chance: float) -> Fit | None:
-        """Return `fit`; None where already the dwells and turns have by far less than a chance.
+        """Return `fit`; None if dwells and turns alone give a probability far below `chance`.
 
-        Twice the chi-square that counts is left for what is not linear: the errors must be small.
-        Moves are not led then.
+        Half of chi-square is compared, which allows for nonlinearity: the errors must be small.
+        Moves are then not integrated.
         """
         system = self._allowing(values, factor)
         point, square = self._begun(system, values, factor)
@@ -301,7 +299,7 @@ class TriadSystem:
         return self._fitted(point, system, factor)
 
     def _begun(self, system: _System, values: Floats, factor: Floats) -> tuple[Floats, float]:
-        """Return where `fit` begins and what chi-square would be there, by dwells and turns."""
+        """Return the start of `fit` and the linear chi-square there, by dwells and turns."""
         resting = self._without_moves
         if resting is not self:
             system = resting._allowing(values, factor)
@@ -311,7 +309,7 @@ class TriadSystem:
         try:
             point, converged = least_squares(point, system, np.add, rounds), True
         except NotObservable:
-            # Where nothing fits nearby, chi-square where it began rejects it.
+            # If nothing fits nearby, chi-square at the start rejects the hypothesis.
             converged = False
         found = self._concluded(*system(point), point, factor)
         return replace(found, converged=converged)
@@ -322,7 +320,7 @@ class TriadSystem:
         known: dict[bytes, tuple[Floats, Floats]] = {}
 
         def system(point: Floats, *opposite: Floats) -> tuple[Floats, Floats]:
-            # Those of where a search begins and ends are asked for twice.
+            # The first and last points of a search are evaluated twice.
             key = b''.join(one.tobytes() for one in (point, *opposite))
             if key not in known:
                 others = [one[k:] for one in opposite]
@@ -336,10 +334,10 @@ class TriadSystem:
         return system
 
     def _start(self, system: _System, k: int) -> tuple[Floats, float]:
-        """Return where to begin, and chi-square at the minimum if all were linear.
+        """Return the start, and chi-square at the minimum of the linear equations.
 
-        Any heading begins where the level Earth rate fits best, whatever its size: all is linear in
-        it, and reversed by half a turn.
+        An unknown heading starts at the best fit of the level Earth rate of free size: the
+        equations are linear in its components, which change sign with half a turn.
         """
         point = np.zeros(k + len(self._free))
         point[k : k + len(self._known)] = self._known if self.seen is None else self.seen
@@ -359,7 +357,7 @@ class TriadSystem:
     ) -> tuple[Floats, Floats]:
         """Return derivatives (m + q, p + u) and residuals in standard deviations, priors last.
 
-        Where unknowns opposite to these are given, half the way from them is the last derivative.
+        For each opposite point, half the difference of the predictions is one more last column.
         """
         if self.up is not None:
             noise, site = self.spread(values), self.evidence.site
@@ -394,9 +392,9 @@ class TriadSystem:
         spare = 1 - np.einsum('ij,ji->i', columns[:count], found.gain[:, :count])
         free = columns[:, k:][:, self._free]
         norms = np.linalg.norm(free[:count], axis=0)
-        # Beside what is known beforehand, rounding shows nothing (a heading where all are turns).
+        # Ignore columns at rounding level relative to their prior (a heading with turns alone).
         seen = norms > np.finfo(float).eps * np.linalg.norm(free, axis=0)
-        # NumPy 2.2 and older know no rank of no columns.
+        # NumPy 2.2 and older cannot compute the rank of an empty matrix.
         spanned = free[:count, seen] / norms[seen]
         rank = int(np.linalg.matrix_rank(spanned)) if spanned.size else 0
         spread = np.diag(factor @ found.covariance[:k, :k] @ factor.T)
@@ -418,23 +416,23 @@ class TriadSystem:
 
 
 def _linear(columns: Floats, left: Floats) -> tuple[Floats, float]:
-    """Return the step of least squares, and what of them is left after it if all is linear."""
+    """Return the least-squares step, and the sum of squared residuals after it if linear."""
     step = linear_step(columns, left)
     return step, float(((left - columns @ step) ** 2).sum())
 
 
 def _mounted(evidence: Evidence, small: Floats) -> Evidence:
-    """Return a session of a unit that is turned in its mount by a rotation vector (3,)."""
+    """Return the session with the unit rotated in its mount by a rotation vector (3,)."""
     turned = rotations(small[None])[0]
     turns = tuple(replace(t, up=turned @ t.up) for t in evidence.turns)
     return replace(evidence.with_attitudes(evidence.attitudes() @ turned.T), turns=turns)
 
 
 def factor_of(covariance: Floats) -> Floats:
-    """Return a factor (n, n) of a covariance: what rounding makes negative is zero of its size."""
+    """Return a factor (n, n) of a covariance; eigenvalues below rounding are raised to it."""
     given = np.sqrt(np.diag(covariance))
     size = np.where(given > 0, given, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-    # A matrix of 64-bit numbers holds its eigenvalues to so much: what is smaller is not zero.
+    # Smaller eigenvalues of a 64-bit matrix are rounding.
     rounding = len(values) * np.finfo(float).eps * values.max(initial=0.0)
     return np.asarray(given[:, None] * vectors * np.sqrt(np.maximum(values, rounding)))
