@@ -1,1 +1,1 @@
-"""A calibration applied: pulses to rates and specific forces, in bulk and live alike."""
+"""Apply a calibration: pulses to rates and specific forces, in bulk and live alike."""

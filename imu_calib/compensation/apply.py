@@ -1,4 +1,4 @@
-"""Pulses to rates and specific forces: a calibration applied, with covariances and marks.
+"""Compensate pulses to rates and specific forces, with covariances and marks.
 
 Every sum has a fixed order, so that a sample gives the same bits alone as among a million.
 """
@@ -21,12 +21,12 @@ from .samples import CompensatedSamples, Mark, Marks, concatenated
 _AXES = 3
 """X, Y, Z."""
 _LINEAR = tuple(Product(factors) for factors in ((0,), (1,), (2,), (), (3,), (4,), (5,)))
-"""What an error of a parameter of the linear model is multiplied by: rate, one, specific force."""
+"""Factors on the errors of the linear model's parameters: rate, one, specific force."""
 
 _ELEMENTS = tuple((i, j) for i in range(_AXES) for j in range(_AXES))
 
 _BEYOND = 1.05
-"""Times the highest rate of the calibration up to which it is held to be valid; a choice."""
+"""Times the highest rate of the calibration up to which it is taken as valid; a choice."""
 _PARITY = 6.0
 """Standard deviations of the parity of four gyros: false in 2e-9 of Gaussian samples."""
 _AT_ONCE = 512
@@ -38,31 +38,30 @@ _FORCE_UNKNOWN = np.uint8(Mark.ACCEL_RANGE | Mark.NO_NUMBER)
 
 
 class Compensation:
-    """A calibration made ready to be applied.
+    """A calibration prepared for applying.
 
     f = (I + M_a)^-1 (dW / tau - d_a), w = (I + M_g)^-1 (dTheta / tau - d_g - G f), with dW and
     dTheta the pulses of one sample times the nominal scale factor and tau the sample interval
-    (Luo 2018, eqs. (2-190) to (2-193)), by the table's clock where the calibration knows it; where
-    the model has further terms, f and w that answer so with them, by Newton's method
-    (docs/mathematics.md, 'Terms'). With skewed gyros the rate is the
-    weighted least-squares solution of all of them, weighted by their noise, and what is left over
-    is their parity.
+    (Luo 2018, eqs. (2-190) to (2-193)), by the table's clock if the calibration states it. With
+    further terms, the model is inverted for f and w by Newton's method (docs/mathematics.md,
+    'Terms'). With skewed gyros the rate is the least-squares solution of all gyros, weighted by
+    their noise, and the residual is their parity.
 
-    The covariances add the calibration's own, propagated to first order at the rate and force of
-    each sample, to the noise of one sample: N^2 / tau of the random walk N that the calibration
+    The covariances are those of the calibration, propagated to first order at the rate and force of
+    each sample, plus the noise of one sample: N^2 / tau of the random walk N that the calibration
     measured, and of a pulse q (q / tau)^2 / 6, the mean over phases of c (1 - c) (q / tau)^2 for an
-    accumulating counter (docs/mathematics.md, 'Noise of a mean'); of an ADC's step q^2 / 12. Where
-    terms are not linear, rates and forces answer to these errors by their slopes at the sample;
-    that errors of forces get into rates through such terms is left out.
+    accumulating counter (docs/mathematics.md, 'Noise of a mean'); of an ADC's step q^2 / 12. For
+    nonlinear terms, the slopes at the sample are used; errors of forces that reach rates through
+    such terms are neglected.
 
     Args:
         calibration: What to apply.
         skewed: Whether samples come with the skewed gyros' values.
-        mark: Put on every sample.
+        mark: Added to every sample.
 
     Attributes:
         calibration: What is applied.
-        moving: Whether motion adds anything by it (`in_motion`).
+        moving: Whether motion terms apply (`in_motion`).
 
     Raises:
         NotObservable: I + M is singular.
@@ -89,7 +88,7 @@ class Compensation:
         force = _inverse(model.accel.response, np.ones(_AXES))
         rate = _inverse(response, self._weights(specs))
         from_force = -rate @ sensitivity
-        # From all channels to rates and forces at once: a live sample pays for every step.
+        # From all channels to rates and forces in one matrix: a live sample pays for every step.
         through = from_force @ force
         nothing = np.zeros((_AXES, len(specs)))
         self._to_both = np.block([[rate, through], [nothing, force]]).T.copy()
@@ -100,13 +99,13 @@ class Compensation:
         self._of_six, self._gain = mine, self._to_both[mine].T.copy()
         self._levers = _levers(calibration.parameters)
         self._pairs = tuple(combinations_with_replacement(range(len(self._levers)), 2))
-        # What `_terms` are to be multiplied with, (t, 18): nine of rate, nine of force.
+        # Factors on `_terms`, (t, 18): nine of rate, nine of force.
         both = ((rate, through), (nothing, force))
         self._covariance = np.hstack([self._propagated(*of, _ELEMENTS) for of in both])
         self._parity_vector: Floats | None = None
         if channels is not None:
             self._set_parity(response, sensitivity, force)
-        # Most levers do nothing where there is no g-sensitivity.
+        # Without g-sensitivity most levers have no effect.
         count = len(self._pairs)
         used = self._covariance[:count].any(axis=1)
         self._factors = np.ascontiguousarray(np.array(self._pairs)[used].T)
@@ -128,7 +127,7 @@ class Compensation:
         self._highest = float('inf') if highest is None else _BEYOND * float(highest)
 
     def noise(self, interval: Floats) -> Floats:
-        """Return the variances of single samples by noise and steps, (n, channels) SI."""
+        """Return the variances of single samples from noise and quantisation, (n, channels) SI."""
         return self._noise(interval[:, None] / self._faster)
 
     def _noise(self, tau: Floats) -> Floats:
@@ -162,9 +161,9 @@ class Compensation:
         return concatenated(parts)
 
     def _apply_one(self, raw: list[float], interval: float) -> CompensatedSamples | None:
-        """Compensate one sample, in plain numbers: the way of a live stream, with the same bits.
+        """Compensate one sample in plain Python numbers, for live streams, with the same bits.
 
-        None stands for one that is to be looked at closely: nothing else is marked.
+        Return None for a sample that needs the checks of `_apply`: nothing else gets marks.
         """
         tau = interval / self._faster
         if not tau > 0:
@@ -177,7 +176,7 @@ class Compensation:
                 return None
             free.append(output - bias)
         a, b, c, d, e, f = free
-        # Not by sum(), which rounds otherwise from Python 3.12 on.
+        # Not by sum(), which rounds differently from Python 3.12 on.
         both = [a * p + b * q + c * r + d * s + e * t + f * u for p, q, r, s, t, u in self._outputs]
         x, y, z, *force = both
         highest = self._highest
@@ -199,7 +198,7 @@ class Compensation:
             self._unmarked[:1],
         )
 
-    # Infinite values are marked, not warned of.
+    # Infinite values are marked, without a warning.
     @np.errstate(invalid='ignore')
     def _apply(self, raw: Floats, interval: Floats) -> CompensatedSamples:
         tau = interval[:, None] / self._faster
@@ -230,7 +229,7 @@ class Compensation:
         return CompensatedSamples(rate, force, rate_covariance, force_covariance, marks, parity)
 
     def _bent(self, both: Floats, covariance: Floats) -> tuple[Floats, Floats]:
-        """Return covariances of rate and force as the terms' slopes at the samples change them."""
+        """Return covariances of rate and force, with the slopes of nonlinear terms applied."""
         sound = np.isfinite(both).all(axis=1)
         slopes = np.eye(6) + self._gain @ self._model.extra_slopes(both[sound])
         result = []
@@ -250,12 +249,12 @@ class Compensation:
         self._quantisation_variance = self._scale**2 * steps[self._units]
 
     def _weights(self, specs: list[TriadSpec]) -> Floats:
-        """Return the weights of the gyros: by their random walk, else alike."""
+        """Return the weights of the gyros: by their random walk if known, else equal."""
         walk = self._walk[: len(specs)]
         return np.asarray(1 / walk**2 if (walk > 0).all() else np.ones(len(specs)))
 
     def _set_parity(self, response: Floats, sensitivity: Floats, force: Floats) -> None:
-        """Prepare the combination of gyros that no rate can move (CN103697918A)."""
+        """Compute the combination of gyros that does not depend on the rate (CN103697918A)."""
         vector = np.linalg.svd(response)[0][:, -1]
         accel = -vector @ sensitivity @ force
         self._parity_vector = np.concatenate([vector, accel])[:, None]
@@ -275,11 +274,11 @@ class Compensation:
         effect = np.zeros((len(self._levers), len(gyros), len(parameters)))
         for k, parameter in enumerate(parameters):
             reach = gyros if parameter.triad == 'g' else accels
-            # Those of skewed gyros that the samples come without.
+            # Of skewed gyros that are not in the samples.
             if parameter.row < reach.shape[1] and not PRODUCTS[parameter].is_zero:
                 effect[self._levers.index(PRODUCTS[parameter]), :, k] = reach[:, parameter.row]
         spread = np.einsum('amp,pq,bnq->abmn', effect, square, effect)
-        # Errors act against the output, whose sign the square does not see.
+        # The sign of the error on the output does not matter in its square.
         rows = [
             [spread[a, b, i, j] + (spread[b, a, i, j] if a != b else 0.0) for i, j in elements]
             for a, b in self._pairs
@@ -306,7 +305,7 @@ class Compensation:
     def _judge(self, raw: Floats, outputs: Floats, rate: Floats, tau: Floats) -> Marks:
         marks = self._unmarked[: len(raw)]
         size = np.abs(outputs)
-        # A comparison with what is no number is false.
+        # Comparisons with NaN are false.
         sound = size < self._limit
         if self._units is not Units.SI:
             sound &= np.abs(raw) < FULL_SCALES[0]
@@ -317,7 +316,8 @@ class Compensation:
         far = size >= self._limit
         highest: float | Floats = self._highest
         if self._units is Units.PULSES:
-            # A counter reads up to a pulse more than was gained: one pulse comes at any rate.
+            # A counter may read up to one pulse more than the input: one pulse can come at any
+            # rate.
             far &= np.abs(raw) > 1
             highest = highest + self._scale[: self._gyros].max() / tau
         if self._units is not Units.SI:
@@ -330,7 +330,7 @@ class Compensation:
 
 
 def _levers(parameters: tuple[Parameter, ...]) -> tuple[Product, ...]:
-    """Return what errors of parameters are multiplied by, each once."""
+    """Return the factors on errors of parameters, each once."""
     products = (PRODUCTS[parameter] for parameter in parameters)
     return tuple(
         dict.fromkeys((*_LINEAR, *(product for product in products if not product.is_zero)))
@@ -338,7 +338,7 @@ def _levers(parameters: tuple[Parameter, ...]) -> tuple[Product, ...]:
 
 
 def noise_gains(model: SensorModel) -> tuple[float, float]:
-    """Return by how much compensation enlarges noise at most: of gyros, and of accelerometers."""
+    """Return the largest amplification of noise by compensation: gyros, accelerometers."""
     gyro, accel = (
         float(np.linalg.norm(np.linalg.inv(triad.response), axis=1).max())
         for triad in (model.gyro, model.accel)
@@ -349,7 +349,7 @@ def noise_gains(model: SensorModel) -> tuple[float, float]:
 def _mix(columns: Floats, matrix: Floats) -> Floats:
     """Return (n, k) columns times (k, m), summed column by column.
 
-    A BLAS product of many rows may round otherwise than that of one.
+    A BLAS product of many rows may round differently from that of one.
     """
     products = columns.T[:, :, None] * matrix[:, None, :]
     return np.asarray(np.add.reduce(products, axis=0))
@@ -367,9 +367,9 @@ def _inverse(response: Floats, weights: Floats) -> Floats:
 
 
 def _random_walk(calibration: Calibration, gyros: int) -> Floats:
-    """Return the random walk of every channel; zero where it was not measured.
+    """Return the random walk of every channel; zero if it was not measured.
 
-    That of a skewed gyro is the mean of the three: its own is in no calibration.
+    A calibration does not hold that of a skewed gyro: the mean of the three is used.
     """
     walk = np.nan_to_num(
         np.array(calibration.provenance.get('random_walk', np.zeros(6)), dtype=float)

@@ -1,4 +1,4 @@
-"""The compensator: blocks as a unit delivers them in, rates and forces out, live as offline."""
+"""Compensate the streams of a unit: blocks in, rates and forces out, live as offline."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from .samples import CompensatedSamples, Mark, concatenated
 from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_range
 
 _LAG = 500_000_000
-"""ns after its stamp from which on a temperature is used: then it has come in, live as in bulk."""
+"""ns after its stamp from which a temperature is used: it has arrived by then, live as in bulk."""
 _PATIENCE = 50_000_000
 """ns that a sample waits for the skewed gyro's: fifty samples at 1 kHz."""
 _MOST_WAITING = 1 << 16
-"""Samples held while no temperature, or no skewed gyro, has come: a minute at 1 kHz."""
+"""Samples held while waiting for a temperature or a skewed gyro: a minute at 1 kHz."""
 _STEP = 0.01
-"""K: a temperature that moved less is the one that was prepared for."""
+"""K: smaller changes of temperature are ignored."""
 _NO_NUMBER = np.uint8(Mark.NO_NUMBER)
 
 
-# Not frozen, as its values: one is made of each live sample.
+# Not frozen, like its values: one is made for each live sample.
 @dataclass(eq=False)
 class Reading:
     """Consecutive samples with one frame, compensated.
 
     Attributes:
-        stamp: (n,) ns: header stamps as they came in, but of samples that came many at a time, and
-            in bulk of those that came late, when they were made.
-        values: What they mean.
-        frame_id: As it came in.
+        stamp: (n,) ns: header stamps as received; sampling times of samples that came in bunches
+            and, in bulk, of those that came late.
+        values: Compensated rates and forces.
+        frame_id: As received.
     """
 
     stamp: Stamps
@@ -50,7 +50,7 @@ class Reading:
 
     @property
     def numbers(self) -> NDArray[np.bool_]:
-        """Whether a sample may go out, (n,): a filter that has taken NaN never gets over it."""
+        """Mask of samples that may be published, (n,): NaN would persist in a filter's state."""
         return np.asarray((self.values.marks & _NO_NUMBER) == 0)
 
 
@@ -68,31 +68,31 @@ class _Timed:
 
 
 class Compensator:
-    """Applies a calibration to the streams of a unit.
+    """Apply a calibration to the streams of a unit.
 
-    What comes out depends on the sequence of every topic and its stamps. A temperature counts for
-    the samples stamped half a second after it and later, so that it is there in time when they are
-    live, too; the first counts for all before. Where a calibration depends on the temperature,
-    samples wait for the first one. A skewed gyro's value belongs to the sample of the same stamp;
-    a sample without one after 50 ms goes without. A recording's other topics are therefore taken
-    in before its samples. Samples that came twice are dropped. Where accelerometers are known to be
-    apart or late a sample waits for the next one (`in_motion`).
+    The output depends on the sequence of every topic and its stamps. A temperature counts for
+    samples stamped half a second after it and later, so that live streams have received it by then;
+    the first counts for all before. If a calibration depends on the temperature, samples wait for
+    the first one. A skewed gyro's value belongs to the sample of the same stamp; after 50 ms a
+    sample is compensated without it. The other topics of a recording are therefore fed before its
+    samples. Repeated samples are dropped. If places or delay of the accelerometers are calibrated,
+    a sample waits for the next one (`in_motion`).
 
     Args:
         calibration: Single or combined.
-        instants: When the samples were made that will come, (n,) ns without repeats, where they are
-            known beforehand (`whole_stream`); None: by their stamps as they come.
+        instants: Sampling times of the coming samples, (n,) ns without repeats, if known beforehand
+            (`whole_stream`); None: inferred from their stamps as they come.
 
     Raises:
         NotObservable: It cannot be inverted.
 
     Attributes:
         celsius: The latest temperature, degrees Celsius; NaN before the first.
-        counts: How often each `Mark` was put.
+        counts: Number of samples with each `Mark`.
         dropped: Samples that waited too long for the first temperature, or could not be timed.
-        alone: Samples that went without a skewed gyro's value that was due.
-        repeats: Samples that came twice.
-        kept: Which samples of the last block are no repeats, (n,); None if all.
+        alone: Samples compensated without the expected value of a skewed gyro.
+        repeats: Repeated samples.
+        kept: Mask of samples of the last block that are no repeats, (n,); None if all.
     """
 
     def __init__(self, calibration: AnyCalibration, instants: Stamps | None = None) -> None:
@@ -115,7 +115,7 @@ class Compensator:
         self.replace(calibration)
 
     def replace(self, calibration: AnyCalibration) -> None:
-        """Go on with another calibration from the next sample on.
+        """Use another calibration from the next sample on.
 
         Raises:
             NotObservable: It cannot be inverted; the one before stays.
@@ -132,23 +132,23 @@ class Compensator:
 
     @property
     def calibration(self) -> AnyCalibration:
-        """What is applied."""
+        """The calibration in use."""
         return self._calibration
 
     @property
     def waiting(self) -> int:
-        """Samples that came in and did not go out yet."""
+        """Number of samples received and not yet returned."""
         waiting = sum(map(len, self._untimed)) + sum(len(t.interval) for t in self._timed)
         return waiting + self._in_motion.waiting
 
     @property
     def waits_for_temperature(self) -> bool:
-        """Whether nothing goes out because no temperature has come in."""
+        """Whether output waits for the first temperature."""
         return isinstance(self._calibration, ThermalCalibration) and self._used is None
 
     @property
     def dropped(self) -> int:
-        """Samples that will not go out."""
+        """Number of samples that will not be returned."""
         return self._dropped + self._clock.lost
 
     @property
@@ -158,11 +158,11 @@ class Compensator:
 
     @property
     def odd_steps(self) -> int:
-        """Steps between stamps that are no sample interval."""
+        """Number of steps between stamps that are no sample interval."""
         return self._clock.odd
 
     def take(self, block: Block) -> list[Reading]:
-        """Take a block of any topic in; return what can go out."""
+        """Take a block of any topic; return the samples that are ready."""
         if isinstance(block, TemperatureBlock):
             self._take_temperature(block)
         elif isinstance(block, SkewBlock):
@@ -182,14 +182,14 @@ class Compensator:
         return self._release(last=False)
 
     def finish(self) -> list[Reading]:
-        """End of all topics: return what waits."""
+        """End all topics: return the waiting samples."""
         lost = self._clock.lost
         times = self._clock.finish()
         self._time(times, self._clock.lost - lost)
         return self._release(last=True)
 
     def _without_repeats(self, block: ImuBlock) -> ImuBlock:
-        """Set samples that share a stamp apart; leave out those that came twice."""
+        """Separate samples that share a stamp; drop repeated ones."""
         values = np.concatenate([block.gyro, block.accel], axis=1)
         stamp, self.kept = self._shared.set_apart(block.stamp, values)
         if self.kept is None:
@@ -199,7 +199,7 @@ class Compensator:
         return ImuBlock(stamp[kept], block.gyro[kept], block.accel[kept], block.frame_id)
 
     def _made(self, stamp: Stamps) -> Stamps:
-        """Return when samples were made as far as it is known beforehand, (n,) ns."""
+        """Return the sampling times known beforehand, (n,) ns."""
         if self._instants is None:
             return stamp
         first = self._used_instants
@@ -208,7 +208,7 @@ class Compensator:
 
     @property
     def _nothing_waits(self) -> bool:
-        """Whether a sample that is timed goes out at once: the usual way of a live stream."""
+        """Whether a timed sample is returned at once: the usual state of a live stream."""
         return not (
             self._untimed
             or self._timed
@@ -220,7 +220,7 @@ class Compensator:
         )
 
     def _use(self, celsius: float) -> None:
-        """Prepare for a temperature, unless it is the one that is prepared for."""
+        """Prepare for a temperature, unless already prepared for it."""
         if self._used is not None and abs(celsius - self._used) < _STEP:
             return
         low, high = self._range
@@ -243,7 +243,7 @@ class Compensator:
             self._temperatures.append((stamp + _LAG, celsius))
 
     def _time(self, times: Times, lost: int) -> None:
-        """Give the oldest samples their times, those lost in front of them left out."""
+        """Assign times to the oldest samples; drop the lost ones before them."""
         intervals, instants = times
         while self._untimed and (lost or len(intervals)):
             block = self._untimed.pop(0)
@@ -279,12 +279,12 @@ class Compensator:
         return [Reading(one.stamp, one.values, one.frame_id) for one in applied]
 
     def _hold(self, *, last: bool) -> None:
-        """Keep the latest samples while no temperature has come; the oldest make room."""
+        """Hold the latest samples until a temperature comes; drop the oldest beyond the limit."""
         while self._timed and (last or self.waiting > _MOST_WAITING):
             self._dropped += len(self._timed.pop(0).interval)
 
     def _ready_count(self, stamp: Stamps) -> int:
-        """Return how many of the oldest samples have all that belongs to them."""
+        """Return the number of oldest samples for which all other topics have arrived."""
         if not self._takes_skewed:
             return len(stamp)
         newest = int(self._timed[-1].block.stamp[-1]) - _PATIENCE
@@ -294,7 +294,7 @@ class Compensator:
         return int(late[0]) if len(late) else len(stamp)
 
     def _by_temperature(self, timed: _Timed) -> list[Applied]:
-        """Compensate samples, each at the temperature that counts for it."""
+        """Compensate samples, each at its temperature."""
         applied = []
         while self._temperatures and len(timed.interval):
             since, celsius = self._temperatures[0]
@@ -325,7 +325,7 @@ class Compensator:
         return values
 
     def _with_skewed(self, block: ImuBlock, interval: Floats) -> CompensatedSamples:
-        """Compensate with the fourth gyro where there is a value of the same stamp."""
+        """Compensate with the skewed gyro where it has a value of the same stamp."""
         stamp, gyro = self._skewed_until(int(block.stamp[-1]))
         place = np.minimum(np.searchsorted(stamp, block.stamp), max(len(stamp) - 1, 0))
         there = stamp[place] == block.stamp if len(stamp) else np.zeros(len(block), np.bool_)
@@ -340,7 +340,7 @@ class Compensator:
         return concatenated(parts)
 
     def _skewed_until(self, end: int) -> tuple[Stamps, Floats]:
-        """Take out the skewed gyro's samples up to a stamp."""
+        """Return and remove the skewed gyro's samples up to a stamp."""
         stamps, values = [np.empty(0, np.int64)], [np.empty(0)]
         while self._skewed and int(self._skewed[0].stamp[0]) <= end:
             block = self._skewed.pop(0)

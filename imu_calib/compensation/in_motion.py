@@ -1,7 +1,7 @@
-"""What places and delay of the accelerometers make of samples is taken off.
+"""Subtract the effect of places and delay of the accelerometers from samples.
 
-The samples before and after give how fast a rate and a force change: each waits for the next
-one, and where there is none at one side the other tells.
+Rates of change of rate and force are differences to the samples before and after: each sample waits
+for the next one, and at a gap one side is used.
 
 Source: docs/mathematics.md, 'Terms of motion'.
 """
@@ -21,19 +21,19 @@ from .apply import Compensation
 from .samples import CompensatedSamples
 
 _NEXT = 1.5
-"""Sample intervals to the next sample, at most: beyond it one is missing."""
+"""Sample intervals to the next sample, at most: beyond, one is missing."""
 
 
 @dataclass(frozen=True, eq=False)
 class Applied:
-    """Consecutive samples with one frame, as a calibration has compensated them.
+    """Consecutive samples with one frame, compensated without motion terms.
 
     Attributes:
         stamp: (n,) ns.
-        values: Rates and forces, what motion adds still in them.
-        frame_id: As it came in.
+        values: Rates and forces, including the motion terms.
+        frame_id: As received.
         interval: (n,) sample intervals, s.
-        ready: What was applied.
+        ready: The compensation that was applied.
     """
 
     stamp: Stamps
@@ -47,7 +47,7 @@ class Applied:
 
     @property
     def moving(self) -> bool:
-        """Whether motion adds anything by the calibration."""
+        """Whether the calibration has motion terms."""
         return self.ready.moving
 
     def cut(self, start: int, stop: int) -> Applied:
@@ -65,9 +65,9 @@ class Applied:
 
 
 class InMotion:
-    """Lets samples wait for their next, and takes off what motion adds to them.
+    """Hold each sample until the next one, and subtract the motion terms from it.
 
-    Where a calibration knows of nothing that motion adds, samples go through as they are.
+    Without motion terms in the calibration, samples pass unchanged.
     """
 
     def __init__(self) -> None:
@@ -76,11 +76,11 @@ class InMotion:
 
     @property
     def waiting(self) -> int:
-        """Samples that wait for the next."""
+        """Number of samples that wait for the next."""
         return 0 if self._held is None else 1
 
     def take(self, samples: Applied) -> list[Applied]:
-        """Take samples in; return those that have all that they need."""
+        """Take samples; return those that are ready."""
         if not len(samples):
             return []
         ended = [] if self._held is None else self._end(samples.cut(0, 1))
@@ -96,11 +96,11 @@ class InMotion:
         return ended
 
     def finish(self) -> list[Applied]:
-        """Return what waits: nothing follows."""
+        """Return the waiting samples at the end of the stream."""
         return self._end(None)
 
     def _end(self, after: Applied | None) -> list[Applied]:
-        """Free the sample that waits."""
+        """Release the waiting sample."""
         held, self._held = self._held, None
         if held is None:
             return []
@@ -110,14 +110,14 @@ class InMotion:
 
 
 def _freed(before: Applied | None, samples: Applied, after: Applied | None) -> Applied:
-    """Take off what motion adds to samples, by the one before and the one after them, if any."""
+    """Subtract the motion terms by means of the samples before and after, if any."""
     values, model = samples.values, samples.ready.calibration.model
     changes = _Changes.of(before, samples, after)
     spin, change = changes.of_each(lambda v: v.rate), changes.of_each(lambda v: v.force)
     by_each = slopes(model, values.rate, spin, change)
     force = values.force - (by_each * model.values(MOTION)).sum(axis=-1)
     covariance = values.force_covariance + _doubt(samples, by_each, changes.seconds)
-    # Of a force that is unknown the first element says so; what an unknown rate makes of it is so.
+    # Element 0 marks an unknown force; a force that depends on an unknown rate is unknown too.
     unknown = values.force_covariance[:, 0] < 0
     covariance[unknown] = values.force_covariance[unknown]
     if places(model).any():
@@ -126,10 +126,10 @@ def _freed(before: Applied | None, samples: Applied, after: Applied | None) -> A
 
 
 def _doubt(samples: Applied, by_each: Floats, seconds: Floats) -> Floats:
-    """Return what is added to the covariance of forces, (n, 9): by the parameters and by noise.
+    """Return the addition to the covariance of forces, (n, 9): from parameters and noise.
 
-    Noise of a difference of two samples, each by itself; the parameters' covariance with others is
-    left out.
+    The noise is that of a difference of two independent samples; correlations of these parameters
+    with others are neglected.
     """
     calibration = samples.ready.calibration
     own = motion_parameters(calibration.parameters)
@@ -150,20 +150,20 @@ def _doubt(samples: Applied, by_each: Floats, seconds: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Changes:
-    """Samples with the ones beside them."""
+    """Samples and their neighbours."""
 
     all: list[Applied]
-    """Those before, themselves, those after."""
+    """Samples before, these samples, samples after."""
     earlier: NDArray[np.intp]
-    """(n,) index of the sample from which a change is counted."""
+    """(n,) index of the first sample of each difference."""
     later: NDArray[np.intp]
-    """(n,) to which."""
+    """(n,) index of the second."""
     seconds: Floats
-    """(n,) between them; 0 where there is none beside."""
+    """(n,) s between them; 0 without a neighbour."""
 
     @classmethod
     def of(cls, before: Applied | None, samples: Applied, after: Applied | None) -> _Changes:
-        """Find out which samples are next to each other."""
+        """Find the neighbours of samples."""
         parts = [part for part in (before, samples, after) if part is not None]
         stamp = np.concatenate([part.stamp for part in parts])
         interval = np.concatenate([part.interval for part in parts])
@@ -181,7 +181,7 @@ class _Changes:
         return cls(parts, own - earlier, own + later, (earlier + later) * samples.interval)
 
     def of_each(self, which: Callable[[CompensatedSamples], Floats]) -> Floats:
-        """Return by how much rates or forces change, (n, 3) per s."""
+        """Return the rates of change of rates or forces, (n, 3) per s."""
         values = np.concatenate([which(part.values) for part in self.all])
         known = self.seconds > 0
         seconds = np.where(known, self.seconds, 1.0)[:, None]

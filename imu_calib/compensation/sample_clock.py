@@ -1,4 +1,4 @@
-"""How long each sample interval was, and when each sample was made, by the stamps as they come."""
+"""Estimate sample intervals and sampling times from stamps as they come."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from ..segmentation.lateness import JITTER
 from ..stream import Floats, Stamps
 
 _LEARNT = 32
-"""Intervals that tell the pace: their median stands with ten of them late."""
+"""Intervals that determine the usual one: their median holds with ten of them late."""
 _WINDOW = 1024
-"""Intervals over which the pace is averaged: the jitter of one stamp counts a thousandth."""
+"""Intervals averaged: the jitter of one stamp is reduced to a thousandth."""
 _FEW = 4
-"""Samples up to which one at a time is faster than arrays."""
+"""Samples up to which processing one at a time is faster than arrays."""
 _TYPICAL = 0.5
-"""Of the usual interval: a step that is longer by more has lost samples, or they are late."""
+"""Of the usual interval: after a step longer by more, samples were lost or are late."""
 _GAINS = 0.05
-"""Of the interval: a step after a long one that is shorter by more gains on the clock. A judgement:
-of a queue that gains less the interval is wrong by less."""
+"""Of the interval: a step after a long one that is shorter by more shows a queue catching up. A
+judgement: with a queue that catches up more slowly, the interval is wrong by less than this."""
 LONGEST = 5_000_000_000
-"""ns: more than a line is held up (`segmentation/bunches`); what comes after such a silence stands
-by itself, and may be of another rate."""
+"""ns: longer than a line holds samples up (`segmentation/bunches`); samples after such a silence
+are timed anew, and may have another rate."""
 _FASTEST = 1000.0
-"""ns: no IMU samples at a megahertz; samples that share a stamp are set apart by less."""
+"""ns: no IMU samples at a megahertz; samples that share a stamp are separated by less."""
 _PACKETS = 240
-"""Samples among which there are several packets (`segmentation/bunches`)."""
+"""Samples that contain several packets (`segmentation/bunches`)."""
 _MOST_HELD = 4096
-"""Samples that wait for the interval at most: a transfer of a second at 4 kHz."""
+"""Most samples that wait for the interval: a transfer of a second at 4 kHz."""
 _SLACK_PACKETS, _SLACK_POLLED = 0.5, 1.5
-"""Intervals by which a bunch that lacks nothing may be off: one that is polled has one more or
-less by turns (`segmentation/bunches`)."""
+"""Intervals by which a complete bunch may be off: a polled one has one sample more or less in
+alternation (`segmentation/bunches`)."""
 
 
 class Times(NamedTuple):
-    """What is known of samples: intervals, (n,) s, and when they were made, (n,) ns."""
+    """Timing of samples: intervals, (n,) s, and sampling times, (n,) ns."""
 
     interval: Floats
     instant: Stamps
@@ -48,31 +48,31 @@ _NONE = Times(np.empty(0), np.empty(0, np.int64))
 
 
 class SampleClock:
-    """Times samples as they come; the outcome depends on their stamps, not on how they are cut.
+    """Time samples as they come; the result does not depend on how the stream is cut into blocks.
 
-    A unit samples at equal intervals of its own clock, in which it was calibrated too: the
-    interval is the mean of the last 1024, by the stamps. A single difference of stamps would hand
-    their jitter and rounding on to every sample (1 ms of 10 ms is 1 m/s^2 of gravity); the nominal
-    rate would be another clock's. A sample after a gap holds the pulses of its own interval, as
-    long as any other: steps that are no sample interval (gaps, jumps back) are passed over. The
-    first 32 intervals teach what one is, and the samples wait until then; so do 32 odd ones in a
-    row, as after a change of the rate.
+    A unit samples at equal intervals of its own clock, by which it was also calibrated: the
+    interval is the mean of the last 1024, by the stamps. A single difference of stamps would pass
+    their jitter and rounding to every sample (1 ms of 10 ms is 1 m/s^2 of gravity); the nominal
+    rate refers to another clock. A sample after a gap holds the pulses of its own interval, as
+    any other: steps that are no sample interval (gaps, jumps back) are skipped. The first 32
+    intervals determine the usual one, and the samples wait until then; 32 odd ones in a row do so
+    again, as after a change of the rate.
 
-    After a long step samples that come sooner than at equal intervals were held up, as long as no
-    more have come than were made in the meantime: their steps teach no other rate. All of them
-    together are whole intervals again when they have made up for the silence.
+    After a long step, samples that come faster than at equal intervals were held up, as long as
+    their number does not exceed that of the elapsed time: their steps do not change the interval.
+    Once the silence is made up for, all of them together count as whole intervals.
 
-    Samples that come many at a time wait until three whole bunches have shown the interval. From
-    then on each is made an interval after the one before, counted from the bunch before: what a
-    bunch will still bring is not known when its first sample goes out. Samples of a queue that
-    comes by chance have the stamps with which they came: of the first of them nothing tells
-    whether it is late or those before it were lost, and it does not wait for the next.
+    Samples that come in bunches wait until three whole bunches have shown the interval. From then
+    on each sampling time is an interval after the one before, counted from the bunch before: the
+    size of a bunch is not known when its first sample is returned. Samples of an occasional queue
+    keep their stamps: whether the first of them is late or samples before it were lost is not
+    known, and it does not wait for the next.
 
     Source: docs/mathematics.md, 'Stamps and lost samples'.
 
     Args:
-        rate: Samples per second as stated; None where nothing is. Samples that come twice as fast
-            wait for others: they may be those of one packet.
+        rate: Samples per second as stated; None if not stated. Samples that come twice as fast
+            wait for others: they may belong to one packet.
 
     Attributes:
         lost: Samples that could not be timed.
@@ -95,19 +95,19 @@ class SampleClock:
         self._sums: Stamps = np.zeros((2 * _WINDOW, 2), np.int64)
         self._known = 1
         self._behind = 0
-        """Samples that came after a silence and were held up, if they make up for it."""
+        """Samples that were held up in a silence, if they make up for it."""
         self._passed = 0
         """ns from the sample before them to the last of them."""
         self._bunch: _Bunch | None = None
 
     @property
     def odd(self) -> int:
-        """Steps that were passed over so far."""
+        """Number of steps skipped so far."""
         return self._odd
 
     @property
     def waiting(self) -> int:
-        """Samples that wait for others to tell the interval."""
+        """Number of samples that wait for the interval to be known."""
         return len(self._held)
 
     @property
@@ -116,10 +116,9 @@ class SampleClock:
         return self._typical * 1e-9
 
     def take(self, stamp: Stamps) -> Times:
-        """Take (n,) stamps in, ns; return what is known of those that are timed now.
+        """Take stamps (n,), ns; return the timing of the samples that are timed now.
 
-        These are the oldest that were not timed before; `lost` counts those passed over at the
-        front of them.
+        These are the oldest not timed before; `lost` counts those skipped at the front of them.
         """
         if self._typical:
             return self._follow(stamp)
@@ -127,7 +126,7 @@ class SampleClock:
         return self._learn()
 
     def finish(self) -> Times:
-        """End of the stream: what is known of what waits; a single sample tells no interval."""
+        """End the stream: return the timing of waiting samples; one alone has no interval."""
         held, self._held = self._held, self._held[:0]
         if self._typical or len(held) < 2 or not self._begins(held, last=True):
             self.lost += len(held)
@@ -135,7 +134,7 @@ class SampleClock:
         return self._begin(held)
 
     def _learn(self) -> Times:
-        """Learn from the first samples whose stamps show an interval."""
+        """Infer the interval from the first samples whose stamps show one."""
         while len(self._held) - self._looked > _LEARNT:
             self._looked += _LEARNT + 1
             first = self._held[: self._looked]
@@ -150,7 +149,7 @@ class SampleClock:
         return _NONE
 
     def _begins(self, stamp: Stamps, *, last: bool = False) -> bool:
-        """Take the interval from stamps (n,), if they tell one."""
+        """Infer the interval from stamps (n,), if they show one."""
         steps = np.diff(stamp)
         interval, short = usual_interval(stamp)
         least = _FASTEST if last or len(stamp) > _PACKETS else self._least
@@ -161,7 +160,7 @@ class SampleClock:
         if bunches is not None:
             self._set_bunches(bunches)
         elif interval > _FASTEST and (last or len(stamp) >= _WINDOW):
-            # As of a queue, whose steps are short.
+            # As in a queue, whose steps are short.
             self._set_pace(min(interval, float(steps.mean())), 0.0)
         else:
             return False
@@ -179,7 +178,7 @@ class SampleClock:
 
     def _set_pace(self, typical: float, jitter: float) -> None:
         self._typical, self._tolerance = typical, _TYPICAL * typical + JITTER * jitter
-        # Jitter must not look as if samples gained on the clock.
+        # Jitter must not look like a queue catching up.
         self._gains = typical - min(_TYPICAL * typical, max(_GAINS * typical, JITTER * jitter))
         self._slack = _SLACK_PACKETS
         self._bunch, self._behind, self._run = None, 0, 0
@@ -193,7 +192,7 @@ class SampleClock:
         self._bunch = _Bunch(found.size or 0)
 
     def _set_typical(self, steps: Stamps) -> None:
-        """Take steps for what is usual."""
+        """Set the usual interval from steps."""
         middle = float(np.median(steps))
         self._set_pace(middle, float(np.median(np.abs(steps - middle))))
         regular = self._is_regular(steps)
@@ -210,7 +209,7 @@ class SampleClock:
         intervals, instants = np.empty(len(stamp)), stamp.copy()
         done = 0
         while done < len(stamp):
-            # Where one step is irregular the next ones often are.
+            # After one irregular step, others often follow.
             count = len(stamp) if len(stamp) <= _FEW or self._apart else 0
             part = stamp[done : done + min(count, _LEARNT)].tolist()
             for k, one in enumerate(part, start=done):
@@ -233,11 +232,11 @@ class SampleClock:
 
     @property
     def _apart(self) -> bool:
-        """Whether more than the step since the last stamp counts."""
+        """Whether the timing depends on more than the last step."""
         return bool(self._behind or self._run or self._bunch is not None)
 
     def _follow_one(self, stamp: int) -> int:
-        """Time one sample: the way of a live stream, in plain numbers, with the same outcome."""
+        """Time one sample, in plain Python numbers for live streams, with the same result."""
         step, before, self._last = stamp - self._last, self._last, stamp
         elapsed, count = self._caught_up(step)
         if not self._behind:
@@ -261,9 +260,9 @@ class SampleClock:
         return instant
 
     def _caught_up(self, step: int) -> tuple[int, int]:
-        """Take a step of samples that were held up; return what they are of regular ones, ns.
+        """Take a step of held-up samples; return time, ns, and number of its regular ones.
 
-        When more have come than were made, or come at equal intervals again, they are no queue.
+        More samples than elapsed intervals, or equal intervals again, end the queue.
         """
         if not self._behind:
             return 0, 0
@@ -282,7 +281,7 @@ class SampleClock:
         return passed, behind
 
     def _add(self, elapsed: int, count: int) -> None:
-        """Add a sample to the window of the interval: what it adds of regular steps."""
+        """Add a sample's regular steps to the window of the interval."""
         place = self._make_room(1)
         sums = self._sums
         elapsed, count = sums.item(place - 1, 0) + elapsed, sums.item(place - 1, 1) + count
@@ -291,11 +290,11 @@ class SampleClock:
         first = max(place - _WINDOW, 0)
         known = count - sums.item(first, 1)
         if known:
-            # All below 2^53: the same quotient as that of arrays.
+            # All below 2^53: the same quotient as with arrays.
             self._interval = (elapsed - sums.item(first, 0)) / known * 1e-9
 
     def _learn_anew(self) -> None:
-        """Take the odd steps for the new interval, if they are any."""
+        """Take the odd steps for the new interval, if they are regular."""
         self._run, recent = 0, np.array(self._recent)
         latest = recent[-_LEARNT:]
         interval = self._interval
@@ -307,7 +306,7 @@ class SampleClock:
         self._interval = interval if self._known > 1 else self._interval
 
     def _make_room(self, count: int) -> int:
-        """Return where the next sums go, the last window of them before that."""
+        """Return the index of the next sums, with the last window kept before it."""
         if self._known + count > len(self._sums):
             kept = self._sums[self._known - _WINDOW : self._known].copy()
             self._sums[:_WINDOW], self._known = kept, _WINDOW
@@ -329,9 +328,9 @@ class SampleClock:
 
 
 class _Bunch:
-    """Spreads samples that come many at a time over the time since the bunch before.
+    """Spread the samples of a bunch over the time since the bunch before.
 
-    `size` is that of a whole packet; 0 where a reader takes what has come.
+    `size` is that of a whole packet; 0 for a reader that takes all waiting samples.
     """
 
     def __init__(self, size: int) -> None:
@@ -340,7 +339,7 @@ class _Bunch:
         self._number = 0
 
     def place(self, stamp: int, before: int, interval: float, *, within: bool) -> int:
-        """Return when a sample was made, all ns; `within` says that it came with the one before."""
+        """Return the sampling time, ns; `within` means in the same bunch as the last sample."""
         if within:
             self._number += 1
         else:
@@ -351,7 +350,7 @@ class _Bunch:
             made = self._came - (max(size, self._number) - self._number) * interval
             self._instant = self._instant if within else round(made) - 1
         else:
-            # What lacks of packets that were lost is before this one (`segmentation/bunches`).
+            # Samples missing from lost packets are before this one (`segmentation/bunches`).
             slots = round(passed / interval)
             slots = size * max(1, round(slots / size)) if size else max(1, slots)
             number = max(slots - size, 0) + self._number if size else self._number
@@ -360,7 +359,7 @@ class _Bunch:
         return self._instant
 
     def follow(self, instant: int) -> None:
-        """Go on after a sample that was made then, ns."""
+        """Continue after a sample made at an instant, ns."""
         self._instant = max(self._instant, instant)
 
 

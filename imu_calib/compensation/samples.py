@@ -1,4 +1,4 @@
-"""What compensation gives of samples, and what a person should know of them."""
+"""Compensated samples and their marks."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ Marks = NDArray[np.uint8]
 
 
 class Mark(IntFlag):
-    """What a person should know of a sample; any number of them."""
+    """Condition of a sample that its user must know; any number of them."""
 
     GYRO_RANGE = 1
-    """A gyro is at the end of its range, so that the rate is unknown."""
+    """A gyro is at the end of its range: the rate is unknown."""
     ACCEL_RANGE = 2
-    """An accelerometer is at the end of its range, so that the specific force is unknown."""
+    """An accelerometer is at the end of its range: the specific force is unknown."""
     RATE = 4
-    """Faster than the unit was turned when it was calibrated."""
+    """Faster than the unit was rotated in its calibration."""
     TEMPERATURE = 8
-    """Colder or warmer than it was calibrated at; the nearest calibration is used."""
+    """Colder or warmer than in the calibration; the nearest calibration is used."""
     PARITY = 16
-    """Four gyros contradict each other."""
+    """The parity of four gyros exceeds its noise."""
     NO_NUMBER = 32
     """A value is not finite."""
 
 
-# Not frozen: one is made of each live sample, and that would take a microsecond more.
+# Not frozen: one is made for each live sample, and freezing would cost a microsecond.
 @dataclass(eq=False)
 class CompensatedSamples:
     """Samples in SI units along the body axes.
@@ -41,8 +41,7 @@ class CompensatedSamples:
         rate_covariance: (n, 9) row by row, (rad/s)^2; element 0 is -1 where the rate is unknown.
         force_covariance: (n, 9) likewise, (m/s^2)^2.
         marks: (n,) of `Mark`.
-        parity: (n,) what a skewed gyro and the three contradict each other by, rad/s; None
-            without one.
+        parity: (n,) parity of a skewed gyro and the three, rad/s; None without one.
     """
 
     rate: Floats
@@ -57,7 +56,7 @@ class CompensatedSamples:
 
 
 def concatenated(parts: list[CompensatedSamples]) -> CompensatedSamples:
-    """Return samples that follow each other as one; at least one part."""
+    """Join consecutive samples; at least one part."""
     if len(parts) == 1:
         return parts[0]
     parities = [p.parity for p in parts if p.parity is not None]

@@ -1,4 +1,4 @@
-"""Calibrations of one unit at several temperatures, combined: parameters by temperature."""
+"""Combine calibrations of one unit at several temperatures: parameters by temperature."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ from ..stream import Floats
 from ..yaml_text import dump, load
 
 _FORMAT = 1
-"""Of combined calibrations; others are refused."""
+"""Version of the format of combined calibrations; others are refused."""
 _APART = 0.5
-"""K: closer ones are one temperature, whose slope would be noise."""
+"""K: closer ones count as one temperature: a slope between them would be noise."""
 _MARGIN = 5.0
-"""K beyond what a calibration of one temperature has seen; a choice."""
+"""K beyond the range of a calibration at one temperature in which it is valid; a choice."""
 MOST = 4
-"""Order of the polynomials: more swing between the points (Runge)."""
+"""Highest order of polynomials: higher ones oscillate between the points (Runge)."""
 _WRITTEN = 1e-9
-"""Relative: what a number may lose on its way through a text."""
+"""Relative tolerance for numbers that were written as text."""
 
 
 @dataclass(frozen=True, eq=False)
 class ThermalCalibration:
-    """What a unit was found to be at several temperatures.
+    """Calibrations of a unit at several temperatures.
 
     Every parameter is interpolated by itself: p(T) = sum of c_i(T) p_i, with c the weights of
-    straight lines between neighbours, or of the polynomial that fits best. The sessions are
-    independent, so the covariance is the sum of c_i(T)^2 P_i; the error of gravity alone is the
-    same in all of them and does not average down. Straight lines cut corners: where a
-    neighbour shows how much the parameters bend there, p'' (T - a) (b - T) / 2 is added as doubt
-    (the remainder of linear interpolation, e.g. Abramowitz and Stegun, 25.2.1).
-    Beyond the ends nothing is known: the nearest calibration holds.
-    A single session that knows what follows the temperature (`--terms thermal`) is one, too: its
-    parameters and their covariance then are p + c (T - T_0) between the ends of what it saw.
+    straight lines between neighbours, or of the best-fitting polynomial. The sessions are
+    independent, so the covariance is the sum of c_i(T)^2 P_i; the error of gravity alone is common
+    to all and does not average down. Where a neighbour shows curvature of the parameters,
+    p'' (T - a) (b - T) / 2 is added as uncertainty of the straight lines (the remainder of linear
+    interpolation, e.g. Abramowitz and Stegun, 25.2.1). Beyond the ends the nearest calibration is
+    used. A single session with coefficients of temperature (`--terms thermal`) is one, too: its
+    parameters and their covariance are those of p + c (T - T_0) within the temperatures of the
+    session.
 
     Attributes:
-        calibrations: At least two of one unit, coldest first, or one that knows coefficients.
+        calibrations: At least two of one unit, coldest first, or one with coefficients.
         order: Of the polynomial; None for straight lines.
     """
 
@@ -72,7 +72,7 @@ class ThermalCalibration:
         return np.asarray(at @ np.linalg.pinv(design))
 
     def at(self, celsius: float) -> Calibration:
-        """Return the calibration at a temperature; beyond the ends that of the end."""
+        """Return the calibration at a temperature; beyond the ends, that of the end."""
         if len(self.calibrations) == 1:
             return _by_coefficients(self.calibrations[0], celsius)
         weights = self.weights(celsius)
@@ -104,7 +104,7 @@ class ThermalCalibration:
         )
 
     def _clock(self, weights: Floats) -> StampingClock | None:
-        """Return the clock of the samples; a session that knows none is by the stamps' own."""
+        """Return the stamping clock; a session without one refers to the stamps' own clock."""
         known = [(w, c.clock) for w, c in zip(weights, self.calibrations, strict=True) if c.clock]
         if not known:
             return None
@@ -113,7 +113,7 @@ class ThermalCalibration:
         return replace(known[0][1], faster=faster, std=std)
 
     def _bend(self, celsius: float, values: Floats) -> Floats:
-        """Return by how much straight lines may miss each parameter, (p,)."""
+        """Return the possible error of straight lines for each parameter, (p,)."""
         points = self.temperatures
         place = int(np.searchsorted(points, celsius))
         if self.order is not None or len(points) < 3 or not 0 < place < len(points):
@@ -127,7 +127,7 @@ class ThermalCalibration:
         return np.asarray(largest * (celsius - a) * (b - celsius))
 
     def to_yaml(self) -> str:
-        """Return the file's text: the calibrations one below the other, each as in its own file."""
+        """Return the file's text: the calibrations in sequence, each as in its own file."""
         documents = [load(c.to_yaml()) for c in self.calibrations]
         first = self.calibrations[0]
         head: dict[str, Any] = {
@@ -168,11 +168,11 @@ def combine(
         calibrations: At least two, in any order.
         names: Their files, for messages.
         order: Of a polynomial; None for straight lines between neighbours.
-        where: Begins messages on all of them, where one file holds them.
+        where: Prefix of messages about all of them, if one file holds them.
 
     Raises:
-        InputError: They are not of one unit, a temperature is missing or comes twice, or they
-            are too few for the order.
+        InputError: They are not of one unit, a temperature is missing or repeated, or there are
+            too few for the order.
     """
     if len(calibrations) < 2:
         raise InputError(
@@ -200,10 +200,10 @@ def combine(
 
 
 def temperature_range(calibration: AnyCalibration) -> tuple[float, float]:
-    """Return within which temperatures a calibration counts, degrees Celsius.
+    """Return the temperatures in which a calibration is valid, degrees Celsius.
 
-    A single one is taken to count 5 K beyond what its session saw, a combined one from the lowest
-    to the highest temperature of its sessions; one that knows no temperature counts everywhere.
+    A single one is taken as valid 5 K beyond the range of its session, a combined one from the
+    lowest to the highest temperature of its sessions, one without a temperature everywhere.
     """
     if isinstance(calibration, ThermalCalibration):
         seen = [c.provenance['temperature'] for c in calibration.calibrations]
@@ -218,7 +218,7 @@ def load_calibration(path: str | Path) -> AnyCalibration:
     """Read a calibration file, single or combined.
 
     Raises:
-        InputError: Unreadable, or no calibration; names file and key.
+        InputError: Unreadable, or not a calibration; names file and key.
     """
     return read_calibration(calibration_section(path))
 
@@ -227,7 +227,7 @@ def read_calibration(section: Section) -> AnyCalibration:
     """Read a calibration, single or combined, from its YAML mapping.
 
     Raises:
-        InputError: No calibration; names file and key.
+        InputError: Not a calibration; names file and key.
     """
     if not section.has('calibrations'):
         calibration = Calibration.read(section)
@@ -248,10 +248,10 @@ def read_calibration(section: Section) -> AnyCalibration:
 
 
 def by_temperature(calibration: Calibration, name: str) -> AnyCalibration:
-    """Return a calibration as it is to be applied: with the temperature, where it follows it.
+    """Return a calibration as it is to be applied: by temperature, if it has such coefficients.
 
     Raises:
-        InputError: It follows the temperature and does not state that of its session.
+        InputError: It has such coefficients and does not state the temperature of its session.
     """
     if calibration.changes is None or not calibration.changes.follows_temperature:
         return calibration
@@ -260,7 +260,7 @@ def by_temperature(calibration: Calibration, name: str) -> AnyCalibration:
 
 
 def _by_coefficients(calibration: Calibration, celsius: float) -> Calibration:
-    """Return a calibration at a temperature by the coefficients that its session found.
+    """Return a calibration at a temperature, by the coefficients of its session.
 
     Source: docs/mathematics.md, 'Terms of a session'.
     """
@@ -295,7 +295,7 @@ def _check_temperature(calibration: Calibration, name: str) -> None:
 
 
 def first_of(calibration: AnyCalibration) -> Calibration:
-    """Return what stands for the unit."""
+    """Return the calibration that identifies the unit."""
     if isinstance(calibration, ThermalCalibration):
         return calibration.calibrations[0]
     return calibration
@@ -304,7 +304,7 @@ def first_of(calibration: AnyCalibration) -> Calibration:
 def check_same_unit(
     calibration: AnyCalibration, name: str, other: AnyCalibration, other_name: str
 ) -> None:
-    """Refuse calibrations that are not of one unit, or of numbers with different meanings.
+    """Refuse calibrations that are not of one unit, or whose outputs differ in meaning.
 
     Raises:
         InputError: Names the key, what was found and what was expected.
@@ -316,16 +316,16 @@ def check_same_unit(
 def check_unit(
     calibration: AnyCalibration, name: str, imu: ImuSpec, where: str, serial_number: str = ''
 ) -> None:
-    """Refuse a calibration of another unit than an IMU's description.
+    """Refuse a calibration of a unit other than that of an IMU's description.
 
     Serial numbers are compared where both are stated.
 
     Args:
         calibration: Single or combined.
         name: Its file, for the message.
-        imu: What is to be compensated.
-        where: Who says so.
-        serial_number: Of the unit that is to be compensated; empty where it is not stated.
+        imu: Description of the unit to compensate.
+        where: Source of this description.
+        serial_number: Of the unit to compensate; empty if not stated.
 
     Raises:
         InputError: Names the key, what was found and what was expected.
@@ -343,14 +343,14 @@ def check_unit(
 def check_identity(
     calibration: AnyCalibration, name: str, imu: str, where: str, serial_number: str = ''
 ) -> None:
-    """Refuse a calibration that says it is of another unit.
+    """Refuse a calibration that states another unit.
 
     Args:
         calibration: Single or combined.
         name: Its file, for the message.
         imu: Id of the unit, or of its type.
-        where: Who says so.
-        serial_number: Of the unit; empty where it is not stated. Compared where both state one.
+        where: Source of this id.
+        serial_number: Of the unit; empty if not stated. Compared if both state one.
 
     Raises:
         InputError: Names the key, what was found and what was expected.
@@ -365,7 +365,7 @@ def check_identity(
 def _check_same(
     compared: Mapping[str, tuple[str | float, str | float]], name: str, where: str
 ) -> None:
-    """Compare texts exactly, and numbers but for how they were written down."""
+    """Compare texts exactly, and numbers within the rounding of text."""
     for key, (found, expected) in compared.items():
         same = found == expected
         if isinstance(found, float) and isinstance(expected, float):
@@ -375,7 +375,7 @@ def _check_same(
 
 
 def _check_alike(calibration: Calibration, name: str, first: Calibration, other: str) -> None:
-    """Refuse what is not of one unit, or does not know the same parameters."""
+    """Refuse calibrations of another unit or with other parameters."""
     check_same_unit(calibration, name, first, other)
     found, expected = _known(calibration), _known(first)
     if found != expected:

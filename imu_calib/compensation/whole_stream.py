@@ -1,8 +1,9 @@
-"""When the samples of a recording were made: by those that came after them, too.
+"""Estimate the sampling times of a whole recording, from earlier and later stamps.
 
-What comes live is timed by what has come (`sample_clock`). Of a recording all stamps are there:
-samples that came many at a time, late or in a queue go back to when they were made, by the rules of
-the segmentation (docs/mathematics.md, 'Stamps and lost samples'). Others keep their stamps.
+A live sample is timed by the stamps received so far (`sample_clock`). In a recording all stamps are
+known: samples that came in bunches, late or in a queue are moved to their sampling times, by the
+rules of the segmentation (docs/mathematics.md, 'Stamps and lost samples'). Others keep their
+stamps.
 """
 
 from __future__ import annotations
@@ -17,18 +18,18 @@ from ..stream import ImuBlock, Stamps
 from .sample_clock import LONGEST
 
 _LONG = 1.5
-"""Of the median step: a longer one comes before a sample that is late, or after lost ones."""
+"""Of the median step: a longer one is followed by a late sample, or samples were lost."""
 _AROUND = 512
-"""Samples on either side of irregular steps that tell the interval (`bunches`, `_AHEAD`)."""
+"""Samples on either side of irregular steps that determine the interval (`bunches`, `_AHEAD`)."""
 _FEWEST = 32
-"""Samples that tell an interval (`sample_clock`)."""
+"""Samples that determine an interval (`sample_clock`)."""
 
 
 class WholeStream:
-    """Gathers the stamps of a recording's samples, repeats left out; 8 bytes each.
+    """Collect the stamps of a recording's samples without repeats; 8 bytes each.
 
     Args:
-        rate: Samples per second as stated; None where nothing is.
+        rate: Samples per second as stated; None if not stated.
     """
 
     def __init__(self, rate: float | None) -> None:
@@ -36,31 +37,31 @@ class WholeStream:
         self._stamps: list[Stamps] = []
 
     def take(self, block: ImuBlock) -> None:
-        """Take samples in."""
+        """Take the stamps of samples."""
         values = np.concatenate([block.gyro, block.accel], axis=1)
         stamp, kept = self._shared.set_apart(block.stamp, values)
         self._stamps.append(stamp.copy() if kept is None else stamp[kept])
 
     def instants(self) -> Stamps:
-        """Return when the samples were made, (n,) ns."""
+        """Return the sampling times, (n,) ns."""
         if not self._stamps:
             return np.empty(0, np.int64)
         return made_at(np.concatenate(self._stamps))
 
     def words(self) -> list[str]:
-        """Say which samples shared a stamp."""
+        """Return a sentence on samples that shared a stamp."""
         return self._shared.words()
 
 
 def made_at(stamp: Stamps) -> Stamps:
-    """Return when samples were made, (n,) ns, by their stamps as they came."""
+    """Return the sampling times of stamps as received, (n,) ns."""
     steps = np.diff(stamp)
     pieces = np.split(stamp, np.flatnonzero((steps <= 0) | (steps > LONGEST)) + 1)
     return np.concatenate([_made(piece) for piece in pieces])
 
 
 def _made(stamp: Stamps) -> Stamps:
-    """Return when samples were made whose stamps increase, without a long silence, (n,) ns."""
+    """Return sampling times for increasing stamps without a long silence, (n,) ns."""
     steps = np.diff(stamp)
     if len(steps) < _FEWEST:
         return stamp
@@ -74,13 +75,13 @@ def _made(stamp: Stamps) -> Stamps:
         last = len(stamp) if end >= len(stamp) else int(part[-1]) + 2
         own = slice(int(part[0]) + 1 if first else 0, last)
         made[own] = _around(stamp[first:end])[own.start - first : own.stop - first]
-    # Jitter of those that keep their stamps must not turn the order round.
+    # Jitter of samples that keep their stamps must not reverse the order.
     numbers = np.arange(len(made))
     return np.asarray(np.maximum.accumulate(made - numbers) + numbers)
 
 
 def _around(stamp: Stamps) -> Stamps:
-    """Return when samples were made, of which some came otherwise than one by one, (n,) ns."""
+    """Return sampling times of samples of which some did not come one by one, (n,) ns."""
     made, _ = sampling_times(stamp)
     if not np.array_equal(made, stamp):
         return made

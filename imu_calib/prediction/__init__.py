@@ -1,4 +1,4 @@
-"""What a plan will give, before it is run: its evidence, its accuracy, its time."""
+"""Predict the evidence, the accuracy and the duration of a plan before it is run."""
 
 from .each_term import ChangeForecast, TermForecast, forecast_changes, forecast_terms
 from .expected import expected

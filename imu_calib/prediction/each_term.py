@@ -1,4 +1,4 @@
-"""What a session would show of each further term of the model, one at a time."""
+"""Forecast how well a session would determine each further term of the model, one at a time."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from .forecast import Forecast, information_of, listed, with_parameters
 
 @dataclass(frozen=True, eq=False)
 class TermForecast:
-    """What a session would tell of a term.
+    """How well a session would determine a term.
 
     Attributes:
-        term: Added to what is estimated.
+        term: The term, added to the estimated parameters.
         std: (n,) of its parameters, SI units; NaN for those that the session does not determine.
-        worsened: Parameters whose standard deviations it takes more than `_DEARER` times as large,
-            and by how many times: NaN for those that the session then does not determine.
+        worsened: Parameters whose standard deviation grows by more than `_DEARER` times with the
+            term, and the factor: NaN for those that the session then does not determine.
     """
 
     term: Term
@@ -37,18 +37,18 @@ class TermForecast:
 
     @property
     def determined(self) -> bool:
-        """Whether the session determines all of it, and what it determines without it."""
+        """Whether all its parameters, and all that were without it, are determined."""
         return bool(np.isfinite([*self.std, *(times for _, times in self.worsened)]).all())
 
 
 @dataclass(frozen=True, eq=False)
 class ChangeForecast:
-    """What a session would tell of what changes while it lasts.
+    """How well a session would determine parameters that change during it.
 
     Attributes:
         changes: The k coefficients added, of one course and one kind of parameter.
-        std: (k,) of them, SI units; NaN where the session does not determine them. A warm-up fades
-            within a quarter of the session, and its time constant counts as known.
+        std: (k,) of them, SI units; NaN where the session does not determine them. A warm-up is
+            assumed to fade within a quarter of the session, with a known time constant.
         worsened: As in `TermForecast`.
     """
 
@@ -58,22 +58,22 @@ class ChangeForecast:
 
     @property
     def determined(self) -> bool:
-        """Whether the session determines all of it."""
+        """Whether the session determines all coefficients."""
         return bool(np.isfinite(self.std).all())
 
 
 _DEARER = 1.1
-"""Below, no other plan would be chosen for it."""
+"""Growth of standard deviations below which no other plan would be chosen."""
 
 
 def forecast_terms(
     found: Forecast, setup: Setup, truth: SensorModel, *, drifting: bool = False
 ) -> tuple[TermForecast, ...]:
-    """Return what a session would tell of each term that its joint estimate leaves out.
+    """Forecast each term that the joint estimate of a session leaves out.
 
     Args:
-        found: What is forecast of the session without it.
-        setup: As the forecast was asked for.
+        found: Forecast of the session without it.
+        setup: As in that forecast.
         truth: Likewise.
         drifting: Likewise.
     """
@@ -102,7 +102,7 @@ def _of_term(
 def forecast_changes(
     found: Forecast, setup: Setup, truth: SensorModel, *, drifting: bool = False
 ) -> tuple[ChangeForecast, ...]:
-    """Return what a session would tell of biases and scale factors that trend or warm up.
+    """Forecast biases and scale factors that follow a trend or a warm-up.
 
     And of those that follow the temperature, where it is said to move enough.
 

@@ -1,7 +1,7 @@
-"""The evidence that a session of a plan would give, before it is run.
+"""Compute the evidence that a session of a plan would give, before it is run.
 
-What the sensors would read follows from the model; how well their means would be known follows
-from random walk, pulses and times alone (`readings`).
+The expected outputs follow from the model, the variances of their means from random walk, pulses
+and durations alone (`readings`).
 """
 
 from __future__ import annotations
@@ -42,31 +42,31 @@ from .readings import SPARE, each_turn, period_of, reading, skewed_alone, triads
 from .schedule import SETTLE, schedule
 
 _UNSEEN = 0.5
-"""What the segmentation leaves at the two ends of a dwell: a window of the joint states each, s."""
+"""s not used at each end of a dwell by the segmentation: a window of the joint states."""
 
 _BY_HAND_TURN = 2.0
 """s for a whole turn by hand."""
 _BY_HAND_STILL = 2.0
-"""Before and after a turn by hand, s: what divides it from the moves around it."""
+"""s at rest before and after a turn by hand, which separate it from the moves around it."""
 
 _BY_HAND_LEVEL = 0.25
-"""What such a turn leaves of a level rate where it rises and falls for a third of a second each."""
+"""Level rate that remains of such a turn, with a third of a second each for rise and fall."""
 
 _WARMTH = 20.0
-"""Mean temperature of a session, degrees Celsius: only what it differs by counts."""
+"""Mean temperature of a session, degrees Celsius: only differences from it matter."""
 
 _ANYHOW = Skewed(np.full((1, 3), 1 / math.sqrt(3)), np.zeros(1))
-"""A skewed gyro whose direction is not stated: between all three."""
+"""Direction assumed where that of a skewed gyro is not stated: the space diagonal."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Times:
-    """When the unit would stand and when it would turn; nothing is read yet.
+    """Times of dwells and turns, without readings.
 
     Attributes:
-        dwells: Dwells.
-        turns: Whole turns, of which so much is measured.
-        courses: Of each dwell, what leads there from the one before where nothing is turned in
+        dwells: Static dwells.
+        turns: Whole turns, with the time measured.
+        courses: For each dwell, the motion from the dwell before it; None if there is a turn
             between.
     """
 
@@ -78,13 +78,13 @@ class _Times:
 def expected(
     setup: Setup, truth: SensorModel, azimuth: float | None = None, *, rise: float = 0.0
 ) -> Evidence:
-    """Return what a session would give whose outputs hit their expectation.
+    """Return the evidence of a session whose outputs equal their expectation.
 
     Args:
         setup: Plan, table, IMU and site.
-        truth: What the sensors are thought to be: how fast its counters run depends on it.
-        azimuth: True heading of the table's zero, rad; None for what the table says, or north.
-        rise: Of the temperature over the session, evenly, K; 0 where no thermometer shows it.
+        truth: Assumed sensors: the rate of the counters depends on them.
+        azimuth: True heading of the table's zero, rad; None for the table's own, or north.
+        rise: Linear rise of the temperature over the session, K; 0 without a thermometer.
 
     Raises:
         InputError: The table cannot run the plan, or the IMU states no noise.
@@ -97,7 +97,7 @@ def expected(
         )
     times = _by_hand(setup) if setup.plan.by_hand else _by_table(setup)
     stated = setup.table.azimuth if setup.table is not None else None
-    # Joint states at 100 Hz tell the clocks apart far better than any parameter needs.
+    # Joint states at 100 Hz determine the clock ratio far better than any parameter requires.
     bare = Evidence(
         tuple(times.dwells),
         tuple(times.turns),
@@ -116,7 +116,7 @@ def expected(
     session = SessionModel(bare, truth.parameters)
     state = session.nominal()
     state[: session.sensors] = truth.values(truth.parameters)
-    # The attitudes of a session are those of the table's own idea of north.
+    # The attitudes of a session refer to the table's own estimate of north.
     heading = 0.0 if azimuth is None else azimuth - (stated or 0.0)
     state[session.sensors + Nuisance.AZIMUTH] = heading
     at_rest, turned = session.answers(state)
@@ -143,7 +143,7 @@ def expected(
 
 
 def _rising(times: _Times, rise: float) -> Temperature:
-    """Return a temperature that rises evenly, K, while dwells and turns last."""
+    """Return a temperature that rises linearly, K, over the dwells and turns."""
     parts: list[Segment | Turn] = [*times.dwells, *times.turns]
     ends = [min(part.start for part in parts), max(part.end for part in parts)]
     lowest, highest = _WARMTH - abs(rise) / 2, _WARMTH + abs(rise) / 2
@@ -152,7 +152,7 @@ def _rising(times: _Times, rise: float) -> Temperature:
 
 
 def _read(turn: Turn, mean: Floats, setup: Setup, truth: SensorModel) -> Turn:
-    """Return a turn with what the six channels read in it, and a skewed gyro where there is one."""
+    """Return a turn with the readings of the six channels, and of a skewed gyro if there is one."""
     seconds, spare = turn.statistics.duration, 0.0 if setup.plan.by_hand else SPARE
     statistics, askew = reading(setup.imu, mean, seconds, spare), None
     if setup.imu.skewed is not None:
@@ -165,7 +165,7 @@ def _read(turn: Turn, mean: Floats, setup: Setup, truth: SensorModel) -> Turn:
 
 
 def _stretch(start: float, seconds: float) -> tuple[int, int, Statistics]:
-    """Return the stamps and the length of what nobody has read, from s since the first step."""
+    """Return the stamps and the duration without readings, from s since the first step."""
     return nanoseconds(start), nanoseconds(start + seconds), unread(seconds)
 
 
@@ -226,17 +226,17 @@ def _by_hand(setup: Setup) -> _Times:
 
 
 def _followed(move: Move, spec: ImuSpec) -> bool:
-    """Say whether a session would lead a move on: see `segmentation.moves`."""
+    """Return whether a session would integrate a move: see `segmentation.moves`."""
     fastest = float(np.abs(move.turned / move.seconds[:, None]).max())
     return fastest * period_of(spec) <= COARSEST and fastest < NEARLY * spec.gyro.range
 
 
 def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
-    """Return the covariance of the outputs by biases that drift, (m + u,) square.
+    """Return the covariance of the outputs from bias drift, (m + u,) square.
 
-    First-order Gauss-Markov processes whose standard deviations are the data sheet's bias
-    instabilities, seen by the means of static dwells and turns and by what moves sum up; u is the
-    number of turns that a skewed gyro saw.
+    Biases are first-order Gauss-Markov processes with the bias instabilities of the data sheet as
+    standard deviations. They enter the means of static dwells and turns and the integrals over
+    moves; u is the number of turns with readings of a skewed gyro.
 
     Args:
         evidence: Static dwells and turns in time.
@@ -252,7 +252,7 @@ def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
     which = np.concatenate([evidence.layout.segment, np.array(askew, dtype=int)])
     figures = [t.bias_instability for t in (*triads(spec), spec.skewed or TriadSpec())]
     session = SessionModel(evidence)
-    # What a move carries along as it turns; all else reads its own bias.
+    # A move rotates the axes of its biases; all other outputs contain their own bias.
     answers = session.by_parameters(session.nominal(), BIASES)
     by_bias = scipy.linalg.block_diag(answers, np.ones((len(askew), 1))) * figures
     return np.asarray(means[np.ix_(which, which)] * (by_bias @ by_bias.T))

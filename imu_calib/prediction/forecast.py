@@ -1,7 +1,7 @@
-"""The standard deviations that a session would reach: by the plan's method, and by the best.
+"""Forecast the standard deviations of a session, by the plan's method and by the information bound.
 
-A method is asked with outputs that hit their expectation and the covariance that a session would
-give them. Bias drift goes through the derivatives of its parameters by its outputs.
+The method is given outputs equal to their expectation, with their covariance in such a session.
+Bias drift is propagated by the derivatives of the parameters by the outputs.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from .expected import bias_drift_covariance, expected
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """What a session would reach.
+    """Forecast of a session.
 
     Attributes:
-        evidence: What the session would give.
-        method: Name of the method asked.
-        parameters: What the method estimates.
-        std: (n,) by that method, SI units; NaN for what it leaves alone, or where it cannot be
-            asked.
-        best: (n,) by the Fisher information; NaN for what the session does not observe.
-        refusal: Why the method has no answer, else empty.
+        evidence: The evidence of the session.
+        method: Name of the method.
+        parameters: The parameters that the method estimates.
+        std: (n,) by that method, SI units; NaN for parameters not estimated, or if the method
+            fails.
+        best: (n,) by the Fisher information; NaN for parameters that are not observable.
+        refusal: Why the method gives no result, else empty.
     """
 
     evidence: Evidence
@@ -65,8 +65,8 @@ def forecast(
 
     Args:
         setup: Plan, method, table, IMU and site.
-        truth: What the sensors are thought to be.
-        azimuth: True heading of the table's zero, rad; None for what the table says, or north.
+        truth: Assumed sensors.
+        azimuth: True heading of the table's zero, rad; None for the table's own, or north.
         drifting: Whether the biases drift by the IMU's bias instability.
         rise: As in `expected`.
 
@@ -77,7 +77,7 @@ def forecast(
     evidence = expected(setup, truth, azimuth, rise=rise)
     if setup.method_name == free_positions.NAME:
         return _with_common(_in_the_hand(truth, evidence), setup, truth)
-    # A closed form knows no moves.
+    # A closed form does not use moves.
     resting = replace(evidence, moves=())
     name = setup.method_name
     solver = method(name, setup.terms)
@@ -113,7 +113,7 @@ def with_parameters(
 ) -> Floats:
     """Return the standard deviations (n,) of a joint estimate of other parameters; see `forecast`.
 
-    NaN stands for what the session does not determine.
+    NaN stands for parameters that the session does not determine.
     """
     extra = bias_drift_covariance(evidence, setup.imu) if drifting else None
     best = _best(evidence, truth, parameters, extra)
@@ -132,13 +132,13 @@ def resting_on_the_table(found: Forecast, truth: SensorModel) -> list[str]:
 
 
 def gravity_variances(found: Forecast, truth: SensorModel) -> Floats:
-    """Return what the doubt of gravity has added to the variances of a forecast, (n,)."""
+    """Return the part of gravity's uncertainty in the variances of a forecast, (n,)."""
     doubt = found.evidence.site.gravity_doubt
     return np.asarray(np.diag(gravity_covariance(truth, found.parameters, doubt)))
 
 
 def _with_common(found: Forecast, setup: Setup, truth: SensorModel) -> Forecast:
-    """Allow for the doubts of gravity and of the table's clock, as every calibration does."""
+    """Add the uncertainty of gravity and of the table's clock, as in every calibration."""
     share = gravity_variances(found, truth)
     if setup.table is not None:
         clock = clock_share(truth, found.parameters, setup.imu.units, setup.table.clock)
@@ -147,11 +147,11 @@ def _with_common(found: Forecast, setup: Setup, truth: SensorModel) -> Forecast:
 
 
 def check_session(setup: Setup) -> None:
-    """Refuse what a method could not solve even if a session of the plan went as it should.
+    """Refuse a plan that the method could not solve even with a perfect session.
 
     Raises:
         InputError: The table cannot run the plan, or there is no such method.
-        NotObservable: Says what cannot be determined, and for want of what.
+        NotObservable: Names what cannot be determined, and what is missing.
     """
     check_plan(setup.method_name, setup.plan, setup.site)
     if setup.table is not None and not setup.plan.by_hand:
@@ -164,7 +164,7 @@ def check_session(setup: Setup) -> None:
 def _best(
     evidence: Evidence, truth: SensorModel, parameters: tuple[Parameter, ...], extra: Floats | None
 ) -> Floats:
-    """Return the least standard deviations that a session allows, NaN for what it does not tell."""
+    """Return the least standard deviations that a session allows; NaN for undetermined ones."""
     modelled = tuple(p for p in parameters if p.row < len(AXES))
     found = information(evidence, truth, modelled, extra=extra)
     best = np.sqrt(np.diag(found.covariance)[: len(modelled)])
@@ -178,7 +178,7 @@ def _best(
 
 
 def _in_the_hand(truth: SensorModel, evidence: Evidence) -> Forecast:
-    """Ask what holds would tell: the method is the least squares that is the best."""
+    """Forecast a session in the hand: its least-squares method reaches the information bound."""
     std, sought = np.zeros(len(PARAMETERS)), free_positions.ESTIMATES
     found = information(evidence, free_positions.in_frame_of_accelerometers(truth), sought)
     std[free_positions.FREE] = np.sqrt(np.diag(found.covariance)[: len(sought)])
@@ -186,7 +186,7 @@ def _in_the_hand(truth: SensorModel, evidence: Evidence) -> Forecast:
 
 
 def listed(setup: Setup) -> tuple[Parameter, ...]:
-    """Return the parameters of a forecast: all of the 24, estimated or not, and what comes on top.
+    """Return the parameters of a forecast: the 24, estimated or not, and additional ones.
 
     Raises:
         InputError: There is no such method, or it knows no terms.
@@ -218,7 +218,7 @@ def information_of(equations: Equations, truth: SensorModel, extra: Floats | Non
 
     Args:
         equations: Without bias drift.
-        truth: What the sensors are thought to be.
+        truth: Assumed sensors.
         extra: Covariance of their outputs by bias drift, or None.
     """
     if extra is not None:
@@ -229,7 +229,7 @@ def information_of(equations: Equations, truth: SensorModel, extra: Floats | Non
 
 
 def state_at(equations: Equations, truth: SensorModel) -> Floats:
-    """Return the state (n,) of `equations` for sensors that are what they are thought to be."""
+    """Return the state (n,) of `equations` for the assumed sensors."""
     state = equations.nominal()
     state[: equations.sensors] = truth.values(equations.parameters)
     return state
@@ -238,13 +238,13 @@ def state_at(equations: Equations, truth: SensorModel) -> Floats:
 def _by_closed_form(
     evidence: Evidence, solver: Callable[[Evidence], Solution], extra: Floats | None
 ) -> tuple[tuple[Parameter, ...], Floats]:
-    """Return parameters and variances of a method that weighs its outputs once and for all."""
+    """Return parameters and variances of a method with fixed weights of its outputs."""
     solution = solver(evidence)
     square = np.asarray(solution.std**2)
     if extra is not None:
         gain = solution.gain
         assert gain is not None
-        # Dwells come first: of gyros at rest alone the turns that no weight is on are not there.
+        # Dwells come first: with gyros at rest alone, turns have no weight and are left out.
         outputs = slice(0, gain.shape[1])
         square = square + np.einsum('ij,jk,ik->i', gain, extra[outputs, outputs], gain)
     return solution.parameters, square

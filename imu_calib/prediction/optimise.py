@@ -1,9 +1,9 @@
-"""The plan that tells most in a given time on a table: D-optimal attitudes, turns and dwells.
+"""Find the most informative plan for a given time on a table: D-optimal attitudes, turns, dwells.
 
-The determinant of the information on the 24 parameters is what is made large: it weighs all of
-them alike, whatever their units. Attitudes are exchanged one at a time for the candidate that
-gains most, until none does (Fedorov 1972, chapter 3); how many there are and how often each axis
-turns is tried out, and what of the time is left goes to the dwells.
+The determinant of the information on the 24 parameters is maximised: it does not depend on their
+units. Attitudes are exchanged one at a time for the candidate of the largest gain, until none
+gains (Fedorov 1972, chapter 3). The number of attitudes and of turns per axis is found by trial,
+and the remaining time goes to the dwells.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from .schedule import duration
 
 _SENSORS = len(PARAMETERS)
 _SLANTS = (0.0, 45.0)
-"""Angles by which candidates are turned from cube-aligned attitudes, deg: half way to the next
-mixes two axes as much as can be."""
+"""Angles by which candidates are rotated from cube-aligned attitudes, deg: halfway to the next one
+is the strongest mixture of two axes."""
 _TRIAL_DWELL = 60.0
-"""s, while attitudes are compared; the dwells follow."""
+"""s: dwell while attitudes are compared; the final dwells follow."""
 _SHORTEST_DWELL = 20.0
-"""s: shorter ones cost more of the session in motions than they tell; a choice."""
+"""s: shorter dwells lose more time to motions than they gain in information; a choice."""
 _LONGEST = 24 * 3600.0
-"""s: a longer session is a slip of the keyboard."""
+"""s: a longer session is taken for a typing error."""
 _SWEEPS = 20
 """Most rounds of exchanges."""
 _GAINED = 1e-9
-"""Least gain of the logarithm of the determinant that counts: less is rounding."""
+"""Least gain in the logarithm of the determinant that counts: smaller ones are rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +74,9 @@ class Optimum:
     """The best plan found.
 
     Attributes:
-        plan: To be run by the joint estimate.
-        attitudes: Of its positions, as its file writes them.
-        information: Logarithm of the determinant on the 24 parameters.
+        plan: The plan, for the joint estimate.
+        attitudes: Attitudes of its positions, as written in its file.
+        information: Logarithm of the determinant of the information on the 24 parameters.
         seconds: Time on the table, s.
     """
 
@@ -86,7 +86,7 @@ class Optimum:
     seconds: float
 
     def text(self, name: str) -> str:
-        """Return the plan as its file, under a name."""
+        """Return the text of the plan's file, under a name."""
         test = next(p.rate_test for p in self.plan.positions if p.rate_test is not None)
         rates = ', '.join(f'{rate / DEG:g} deg/s' for rate in test.rates)
         count, minutes = len(self.plan.positions), self.seconds / 60
@@ -108,7 +108,7 @@ class Optimum:
 
 
 def candidates(table: Table) -> list[Attitude]:
-    """List attitudes that a table reaches: cube-aligned ones, and those slanted by 45 deg."""
+    """List attitudes within a table's reach: cube-aligned ones, and those slanted by 45 deg."""
     found: list[Attitude] = []
     for letters in permutations('ENUWSD', 3):
         matrix = np.array([COMPASS[letter] for letter in letters]).T
@@ -138,16 +138,16 @@ def optimise(
     turns: Sequence[int] = (1, 2, 4, 6, 8, 12, 16, 20),
     show: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Optimum:
-    """Find the plan that tells most in a time.
+    """Find the most informative plan for a given time.
 
     Args:
-        setup: Table, IMU and site; its plan gives nothing but names.
-        truth: What the sensors are thought to be.
+        setup: Table, IMU and site; of its plan only names are used.
+        truth: Assumed sensors.
         seconds: Time on the table, s.
         rate: Fastest rate of turning, rad/s.
         sizes: Numbers of positions to try.
         turns: Whole turns in each sense to try.
-        show: Called with how many of how many trials are done.
+        show: Called with the number of trials done and their total.
 
     Raises:
         InputError: The table reaches too few attitudes, or the time is too short for any.
@@ -202,7 +202,7 @@ def _blocks(setup: Setup, truth: SensorModel, choices: list[Attitude]) -> tuple[
         k = next(k for k, c in enumerate(choices) if _is_up(c, axis))
         positions[k] = replace(positions[k], rate_test=test)
     plan = replace(setup.plan, positions=tuple(positions), by_hand=False)
-    # The order in which the table will go to them is not known yet.
+    # The order in which the table visits them is not known yet.
     evidence = replace(expected(replace(setup, plan=plan), truth), moves=())
     equations = Equations(evidence)
     state = state_at(equations, truth)
@@ -224,7 +224,7 @@ def _is_up(attitude: Attitude, axis: int) -> bool:
 def _exchange(blocks: Floats, prior: Floats, choices: list[Attitude], size: int) -> list[int]:
     """Exchange attitudes until none gains; X, Y and Z up are among them, for the turns."""
     upright = [next(k for k, c in enumerate(choices) if _is_up(c, axis)) for axis in range(3)]
-    # Any start does: the candidates in order, spread over the list.
+    # Any start is sufficient: the candidates in order, spread over the list.
     spread = np.linspace(0, len(choices) - 1, size - len(upright)).astype(int)
     chosen = [*upright, *spread.tolist()]
     for _ in range(_SWEEPS):
@@ -249,7 +249,7 @@ def _exchange(blocks: Floats, prior: Floats, choices: list[Attitude], size: int)
 def _timed(
     setup: Setup, truth: SensorModel, attitudes: list[Attitude], test: RateTest, seconds: float
 ) -> Optimum | None:
-    """Give the dwells what time is left, and look at what that gives."""
+    """Distribute the remaining time to the dwells and evaluate the plan."""
     table = setup.table
     assert table is not None
     ordered = [attitudes[k] for k in _order(attitudes)]
@@ -269,7 +269,7 @@ def _timed(
     dwell = (seconds - overhead) / len(positions)
     if dwell < _SHORTEST_DWELL:
         return None
-    # Whole seconds, as a person writes them.
+    # Whole seconds, for a readable file.
     positions = [replace(p, dwell=float(int(dwell))) for p in positions]
     plan = replace(plan, positions=tuple(positions))
     try:
@@ -287,7 +287,7 @@ def log_information(setup: Setup, truth: SensorModel) -> float:
 
 
 def _order(attitudes: list[Attitude]) -> list[int]:
-    """Run the attitudes so that each is near the one before: groups of one axis up stay whole."""
+    """Order the attitudes so that each is near the one before; groups of one axis up stay whole."""
     left, order = set(range(1, len(attitudes))), [0]
     while left:
         here = attitudes[order[-1]].matrix

@@ -1,10 +1,9 @@
-"""The shortest dwells that reach a wanted accuracy.
+"""Find the shortest dwells that reach a wanted accuracy.
 
-Between two looks at what a session would give, the variance of a dwell's mean is taken to fall
-with its time as a walk does, and what a pulse leaves as the square of it. A parameter's variance
-is a sum over the outputs, each by the square of its weight: for weights that are the best ones the
-change of the weights themselves counts for nothing, to first order, and those of a closed form do
-not change.
+Between two forecasts of a session, the random-walk variance of a dwell's mean is taken to fall with
+its duration, and the quantisation variance with the square of it. A parameter's variance is a sum
+over the outputs, each by the square of its weight. Optimal weights are stationary: their own change
+has no effect to first order; those of a closed form are constant.
 """
 
 from __future__ import annotations
@@ -34,22 +33,22 @@ LONGEST = 24 * 3600.0
 """Longest dwell proposed, s."""
 
 _LOOKS = 20
-"""Rounds of the iteration; a cap."""
+"""Most rounds of the iteration."""
 _LONGER = 4.0
-"""Factor by which dwells grow where turns leave more than is wanted; a choice."""
+"""Factor by which dwells grow where turns contribute more than the wanted variance; a choice."""
 _CLOSE = 2e-3
-"""Share of a dwell: a second in ten minutes."""
+"""Relative change of a dwell at convergence: a second in ten minutes."""
 _SLACK = 1.001
-"""Of what is wanted: dwells are rounded to seconds."""
+"""Relative margin on the wanted std: dwells are rounded to seconds."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reached:
-    """A plan whose dwells reach what was wanted.
+    """A plan whose dwells reach the wanted accuracy.
 
     Attributes:
-        plan: The plan with these dwells, its order, attitudes and turns as they were.
-        forecast: What it would give.
+        plan: The plan with these dwells; order, attitudes and turns are unchanged.
+        forecast: Its forecast.
         wanted: Standard deviations by name of the parameter, SI units.
     """
 
@@ -61,17 +60,17 @@ class Reached:
 def reach(
     setup: Setup, truth: SensorModel, wanted: Mapping[str, float], azimuth: float | None = None
 ) -> Reached:
-    """Find the dwells, one for each position, whose sum is least and that reach an accuracy.
+    """Find one dwell for each position, of least sum, that reach an accuracy.
 
     Args:
         setup: Plan, method, table, IMU and site.
-        truth: What the sensors are thought to be.
+        truth: Assumed sensors.
         wanted: Standard deviations by name of the parameter, SI units.
-        azimuth: True heading of the table's zero, rad; None for what the table says, or north.
+        azimuth: True heading of the table's zero, rad; None for the table's own, or north.
 
     Raises:
         InputError: There is no such parameter.
-        NotObservable: No dwell reaches it; says what stands in the way.
+        NotObservable: No dwell reaches it; names the limiting errors.
     """
     names = [p.name for p in listed(setup)]
     for name in wanted:
@@ -112,16 +111,16 @@ def _shorter(
     *,
     weighed: bool,
 ) -> Plan:
-    """Choose dwells by what one look at a session says of its variances.
+    """Choose dwells from the variances of one forecast.
 
-    Of k parameters, `rows` of those that were found: `weights` (k, outputs) are the squares of the
-    weights of the outputs, which follow the dwells if `weighed`, `targets` (k,) the standard
-    deviations wanted, `gravities` (k,) the variances that the doubt of gravity adds.
+    `rows` are the k wanted parameters among the forecast ones; `weights` (k, outputs) the squared
+    weights of the outputs, which depend on the dwells if `weighed`; `targets` (k,) the wanted
+    standard deviations; `gravities` (k,) the variances from the uncertainty of gravity.
     """
     evidence = found.evidence
     names = list(dict.fromkeys(str(s.position) for s in evidence.segments))
     dwells = np.array([plan.position(name).dwell for name in names])
-    # Twice the same position counts twice for its dwell.
+    # A position that occurs twice counts twice for its dwell.
     share = np.array([names.index(str(s.position)) for s in evidence.segments])
     beyond = np.array([s.statistics.duration for s in evidence.segments]) - dwells[share]
     walked = np.array([evidence.walk**2 * s.statistics.walk_gain for s in evidence.segments])
@@ -137,7 +136,7 @@ def _shorter(
         name for name, most, rest in zip(wanted, targets**2, fixed, strict=True) if rest >= most
     ]
     if short and weighed and dwells.min() < LONGEST:
-        # By weights for short dwells the turns count more than they will beside long ones.
+        # With weights for short dwells, turns count more than they will with long ones.
         longer = np.minimum(np.maximum(dwells, SHORTEST) * _LONGER, LONGEST)
         return _with_dwells(plan, dict(zip(names, longer, strict=True)))
     if short:
@@ -192,7 +191,7 @@ def _with_dwells(plan: Plan, times: Mapping[str, float]) -> Plan:
 
 
 def _weights(setup: Setup, truth: SensorModel, evidence: Evidence) -> Floats:
-    """Return how the parameters follow from the outputs, (n, 6 s + 3 t)."""
+    """Return the derivatives of the parameters by the outputs, (n, 6 s + 3 t)."""
     name = setup.method_name
     if name not in JOINT:
         gain = method(name)(replace(evidence, moves=())).gain
@@ -215,7 +214,7 @@ def _check_observed(found: Forecast, rows: NDArray[np.intp]) -> None:
 
 
 def _check_gravity(wanted: Sequence[str], targets: Floats, gravities: Floats) -> None:
-    """Refuse what gravity is not known well enough for."""
+    """Refuse an accuracy for which gravity is not known well enough."""
     scaled = gravities >= targets**2
     if scaled.any():
         names = ', '.join(name for name, far in zip(wanted, scaled, strict=True) if far)

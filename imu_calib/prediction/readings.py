@@ -1,7 +1,7 @@
-"""What counters, ADCs and rates by themselves would show of a dwell, or of whole turns.
+"""Statistics that counters, ADCs and rates would give for a dwell or for whole turns.
 
-A counter without noise, run at the rate that it would see, goes through the very estimators that a
-session goes through (`segmentation.counter`).
+A noise-free counter at the expected rate is processed by the same estimators as a session
+(`segmentation.counter`).
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from ..stream import Floats, Units
 from ..turntable import TURN
 
 SPARE = 1.0
-"""How long a table surely keeps its rate before and after the turns that are measured, s."""
+"""Time before and after the measured turns in which a table surely keeps its rate, s."""
 
 _SAMPLE_RATE = 100.0
-"""Hz, where the IMU's file states none."""
+"""Hz, if the IMU's file states none."""
 _PHASE = 0.5
-"""Pulses: a counter begins anywhere, in the mean in the middle of one."""
+"""Pulses: a counter starts at any phase, on average in the middle of a pulse."""
 
 
 def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = None) -> Statistics:
-    """Return the statistics of what reads (6,) `mean`.
+    """Return the statistics of readings whose mean is (6,) `mean`.
 
     Args:
         spec: Units and noise.
         mean: Outputs, rad/s and m/s^2.
-        seconds: How long.
-        spare: Of whole turns, beyond which counts are read on both sides, s; None at rest.
+        seconds: Duration.
+        spare: Time on both sides of whole turns in which counts are also read, s; None at rest.
     """
     gain, quantisation = np.full(6, 1 / seconds), np.zeros(6)
     period = period_of(spec)
@@ -63,7 +63,7 @@ def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = N
 
 
 def unread(seconds: float) -> Statistics:
-    """Return the statistics of a stretch of which nothing but the length is known, s."""
+    """Return statistics that hold the duration alone, s."""
     nothing = np.full(6, np.nan)
     return Statistics(
         samples=0,
@@ -88,7 +88,7 @@ def skewed_alone(spec: ImuSpec) -> ImuSpec:
 def each_turn(
     spec: ImuSpec, whole: Statistics, askew: Statistics | None, rate: float
 ) -> Floats | None:
-    """Return means of the single turns that scatter just as their noise would on average."""
+    """Return means of single turns that scatter exactly by the expected noise."""
     count = max(1, round(abs(rate) * whole.duration / TURN))
     if count < 2:
         return None
@@ -105,13 +105,13 @@ def each_turn(
 
 
 def _pulses(triad: TriadSpec, period: float, mean: float, seconds: float) -> Floats:
-    """Return what a counter without noise delivers at a rate (rad/s or m/s^2)."""
+    """Return the pulses of a noise-free counter at a rate (rad/s or m/s^2)."""
     edges = np.arange(max(2, math.ceil(seconds / period)) + 1)
     return np.diff(np.floor(edges * (mean * period / triad.scale_factor) + _PHASE))
 
 
 def _rounded(triad: TriadSpec, period: float) -> float:
-    """Return the variance that an ADC's rounding leaves: Widrow and Kollar 2008, section 4.4."""
+    """Return the variance of an ADC's rounding: Widrow and Kollar 2008, section 4.4."""
     step = triad.scale_factor
     noise = triad.random_walk**2 / period / step**2
     return step**2 / 12 * math.exp(-4 * math.pi**2 * noise)
@@ -128,5 +128,5 @@ def triads(spec: ImuSpec) -> list[TriadSpec]:
 
 
 def period_of(spec: ImuSpec) -> float:
-    """Return the sample interval, s: that of 100 Hz where none is stated."""
+    """Return the sample interval, s; that of 100 Hz if none is stated."""
     return 1 / (spec.sample_rate or _SAMPLE_RATE)

@@ -1,4 +1,4 @@
-"""When a table would run the steps of a plan: moves, run-ups, settling and dwells."""
+"""Compute when a table would run the steps of a plan: moves, run-ups, settling and dwells."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from ..stream import Floats, Mode
 from ..turntable import TURN, Table
 
 SETTLE = 1.0
-"""From an arrival to the start of a dwell, s, as stand and sequencer keep it."""
+"""s from arrival to the start of a dwell, as stand and sequencer wait."""
 
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """When a step is run.
+    """Times of a step.
 
     Attributes:
         step: The step.
-        begin: When the table sets out, s since the first step.
-        rest: When it comes to rest, s.
-        end: When the next step begins, s.
-        angles: (k,) joint angles where it comes to rest, rad.
+        begin: Start of the motion, s since the first step.
+        rest: Arrival at rest, s.
+        end: Start of the next step, s.
+        angles: (k,) joint angles at rest, rad.
     """
 
     step: Step
@@ -36,15 +36,16 @@ class Visit:
 
 
 def schedule(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> tuple[Visit, ...]:
-    """Lay steps out in time.
+    """Compute the times of steps.
 
     Args:
         steps: As `Plan.steps` returns them for this table; the table stands at the first.
-        table: Whose limits hold.
+        table: Its limits apply.
         settle: Wait after each arrival, s.
 
     Raises:
-        InputError: A joint has no limit of rate or acceleration: its motions have no known length.
+        InputError: A joint has no limit of rate or acceleration: its motions have no known
+            duration.
     """
     for joint in table.joints:
         if not (math.isfinite(joint.max_rate) and math.isfinite(joint.max_acceleration)):
@@ -72,5 +73,5 @@ def schedule(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> 
 
 
 def duration(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> float:
-    """Return the time that a plan takes, s: moves, run-ups, settling, turns and dwells."""
+    """Return the duration of a plan, s: moves, run-ups, settling, turns and dwells."""
     return schedule(steps, table, settle=settle)[-1].end
