@@ -1,4 +1,4 @@
-"""The calibrator: blocks of columns in, a calibration out. One object, live and offline."""
+"""The calibrator: blocks of columns in, a calibration out. The same object live and offline."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ _WHERE = {
     'Review': 'results',
     'Setup': 'setup',
 }
-"""Loaded when they are asked for: a session in the hand needs none of what solves one on a table,
-and what only looks into a recording solves few."""
+"""Loaded on first use: a session in the hand does not need the solvers of one on a table, and
+inspecting a recording needs few."""
 
 __all__ = ['Calibrator', 'HandCalibrator', 'Result', 'Review', 'Setup', 'calibrator_of']
 
 
 def calibrator_of(setup: Setup) -> Calibrator | HandCalibrator:
-    """Return the calibrator that a set-up asks for: with a table, or in free positions.
+    """Return the calibrator for a set-up: with a table, or in free positions.
 
     Raises:
         InputError: The method does not exist.
-        NotObservable: The plan cannot give the method its parameters, however it is run.
+        NotObservable: No session of the plan can determine the method's parameters.
     """
     if setup.method_name == 'free_positions':
         from .by_hand import HandCalibrator

@@ -1,4 +1,4 @@
-"""What a result is concluded from: a solution with the session that it is of."""
+"""Make a result from a solution and its session."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _LATER = (
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """A session that was solved, as far as a result is made of it.
+    """A solved session, as far as its result depends on it.
 
     Attributes:
-        setup: What was known beforehand.
-        evidence: What was solved.
-        session: What the streams contain.
+        setup: Prior knowledge of the session.
+        evidence: The evidence that was solved.
+        session: Contents of the streams.
         labelled: Its segments by name.
-        comparison: How the closed form of the plan compares; None where there is none beside.
-        lost: Sentences on what was lost.
+        comparison: Comparison with the plan's closed form; None without one.
+        lost: Sentences on unused data.
         final: Whether the session is over.
     """
 
@@ -45,7 +45,7 @@ class Basis:
     final: bool
 
     def concluded(self, solution: Solution) -> Result:
-        """Return the result of a solution, with the doubt of gravity and of the table's clock."""
+        """Return a solution's result, with the uncertainty of gravity and the table's clock."""
         setup, comparison = self.setup, self.comparison
         findings = (
             *(() if self.final or not setup.search_terms else _LATER),

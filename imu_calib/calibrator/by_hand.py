@@ -1,4 +1,4 @@
-"""A recording, or a live stream, of a unit in free positions: columns in, a calibration out."""
+"""Calibrate a unit in free positions from a recording or a live stream."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ from .results import Result, Review, calibrated
 from .setup import Setup
 
 _LEAST_STD = np.repeat([1e-9, 1e-7], 3)
-"""What numbers without noise are taken to be known to: rad/s and m/s^2. The best units of the
-shipped ones know 300 times less after a hold, and the solver's conditioning needs an end."""
+"""rad/s and m/s^2: least std assumed for numbers without noise, for the conditioning of the solver.
+After a hold, the std of the best shipped units is 300 times larger."""
 _LOST = 100.0
-"""Variance of what lost samples leave in a turn, of all else that does, from which on it is lost: a
-turn that is known ten times worse than the others tells a hundredth of what they do."""
+"""Ratio of the variance from lost samples in a turn to all its other variance above which the turn
+is not used: with ten times the std, it has a hundredth of the information of others."""
 
 _REMEDIES = {
     SATURATED: ': turn more slowly, or set a wider range',
     COARSE: ': turn more slowly, or check the unit of the gyros',
 }
-"""What to do that a turn is not lost for its reason."""
+"""Remedy for each reason for which a turn is lost."""
 
 _NOISE = (
     "The noise of the sensors is unknown, and the IMU's file does not state it: hold the unit "
@@ -67,16 +67,16 @@ class HandReview(Review):
     """How far a session in the hand has come, and what to do next.
 
     Attributes:
-        guidance: What to tell the person.
+        guidance: Guidance for the user.
     """
 
     guidance: Guidance
 
 
 class HandCalibrator:
-    """Takes blocks in as they come, like `Calibrator`, and solves when asked.
+    """Collect blocks as they come, like `Calibrator`, and solve on request.
 
-    Setpoints and joint states say nothing of a unit that is held by hand: they are passed over.
+    Setpoints and joint states do not apply to a unit held by hand: they are ignored.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -84,25 +84,25 @@ class HandCalibrator:
         self._segmenter = Segmenter(setup.imu, None)
 
     def feed(self, block: Block) -> None:
-        """Take a block in."""
+        """Take a block."""
         if isinstance(block, ImuBlock | TemperatureBlock):
             self._segmenter.feed(block)
 
     def finish(self) -> Result:
-        """End of the session: solve.
+        """End the session and solve.
 
         Raises:
             InputError: The outputs are not in the units that the IMU's description states.
-            NotObservable: The data cannot give all parameters; says which and why.
+            NotObservable: The data does not determine all parameters; names them and the reason.
         """
         return self._solve(self._segmenter.finish())
 
     def segmented(self) -> Segmented:
-        """End of the session: return what its streams contain, solved or not."""
+        """End the session: return the contents of its streams, solved or not."""
         return self._segmenter.finish()
 
     def refusal(self, session: Segmented) -> str:
-        """Say why what `segmented` returned gives no calibration; empty where it does."""
+        """Return why a result of `segmented` gives no calibration; empty if it does."""
         try:
             if not (session.segments and is_clear(self.evidence(session))):
                 self._solve(session)
@@ -111,10 +111,10 @@ class HandCalibrator:
         return ''
 
     def evidence(self, session: Segmented) -> Evidence:
-        """Return the holds of a session, and the turns between them, as what `solve` works on.
+        """Return the holds of a session and the turns between them as input of `solve`.
 
         Raises:
-            NotObservable: Neither they nor the IMU's description tell the noise.
+            NotObservable: Neither they nor the IMU's description determine the noise.
         """
         return self._evidence(session.segments, session.moves)
 
@@ -134,9 +134,9 @@ class HandCalibrator:
         return self._result(session, evidence, fit)
 
     def _refuse_other_lengths(self, evidence: Evidence) -> None:
-        """Refuse holds at which the accelerometers do not read what is gravity in any unit.
+        """Refuse holds at which the accelerometers do not read gravity in any unit.
 
-        Of sessions that cannot be solved: the others are judged by their solution.
+        Applied to sessions that cannot be solved: the others are judged by their solution.
         """
         forces = np.array([s.statistics.mean[3:] for s in evidence.segments])
         length = float(np.median(np.linalg.norm(forces, axis=1))) / evidence.site.gravity
@@ -151,7 +151,7 @@ class HandCalibrator:
         )
 
     def _unrest(self) -> list[str]:
-        """Say how still the unit ever was, and what to do, where holds are too few."""
+        """Return the least motion of the unit and a remedy, if there are too few holds."""
         seen = self._segmenter.quietest
         if seen is None:
             return ['Less than 2 s of data were received: record a session of a minute or more.']
@@ -165,22 +165,22 @@ class HandCalibrator:
         ]
 
     def snapshot(self) -> HandCalibrator:
-        """Return a calibrator with all that came in so far; this one goes on by itself."""
+        """Return a calibrator with all data so far; this one continues independently."""
         other = copy.copy(self)
         other._segmenter = self._segmenter.snapshot()
         return other
 
     def review(self) -> HandReview:
-        """Say of a snapshot how far the session has come: solve, and say what to do next."""
+        """Solve a snapshot; return how far the session has come and what to do next."""
         session = self._segmenter.finish()
         still = self._segmenter.still
         result, refusal = None, ''
         try:
             result = self._solve(session)
         except (InputError, NotObservable) as error:
-            # A part of a session may look like other units.
+            # Part of a session may look like data in other units.
             refusal = str(error)
-        # Further holds gain nothing on the doubt of gravity: guidance counts noise alone.
+        # Further holds do not reduce the uncertainty of gravity: guidance counts noise alone.
         reached = None if result is None else result.solution.std[: len(PARAMETERS)][FREE]
         guidance = self._guidance(session, still, reached)
         doubt = self._setup.site.gravity_doubt
@@ -203,7 +203,7 @@ class HandCalibrator:
             since, until = still
             holding = (until - since) * 1e-9
             if holding < HOLD_SECONDS:
-                # It has not come to its end: what it tells so far does not count yet.
+                # A hold that has not ended does not count yet.
                 segments = tuple(s for s in segments if s.end <= since)
         try:
             evidence = self._evidence(segments, session.moves)
@@ -213,7 +213,7 @@ class HandCalibrator:
         return guide(evidence, holding=holding, reached=reached)
 
     def _evidence(self, segments: Sequence[Segment], moves: Sequence[Move]) -> Evidence:
-        """Return what holds, numbered, and the turns between them tell."""
+        """Return the evidence of numbered holds and the turns between them."""
         setup = self._setup
         holds = tuple(
             replace(
@@ -284,14 +284,14 @@ class HandCalibrator:
         origin = provenance(setup, evidence, session, solution)
         origin['turns'] = turns
         origin['frame'] = 'accelerometers'
-        # The attitudes of a plan of free positions are proposals: none is missing.
+        # The attitudes of a free-position plan are proposals: none can be missing.
         origin.pop('missing_positions', None)
         calibration = calibrated(setup, solution, origin, solution.findings)
         return Result(calibration, solution, session, Labelled(segments, (), session.rejected))
 
 
 def _lost_turns(evidence: Evidence, session: Segmented) -> list[str]:
-    """Say which turns between holds tell nothing, why, and what to do about it."""
+    """List the turns between holds that are not used, with reason and remedy."""
     segments = evidence.segments
     told = {link.first for link in evidence.links.links}
     why = {lost.start: lost.reason for lost in session.lost_moves}
@@ -311,7 +311,7 @@ def _lost_turns(evidence: Evidence, session: Segmented) -> list[str]:
 
 
 def _noisy_holds(evidence: Evidence) -> list[str]:
-    """Say at which holds the accelerometers are noisier than at the others, and by how much."""
+    """List the holds with excess accelerometer noise, and by how much."""
     names: list[str] = []
     times: list[float] = []
     for hold in evidence.segments:

@@ -1,8 +1,8 @@
-"""What a person with the unit in hand should do next, and what each further hold would gain.
+"""Guide a user with the unit in hand: what to do next, and the gain of each further hold.
 
-The gain is that of D-optimal design (Fedorov 1972, section 2.5): by how much the logarithm of the
-determinant of the information on the 21 parameters grows, halved. In the mean over the parameters
-a gain of 21 ln(2) halves every standard deviation.
+The gain is that of D-optimal design (Fedorov 1972, section 2.5): half the increase of the logarithm
+of the determinant of the information on the 21 parameters. On average over the parameters, a gain
+of 21 ln(2) halves every standard deviation.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from ..stream import Floats
 from ..units import ARCMIN, DEG, PPM
 
 _SCALE_WIDTH = 0.1
-"""Of ratios, before anything is known of a unit."""
+"""Prior standard deviation of ratios for an unknown unit."""
 _GYRO_BIAS_WIDTH = 1.0 * DEG
 """rad/s, likewise."""
 _ACCEL_BIAS_WIDTH = 0.5
 """m/s^2, likewise."""
 _TOLD = 0.5
-"""Share of what was known beforehand below which a session has determined it."""
+"""Ratio of std to prior std below which a session has determined a parameter."""
 
 CHECKED = 2 * FEWEST
-"""Fewest holds that are enough: as many again as gravity has to tell, so that one that was no
-hold, or noise that is more than it should be, shows."""
+"""Fewest holds that are enough: twice the number that determines the parameters, so that a false
+hold or excess noise is detected."""
 
 HOLD_SECONDS = 3.0
-"""How long a hold is to last, s."""
+"""Duration of a hold, s."""
 
 
 class Stage(Enum):
@@ -49,7 +49,7 @@ class Stage(Enum):
 
 @dataclass(frozen=True)
 class Wanted:
-    """When it is enough: standard deviations of scale factors and of misalignments (rad)."""
+    """Target: standard deviations of scale factors and of misalignments (rad)."""
 
     scale_factor: float = 300 * PPM
     angle: float = 1 * ARCMIN
@@ -57,7 +57,7 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An attitude that may be held next: in words, up in body axes, what it gains (nats)."""
+    """A possible next attitude: in words, up in body axes, its gain (nats)."""
 
     words: str
     up: Floats
@@ -66,13 +66,13 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Guidance:
-    """What to tell the person.
+    """Guidance for the user.
 
     Attributes:
         stage: What to do now.
         text: The same in a sentence.
         holds: Holds that count so far.
-        std: (24,) standard deviations reached, SI units; NaN where nothing tells yet.
+        std: (24,) standard deviations reached, SI units; NaN where not determined yet.
         candidates: Attitudes to hold next, the best first.
     """
 
@@ -91,15 +91,15 @@ def guide(
     reached: Floats | None = None,
     wanted: Wanted | None = None,
 ) -> Guidance:
-    """Say what to do next.
+    """Return what to do next.
 
     Args:
-        evidence: The holds that have come to their end, and the turns between them.
-        holding: How long the unit has been still, s; None while it moves.
-        hold_seconds: How long a hold is to last, s.
-        reached: (21,) standard deviations that a solution states, where there is one: what
-            scatters more than its noise counts then.
-        wanted: When it is enough.
+        evidence: The completed holds, and the turns between them.
+        holding: Time at rest so far, s; None while it moves.
+        hold_seconds: Required duration of a hold, s.
+        reached: (21,) standard deviations of a solution, if there is one: these include excess
+            scatter.
+        wanted: The target.
     """
     wanted = wanted or Wanted()
     holds, std = len(evidence.segments), np.full(len(PARAMETERS), np.nan)
@@ -146,12 +146,12 @@ def _guidance(
 
 
 def direction(words: str) -> Floats | None:
-    """Return up (3,) in body axes that a candidate's words stand for; None for other words."""
+    """Return up (3,) in body axes for a candidate's words; None for other words."""
     return dict(_directions()).get(words)
 
 
 def _directions() -> list[tuple[str, Floats]]:
-    """List faces, edges and corners of a cube: what a person finds without an instrument."""
+    """List faces, edges and corners of a cube: a person finds these without an instrument."""
     found = []
     for signs in product((1, 0, -1), repeat=3):
         if any(signs):
@@ -166,10 +166,10 @@ def _directions() -> list[tuple[str, Floats]]:
 
 
 def _further(equations: FreeEquations, values: Floats, up: Floats, seconds: float) -> Floats:
-    """Return the rows that a further hold with (3,) `up` would add, and the turn to it.
+    """Return the rows that a further hold with (3,) `up` and the turn to it would add.
 
     (9, n + 3) in standard deviations; the rotations of the further hold come last. North is taken
-    for known by then, and the heading of the last hold with it.
+    as known by then, and so is the heading of the last hold.
     """
     evidence = equations.evidence
     last = evidence.segments[-1]
@@ -188,7 +188,7 @@ def _further(equations: FreeEquations, values: Floats, up: Floats, seconds: floa
 
 
 def _widths() -> Floats:
-    """Return how far off a unit may be before anything is known of it, (21,)."""
+    """Return prior standard deviations for an unknown unit, (21,)."""
     biases = {'g': _GYRO_BIAS_WIDTH, 'a': _ACCEL_BIAS_WIDTH}
     return np.array(
         [biases[p.triad] if p.kind is ParameterKind.BIAS else _SCALE_WIDTH for p in ESTIMATES]

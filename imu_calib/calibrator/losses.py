@@ -1,4 +1,4 @@
-"""What of a session was not used, and what of its plan is missing, in sentences."""
+"""Sentences on unused data of a session and on missing steps of its plan."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .setup import Setup
 
 
 def nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
-    """Say that there is neither a dwell nor a whole turn, and why."""
+    """Return sentences that no dwell or whole turn was found, and why."""
     if not session.samples:
         return 'The IMU stream is empty: nothing can be determined.'
     if not session.duration:
@@ -34,7 +34,7 @@ def nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
 def loss_findings(
     setup: Setup, evidence: Evidence, labelled: Labelled, session: Segmented
 ) -> list[str]:
-    """Say what of the session was not used or fits no plan, and what of the plan is missing."""
+    """Return sentences on data not used or outside the plan, and on missing steps of the plan."""
     sentences = []
     missing = evidence.missing_positions()
     if missing:
@@ -63,7 +63,7 @@ def loss_findings(
 
 
 def _beside_plan(setup: Setup, labelled: Labelled) -> list[str]:
-    """Say which dwells fit no position of the plan, and what becomes of them."""
+    """Return sentences on dwells that fit no position of the plan, and on their use."""
     of_plan = labelled.of_plan(setup.plan).segments
     names = [str(s.position) for s in labelled.segments if s not in of_plan]
     if not names:
@@ -76,6 +76,6 @@ def _beside_plan(setup: Setup, labelled: Labelled) -> list[str]:
 
 
 def assumption_findings(setup: Setup, solution: Solution) -> list[str]:
-    """Say what is assumed of the table, which its file does not state, where a method counts it."""
+    """Return sentences on assumptions about the table that its file does not state but are used."""
     table = None if setup.plan.by_hand or solution.shares is None else setup.table
     return [table.assumption] if table is not None and table.assumption else []

@@ -1,4 +1,4 @@
-"""A recording, or a live stream, of a unit on a table: columns in, a calibration out."""
+"""Calibrate a unit on a table from a recording or a live stream."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from .unsupported import unsupported_steps
 
 
 class Calibrator:
-    """Takes blocks in as they come and solves when asked.
+    """Collect blocks as they come and solve on request.
 
-    The result depends on the sequence of each topic and its stamps: not on how topics interleave,
-    nor on how blocks were cut.
+    The result depends on the sequence of each topic and its stamps, but not on how topics
+    interleave or how blocks are cut.
 
     Raises:
         InputError: The method does not exist.
-        NotObservable: The plan cannot give the method its parameters, however it is run.
+        NotObservable: No session of the plan can determine the method's parameters.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -50,15 +50,15 @@ class Calibrator:
         self._gathered: tuple[tuple[object, ...], Evidence] | None = None
 
     def feed(self, block: Block) -> None:
-        """Take a block of any topic in."""
+        """Take a block of any topic."""
         self._segmenter.feed(block)
 
     def finish(self) -> Result:
-        """End of the session: solve.
+        """End the session and solve.
 
         Raises:
-            InputError: The data is not what the set-up says it is.
-            NotObservable: The data cannot give all parameters; says which and why.
+            InputError: The data does not agree with the set-up.
+            NotObservable: The data does not determine all parameters; names them and the reason.
         """
         session = self._segmenter.finish()
         if session.strangers:
@@ -66,30 +66,30 @@ class Calibrator:
         return self._solve(session, self._labelled(session), final=True)
 
     def snapshot(self) -> Calibrator:
-        """Return a calibrator with all that came in so far; this one goes on by itself.
+        """Return a calibrator with all data so far; this one continues independently.
 
-        What the snapshot finishes with is what a session that ended here would give.
+        Finishing the snapshot gives the result of a session that ended here.
         """
         other = copy.copy(self)
         other._segmenter = self._segmenter.snapshot()
         return other
 
     def review(self) -> Review:
-        """Say of a snapshot how far the session has come: solve, or what is determined already.
+        """Solve a snapshot, or return what is determined already.
 
-        Terms that were not asked for are searched for at the end alone: the search takes several
-        times as long as the estimate, and what a session goes on to show may change what it finds.
+        Terms that were not asked for are searched for only at the end: the search takes several
+        times as long as the estimate, and later data may change what it finds.
 
         Raises:
-            InputError: The data is not what the set-up says it is.
+            InputError: The data does not agree with the set-up.
         """
         return self._reviewed(final=False)
 
     def conclude(self) -> Review:
-        """End of the session: what `finish` gives, or how far it has come.
+        """End the session: return the result of `finish`, or how far the session has come.
 
         Raises:
-            InputError: The data is not what the set-up says it is.
+            InputError: The data does not agree with the set-up.
         """
         return self._reviewed(final=True)
 
@@ -109,7 +109,7 @@ class Calibrator:
         return Review(session, wanted, reached, unsupported, result, refusal)
 
     def _reached(self, labelled: Labelled, session: Segmented) -> dict[Parameter, float]:
-        """Return the standard deviations of what is determined already, NaN for the rest."""
+        """Return the standard deviations of determined parameters, NaN for the rest."""
         parameters = tuple(p for p in self._setup.parameters if p.row < len(AXES))
         try:
             noise_alone = attainable_std(self.evidence(labelled, session), parameters)
@@ -124,20 +124,20 @@ class Calibrator:
         return dict(zip(parameters, np.sqrt(noise_alone**2 + share).tolist(), strict=True))
 
     def evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
-        """Return a labelled session as what the method works on.
+        """Return a labelled session as input of the method.
 
         Raises:
-            NotObservable: Neither the data nor the IMU's description tells the noise.
+            NotObservable: Neither the data nor the IMU's description determines the noise.
         """
         return self._evidence(self._used(labelled), session)
 
     def _used(self, labelled: Labelled) -> Labelled:
-        """Return what the method works on."""
+        """Return the segments that the method uses."""
         setup = self._setup
         return labelled.of_plan(setup.plan) if setup.plan_alone else labelled
 
     def _evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
-        """Gather evidence; the same once more where a session is of the plan's positions alone."""
+        """Collect the evidence; shared if the session contains the plan's positions alone."""
         setup, parts = self._setup, (labelled.segments, labelled.turns, session)
         if self._gathered is None or self._gathered[0] != parts:
             found = Evidence.of(labelled, session, setup.plan, setup.imu, setup.site, setup.table)
@@ -151,10 +151,10 @@ class Calibrator:
         session: Segmented,
         solver: Callable[[Evidence], Solution],
     ) -> tuple[Solution, Comparison | None]:
-        """Solve; a joint estimate with the closed form of the plan beside it.
+        """Solve; for a joint estimate, also by the closed form of the plan.
 
-        What a closed form finds contradictory is refused: a joint estimate could weigh half of
-        the data down until the other half agrees.
+        Contradictions found by the closed form are refused: a joint estimate could reduce the
+        weight of half of the data until the other half agrees.
         """
         name = closed_form_beside(self._setup.method_name, self._setup.plan)
         if name is None:
@@ -169,7 +169,7 @@ class Calibrator:
         try:
             solution = solver(evidence)
         except InputError:
-            # What a part of a session cannot determine may come out as anything.
+            # Parameters that part of a session does not determine may have any value.
             if isinstance(closed, NotObservable):
                 raise closed from None
             raise

@@ -1,4 +1,4 @@
-"""Where a calibration comes from: what a session was, by what and how it was solved."""
+"""Provenance of a calibration: its session, software and method."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def provenance(
     solution: Solution,
     comparison: Comparison | None = None,
 ) -> dict[str, object]:
-    """Return what the file of a calibration says of its session, by key (docs/parameters.md)."""
+    """Return the provenance in a calibration file, by key (docs/parameters.md)."""
     clock, seen = session.clock, session.temperature
     residuals = np.array([r.value for r in solution.residuals]).reshape(-1, 6)
     rms = np.sqrt((residuals**2).mean(axis=0)) if len(residuals) else np.full(6, np.nan)
@@ -79,13 +79,13 @@ def provenance(
 
 
 def noise(evidence: Evidence) -> dict[str, object]:
-    """Return the noise that the session showed, for a session that is over: it takes its time."""
+    """Return the noise of a completed session; this takes time."""
     seen = session_noise([s.statistics for s in evidence.segments], evidence.walk)
     return {'noise': {name: channel.document() for name, channel in seen.items()}}
 
 
 def stamping(setup: Setup, evidence: Evidence) -> StampingClock | None:
-    """Return the clock that stamps the samples, where motions compare it with the table's."""
+    """Return the stamping clock, if motions compare it with the table's."""
     if setup.table is None or not evidence.clocks_compared:
         return None
     unit = ' '.join([setup.imu.id, setup.serial_number]).strip()
@@ -94,10 +94,10 @@ def stamping(setup: Setup, evidence: Evidence) -> StampingClock | None:
 
 
 def _highest_rate(evidence: Evidence, session: Segmented) -> float | None:
-    """Return how fast the unit was turned about any of its axes, rad/s; None where it was not.
+    """Return the highest rate of the unit about any of its axes, rad/s; None if not rotated.
 
-    Turns by hand are faster in their middle than their mean, and moves between positions turn
-    several joints at once: what a session itself holds is not faster than it was calibrated at.
+    Turns by hand are faster in their middle than on average, and moves between positions turn
+    several joints at once: they are included, so that the session itself is within this rate.
     """
     rates = [abs(float(turn.rate())) for turn in evidence.turns]
     rates += [move.fastest for move in session.moves]
@@ -105,5 +105,5 @@ def _highest_rate(evidence: Evidence, session: Segmented) -> float | None:
 
 
 def _or_none(value: float) -> float | None:
-    """Return a number, or None for one that is not known."""
+    """Return a number, or None if it is not known."""
     return float(value) if np.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""What a calibrator returns: of a session that is over, and of one that goes on."""
+"""Results of a calibrator: of a completed session, and of one in progress."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def calibrated(
     findings: tuple[str, ...],
     clock: StampingClock | None = None,
 ) -> Calibration:
-    """Return a solution as a calibration, with the doubt of gravity, of a session's origin."""
+    """Return a solution as a calibration, with the uncertainty of gravity and its provenance."""
     calibration = Calibration(
         setup.imu,
         solution.model,
@@ -54,15 +54,15 @@ def calibrated(
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A calibration with all that led to it.
+    """A calibration with the data that it was made from.
 
     Attributes:
         calibration: The result as a value.
-        solution: What the method returned; gravity is taken as exact in it.
-        session: What the streams contain.
+        solution: Result of the method, with gravity taken as exact.
+        session: Contents of the streams.
         labelled: Its segments by name.
-        comparison: How the closed form of the plan compares; None where there is none beside.
-        basis: What it was concluded from; None of a unit in the hand.
+        comparison: Comparison with the plan's closed form; None without one.
+        basis: Input from which it was concluded; None for a unit in the hand.
     """
 
     calibration: Calibration
@@ -73,16 +73,16 @@ class Result:
     basis: Basis | None = None
 
     def __repr__(self) -> str:
-        """Return a line: a notebook would show the statistics of every dwell."""
+        """Return one line: a notebook would show the statistics of every dwell."""
         dwells = counted(len(self.labelled.segments), 'static dwell')
-        # A unit in the hand has none by an encoder.
+        # A unit in the hand has no turns by an encoder.
         turns = len(self.labelled.turns)
         beside = f' and {counted(turns, "turn")}' if turns else ''
         return f'<Result: {self.calibration} of {dwells}{beside}>'
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """Sentences on each term, estimated or off, and from which size on it would be found."""
+        """Sentences on each term, estimated or not, and its smallest detectable size."""
         if self.solution.tests:
             return tuple(summary(self.solution.tests))
         names = ', '.join(term.name for term in terms_of(self.solution.parameters))
@@ -92,7 +92,7 @@ class Result:
         """Return it as plain values, SI units, by the keys of docs/files/output.md.
 
         Raises:
-            InputError: A parameter that counts as estimated is no finite number.
+            InputError: An estimated parameter is not a finite number.
         """
         found = self.calibration
         rows = zip(found.parameters, found.values, found.std, strict=True)
@@ -114,11 +114,11 @@ class Review:
     """How far a session has come.
 
     Attributes:
-        session: What the streams contain.
+        session: Contents of the streams.
         parameters: What the method estimates.
-        std: (n,) their standard deviations reached, SI units; NaN for what is not determined.
-        unsupported: Steps of the plan seen so far that left too little.
-        result: The calibration, where the data determines all of it.
+        std: (n,) their standard deviations so far, SI units; NaN if not determined.
+        unsupported: Steps of the plan run so far with too little data.
+        result: The calibration, if the data determines all of it.
         refusal: Why there is none, else empty.
     """
 

@@ -1,4 +1,4 @@
-"""What a calibrator must know before a session begins."""
+"""The set-up of a calibrator: prior knowledge of a session."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from ..turntable import Table
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What a calibrator must know beforehand.
+    """Prior knowledge of a session.
 
     Attributes:
-        imu: What the numbers of the Imu stream mean.
-        plan: What is run; `plan.UNPLANNED` where unknown: joint states give the attitudes.
-        table: The table whose joint states come in; None when the IMU stands alone.
+        imu: Description of the Imu stream's numbers.
+        plan: The plan; `plan.UNPLANNED` if unknown: joint states give the attitudes.
+        table: The table of the joint states; None for the IMU alone.
         site: Gravity and Earth rate.
         method: Name of the solver; None takes the joint estimate where it applies, else the plan's
             own method.
-        serial_number: Which unit of the type `imu.id`; empty where not stated.
-        terms: To be estimated besides what the method estimates.
+        serial_number: Unit of the type `imu.id`; empty if not stated.
+        terms: Terms to estimate beyond the method's parameters.
         changes: Coefficients of the session's terms, likewise.
-        search_terms: Whether terms that the session shows are estimated too.
+        search_terms: Whether to search for terms that the session shows.
     """
 
     imu: ImuSpec
@@ -50,10 +50,10 @@ class Setup:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What is estimated whatever the session shows.
+        """Parameters estimated in any session.
 
         Raises:
-            InputError: There is no such method, or it knows no terms.
+            InputError: There is no such method, or it does not support terms.
         """
         from ..methods import estimated_parameters
 
@@ -61,18 +61,18 @@ class Setup:
 
     @cached_property
     def steps(self) -> tuple[Step, ...]:
-        """The plan laid out on the table; empty without one."""
+        """Steps of the plan on the table; empty without one."""
         return () if self.table is None else self.plan.steps(self.table)
 
     @property
     def plan_alone(self) -> bool:
-        """Whether the method is a closed form, which knows the plan's positions alone."""
+        """Whether the method is a closed form, which uses the plan's positions alone."""
         from ..methods import JOINT
 
         return self.method_name not in JOINT
 
     def of_unit(self, unit: MountedUnit, imu: ImuSpec) -> Setup:
-        """Return the set-up of one of several units; plan, table and site are theirs."""
+        """Return the set-up of one of several units with a common plan, table and site."""
         assert self.table is not None, 'several units are turned by a table'
         mounted = unit.table(self.table)
         return replace(self, imu=imu, serial_number=unit.serial_number, table=mounted)

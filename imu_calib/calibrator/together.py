@@ -1,4 +1,4 @@
-"""Several units on one table: the results of each, with what they share estimated once."""
+"""Combine several units on one table: estimate shared unknowns once, from all of them."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class Together:
     """Results of several units.
 
     Attributes:
-        results: One for each: with what the units share where it took part, else as it was.
-        table: What the units found of the table; None where fewer than two took part.
-        shared: Which took part.
+        results: One for each unit: with the shared unknowns if it took part, else unchanged.
+        table: Errors of the table estimated from all; None if fewer than two took part.
+        shared: Places of the units that took part.
         left_out: Why others did not, by their place.
     """
 
@@ -50,14 +50,14 @@ class Together:
 
 
 def together(alone: Sequence[Result | None], names: Sequence[str]) -> Together:
-    """Estimate what several units on one table share once, from all of them.
+    """Estimate the shared unknowns of several units on one table once, from all of them.
 
-    Takes part what the joint estimate solved on a table whose joint angles are known: closed forms,
-    units in the hand and what failed stay as they are.
+    Results of the joint estimate on a table with known joint angles take part: closed forms, units
+    in the hand and failures remain unchanged.
 
     Args:
-        alone: The result of each by itself; None of one that failed.
-        names: Of each, for what is said and for the provenance of the others.
+        alone: The result of each unit by itself; None if it failed.
+        names: Name of each, for messages and for the provenance of the others.
     """
     results = list(alone)
     parts = {k: part for k, one in enumerate(alone) if one and (part := _part(one))}
@@ -89,14 +89,14 @@ def together(alone: Sequence[Result | None], names: Sequence[str]) -> Together:
     for odd in joined.contradicting:
         left_out[places[odd.unit]] = _words(odd, others=len(shared))
     if joined.contradicting and not joined.estimates:
-        # Of the last two neither is right for certain.
+        # Of the last two, which one is wrong cannot be determined.
         last = [p for p in places if p not in left_out]
         left_out |= {p: _words(joined.contradicting[-1], others=0) for p in last}
     return Together(_noted(results, left_out), joined.table, tuple(shared), left_out)
 
 
 def _beside(result: Result | None, others: Sequence[str]) -> Result | None:
-    """Return a result that says with which other units its table was estimated."""
+    """Return a result whose provenance names the units that share its estimate of the table."""
     if result is None or not others:
         return result
     calibration = result.calibration
@@ -117,7 +117,7 @@ def _words(odd: Contradicting, *, others: int) -> str:
 
 
 def _noted(results: Sequence[Result | None], said: Mapping[int, str]) -> tuple[Result | None, ...]:
-    """Return results with a sentence more on some of them."""
+    """Return results with one more sentence on some of them."""
     found = list(results)
     for place, sentence in said.items():
         if (result := found[place]) is not None:

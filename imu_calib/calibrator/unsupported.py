@@ -1,4 +1,4 @@
-"""Which steps of a plan have been seen, and which of them left too little to be worth anything."""
+"""Find steps of a plan that were run but have too little usable data."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from ..segmentation.segmented import Segmented
 from ..stream import Mode
 
 _ENOUGH = 0.5
-"""Share of a dwell that must be sound: less costs more than a factor 1.4 in its noise."""
+"""Share of a dwell that must be usable: less increases its noise by more than a factor 1.4."""
 
 _SAME_RATE = 0.2
-"""Of the rate that was commanded."""
+"""Relative tolerance on the commanded rate."""
 
 
 def unsupported_steps(
     session: Segmented, labelled: Labelled, plan: Plan, steps: tuple[Step, ...]
 ) -> tuple[int, ...]:
-    """Return the steps whose setpoints were seen and whose data is not there.
+    """Return the steps whose setpoints were seen without sufficient data.
 
     Args:
-        session: What the streams contain.
+        session: Contents of the streams.
         labelled: Its segments by name.
-        plan: What is run.
-        steps: Its steps on the table; none without one, where nothing can be repeated.
+        plan: The plan that is run.
+        steps: Its steps on the table; none without one, since nothing can be repeated.
 
     Returns:
-        Indices of steps, ascending; the step that is being run is among them until it is done.
+        Indices of steps, ascending; the current step is among them until it is done.
     """
     seen = [s.step for s in session.setpoints if s.plan == plan.name and s.mode is not Mode.HOLD]
     # Steps are run in order: one whose setpoints were lost with all else was run as well.

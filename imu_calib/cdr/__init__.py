@@ -1,4 +1,4 @@
-"""Serialised messages (CDR) to columns and back, in bulk; for recordings and live subscriptions."""
+"""Convert serialised messages (CDR) to columns and back, in bulk; recorded or live."""
 
 from .decode import (
     ImuDecoder,

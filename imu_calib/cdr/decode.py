@@ -31,13 +31,13 @@ Columns = TypeVar('Columns', ImuBlock, JointBlock, TemperatureBlock)
 AnyBlock = TypeVar('AnyBlock', bound=Block)
 
 _AFTER_STAMP = ENCAPSULATION + 8
-"""Where the frame of a header begins: after seconds and nanoseconds, four bytes each."""
+"""Start of the frame in a header: after seconds and nanoseconds, four bytes each."""
 _STAMPS = {header: Struct(f'{order}iI') for header, order in ORDERS.items()}
 _CONTENTS = 16
-"""Setpoints that are remembered: one is repeated until the next, on a live topic one at a time."""
+"""Setpoints cached: each is repeated until the next, on a live topic one at a time."""
 _LAST: dict[Callable[[bytes], Layout], Layout] = {}
-"""What the last messages looked like to each parser: those of a recording look the same, chunk
-after chunk. All that a parser decides by is in the layout's fixed bytes and its size."""
+"""Layout of the last messages of each parser: those of a recording are alike, chunk after chunk.
+All that a parser depends on is in the layout's fixed bytes and its size."""
 _COMMON = frozenset({'names', 'frame_id'})
 
 
@@ -46,14 +46,14 @@ def decode_imu(messages: Messages, malformed: Malformed | None = None) -> list[I
 
     Args:
         messages: Serialised messages.
-        malformed: Counts the messages that are left out because their bytes contradict the type.
+        malformed: Counts the messages that are skipped because their bytes contradict the type.
 
     Returns:
         Blocks in the order of the messages; a new one starts where frame, size or byte order
         change.
 
     Raises:
-        CdrError: A message is malformed, and malformed ones are not counted.
+        CdrError: A message is malformed and `malformed` is None.
     """
     return _decode(messages, _imu_layout, _imu_block, malformed)
 
@@ -66,14 +66,14 @@ def decode_skew(messages: Messages, malformed: Malformed | None = None) -> list[
 class ImuDecoder:
     """Decodes sensor_msgs/Imu as they come, often one by one.
 
-    A message like the one before needs no second reading of what it looks like.
+    The layout of a message is reused for the next one if it fits.
     """
 
     def __init__(self) -> None:
         self._layout: Layout | None = None
 
     def decode(self, payloads: list[bytes], malformed: Malformed) -> list[ImuBlock]:
-        """Decode serialised messages; order and what is left out as `decode_imu`."""
+        """Decode serialised messages; order and skipped ones as in `decode_imu`."""
         layout = self._layout
         if len(payloads) > 1 or layout is None:
             return self._decode(payloads, malformed)
@@ -101,7 +101,7 @@ class ImuDecoder:
 def decode_joints(messages: Messages, malformed: Malformed | None = None) -> list[JointBlock]:
     """Decode sensor_msgs/JointState; arguments, order and errors as `decode_imu`.
 
-    Positions or velocities that a message does not carry are NaN.
+    Positions or velocities absent from a message are NaN.
     """
     return _decode(messages, _joint_layout, _joint_block, malformed)
 
@@ -122,7 +122,7 @@ def decode_setpoints(messages: Messages, malformed: Malformed | None = None) -> 
     for payload in messages.payloads():
         content = _repeated(payload[:2], payload[_AFTER_STAMP:])
         if isinstance(content, str):
-            # Said again with its own stamp and length.
+            # Compared again with its own stamp and length.
             content = _setpoint(payload)
         if isinstance(content, str):
             _leave_out(content, malformed)
@@ -153,7 +153,7 @@ def _decode(
     build: Callable[[Layout, Messages, Bytes], Columns],
     malformed: Malformed | None,
 ) -> list[Columns]:
-    """Decode each layout's messages at once, then put them back into the order of the stream."""
+    """Decode the messages of each layout at once, then restore the order of the stream."""
     alike = _decode_alike(messages, parse, build)
     if alike is not None:
         return [alike]
@@ -183,7 +183,7 @@ def _decode_alike(
     parse: Callable[[bytes], Layout],
     build: Callable[[Layout, Messages, Bytes], Columns],
 ) -> Columns | None:
-    """Decode messages that all have the layout of the first; None where they do not."""
+    """Decode messages that all have the layout of the first; None if they do not."""
     if len(messages) == 0 or (messages.size != messages.size[0]).any():
         return None
     layout = _LAST.get(parse)
@@ -283,7 +283,7 @@ def _repeated(order: bytes, after_stamp: bytes) -> tuple[Any, ...] | str:
 
 
 def _setpoint(payload: bytes) -> tuple[Any, ...] | str:
-    """Decode the fields of a setpoint that follow its stamp, or say what is wrong with it."""
+    """Decode the fields of a setpoint that follow its stamp, or return the error in them."""
     try:
         reader = _header(payload)
         plan, step, position = reader.string(), int(reader.number('I')), reader.string()

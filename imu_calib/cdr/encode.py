@@ -1,4 +1,4 @@
-"""Columns to serialised messages, in bulk: the inverse of `decode`, little-endian."""
+"""Encode columns as serialised messages, in bulk: the inverse of `decode`, little-endian."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
     from .messages import Bytes
 
 _FIRST_SECOND, _LAST_SECOND = -(1 << 31), (1 << 31) - 1
-"""Of builtin_interfaces/Time: 32 bits with a sign."""
+"""Range of seconds in builtin_interfaces/Time: signed 32 bits."""
 
 PULSES = (-1.0, -1.0, -1.0)
-"""First elements of the three covariances of a message of pulse counts: no filter takes them."""
+"""First elements of the three covariances of a message of pulse counts: filters reject them."""
 RATES = (-1.0, 0.0, 0.0)
 """First elements of the covariances of rates and accelerations without orientation (REP 145)."""
 
 
 class _Template:
-    """One message under construction: fixed bytes, and room for what changes."""
+    """One message under construction: fixed bytes, and room for variable ones."""
 
     def __init__(self) -> None:
         self.content = bytearray(b'\x00\x01\x00\x00')
@@ -63,7 +63,7 @@ class _Template:
             self.string(text)
 
     def doubles(self, values: Iterable[float]) -> int:
-        """Append float64 numbers; return where they start."""
+        """Append float64 numbers; return their offset."""
         listed = list(values)
         if listed:
             self.align(8)
@@ -72,7 +72,7 @@ class _Template:
         return start
 
     def sequence(self, values: Iterable[float]) -> int:
-        """Append a float64 sequence; return where its numbers start."""
+        """Append a float64 sequence; return the offset of its numbers."""
         listed = list(values)
         self.number('I', len(listed))
         return self.doubles(listed)
@@ -125,7 +125,7 @@ def encode_imu(block: ImuBlock, first_covariances: tuple[float, float, float] = 
     Args:
         block: Samples to encode.
         first_covariances: Element 0 of the covariances of orientation, angular velocity and
-            linear acceleration: `PULSES`, `RATES` or own values; -1 says unknown.
+            linear acceleration: `PULSES`, `RATES` or own values; -1 means unknown.
 
     Returns:
         One message per sample.
@@ -156,7 +156,7 @@ def encode_rates(block: ImuBlock, rate_covariance: Floats, force_covariance: Flo
 def rates_payloads(
     block: ImuBlock, rate_covariance: Floats, force_covariance: Floats
 ) -> list[bytes]:
-    """Encode as `encode_rates` does, into the bytes of each message: the way of a live stream."""
+    """Encode as `encode_rates`, into the bytes of each message, for live streams."""
     if len(block) != 1:
         return encode_rates(block, rate_covariance, force_covariance).payloads()
     template, gyro, accel = _imu_template(block.frame_id, RATES)
@@ -181,7 +181,7 @@ def _imu(
     _column(rows, gyro, '<f8', 3)[:] = block.gyro
     _column(rows, accel, '<f8', 3)[:] = block.accel
     if covariances is not None:
-        # Each lies right after the vector that it belongs to.
+        # Each is directly after its vector.
         _column(rows, gyro + 24, '<f8', 9)[:] = covariances[0]
         _column(rows, accel + 24, '<f8', 9)[:] = covariances[1]
     return _messages(rows)
@@ -190,7 +190,7 @@ def _imu(
 def _fill_one(
     row: bytearray | memoryview, start: int, vector: Floats, covariance: Floats | None
 ) -> None:
-    """Write a vector, and its covariance behind it: the way of a live stream."""
+    """Write a vector and its covariance behind it, for live streams."""
     row[start : start + 24] = vector.astype('<f8', copy=False).tobytes()
     if covariance is not None:
         row[start + 24 : start + 96] = covariance.astype('<f8', copy=False).tobytes()
@@ -200,9 +200,9 @@ def _fill_one(
 def _imu_template(
     frame_id: str, first_covariances: tuple[float, float, float]
 ) -> tuple[_Template, int, int]:
-    """Return a message without its numbers, and where those of gyro and accelerometer start.
+    """Return a message without its numbers, and the offsets of those of gyro and accelerometer.
 
-    Live streams encode sample by sample, and a template takes half of that.
+    Live streams encode sample by sample, and a template halves the time.
     """
     template = _Template()
     template.string(frame_id)
@@ -242,7 +242,7 @@ def encode_joints(block: JointBlock, frame_id: str = '') -> Messages:
 def _joint_template(
     frame_id: str, names: tuple[str, ...], widths: tuple[int, ...]
 ) -> tuple[_Template, list[int]]:
-    """Return a message without its numbers, and where those of each sequence start."""
+    """Return a message without its numbers, and the offsets of those of each sequence."""
     template = _Template()
     template.string(frame_id)
     template.strings(names)
@@ -252,7 +252,7 @@ def _joint_template(
 
 
 def _carried(values: Floats) -> int:
-    """Return how many numbers of a row a message holds: none where all are NaN."""
+    """Return how many numbers of a row a message holds: none if all are NaN."""
     return 0 if np.isnan(values).all() else values.shape[1]
 
 
@@ -264,7 +264,7 @@ def encode_temperatures(
     Args:
         block: Samples to encode, degrees Celsius.
         frame_id: Frame of the header.
-        variance: Variance of every sample; 0 says unknown.
+        variance: Variance of every sample; 0 means unknown.
 
     Returns:
         One message per sample.
@@ -303,7 +303,7 @@ def encode_setpoints(block: SetpointBlock, frame_id: str = '') -> Messages:
 
 
 def _content(setpoint: Setpoint) -> tuple[object, ...]:
-    """Return what tells a setpoint from others but for its stamp; -0.0 is another number than 0."""
+    """Return a key of a setpoint without its stamp; -0.0 differs from 0."""
     numbers = setpoint.angles, setpoint.rates, setpoint.turns, setpoint.dwell
     words = setpoint.plan, setpoint.step, setpoint.position, setpoint.mode, setpoint.joints
     return *words, repr(numbers)

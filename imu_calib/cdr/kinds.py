@@ -1,4 +1,4 @@
-"""The message types that the suite computes with."""
+"""The message types that calibration uses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Kind(Enum):
-    """What a topic carries; the value begins with the message type as ROS names it."""
+    """Kind of a topic's messages; the value begins with the message type's ROS name."""
 
     IMU = 'sensor_msgs/msg/Imu'
     JOINTS = 'sensor_msgs/msg/JointState'

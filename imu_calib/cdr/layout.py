@@ -1,8 +1,8 @@
-"""Where the fields of one message lie: found by reading one message, then checked for all others.
+"""Offsets of the fields in a message: found by reading one message, then checked for all others.
 
 CDR (OMG formal/02-06-51) aligns a number to its own size, counted from the byte after the 4-byte
 encapsulation header. Two messages of a type whose strings and sequence lengths agree therefore
-have every field in the same place, and a run of them is a matrix of bytes.
+have every field at the same offset, and a run of them is a matrix of bytes.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ if TYPE_CHECKING:
     from .messages import Bytes, Messages
 
 ENCAPSULATION = 4
-"""Bytes of the header that says in which order bytes are (RTPS 2.5, section 10.2)."""
+"""Bytes of the header that states the byte order (RTPS 2.5, section 10.2)."""
 ORDERS = {b'\x00\x00': '>', b'\x00\x01': '<'}
 NS = 1_000_000_000
-"""Of a second."""
+"""Nanoseconds per second."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Places of the fields in messages of one shape.
+    """Offsets of the fields in messages of one shape.
 
     Attributes:
         order: '<' or '>', the byte order.
         size: Bytes of the whole message.
-        fixed: Starts and contents of the bytes that make the shape what it is.
+        fixed: Offsets and contents of the bytes that define the shape.
         stamp: Offset of the header's stamp.
         columns: Offset and number of the float64 of each column.
         names: The strings of the message, in order.
@@ -49,17 +49,17 @@ class Layout:
 
     @cached_property
     def head(self) -> int:
-        """Bytes up to the end of the last one that is fixed or of the stamp."""
+        """Bytes up to the end of the last fixed one or of the stamp."""
         return max(self.stamp + 8, *(start + len(content) for start, content in self.fixed))
 
     def fits(self, payload: bytes) -> bool:
-        """Tell whether one message has this layout."""
+        """Return whether one message has this layout."""
         return len(payload) == self.size and all(
             payload.startswith(content, start) for start, content in self.fixed
         )
 
     def holds(self, rows: Bytes) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Tell which messages have this layout.
+        """Return which messages have this layout.
 
         Args:
             rows: (n, head) first bytes of messages of the right size.
@@ -74,7 +74,7 @@ class Layout:
 
     @cached_property
     def _words(self) -> list[tuple[int, str, np.unsignedinteger[Any]]]:
-        """The fixed bytes as numbers, which compare far faster than bytes do."""
+        """The fixed bytes as integers, which compare far faster than bytes."""
         words = []
         for start, content in self.fixed:
             width = next(w for w in (8, 4, 2, 1) if w <= len(content))
@@ -103,17 +103,17 @@ class Layout:
         return np.array([struct.unpack_from(f'{self.order}{width}d', payload, offset)])
 
     def column(self, messages: Messages, name: str) -> Floats:
-        """Return the (n, k) numbers of a column, in a memory of their own."""
+        """Return the (n, k) numbers of a column, in new memory."""
         offset, width = self.columns[name]
         stored = messages.gather(offset, 8 * width).view(f'{self.order}f8')
         return stored.astype(np.float64, copy=False)
 
 
 class LayoutReader:
-    """Reads one message from its first byte to its last, noting where things are.
+    """Read one message from its first byte to its last and record the offsets.
 
     Raises:
-        CdrError: From every method, where the message ends too early or contradicts its type.
+        CdrError: From every method, if the message is too short or contradicts its type.
     """
 
     def __init__(self, payload: bytes) -> None:
@@ -146,7 +146,7 @@ class LayoutReader:
         self._fixed.append((start, end))
 
     def number(self, code: str) -> Any:
-        """Read one number that may differ from message to message."""
+        """Read one number that may differ between messages."""
         size = struct.calcsize(code)
         return struct.unpack_from(self.order + code, self._payload, self._take(size, size))[0]
 
@@ -181,12 +181,12 @@ class LayoutReader:
         return tuple(self.string() for _ in range(self.count()))
 
     def column(self, name: str, width: int) -> None:
-        """Pass over float64 numbers that form the columns `name`."""
+        """Skip float64 numbers that form the column `name`."""
         start = self._take(8, 8 * width) if width else self._position
         self._columns[name] = (start, width)
 
     def sequence(self, name: str) -> int:
-        """Pass over a float64 sequence that forms the columns `name`; return its length."""
+        """Skip a float64 sequence that forms the column `name`; return its length."""
         width = self.count()
         self.column(name, width)
         return width
@@ -201,9 +201,9 @@ class LayoutReader:
         return values
 
     def finish(self) -> Layout:
-        """Return the layout; the message must end here, but for padding.
+        """Return the layout; the message must end here, except for padding.
 
-        Middlewares round a message up to 4 or 8 bytes; more than that is another type.
+        Middlewares pad a message up to 4 or 8 bytes; more than that is another type.
         """
         rest = len(self._payload) - self._position
         if rest >= 8:
@@ -211,7 +211,7 @@ class LayoutReader:
         return self.layout()
 
     def layout(self) -> Layout:
-        """Return the layout of what was read so far."""
+        """Return the layout of the part read so far."""
         return Layout(
             order=self.order,
             size=len(self._payload),

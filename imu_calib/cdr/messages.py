@@ -1,4 +1,4 @@
-"""Serialised messages in one buffer, and what is said of those that do not hold together."""
+"""Serialised messages in one buffer, and the count of malformed ones."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class CdrError(InputError):
 
 @dataclass(frozen=True, eq=False)
 class Messages:
-    """Serialised messages of one topic that lie anywhere in one buffer.
+    """Serialised messages of one topic at any offsets in one buffer.
 
     Attributes:
-        buffer: (bytes,) memory that holds the messages, and possibly much else.
-        offset: (n,) where each message starts, at its 4-byte encapsulation header.
+        buffer: (bytes,) memory that holds the messages, and possibly more.
+        offset: (n,) start of each message, at its 4-byte encapsulation header.
         size: (n,) bytes of each message, encapsulation header included.
     """
 
@@ -36,7 +36,7 @@ class Messages:
     size: Indices
 
     def __post_init__(self) -> None:
-        """Refuse messages outside of the buffer: the decoders read without further checks."""
+        """Refuse messages outside the buffer: the decoders read without further checks."""
         if len(self.offset) == 1:
             start, size = self.offset.item(), self.size.item()
             beyond = start < 0 or size < 0 or start + size > len(self.buffer)
@@ -54,7 +54,7 @@ class Messages:
 
     @classmethod
     def join(cls, payloads: Sequence[bytes]) -> Messages:
-        """Copy messages that lie scattered in memory into one buffer.
+        """Copy messages that are scattered in memory into one buffer.
 
         Returns:
             The messages, in the same order.
@@ -88,7 +88,7 @@ class Messages:
             size: Bytes to take; no message may be shorter.
 
         Returns:
-            (n, size) bytes, contiguous; the buffer's own where it holds nothing in between.
+            (n, size) bytes, contiguous; the buffer's own if the messages adjoin.
         """
         if self._is_matrix(size):
             start = int(self.offset[0])
@@ -96,7 +96,7 @@ class Messages:
         return self.gather(0, size)
 
     def _is_matrix(self, size: int) -> bool:
-        """Tell whether messages of a size lie one after the other, as `join` lays them."""
+        """Return whether messages of a size adjoin, as `join` places them."""
         if len(self) == 0 or int(self.offset[-1] - self.offset[0]) != (len(self) - 1) * size:
             return False
         return bool((self.offset[1:] - self.offset[:-1] == size).all())
@@ -109,12 +109,12 @@ class Messages:
             size: Bytes to take.
 
         Returns:
-            (n, size) bytes in a memory of their own.
+            (n, size) bytes in new memory.
         """
         if len(self) == 0:
             return np.empty((0, size), np.uint8)
         # Every possible position is one element of this overlapping view, so that one indexed copy
-        # gathers them all, whatever lies between them.
+        # gathers them all from any positions.
         last = len(self.buffer) - size + 1
         anywhere = np.ndarray((last,), f'V{size}', buffer=self.buffer, strides=(1,))
         gathered: Bytes = anywhere[self.offset + start].view(np.uint8).reshape(-1, size)
@@ -123,10 +123,10 @@ class Messages:
 
 @dataclass
 class Malformed:
-    """Count of the messages that a decoder left out, and what was wrong with the first.
+    """Count of the messages that a decoder skipped, and what was wrong with the first.
 
     Attributes:
-        count: Messages left out so far.
+        count: Messages skipped so far.
         reason: What was wrong with the first of them.
     """
 

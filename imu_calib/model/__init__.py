@@ -1,4 +1,4 @@
-"""The sensor model: parameters, their kinds, terms, and what the channels answer."""
+"""The sensor model: parameters, their kinds, terms, and the outputs of the channels."""
 
 from .kinds import TRIADS, Carried, Kind, ParameterKind, Unit
 from .parameters import (

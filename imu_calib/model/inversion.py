@@ -1,4 +1,4 @@
-"""Inputs from outputs where the outputs are not linear in them."""
+"""Invert a nonlinear sensor model: inputs from outputs."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 from ..stream import Floats
 
 _ROUNDS = 30
-"""Newton's steps double the digits: five are enough for terms of a percent. Whose terms outgrow the
-linear part at a sample takes forever."""
+"""Newton's steps double the digits: five suffice for terms of a percent. Where terms exceed the
+linear part, the iteration does not converge."""
 
 _CONVERGED = 1e-12
-"""Relative to one SI unit and to the input itself: a last step below leaves rounding."""
+"""Relative to one SI unit and to the input itself: after a smaller step only rounding remains."""
 
 
 class Nonlinear(Protocol):
-    """What a model adds to its linear part, as a function of (..., 6) inputs."""
+    """Addition of a model to its linear part, as a function of (..., 6) inputs."""
 
     def extra(self, inputs: Floats) -> Floats:
-        """Return what is added to the outputs, (..., 6)."""
+        """Return the addition to the outputs, (..., 6)."""
 
     def extra_slopes(self, inputs: Floats) -> Floats:
         """Return its derivatives by the inputs, (..., 6, 6)."""
@@ -33,17 +33,17 @@ def inverted(model: Nonlinear, linear: Floats, gain: Floats) -> tuple[Floats, ND
     A sample gives the same bits alone as among others.
 
     Args:
-        model: What is added to the outputs.
+        model: The addition to the outputs.
         linear: (n, 6) inputs by the linear model alone.
-        gain: (6, 6) how the linear model makes inputs of the six outputs.
+        gain: (6, 6) inputs of the linear model by its six outputs.
 
     Returns:
-        (n, 6) inputs, NaN where the steps do not come to an end, and (n,) whether they did.
+        (n, 6) inputs, NaN where the steps do not converge, and (n,) whether they did.
 
     Source: docs/mathematics.md, 'Terms'.
     """
     found = linear.copy()
-    # What is no number stays so, and is not solved for.
+    # NaN and infinite inputs are kept and not solved for.
     going: NDArray[np.bool_] = np.asarray(np.isfinite(linear).all(axis=1))
     done = ~going
     for _ in range(_ROUNDS):
@@ -64,7 +64,7 @@ def inverted(model: Nonlinear, linear: Floats, gain: Floats) -> tuple[Floats, ND
 def times_transpose(columns: Floats, matrix: Floats) -> Floats:
     """Return (n, k) columns times the transpose of an (m, k) matrix, summed column by column.
 
-    A BLAS product of many rows may round otherwise than that of one.
+    A BLAS product of many rows may round differently from that of one.
     """
     first, *others = np.ascontiguousarray(columns.T)
     found = matrix[:, :1] * first

@@ -1,4 +1,4 @@
-"""What a parameter can be: one row for each kind, read by all that writes, shows or judges it."""
+"""The kinds of parameters: one row for each, used by every writer, display and check."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from ..units import ARCMIN, DEG, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY, Dimensio
 
 
 class Carried(Enum):
-    """What a file of somebody else's format does with a kind of parameter."""
+    """How an export to another format treats a kind of parameter."""
 
     YES = 'yes'
     LEFT_OUT = 'left out'
-    """The file is right without it, and says that it is not in it."""
+    """The file is valid without it, and states that it is omitted."""
     REFUSED = 'refused'
-    """The other parameters are wrong without it: there is no file."""
+    """The other parameters are wrong without it: no file is written."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,10 @@ class Unit:
 
     Attributes:
         si: In files and messages.
-        shown: As engineers write it.
+        shown: In displays for engineers.
         scale: SI value of the unit shown.
-        dimension: What a person may write it in.
-        limit: Largest amount that a strapdown IMU may have, SI; None where it is judged otherwise.
+        dimension: Dimension of the units accepted as input.
+        limit: Largest plausible amount for a strapdown IMU, SI; None if judged otherwise.
     """
 
     si: str
@@ -40,16 +40,16 @@ class Unit:
 
 @dataclass(frozen=True)
 class Kind:
-    """What all parameters of a kind have in common.
+    """Common properties of all parameters of a kind.
 
     Attributes:
-        symbol: Begins their names.
-        words: For sentences.
+        symbol: Prefix of their names.
+        words: Name in sentences.
         key: In calibration.yaml, and in the specification of an IMU's YAML.
-        axes: How many input axes their names have after the channel; None where a triad has one
+        axes: Number of input axes in their names after the channel; None if a triad has one
             parameter, without a channel.
         units: By triad.
-        exports: What each export does with them.
+        exports: Treatment by each export.
     """
 
     symbol: str
@@ -83,11 +83,11 @@ _BY_FORCE = 10 * DEG / STANDARD_GRAVITY
 _GYRO_BIAS = 100 * DEG
 """rad/s: far beyond any data sheet."""
 _ACCEL_BIAS = STANDARD_GRAVITY
-"""Five times and more what data sheets of the cheapest units state (MPU-9150: zero-rate output
-20 deg/s, zero-g output 0.15 g; gyros react to acceleration by some 0.1 deg/s per g)."""
+"""At least five times the data sheets of the cheapest units (MPU-9150: zero-rate output 20 deg/s,
+zero-g output 0.15 g; gyros respond to acceleration by some 0.1 deg/s per g)."""
 
 _LARGE = 0.3
-"""Of a unit, m: ten times what the accelerometers of one are apart as a rule."""
+"""m: ten times the usual distance between the accelerometers of a unit."""
 
 _LATE = 0.1
 """Five times the longest delay of the low-pass filters of MEMS units, s (MPU-6050, register map,
@@ -105,13 +105,13 @@ _SQUARE = Unit(
 
 
 class ParameterKind(Enum):
-    """What a parameter is; its row says all that depends on that."""
+    """The kind of a parameter; its row holds all that depends on the kind."""
 
     def __repr__(self) -> str:
-        """Return the name alone, not the row."""
+        """Return the name alone, without the row."""
         return self.name
 
-    # Each is there once: parameters are looked up often enough for the hash of a name to count.
+    # Each exists once: parameters are looked up so often that the hash of a name matters.
     __hash__ = object.__hash__
 
     SCALE_FACTOR_ERROR = Kind(
@@ -144,7 +144,7 @@ class ParameterKind(Enum):
         {'g': Unit('1', '', 1.0, Dimension.RATIO)},
         _BY_THE_NODE,
     )
-    """Of a skewed gyro to the rate about a body axis: scale and direction in one."""
+    """Response of a skewed gyro to the rate about a body axis: scale and direction in one."""
     G_SENSITIVITY = Kind(
         'G',
         'g-sensitivity',
@@ -231,4 +231,4 @@ class ParameterKind(Enum):
 
 
 TRIADS = {'g': 'gyro', 'a': 'accelerometer'}
-"""A triad by the letter in its parameters' names: its section in files, and its word."""
+"""Section in files and word for a triad, by the letter in its parameters' names."""

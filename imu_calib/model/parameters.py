@@ -1,4 +1,4 @@
-"""The parameters of the sensor model, and by what each is multiplied."""
+"""The parameters of the sensor model, and their factors."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .kinds import ParameterKind, Unit
 AXES = 'xyz'
 _SKEWED = 'stuv'
 MOST_SKEWED = len(_SKEWED)
-"""More skewed gyros than that have no names."""
+"""Most skewed gyros: there are no names for more."""
 
 
 @dataclass(frozen=True)
 class Parameter:
     """One parameter: its name, its kind, its triad ('g' or 'a') and its place.
 
-    `row` is the channel, skewed gyros from 3 on, and 0 of what a triad has in common; `column` the
-    input axis, or None for a bias; `second` the other input axis of a product of two.
+    `row` is the channel, skewed gyros from 3 on, and 0 for a parameter common to a triad; `column`
+    the input axis, or None for a bias; `second` the other input axis of a product of two.
     """
 
     kind: ParameterKind
@@ -55,13 +55,13 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Product:
-    """What a parameter is multiplied by: scale * u_i u_j ... abs(u_k) ...
+    """The factor of a parameter: scale * u_i u_j ... abs(u_k) ...
 
     u = [w_x, w_y, w_z, f_x, f_y, f_z], rad/s and m/s^2.
 
     Attributes:
-        factors: Indices of the inputs that it is a product of; none for a bias.
-        absolute: Indices of those that go in by their amount.
+        factors: Indices of the inputs in the product; none for a bias.
+        absolute: Indices of those that enter by their absolute value.
         scale: Constant factor, SI.
     """
 
@@ -71,19 +71,19 @@ class Product:
 
     @property
     def is_zero(self) -> bool:
-        """Whether it is zero whatever the inputs are."""
+        """Whether it is zero for all inputs."""
         return self.scale == 0
 
     @property
     def degree_in_force(self) -> int:
-        """How many factors are specific forces."""
+        """Number of specific forces among the factors."""
         return sum(k >= len(AXES) for k in (*self.factors, *self.absolute))
 
     def words(self, axis: str = '') -> str:
-        """Return it for people, its constant factor a number.
+        """Return it as text, with its constant factor as a number.
 
         Args:
-            axis: Stands for the axis of every input; empty: as it is.
+            axis: Replaces the axis of every input; empty to keep them.
         """
         names = [f'{"wf"[k // len(AXES)]}_{axis or AXES[k % len(AXES)]}' for k in range(6)]
         factors = [*(names[k] for k in self.factors), *(f'|{names[k]}|' for k in self.absolute)]
@@ -93,7 +93,7 @@ class Product:
 
     @property
     def degree_in_rate(self) -> int:
-        """How many factors are angular rates."""
+        """Number of angular rates among the factors."""
         return len(self.factors) + len(self.absolute) - self.degree_in_force
 
     def value(self, inputs: Floats) -> Floats:
@@ -108,7 +108,7 @@ class Product:
         return np.asarray(result)
 
     def slopes(self, inputs: Floats) -> Floats:
-        """Return the derivatives of the product by the inputs, (..., 6); of |0| it is 0."""
+        """Return the derivatives of the product by the inputs, (..., 6); that of |0| is 0."""
         result = np.zeros(inputs.shape)
         for k, others, signed in self._others:
             slope = others.value(inputs)
@@ -117,7 +117,7 @@ class Product:
 
     @cached_property
     def _others(self) -> tuple[tuple[int, Product, bool], ...]:
-        """By each factor: its input, the product of the others, and whether its sign goes in."""
+        """For each factor: its input, the product of the others, and whether its sign enters."""
         plain, absolute = self.factors, self.absolute
         found = [
             (k, Product(plain[:n] + plain[n + 1 :], absolute, self.scale), False)
@@ -131,7 +131,7 @@ class Product:
 
 
 NOTHING = Product(scale=0.0)
-"""Of parameters that only motion shows (`motion`): at rest they add nothing."""
+"""Of parameters of motion terms (`motion`): at rest they add nothing."""
 
 
 def _triad_parameters(triad: str) -> list[Parameter]:
@@ -150,7 +150,7 @@ PARAMETERS: tuple[Parameter, ...] = (*_triad_parameters('g'), *_triad_parameters
 """The 24 parameters, in the order of every vector and covariance."""
 
 BIASES: tuple[Parameter, ...] = tuple(p for p in PARAMETERS if p.kind is ParameterKind.BIAS)
-"""The six of them, gyros first."""
+"""The six biases, gyros first."""
 
 PARAMETER_NAMES: tuple[str, ...] = tuple(p.name for p in PARAMETERS)
 
@@ -166,7 +166,7 @@ def skewed_parameters(channels: int) -> tuple[Parameter, ...]:
 
 
 def linear_product(parameter: Parameter) -> Product:
-    """Return what a parameter of the linear model is multiplied by: an input of its triad, or one.
+    """Return the factor of a parameter of the linear model: an input of its triad, or one.
 
     Args:
         parameter: One of `PARAMETERS` or of a skewed gyro.
@@ -177,7 +177,7 @@ def linear_product(parameter: Parameter) -> Product:
 
 
 def indices_of(wanted: Sequence[Parameter], among: Sequence[Parameter]) -> list[int]:
-    """Return where parameters stand in a longer list.
+    """Return the indices of parameters in a longer list.
 
     Raises:
         KeyError: One is not in it.

@@ -1,4 +1,4 @@
-"""The sensor model: what the channels of an IMU answer to rates and specific forces."""
+"""The sensor model: outputs of the channels of an IMU for rates and specific forces."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .terms import G_SENSITIVITIES, G_SENSITIVITY, TERMS, Term, term
 
 _IDENTITY = np.eye(3)
 _ENTRIES = np.array([0, 4, 8, 1, 2, 3, 5, 6, 7])
-"""Of an error matrix row by row, in the order of `PARAMETERS`: first the diagonal."""
+"""Indices of an error matrix row by row, in the order of `PARAMETERS`: first the diagonal."""
 _BASE = len(PARAMETERS)
 _G = slice(_BASE, _BASE + len(G_SENSITIVITIES))
 _UNSKEWED = (*PARAMETERS, *(p for one in TERMS for p in one.parameters))
@@ -36,14 +36,14 @@ PRODUCTS: Mapping[Parameter, Product] = {
     **{p: linear_product(p) for p in (*PARAMETERS, *skewed_parameters(MOST_SKEWED))},
     **{p: product for one in TERMS for p, product in one.products},
 }
-"""What each parameter is multiplied by."""
+"""The factor of each parameter."""
 
 
 def parameters_of(terms: Sequence[Term] = (), *, skewed: int = 0) -> tuple[Parameter, ...]:
     """Return the parameters of a model in the order of its vectors and covariance.
 
     Args:
-        terms: What it has besides the 24, in any order.
+        terms: Its terms beyond the 24 parameters, in any order.
         skewed: Number of skewed gyros.
     """
     chosen = [p for one in TERMS if one in terms for p in one.parameters]
@@ -51,7 +51,7 @@ def parameters_of(terms: Sequence[Term] = (), *, skewed: int = 0) -> tuple[Param
 
 
 def terms_of(parameters: Sequence[Parameter]) -> tuple[Term, ...]:
-    """Return the terms that have some of the parameters."""
+    """Return the terms to which some of the parameters belong."""
     kinds = {p.kind for p in parameters}
     return tuple(one for one in TERMS if one.kind in kinds)
 
@@ -60,7 +60,7 @@ def by_name(names: Sequence[str]) -> tuple[Parameter, ...]:
     """Return the parameters of these names.
 
     Raises:
-        KeyError: A name that no parameter has.
+        KeyError: No parameter has such a name.
     """
     return tuple(_NAMES[name] for name in names)
 
@@ -70,12 +70,12 @@ _NAMES = {parameter.name: parameter for parameter in _ALL}
 
 @dataclass(frozen=True, eq=False)
 class Regressors:
-    """Parameters by what they are multiplied by.
+    """Parameters grouped by their factors.
 
     Attributes:
-        channels: (n,) output that each adds to, as in `Parameter.channel`.
-        products: What they are multiplied by, each once.
-        index: (n,) which of the products is each one's.
+        channels: (n,) output to which each adds, as in `Parameter.channel`.
+        products: The factors, each once.
+        index: (n,) index of each parameter's factor.
     """
 
     channels: NDArray[np.intp]
@@ -93,7 +93,7 @@ class Regressors:
 
 @lru_cache(maxsize=64)
 def regressors(parameters: tuple[Parameter, ...]) -> Regressors:
-    """Return by what parameters are multiplied, in the order in which products first come."""
+    """Return the factors of parameters, in order of first occurrence."""
     mine = [PRODUCTS[parameter] for parameter in parameters]
     products = tuple(dict.fromkeys(mine))
     return Regressors(
@@ -141,7 +141,7 @@ class Triad:
 
 @dataclass(frozen=True, eq=False)
 class Skewed:
-    """Gyros whose input axes lie askew to X, Y and Z: n_s = response w + bias.
+    """Gyros with input axes skewed to X, Y and Z: n_s = response w + bias.
 
     Scale factor and direction are not separated, so no small angle is needed (CN103697918A).
 
@@ -154,7 +154,7 @@ class Skewed:
     bias: Floats
 
     def predict(self, rate: Floats) -> Floats:
-        """Return what the channels read, (..., k) rad/s, for (..., 3) rates."""
+        """Return the readings, (..., k) rad/s, for (..., 3) rates."""
         return np.asarray(rate @ self.response.T + self.bias)
 
 
@@ -162,8 +162,8 @@ class Skewed:
 class SensorModel:
     """Gyros and accelerometers of one unit, in SI after the nominal scale factor.
 
-    n_g = (I + M_g) w + d_g + G f and n_a = (I + M_a) f + d_a, and what the terms add. What places
-    and delays of the accelerometers add in motion is not in it: see `motion`.
+    n_g = (I + M_g) w + d_g + G f and n_a = (I + M_a) f + d_a, plus the terms. The effect of motion
+    terms of the accelerometers is not included: see `motion`.
 
     Attributes:
         gyro: The gyro triad.
@@ -183,7 +183,7 @@ class SensorModel:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What the model has: the 24, the terms that are in it, the skewed gyros'."""
+        """Its parameters: the 24, those of its terms, those of skewed gyros."""
         mine = [term(name) for name in self.terms]
         if self.g_sensitivity.any():
             mine.append(G_SENSITIVITY)
@@ -201,15 +201,14 @@ class SensorModel:
     def values(self, parameters: Sequence[Parameter]) -> Floats:
         """Return the values of parameters, SI units.
 
-        Those of a term that the model does not have are zero, those of a skewed gyro that it does
-        not have NaN.
+        Those of an absent term are zero, those of an absent skewed gyro NaN.
         """
         return self._flat()[_places(tuple(parameters))]
 
     def with_values(self, parameters: Sequence[Parameter], values: Floats) -> SensorModel:
         """Return the model with other values of some parameters, (n,) SI units.
 
-        A term of which a parameter is set is in the model from then on; so is a skewed gyro.
+        A term or a skewed gyro is added to the model if one of its parameters is set.
         """
         chosen = tuple(parameters)
         flat = self._flat()
@@ -230,20 +229,20 @@ class SensorModel:
         return SensorModel(base.gyro, base.accel, flat[_G].reshape(3, 3), skewed, terms)
 
     def fingerprint(self) -> bytes:
-        """Return what is the same of models that answer alike: a term of zeros is none."""
+        """Return a key equal for models with equal outputs: a term of zeros does not count."""
         return self._flat().tobytes()
 
     def gyros_fingerprint(self) -> bytes:
-        """Return what is the same of models whose gyros answer alike, whatever is felt.
+        """Return a key equal for models with equal gyro outputs at any specific force.
 
-        With terms the answers are inverted together: rounding of one triad may reach the other.
+        With terms, both triads are inverted together: rounding of one may affect the other.
         """
         if self.linear and not self.gyros_feel_force:
             return self.gyro.vector().tobytes()
         return self.fingerprint()
 
     def _flat(self) -> Floats:
-        """Return all that there can be, in the order of `_ALL`."""
+        """Return the values of all possible parameters, in the order of `_ALL`."""
         flat = np.zeros(len(_ALL))
         flat[len(_UNSKEWED) :] = np.nan
         flat[:_BASE] = self.vector()
@@ -256,7 +255,7 @@ class SensorModel:
         return flat
 
     def predict(self, rate: Floats, force: Floats) -> tuple[Floats, Floats]:
-        """Return what the channels read.
+        """Return the readings of the channels.
 
         Args:
             rate: (..., 3) angular rate along the body axes, rad/s.
@@ -275,13 +274,13 @@ class SensorModel:
     def derivatives(self, rate: Floats, force: Floats, parameters: tuple[Parameter, ...]) -> Floats:
         """Return the derivatives of the six outputs by parameters, (..., 6, n).
 
-        The model is linear in them: these do not depend on their values. A skewed gyro's do not
-        touch the six.
+        The model is linear in the parameters: the derivatives do not depend on their values. Those
+        by a skewed gyro's parameters are zero.
 
         Args:
             rate: (..., 3) rad/s.
             force: (..., 3) m/s^2.
-            parameters: By which.
+            parameters: The parameters.
         """
         by = regressors(parameters)
         result = np.zeros((*rate.shape[:-1], 6, len(parameters)))
@@ -298,7 +297,7 @@ class SensorModel:
 
     @property
     def gyros_feel_force(self) -> bool:
-        """Whether the gyros answer to specific force."""
+        """Whether the gyros respond to specific force."""
         felt = any(p.degree_in_force for channel, _, p in self._products if channel < len(AXES))
         return felt or bool(self.g_sensitivity.any())
 
@@ -309,7 +308,7 @@ class SensorModel:
 
     @cached_property
     def _products(self) -> tuple[tuple[int, float, Product], ...]:
-        """Channel, coefficient and product of all that is not linear."""
+        """Channel, coefficient and product of each nonlinear addition."""
         return tuple(
             (parameter.channel, float(value), product)
             for name, values in self.terms.items()
@@ -318,7 +317,7 @@ class SensorModel:
         )
 
     def extra(self, inputs: Floats) -> Floats:
-        """Return what the terms add to the six outputs, (..., 6), at (..., 6) inputs."""
+        """Return the addition of the terms to the six outputs, (..., 6), at (..., 6) inputs."""
         result = np.zeros(inputs.shape)
         for channel, value, product in self._products:
             result[..., channel] += value * product.value(inputs)
@@ -332,7 +331,7 @@ class SensorModel:
         return result
 
     def compensate(self, gyro: Floats, accel: Floats) -> tuple[Floats, Floats]:
-        """Return the rate and the specific force that the channels' readings mean.
+        """Return the rate and the specific force for readings of the channels.
 
         Args:
             gyro: (..., 3) gyro channels, rad/s.
@@ -342,7 +341,7 @@ class SensorModel:
             Angular rate (..., 3) in rad/s and specific force (..., 3) in m/s^2, body axes.
 
         Raises:
-            NotObservable: A response matrix is singular, or terms outgrow the responses.
+            NotObservable: A response matrix is singular, or terms exceed the responses.
 
         Source: Luo 2018, eqs. (2-190) to (2-193); docs/mathematics.md, 'Terms', for the others.
         """
@@ -368,6 +367,6 @@ class SensorModel:
 
 
 def _solved(matrix: Floats, vectors: Floats) -> Floats:
-    """Return what a (3, 3) matrix makes vectors (..., 3) of: each has the bits it has alone."""
+    """Return a (3, 3) matrix times vectors (..., 3): each with the bits that it has alone."""
     inverse = np.asarray(np.linalg.inv(matrix))
     return times_transpose(vectors.reshape(-1, 3), inverse).reshape(vectors.shape)

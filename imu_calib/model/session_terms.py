@@ -1,9 +1,9 @@
-"""Terms of a session: by how much parameters change while it lasts, with time or temperature.
+"""Terms of a session: change of parameters with time or temperature during it.
 
 A coefficient c changes each of its parameters p by c times a known function of the output's time or
-temperature, so that the outputs change by that times their derivative by p. The functions are
-centred: parameters are those of the session's mean state. Scale factors of a triad change together
-unless it is asked otherwise, since twelve positions see that of each axis once.
+temperature; the outputs change by that times their derivative by p. The functions are centred:
+parameters are those of the session's mean state. Scale factors of a triad change together by
+default, since twelve positions observe that of each axis once.
 
 Source: docs/mathematics.md, 'Terms of a session'.
 """
@@ -21,13 +21,13 @@ from .kinds import ParameterKind, Unit
 from .parameters import PARAMETERS, Parameter
 
 BY_DEFAULT = ('D_g', 'D_a', 'K_g', 'K_a')
-"""What a term of a session acts on where nothing is named."""
+"""The parameters that a term of a session changes by default."""
 _SECONDS_PER_HOUR = 3600.0
 """Engineers write drifts per hour."""
 
 
 class Course(Enum):
-    """What the parameters follow; the value is the name of the term."""
+    """What the parameters depend on; the value is the name of the term."""
 
     TREND = 'trend'
     """Time, s, from the middle of the session."""
@@ -38,7 +38,7 @@ class Course(Enum):
 
     @property
     def words(self) -> str:
-        """What it is, for people."""
+        """Description in words."""
         return {
             Course.TREND: 'parameters that drift evenly with time',
             Course.WARM_UP: 'parameters that settle as the unit warms up',
@@ -47,12 +47,12 @@ class Course(Enum):
 
     @property
     def per(self) -> str:
-        """What a coefficient is per, in SI, with its sign of division."""
+        """The unit by which a coefficient is divided, in SI, with the sign of division."""
         return {Course.TREND: '/s', Course.WARM_UP: '', Course.THERMAL: '/K'}[self]
 
     @property
     def shown_per(self) -> tuple[str, float]:
-        """The same as engineers write it, and how much of the SI unit that is."""
+        """The same as shown to engineers, and its factor to the SI unit."""
         return {
             Course.TREND: (' per h', 1 / _SECONDS_PER_HOUR),
             Course.WARM_UP: ('', 1.0),
@@ -62,13 +62,14 @@ class Course(Enum):
 
 @dataclass(frozen=True)
 class Change:
-    """One coefficient.
+    """One coefficient of a term of a session.
 
     Attributes:
-        course: What it is multiplied by.
-        name: Of its parameter, or of the triad's scale factors in common: K_g, K_a.
-        parameters: What changes by it.
-        asked: Whether it was asked for by name; else it goes where the session cannot tell it.
+        course: Its factor.
+        name: Its parameter, or the common scale factors of a triad: K_g, K_a.
+        parameters: The parameters that it changes.
+        asked: Whether it was asked for by name; else it is dropped if the session does not
+            determine it.
     """
 
     course: Course
@@ -78,7 +79,7 @@ class Change:
 
     @property
     def unit(self) -> Unit:
-        """Units of the parameters that it changes; its own are `Course.per` of that."""
+        """Units of the parameters that it changes; its own is `Course.per` of that."""
         return self.parameters[0].unit
 
     @property
@@ -93,9 +94,9 @@ class Change:
 
 
 LOOKED_FOR = (Course.TREND, Course.WARM_UP)
-"""Courses that every session has, and that are looked for; the two of them at once are refused.
+"""Courses possible in every session, and searched for; both at once are refused.
 
-The temperature is looked for besides where a session records one that moves.
+The temperature is also searched for if a session records one that changes.
 """
 
 SESSION_TERMS = tuple(course.value for course in Course)
@@ -103,10 +104,10 @@ SESSION_TERMS = tuple(course.value for course in Course)
 
 
 def session_term(text: str) -> tuple[Change, ...]:
-    """Return the coefficients of a term: 'trend', or with what it acts on 'trend:D_a+K_ax'.
+    """Return the coefficients of a term: 'trend', or with the parameters, as 'trend:D_a+K_ax'.
 
-    D_g and D_a stand for the three biases of a triad, K_g and K_a for its scale factors in common;
-    all four are taken where nothing is named.
+    D_g and D_a stand for the three biases of a triad, K_g and K_a for its common scale factors;
+    without parameters, all four are taken.
 
     Raises:
         InputError: No such term, or no such parameter.
@@ -121,13 +122,13 @@ def session_term(text: str) -> tuple[Change, ...]:
 
 
 def split_terms(text: str) -> tuple[str, tuple[Change, ...]]:
-    """Take the terms of a session out of a list with commas between.
+    """Separate the terms of a session from a list with commas.
 
     Returns:
-        What else is in it, or 'none', and their coefficients.
+        The rest of the list, or 'none', and the coefficients.
 
     Raises:
-        InputError: A name that is wrong, or trend and warm-up at once.
+        InputError: A name is wrong, or trend and warm-up are combined.
     """
     if not isinstance(text, str):
         raise InputError(f'`terms`: found {text!r}, expected names in a text, with commas between.')
@@ -156,12 +157,12 @@ def change(course: Course, name: str) -> Change:
 
 
 def names_of(changes: Sequence[Change]) -> tuple[str, ...]:
-    """Return the names of the terms that coefficients belong to, in order."""
+    """Return the names of the terms to which coefficients belong, in order."""
     return tuple(dict.fromkeys(c.course.value for c in changes))
 
 
 def terms_in_words(changes: Sequence[Change]) -> list[str]:
-    """Return terms as a person would ask for them (`session_term`), in order."""
+    """Return terms in the form in which they are asked for (`session_term`), in order."""
     found = []
     for course in dict.fromkeys(c.course for c in changes):
         mine = [c for c in changes if c.course is course]
@@ -171,11 +172,11 @@ def terms_in_words(changes: Sequence[Change]) -> list[str]:
 
 
 def largest(changes: Sequence[Change], values: Sequence[float | None]) -> str:
-    """Return the largest of each kind of coefficients for people: 'D_g 0.2 deg/h per h, K_a ...'.
+    """Return the largest coefficient of each kind as text: 'D_g 0.2 deg/h per h, K_a ...'.
 
     Args:
         changes: The coefficients.
-        values: Of each, SI units; None or infinite for one that is not known.
+        values: Of each, SI units; None or infinite if unknown.
     """
     found: dict[str, float] = {}
     shown: dict[str, str] = {}

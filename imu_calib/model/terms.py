@@ -1,10 +1,10 @@
-"""Terms beyond the 24 parameters: what a channel adds to its output besides I + M and bias.
+"""Terms beyond the 24 parameters: additions to a channel's output besides I + M and bias.
 
 Every parameter of a term is multiplied by a product of the instantaneous inputs (`Product`), from
-which prediction, derivatives, inversion and code follow; of two terms motion alone shows what
+which prediction, derivatives, inversion and code follow; two terms are observable in motion alone
 (`motion`). `TERMS` is their order in vectors.
 
-Rates count in units of 60 deg/s, so that the coefficients are ratios of the size of what they do.
+Rates are in units of 60 deg/s, so that the coefficients are ratios of the size of their effect.
 
 Sources: IEEE Std 1293 (model equation of a linear accelerometer), IEEE Std 952 and 1431 (gyros),
 IEEE Std 528 (the words); docs/mathematics.md, 'Terms'.
@@ -21,10 +21,10 @@ from .parameters import AXES, NOTHING, Parameter, Product
 from .session_terms import SESSION_TERMS
 
 NO_TERMS = 'none'
-"""What a person writes for the 24 parameters alone."""
+"""Input that stands for the 24 parameters alone."""
 
 AUTO_TERMS = 'auto'
-"""What a person writes for those that the session shows, alone or among names."""
+"""Input that stands for the terms that the session shows, alone or among names."""
 
 REFERENCE_RATE = 60 * DEG
 """Rate at which the coefficients of gyros' terms are stated, rad/s."""
@@ -37,10 +37,10 @@ class Term:
     Attributes:
         name: As in `--terms` and in files.
         kind: Of all its parameters.
-        products: Its parameters, in order, with what each is multiplied by.
-        needs: What a session must have to determine it; ends 'it takes'.
-        moving: What it adds to channel i where only motion shows it (`motion`), for people; empty
-            for others.
+        products: Its parameters, in order, each with its factor.
+        needs: What a session must contain to determine it; ends 'it takes'.
+        moving: Its addition to channel i if it is a motion term (`motion`), as text; empty for
+            others.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Term:
 
     @property
     def formula(self) -> str:
-        """What it adds to channel i, for people: the coefficients are those of files."""
+        """Its addition to channel i as text: the coefficients are those of files."""
         if self.moving:
             channel = '[i]' if len(self.products) > 1 else ''
             return f'{self.name}{channel} {self.moving}'
@@ -67,12 +67,12 @@ class Term:
 
     @property
     def linear(self) -> bool:
-        """Whether the outputs stay linear in the inputs with it."""
+        """Whether the outputs remain linear in the inputs with it."""
         return all(p.is_zero or (len(p.factors) == 1 and not p.absolute) for _, p in self.products)
 
     @property
     def triad(self) -> str:
-        """Whose outputs it adds to: 'g' or 'a'."""
+        """The triad to whose outputs it adds: 'g' or 'a'."""
         return self.parameters[0].triad
 
 
@@ -116,7 +116,7 @@ GYRO_RATE_DEPENDENCE = _own(
     'turns about each axis at two rates or more, four to tell it from gyro_cubic',
     1 / REFERENCE_RATE,
 )
-"""N_i w_i |w_i| / w_ref: a scale factor that changes with the size of the rate, evenly."""
+"""N_i w_i |w_i| / w_ref: a scale factor that changes with the rate, alike in both senses."""
 
 GYRO_CUBIC = _own(
     ParameterKind.GYRO_CUBIC,
@@ -136,7 +136,7 @@ GYRO_QUADRATIC = _own(
     'turns about each axis, in both senses at three rates to tell it from gyro_asymmetry',
     1 / REFERENCE_RATE,
 )
-"""Q_i w_i^2 / w_ref: scale factors of the senses that differ by the more the faster it turns."""
+"""Q_i w_i^2 / w_ref: scale factors of both senses whose difference grows with the rate."""
 
 ACCEL_QUADRATIC = _own(
     ParameterKind.ACCEL_QUADRATIC,
@@ -165,7 +165,7 @@ ACCEL_CUBIC = _own(
     0,
     'static dwells with each axis some 45 degrees off the vertical',
 )
-"""K3_i f_i^3 (IEEE Std 1293, K_3). At 0 and 1 g it is the scale factor."""
+"""K3_i f_i^3 (IEEE Std 1293, K_3). At 0 and 1 g it cannot be separated from the scale factor."""
 
 ACCEL_CROSS = Term(
     'accel_cross',
@@ -192,7 +192,7 @@ GYRO_G2 = Term(
     ),
     'static dwells with each axis up, down and horizontal, and turns about each',
 )
-"""G2_i f_i^2 to gyro i: specific force along its axis, whatever its sign (IEEE Std 952)."""
+"""G2_i f_i^2 to gyro i: specific force along its axis, independent of its sign (IEEE Std 952)."""
 
 _OF_MOVES = (
     'moves from rest to rest about each axis, of a table with joint states, and pulses of the '
@@ -211,9 +211,10 @@ SIZE_EFFECT = Term(
     f'{_OF_MOVES} a centimetre',
     '(m, along the two other axes) as its place r_i: row i of ([dw/dt] + [w][w]) r_i',
 )
-"""Accelerometer i is at r_i. Where the unit is turned about is anybody's choice, and so is one
-component of each place: that along its own axis is zero. The point whose x, y and z are those of
-the accelerometers x, y and z is where the specific force holds."""
+"""Accelerometer i is at r_i. The reference point is a free choice, so one component of each place
+is
+fixed: that along its own axis is zero. The specific force refers to the point whose x, y and z are
+those of the accelerometers x, y and z."""
 
 DELAY = Term(
     'delay',
@@ -222,8 +223,8 @@ DELAY = Term(
     f'{_OF_MOVES} a millisecond',
     '(s after the gyros): it reads what it should have read so much earlier',
 )
-"""The accelerometers answer so much later than the gyros do; all three alike, since moves by right
-angles do not tell one that is late from one that is elsewhere."""
+"""Delay of the accelerometers after the gyros; common to all three, since moves by right angles do
+not separate a delay of one from a displacement of it."""
 
 TERMS: tuple[Term, ...] = (
     G_SENSITIVITY,
@@ -242,11 +243,11 @@ TERMS: tuple[Term, ...] = (
 """All terms, in the order of vectors and covariances: after the 24 parameters."""
 
 G_SENSITIVITIES: tuple[Parameter, ...] = G_SENSITIVITY.parameters
-"""The nine that make 33."""
+"""The nine g-sensitivities, which make 33 parameters."""
 
 
 def named_terms(text: str) -> tuple[Term, ...]:
-    """Return the terms that a person names: 'none', or names with commas between, 'auto' left out.
+    """Return the terms in a text: 'none', or names with commas between; 'auto' is left out.
 
     Raises:
         InputError: No such term.
@@ -258,7 +259,7 @@ def named_terms(text: str) -> tuple[Term, ...]:
 
 
 def asks_for_search(text: str) -> bool:
-    """Say whether a person asks for the terms that the session shows: 'auto' among the names."""
+    """Return whether the search for terms is asked for: 'auto' among the names."""
     return AUTO_TERMS in [name.strip() for name in text.split(',')]
 
 
