@@ -1,4 +1,4 @@
-"""Simulated hardware: a turntable, an IMU on it, and a stand that runs a plan with both."""
+"""Simulated hardware: a turntable, an IMU on it, and a stand that runs a plan on both."""
 
 from .imperfections import load_imperfections, read_imperfections
 from .imu import SimulatedImu

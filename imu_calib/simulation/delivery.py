@@ -1,4 +1,4 @@
-"""From the sensors to the recording: samples that are late, lost, sent twice or frozen."""
+"""Deliver samples from the sensors to the recording: late, lost, repeated or frozen."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ..stream import Floats
 from .options import Delivery
 
 _QUEUED = 20e-6
-"""From one message to the next when they come off a queue, s: a driver's loop."""
+"""s between messages from a queue: the loop of a driver."""
 
 
 class DeliveryLine:
-    """Delivers samples in order, block by block; how they are cut into blocks does not matter.
+    """Deliver samples in order, block by block; the result does not depend on how blocks are cut.
 
     Args:
-        delivery: What happens to them.
+        delivery: Faults of the delivery.
         period: Sample interval by the device's clock, s.
         rng: Source of all randomness.
 
@@ -33,30 +33,30 @@ class DeliveryLine:
         self._freeze = self._next_freeze(0.0)
 
     def arrivals(self, first: int, elapsed: Floats) -> Floats:
-        """Return when samples arrive, (n,) s, that were made at (n,) times; in order.
+        """Return the arrival times, (n,) s, of samples made at (n,) times; in order.
 
         Args:
             first: Number of the first sample since the start.
-            elapsed: By the clock that stamps them, s.
+            elapsed: By the stamping clock, s.
 
         """
         delivery = self._delivery
         if delivery.bunch <= 1 and not delivery.late:
             return elapsed
         number = first + np.arange(len(elapsed))
-        # A bunch goes when its last sample is there.
+        # A bunch is sent when its last sample is made.
         waits = (-number - 1) % delivery.bunch * self._period
         if delivery.late:
             chance, delay = self._late.random((len(number), 2)).T
             waits = waits - np.log1p(-delay) * delivery.delay * (chance < delivery.late)
-        # What is held up holds up those behind: a queue, emptied one by one.
+        # A late sample delays those behind it: a queue, emptied one by one.
         order = _QUEUED * number
         ready = np.maximum.accumulate(np.append(self._ready, elapsed + waits - order))
         self._ready = float(ready[-1])
         return np.asarray(ready[1:] + order)
 
     def pass_on(self, first: int, values: Floats) -> tuple[NDArray[np.intp], Floats]:
-        """Return which of (n, c) samples arrive, as rows in order, and what they say then."""
+        """Return which of (n, c) samples arrive, as rows in order, and their delivered values."""
         delivery = self._delivery
         values = self._frozen(first, values)
         rows = np.arange(len(values))
@@ -67,7 +67,7 @@ class DeliveryLine:
         return rows, values[rows]
 
     def _frozen(self, first: int, values: Floats) -> Floats:
-        """Repeat the sample before a freeze as long as it lasts; what was counted is lost."""
+        """Repeat the sample before a freeze while it lasts; its counts are lost."""
         if not math.isfinite(self._delivery.frozen_every) or not len(values):
             return values
         times = (first + np.arange(len(values))) * self._period

@@ -1,4 +1,4 @@
-"""What is broken in simulated hardware at the moment, as a person orders it in words."""
+"""Present faults of simulated hardware, set by commands in words."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _OF_LINE = {
 
 @dataclass
 class TableFaults:
-    """What is broken in the table.
+    """Faults of the table.
 
     Attributes:
-        stalled: It stands and hears nothing.
+        stalled: It stands still and ignores all setpoints.
         refusing: It drops every setpoint.
-        overshoot: By how much it goes beyond every position, rad.
-        delay: Setpoints reach it so much late, s.
-        joint_rate: Hz of the joint states, None as configured.
+        overshoot: Distance beyond every goal, rad.
+        delay: Delay of setpoints, s.
+        joint_rate: Rate of the joint states, Hz; None as configured.
 
     """
 
@@ -39,13 +39,13 @@ class TableFaults:
 
 @dataclass
 class LineFaults:
-    """What is broken in an IMU or on its line.
+    """Faults of an IMU or of its line.
 
     Attributes:
-        silence: The line is dead for so long, s.
-        freeze: The IMU repeats its last sample for so long, s; its counter goes on.
-        garbage: So many bytes of nonsense come into the line.
-        damage: Of so many frames in a hundred one byte is another on the way.
+        silence: Time for which the line is dead, s.
+        freeze: Time for which the IMU repeats its last sample, s; its counter continues.
+        garbage: Number of random bytes inserted into the line.
+        damage: Percentage of frames in which one byte is changed.
         clock_jump: Added to the device's clock, s.
 
     """
@@ -58,12 +58,12 @@ class LineFaults:
 
 
 def order(text: str, table: TableFaults, line: LineFaults) -> None:
-    """Break or mend something: a fault, with a number where it needs one.
+    """Set or clear a fault, with a number if it needs one.
 
     Args:
-        text: For instance 'silence 2.0'; 'clear' mends all.
-        table: Of the table.
-        line: Of the unit that is meant.
+        text: For instance 'silence 2.0'; 'clear' clears all.
+        table: Faults of the table.
+        line: Faults of the unit.
 
     Raises:
         InputError: There is no such fault, or its number is missing.
@@ -76,7 +76,7 @@ def order(text: str, table: TableFaults, line: LineFaults) -> None:
         value = None
     if name == 'clear':
         vars(table).update(vars(TableFaults()))
-        # A clock that has jumped stays where it is.
+        # The offset of a clock that has jumped stays.
         vars(line).update(vars(LineFaults(clock_jump=line.clock_jump)))
     elif name in {'stall', 'refuse'}:
         table.stalled, table.refusing = table.stalled or name == 'stall', True

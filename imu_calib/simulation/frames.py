@@ -11,7 +11,7 @@ from ..errors import InputError
 from ..stream import Floats, ImuBlock
 
 SYNC = 0x55AA
-"""First two bytes of a frame: AA 55, as it is sent low byte first."""
+"""First two bytes of a frame: AA 55, low byte first."""
 
 FRAME = np.dtype(
     [
@@ -32,7 +32,7 @@ SKEWED_FRAME = np.dtype(
     + [('skew', '<i4')]  # pulses or counts of the skewed gyro
     + [(name, FRAME[name]) for name in ('temperature', 'status', 'crc')]
 )
-"""One sample of a unit that has a skewed gyro as well, 48 bytes."""
+"""One sample of a unit with a skewed gyro, 48 bytes."""
 
 Frames = NDArray[np.void]
 
@@ -59,7 +59,7 @@ def pack(
         celsius: (n,) temperature, degrees Celsius.
         counter: Frame counters of the samples, (n,), or that of the first.
         status: (n,) status bits; zero if not given.
-        skew: (n,) what a skewed gyro counted; the frames are `SKEWED_FRAME`s with it.
+        skew: (n,) counts of a skewed gyro; the frames are `SKEWED_FRAME`s with it.
 
     Raises:
         InputError: A value is not a whole number within 32 bits.
@@ -86,10 +86,10 @@ def pack(
 
 
 def unpack(data: bytes) -> Frames:
-    """Read frames that follow each other without gaps, as an array of dtype `FRAME`.
+    """Read consecutive frames without gaps, as an array of dtype `FRAME`.
 
     Raises:
-        InputError: A frame is cut short, out of step or damaged; says which.
+        InputError: A frame is cut short, out of step or damaged; names it.
 
     """
     if len(data) % FRAME.itemsize:

@@ -1,4 +1,4 @@
-"""A unit that is turned by hand: holds in any attitudes, no table, no setpoints."""
+"""A unit turned by hand: holds in any attitudes, without table and setpoints."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ from .options import ImuOptions
 from .tracks import Track, side_by_side, trapezoid
 
 PAUSE = 0.2
-"""From the end of a turn to a hand that is quiet, s."""
+"""s from the end of a turn until the hand is still."""
 
 _STILL = 2.0
-"""Before and after a whole turn, s."""
+"""s at rest before and after a whole turn."""
 
 _BLOCK_SECONDS = 10.0
 """s of samples computed at once."""
 _SAME = 1e-6
-"""rad: attitudes closer than that are one, and have no axis between them."""
+"""rad: closer attitudes count as equal, without an axis between them."""
 _EPOCH = 1_700_000_000_000_000_000
-"""ns: a date of the recording that is the same in every run."""
+"""ns: start of the recording, the same in every run."""
 AXES = np.array([[0.0, 0, 1], [0, 1, 0], [1, 0, 0]])
-"""Of the joints that a hand is simulated by: z, y, x."""
+"""Axes of the joints that simulate a hand: z, y, x."""
 
 
 @dataclass(frozen=True, eq=False)
 class HandSession:
-    """A session by hand as it truly was.
+    """The true motion of a session by hand.
 
     Attributes:
         motion: Of the unit.
-        holds: (n, 2) when it stood still, s.
+        holds: (n, 2) times at rest, s.
         duration: s.
 
     """
@@ -66,7 +66,7 @@ class HandSession:
         *,
         epoch: int = _EPOCH,
     ) -> Iterator[ImuBlock]:
-        """Yield what the IMU delivers; its first stamp is at `epoch`, ns."""
+        """Yield the output of the IMU; its first stamp is at `epoch`, ns."""
         rng = np.random.default_rng(seed)
         imu = SimulatedImu(spec, model, site, options, rng, epoch=epoch)
         for end in np.append(
@@ -82,14 +82,14 @@ def one_turn_each(
     turn: float = 2.0,
     acceleration: float = 720 * DEG,
 ) -> HandSession:
-    """Lay out holds with one turn about one axis from each to the next.
+    """Plan holds with one turn about one axis from each to the next.
 
-    Between two holds in the same attitude it is a whole turn about what is up.
+    Between two holds in the same attitude it is a whole turn about the vertical.
 
     Args:
         attitudes: (n, 3, 3) R_nb of the holds.
-        seconds: (n,) how long each hold lasts.
-        turn: From hold to hold, the pause after it included, s; enough for a whole turn.
+        seconds: (n,) duration of each hold, s.
+        turn: Time from hold to hold, including the pause after it, s; enough for a whole turn.
         acceleration: rad/s^2.
 
     """
@@ -136,10 +136,10 @@ def the_short_way(ups: Floats, seconds: Floats, *, heading: float = 0.0) -> Hand
 
 
 def as_planned(plan: Plan, rng: np.random.Generator) -> HandSession:
-    """Lay out a plan that is turned by hand, every hold at an unknown heading.
+    """Plan the motion for a plan by hand, every hold at an unknown heading.
 
     Args:
-        plan: Its turns go from rest to rest and end where they began.
+        plan: Its turns start and end at rest and at the same attitude.
         rng: Source of the headings.
 
     """
@@ -153,14 +153,14 @@ def as_planned(plan: Plan, rng: np.random.Generator) -> HandSession:
 
 
 def upright(up: Floats) -> Floats:
-    """Return an attitude R_nb (3, 3) with a direction (3,) of the body up, whatever its heading."""
+    """Return an attitude R_nb (3, 3) with a direction (3,) of the body up, at any heading."""
     other = np.eye(3)[int(np.argmin(np.abs(up)))]
     east = np.cross(other, up) / np.linalg.norm(np.cross(other, up))
     return np.array([east, np.cross(up, east), up])
 
 
 def directions(count: int, rng: np.random.Generator) -> Floats:
-    """Return (count, 3) directions of up in body axes, spread evenly, in any order."""
+    """Return (count, 3) directions of up in body axes, evenly spread, in random order."""
     # Points of a spiral of equal area (Saff and Kuijlaars 1997).
     height = 1 - (2 * np.arange(count) + 1) / count
     turn = np.pi * (1 + np.sqrt(5)) * np.arange(count)

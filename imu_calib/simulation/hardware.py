@@ -1,4 +1,4 @@
-"""A simulated table with IMUs that live: time passes in steps, setpoints come in, bytes go out."""
+"""A simulated table with live IMUs: time passes in steps, setpoints come in, bytes go out."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from .stand import instants
 from .table import SimulatedTable, TableState
 
 _MEMORY = 5.0
-"""s of motion kept behind what is being sent."""
+"""s of past motion kept."""
 
 
 @dataclass(frozen=True, eq=False)
 class Output:
-    """What the hardware says in one step: joint states, and bytes on the line of each IMU."""
+    """Output of the hardware in one step: joint states, and bytes on the line of each IMU."""
 
     joints: JointBlock
     lines: tuple[bytes, ...]
@@ -36,7 +36,7 @@ class SimulatedHardware:
 
     Attributes:
         time: s since the epoch.
-        refusals: Setpoints that the table refused, and why; taken by the caller.
+        refusals: Refused setpoints, with reasons; taken by the caller.
 
     """
 
@@ -51,14 +51,14 @@ class SimulatedHardware:
         """Switch on.
 
         Args:
-            table: As it is described.
+            table: Its description.
             units: At least one.
-            site: Where it stands.
-            options: What is not in the files.
-            seed: Of all randomness, but for that of units with seeds of their own.
+            site: Site of the stand.
+            options: Imperfections that are not in the files.
+            seed: Of all randomness, except that of units with their own seeds.
 
         Raises:
-            InputError: The table or an option is none that can be simulated.
+            InputError: The table or an option cannot be simulated.
 
         """
         table_rng, imu_rng, rng = np.random.default_rng(seed).spawn(3)
@@ -70,7 +70,7 @@ class SimulatedHardware:
         for unit in units:
             sources = imu_rng, rng
             if unit.seed is not None:
-                # Switched on again, its noise is not that of the first time again.
+                # Switched on again, its noise differs from that of the first time.
                 again = seed[1:] if isinstance(seed, tuple) else ()
                 first, second = np.random.default_rng([unit.seed, *again]).spawn(2)
                 sources = first, second
@@ -88,7 +88,7 @@ class SimulatedHardware:
 
     @property
     def state(self) -> TableState:
-        """What the table does now."""
+        """Present state of the table."""
         return self._table.advance(self.time)
 
     @property
@@ -98,15 +98,15 @@ class SimulatedHardware:
 
     @property
     def frames(self) -> tuple[int, ...]:
-        """How many frames each IMU has made, those included that were not sent."""
+        """Number of frames made by each IMU, including those not sent."""
         return tuple(line.frames for line in self._lines)
 
     def fault(self, text: str) -> None:
-        """Break or mend something.
+        """Set or clear a fault.
 
         Args:
-            text: See `faults.order`; what the topic of a unit begins with before it says whose line
-                is meant, else it is the first one's.
+            text: See `faults.order`; the prefix of a unit's topic before it selects that unit's
+                line, otherwise it is the first one's.
 
         Raises:
             InputError: There is no such fault.
@@ -120,11 +120,11 @@ class SimulatedHardware:
             order(text, self._faults, line.faults)
 
     def command(self, setpoint: Setpoint) -> None:
-        """Take a setpoint that comes off the topic now."""
+        """Take a setpoint received from the topic now."""
         self._waiting.append((self.time + self._faults.delay, setpoint))
 
     def advance(self, seconds: float) -> Output:
-        """Let time pass."""
+        """Advance the time."""
         begin, end = self.time, self.time + seconds
         self._command_table()
         rate = self._faults.joint_rate or self._options.joint_state_rate

@@ -1,4 +1,4 @@
-"""A unit in somebody's hand that lives: time passes in steps, advice comes in, bytes go out."""
+"""A live simulated unit in the hand: time passes in steps, guidance comes in, bytes go out."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from .options import ImuOptions
 from .tracks import Track, side_by_side, trapezoid
 
 _SHORTEST, _LONGEST = 3.3, 4.0
-"""Within which the time is drawn that a hand holds an attitude, s; a choice."""
+"""s: range of the random duration of a hold; a choice."""
 _RATE = 180 * DEG
 """rad/s: a wrist turns a unit by half a turn in a second."""
 _ACCELERATION = 720 * DEG
-"""rad/s^2: the rate is there after a quarter of a second."""
+"""rad/s^2: the rate is reached after a quarter of a second."""
 _AIM = 4 * DEG
-"""rad: standard deviation by which a hand misses the attitude that was asked for."""
+"""rad: standard deviation of the attitude of a hold about the requested one."""
 _ROUND = 30
-"""Attitudes of a round over the sphere."""
+"""Attitudes in one round over the sphere."""
 _MEMORY = 5.0
-"""s of motion kept behind what is being sent."""
+"""s of past motion kept."""
 
 
 class HeldHardware:
     """A unit and the person who holds it, with one clock.
 
-    The person holds it still for three or four seconds, and then on until there is advice that
-    counts this hold, or patience ends; turns it where the advice says, as well as a hand can, or on
-    in an order of its own; and so forth without an end.
+    The person holds it still for three or four seconds, and longer until guidance counts this hold
+    or patience ends; then turns it to the requested attitude, with the accuracy of a hand, or else
+    to the next attitude of a fixed order; and so on without end.
 
     Attributes:
         time: s since the epoch.
-        frames: How many frames the IMU has made.
-        holds: Holds so far, the one that goes on among them.
-        waits: Whether the person holds on for advice.
+        frames: Number of frames made by the IMU.
+        holds: Holds so far, including the present one.
+        waits: Whether the person waits for guidance.
 
     """
 
@@ -73,7 +73,7 @@ class HeldHardware:
 
     @property
     def waits(self) -> bool:
-        """Whether it has been held long enough, and no advice has counted that yet."""
+        """Whether the hold was long enough and no guidance has counted it yet."""
         return self._held >= self._wanted and self._advice[0] <= self._counted
 
     @property
@@ -81,17 +81,17 @@ class HeldHardware:
         return self.time - self._arrived
 
     def advise(self, holds: int, up: Floats | None) -> None:
-        """Hear what to do next.
+        """Take guidance on what to do next.
 
         Args:
-            holds: How many holds the advice knows of.
-            up: (3,) where up should be next, in body axes; None for anywhere else.
+            holds: Number of holds counted by the guidance.
+            up: (3,) requested direction of up, in body axes; None for any.
 
         """
         self._advice = holds, up
 
     def advance(self, seconds: float) -> bytes:
-        """Let time pass; return the bytes on the IMU's line."""
+        """Advance the time; return the bytes on the IMU's line."""
         if self._held >= self._wanted and (not self.waits or self._held >= self._patience):
             self._turn()
         end = self.time + seconds
@@ -123,7 +123,7 @@ class HeldHardware:
         self.holds += 1
 
     def _aimed(self, up: Floats) -> Floats:
-        """Return yaw, pitch and roll that have `up` about there, and any heading."""
+        """Return yaw, pitch and roll with `up` near the vertical, at any heading."""
         pitch, roll = -np.arcsin(np.clip(up[0], -1, 1)), np.arctan2(up[1], up[2])
         off = self._rng.normal(0.0, _AIM, 2)
         return np.array([self._rng.uniform(-np.pi, np.pi), pitch + off[0], roll + off[1]])

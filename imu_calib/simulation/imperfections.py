@@ -1,4 +1,4 @@
-"""A file that says what is wrong with a simulated stand: table, stamps, samples, floor, warmth."""
+"""Read the file of a stand's imperfections: table, stamps, samples, vibration, temperature."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def load_imperfections(
 def read_imperfections(
     section: Section, options: StandOptions, table: Table | None, seed: int
 ) -> StandOptions:
-    """Read imperfections on top of options; what they leave out stays as it is.
+    """Read imperfections on top of options; omitted ones stay unchanged.
 
     Args:
         section: Their YAML mapping.
         options: Of the stand without them.
-        table: As it is described; None where a unit is held by hand.
-        seed: Of what is drawn once for a table: the same seed gives the same table.
+        table: Its description; None for a unit held by hand.
+        seed: Of the table's constant errors: the same seed gives the same table.
 
     Raises:
         InputError: File, key, what was found and what was expected.
@@ -101,7 +101,7 @@ def _table(part: Section, options: StandOptions, table: Table | None, seed: int)
         positioning = part.section(key)
         options = replace(
             options,
-            # The file says it all: not the table's description as well.
+            # The file replaces the positioning error of the table's description.
             positioning_error=0.0,
             stop_error=_size(positioning, 'joints'),
             stop_tilt=_size(positioning, 'tilt'),

@@ -19,7 +19,7 @@ from .options import ImuOptions, ThermalDrift, WarmUp
 
 
 class _Channels:
-    """Three channels of one kind, from what they should read to the numbers they deliver."""
+    """Three channels of one kind: from true inputs to delivered numbers."""
 
     def __init__(
         self,
@@ -45,15 +45,15 @@ class _Channels:
         self._turn_on = turn_on * once.standard_normal(3)
         self._drift = instability * once.standard_normal(3)
         self._accumulated = once.uniform(0.0, 1.0, 3)
-        """Pulses since the start on top of the counter's phase."""
+        """Pulses since the start, plus the initial phase of the counter."""
 
     def deliver(self, mean: Floats, widths: Floats, period: float) -> Floats:
-        """Turn means over sample intervals into pulses, counts or SI.
+        """Convert means over sample intervals to pulses, counts or SI.
 
         Args:
-            mean: (n, 3) what the channels should read, rad/s or m/s^2.
+            mean: (n, 3) mean inputs of the channels, rad/s or m/s^2.
             widths: (n,) true lengths of the intervals, s.
-            period: What they are but for rounding, s.
+            period: Their nominal length without rounding, s.
 
         """
         mean = mean + self._turn_on
@@ -75,7 +75,7 @@ class _Channels:
         """Return the bias (n, 3): first-order Gauss-Markov, stationary from the start."""
         decay = math.exp(-period / self._correlation)
         drive = self._instability * math.sqrt(-math.expm1(-2 * period / self._correlation))
-        # Costs half a second to import, and most runs do without.
+        # Imported here: the import costs half a second, and most runs do not need it.
         from scipy.signal import lfilter
 
         noise = drive * self._bias_noise.standard_normal((count, 3))
@@ -84,22 +84,22 @@ class _Channels:
         return np.asarray(course)
 
     def _count(self, increments: Floats) -> Floats:
-        """Return the differences of a counter that holds the whole part of the sum."""
+        """Return the increments of a counter that holds the whole part of the sum."""
         total = np.cumsum(np.vstack([self._accumulated, increments]), axis=0)
         self._accumulated = total[-1]
         return np.diff(np.floor(total), axis=0)
 
 
 class SimulatedImu:
-    """An IMU that samples in its own clock, whatever the table does.
+    """An IMU that samples by its own clock, independent of the table.
 
-    Each sample is the integral of the true motion over its interval, for accelerometers at the
-    place and with the delay of each, taken through the sensor model, drifted with temperature,
-    disturbed, limited to the range (mean rate of the interval) and counted. Random walk adds a
-    normal number of standard deviation walk * sqrt(interval) to each increment. Bias instability is
-    a first-order Gauss-Markov process whose standard deviation is the data sheet's figure; its
-    Allan deviation peaks at 0.62 of that. Every source of randomness has a stream of its own:
-    switching one off leaves the others as they were.
+    Each sample is the integral of the true motion over its interval, for each accelerometer at its
+    place and with its delay, taken through the sensor model, drifted with temperature, disturbed,
+    limited to the range (mean rate of the interval) and counted. Random walk adds a normal number
+    of standard deviation walk * sqrt(interval) to each increment. Bias instability is a first-order
+    Gauss-Markov process whose standard deviation is the data sheet's figure; its Allan deviation
+    peaks at 0.62 of that. Every source of randomness has a separate stream: switching one off does
+    not change the others.
 
     """
 
@@ -118,8 +118,8 @@ class SimulatedImu:
         Args:
             spec: Units, scale factors and noise.
             model: The truth that a calibration is to find.
-            site: Where the table stands.
-            options: What is not in the data sheet; the defaults if not given.
+            site: Site of the table.
+            options: Imperfections that are not in the data sheet; the defaults if not given.
             rng: Source of all randomness.
             epoch: Host stamp at which time is zero, ns.
 
@@ -139,8 +139,8 @@ class SimulatedImu:
         rng = rng or np.random.default_rng()
         gyros, accels, phase, self._jitter = rng.spawn(4)
         self.skewed: SkewBlock | None = None
-        """What the skewed gyro, if there is one, said of the samples of the last `advance`."""
-        # Drawn last, so that a unit without it gives the bits that it always gave.
+        """Counts of the skewed gyro, if there is one, for the samples of the last `advance`."""
+        # Drawn last, so that a unit without it gives the same bits as before.
         self._skewed = self._channels(rng.spawn(1)[0], 'skewed') if model.skewed else None
         self.taken: NDArray[np.intp] = np.empty(0, np.intp)
         """Numbers of the samples that the last `advance` delivered, counted from the start."""
@@ -154,7 +154,7 @@ class SimulatedImu:
 
     @property
     def made(self) -> int:
-        """How many samples there were since the start, delivered or not."""
+        """Number of samples since the start, delivered or not."""
         return self._next
 
     @property
@@ -166,7 +166,7 @@ class SimulatedImu:
         """Return the samples that have ended since the last call, up to a time.
 
         Args:
-            motion: What the table does, at least up to `until`.
+            motion: Motion of the table, at least up to `until`.
             until: s since the epoch.
 
         """
@@ -181,7 +181,7 @@ class SimulatedImu:
             return ImuBlock(stamps, np.empty((0, 3)), np.empty((0, 3)), self.options.frame_id)
         widths = np.diff(edges)
         late = self._late
-        # Accelerometers that answer early are in time, and all else late.
+        # A negative delay of the accelerometers is simulated by delaying everything else.
         on_time = edges + min(0.0, late)
         angle, velocity = motion.increments(on_time, self.site, np.array(self.options.lever))
         rate, own = angle / widths[:, None], None
@@ -193,7 +193,7 @@ class SimulatedImu:
             self._accel.deliver(accel, widths, self.period),
         ]
         if self._skewed is not None and self.model.skewed is not None:
-            # Channels come in threes: the other two carry the same rate and are not looked at.
+            # Channels come in threes: the other two have the same rate and are not used.
             mean = self.model.skewed.predict(angle / widths[:, None])[:, :1]
             delivered = self._skewed.deliver(np.repeat(mean, 3, axis=1), widths, self.period)
             values.append(delivered[:, :1])
@@ -204,7 +204,7 @@ class SimulatedImu:
         return ImuBlock(stamps, held[:, :3], held[:, 3:6], self.options.frame_id)
 
     def device_stamps(self, times: Floats) -> Stamps:
-        """Return what the device's clock says, (n,) ns, at (n,) times in s since the epoch."""
+        """Return the device's clock, (n,) ns, at (n,) times in s since the epoch."""
         return self._from_device_seconds(times * (1 + self.options.clock_rate_error))
 
     def _stamps(self, ticks: Floats, first: int) -> Stamps:
@@ -221,11 +221,11 @@ class SimulatedImu:
         return np.asarray(offset + np.rint(elapsed * 1e9).astype(np.int64))
 
     def _in_motion(self, motion: Motion, edges: Floats, rate: Floats) -> Floats:
-        """Return what accelerometers read, each at its own place, (n, 3).
+        """Return the specific forces at the accelerometers, each at its own place, (n, 3).
 
         Args:
-            motion: What the table does.
-            edges: (n + 1,) of the intervals as the delay of the accelerometers shifts them, s.
+            motion: Motion of the table.
+            edges: (n + 1,) of the intervals, shifted by the delay of the accelerometers, s.
             rate: (n, 3) of the gyros, rad/s.
 
         """
@@ -240,7 +240,7 @@ class SimulatedImu:
     def _respond(
         self, rate: Floats, force: Floats, edges: Floats, own: Floats | None = None
     ) -> tuple[Floats, Floats]:
-        """Return what the channels read; accelerometers what is their own, where they are apart."""
+        """Return the readings of the channels; accelerometers with individual forces if apart."""
         gyro, accel = self.model.predict(rate, force)
         accel = accel if own is None else own
         middle = (edges[1:] + edges[:-1]) / 2

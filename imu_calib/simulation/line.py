@@ -1,4 +1,4 @@
-"""A simulated IMU on a table, and the line that carries its frames."""
+"""A simulated IMU on a table, and the line that transmits its frames."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from .several import SimulatedUnit
 
 
 class ImuLine:
-    """An IMU that lives, with what is broken in it.
+    """A live IMU with its faults.
 
     Attributes:
-        faults: What is broken.
-        frames: How many frames the IMU has made, those included that were not sent.
+        faults: Present faults.
+        frames: Number of frames made by the IMU, including those not sent.
 
     Args:
-        unit: Which.
-        site: Where the table stands.
+        unit: The unit.
+        site: Site of the table.
         options: Of the stand.
         imu_rng: Source of the IMU's randomness.
-        line_rng: Source of what happens on the line.
+        line_rng: Source of the line's randomness.
 
     """
 
@@ -54,12 +54,12 @@ class ImuLine:
         self._frozen: tuple[Floats, Floats] | None = None
 
     def bytes_up_to(self, end: float, begin: float, motion: Motion) -> bytes:
-        """Return the bytes on the line from one time to another, s.
+        """Return the bytes on the line between two times, s.
 
         Args:
-            end: Up to when.
-            begin: From when on.
-            motion: Of what the table's description mounts.
+            end: End of the time.
+            begin: Its start.
+            motion: Motion of the unit on the table.
 
         """
         samples = self._imu.advance(self._unit.moved(motion), end)
@@ -86,7 +86,7 @@ class ImuLine:
         return self._damaged(line, len(samples)) if faults.damage else line
 
     def _as_frozen(self, samples: ImuBlock, end: float) -> ImuBlock:
-        """Repeat the first sample of a freeze as long as it lasts."""
+        """Repeat the first sample of a freeze while it lasts."""
         if end > self._frozen_until:
             self._frozen = None
         elif len(samples):
@@ -97,7 +97,7 @@ class ImuLine:
         return samples
 
     def _skew(self, count: int) -> Floats | None:
-        """Return what the skewed gyro said of the last samples; None where there is none."""
+        """Return the skewed gyro's counts for the last samples; None without one."""
         if not self._has_skew:
             return None
         said = self._imu.skewed

@@ -15,17 +15,17 @@ from ..stream import Floats
 from .tracks import Track
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
-"""Of the quadrature by Gauss and Legendre: exact for polynomials up to degree 7."""
+"""Gauss-Legendre quadrature: exact for polynomials up to degree 7."""
 _LARGEST_TURN = 0.5
 """Largest rotation in one quadrature step, rad: four nodes then err by less than 1e-11."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ringing:
-    """A decaying oscillation of the mounting after an arrival.
+    """A decaying oscillation of the mounting after the end of a motion.
 
-    The angle angle * exp(-t/decay) * sin(2 pi frequency t) and a velocity of the same course ring
-    about zero, so that nothing remains of them. The swing of gravity with the angle is left out.
+    Angle and velocity follow amplitude * exp(-t/decay) * sin(2 pi frequency t) about zero, so that
+    no offset remains. The change of gravity's direction with the angle is neglected.
 
     Attributes:
         time: When it starts, s.
@@ -51,10 +51,10 @@ class Ringing:
 
 @dataclass(frozen=True, eq=False)
 class Shaking:
-    """A floor that shakes all the time: tones about and along the body axes.
+    """Permanent vibration of the floor: tones about and along the body axes.
 
-    Like ringing, they are courses of an angle and of a velocity about zero; the swing of gravity
-    with the angle is left out.
+    Like ringing, angle and velocity oscillate about zero; the change of gravity's direction with
+    the angle is neglected.
 
     Attributes:
         frequency: (m,) Hz.
@@ -70,7 +70,7 @@ class Shaking:
     phase: Floats
 
     def change(self, edges: Floats) -> tuple[Floats, Floats]:
-        """Return by how much angle and velocity, (n, 3) each, change between (n + 1,) times."""
+        """Return the changes of angle and velocity, (n, 3) each, between (n + 1,) times."""
         swing = np.sin(2 * math.pi * self.frequency * edges[:, None] + self.phase)
         change = np.diff(swing, axis=0)
         return change @ self.angle, change @ self.velocity
@@ -78,13 +78,13 @@ class Shaking:
 
 @dataclass(frozen=True)
 class Link:
-    """How the angle of an axis follows a column q of the track: zero + gain q + harmonics of q.
+    """Angle of an axis by a column q of the track: zero + gain q + harmonics of q.
 
     The harmonics are cos[n - 1] cos(n q) + sin[n - 1] sin(n q), n = 1, 2.
 
     Attributes:
         column: Of the track.
-        gain: 1 for the axis of a joint, 0 for an error that comes with the joint's angle.
+        gain: 1 for the axis of a joint, 0 for an error that depends on the joint's angle.
         cos: rad, once and twice per turn.
         sin: rad, likewise.
 
@@ -123,8 +123,8 @@ class Motion:
         zeros: (k,) added to the angles, rad.
         mount: (3, 3) columns are the body axes in the last joint's frame.
         track: True angles, k columns.
-        ringing: Oscillations of the mounting on top.
-        shaking: Of the floor, on top; None where it stands still.
+        ringing: Additional oscillations of the mounting.
+        shaking: Additional vibration of the floor; None without.
         links: How each axis follows the columns of the track; empty where axis k follows column k.
 
     """
@@ -152,13 +152,13 @@ class Motion:
     def increments(self, edges: Floats, site: Site, lever: Floats) -> tuple[Floats, Floats]:
         """Integrate angular rate and specific force, in body axes, over adjoining intervals.
 
-        The integrals are those of the vectors' components, which is what strapdown sensors sum
-        up; Earth rate and gravity are in them. Rotation about one axis at any rate is exact to
-        rounding; the error of all else is below 1e-11 of Earth rate, gravity or joint rate.
+        The integrals are those of the vectors' components, as strapdown sensors accumulate them,
+        including Earth rate and gravity. Rotation about one axis at any rate is exact to rounding;
+        the error in all other cases is below 1e-11 of Earth rate, gravity or joint rate.
 
         Args:
             edges: (n + 1,) increasing times, s.
-            site: Where the table stands.
+            site: Site of the table.
             lever: (3,) from the centre of rotation to the accelerometers, body axes, m.
 
         Returns:
@@ -208,7 +208,7 @@ class Motion:
         return angle, velocity
 
     def _at_rest(self, index: int, site: Site, lever: Floats) -> tuple[Floats, Floats]:
-        """Return `_at` in a piece that stands: a live stand asks ten times a second."""
+        """Return `_at` in a piece at rest: a live stand calls it ten times a second."""
         key = (index, site, lever.tobytes())
         if key not in self._rests:
             value = self.track.value[index][:, None]
@@ -225,14 +225,14 @@ class Motion:
     ) -> tuple[Floats, Floats]:
         """Return angular rate and specific force (n, 3) in body axes.
 
-        Vectors are taken outwards joint by joint. A joint adds its own rate; the turning rate of
-        the frame makes the angular acceleration gain w x (axis rate) on the way.
+        Vectors are propagated outwards joint by joint. A joint adds its own rate; the rotation of
+        its frame adds w x (axis rate) to the angular acceleration.
 
         Args:
             angles: (k, n) rad.
             rates: (k, n) rad/s, None at rest.
             acceleration: (k,) rad/s^2, None at rest.
-            site: Where the table stands.
+            site: Site of the table.
             lever: (3,) m.
 
         """
@@ -245,7 +245,7 @@ class Motion:
         for k, axis in enumerate(self.axes):
             moves = rates is not None and bool(rates[k].any())
             angle = (angles[k] if moves else angles[k, :1]) + self.zeros[k]
-            # Up to the first joint that moves nothing turns.
+            # Up to the first moving joint nothing rotates.
             turning = [spin, spin_up] if spin.any() or spin_up.any() else []
             earth, up, *turning = all_in_rotated_frame([earth, up, *turning], axis, angle)
             spin, spin_up = turning or (spin, spin_up)

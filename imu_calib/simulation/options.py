@@ -1,4 +1,4 @@
-"""What is wrong with the simulated hardware, and how a simulated session runs."""
+"""Imperfections of the simulated hardware, and settings of a simulated session."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from ..units import ARCSEC
 from .true_table import TrueTable
 
 Channels: TypeAlias = float | tuple[float, float, float]
-"""One figure for three channels, or one for each."""
+"""One value for three channels, or one for each."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableOptions:
-    """How the simulated table differs from an ideal one; errors are drawn anew for each arrival.
+    """Deviations of the simulated table from an ideal one; errors are drawn anew at each stop.
 
     Attributes:
         azimuth: True heading of the table's zero against north about up, rad; None: the table's
-            own, or north if it does not know.
+            own, or north if not stated.
         tilt: Rotation of the base about east and about north, rad.
         encoder_resolution: Step of the angles read, rad; 0 for none.
-        positioning_error: Where the encoder says that the joint has arrived, it is off by a
-            uniform error within this, rad: the encoder does not see it.
-        servo_error: How far off the goal the joint comes to rest, uniform within this, rad: the
-            encoder sees it.
+        positioning_error: Difference of a stopped joint from its encoder reading, uniform within
+            this, rad.
+        servo_error: Difference of the encoder reading from the goal at rest, uniform within this,
+            rad.
         rate_error: Relative error of a RATE step's rate, uniform within this, constant per step.
-        setpoint_timeout: The table stops when no setpoint has come for so long, s.
-        setpoint_age: A setpoint is refused whose stamp is further than this from now, s.
+        setpoint_timeout: Time without a setpoint after which the table stops, s.
+        setpoint_age: Largest difference of a setpoint's stamp from now, s; others are refused.
         wrapped: Angles are read within -180 to 180 deg instead of continuously.
-        true: Axes, zeros, wobble and encoders as they truly are; None: as described.
+        true: True axes, zeros, wobble and encoders; None: as described.
         encoder_noise: Standard deviation of one reading, rad.
-        stop_error: Standard deviation by which a joint stops wrong, unseen by its encoder until it
-            moves again, whole turns included, rad.
-        stop_tilt: Standard deviation by which the whole table leans about east and about north,
-            anew after every motion, rad.
+        stop_error: Standard deviation of a stopped joint from its encoder reading until it moves
+            again, whole turns included, rad.
+        stop_tilt: Standard deviation of the tilt of the whole table about east and about north,
+            drawn anew after every motion, rad.
         stop_heading: The same about up, rad.
         acceleration: Of all joints, if it is below their limits, rad/s^2.
 
@@ -67,7 +67,7 @@ class Warming:
     """Temperature: reference + offset + ramp * t + rise * (1 - exp(-t / time_constant)).
 
     Attributes:
-        reference: At which the sensor model holds, degrees Celsius.
+        reference: Temperature at which the sensor model holds, degrees Celsius.
         offset: At the start above the reference, K.
         rise: In the long run above the start, K.
         time_constant: s.
@@ -111,7 +111,7 @@ class ThermalDrift:
 
 @dataclass(frozen=True)
 class WarmUp:
-    """Biases that fade as bias * exp(-t / time_constant), whatever a thermometer shows.
+    """Biases that decay as bias * exp(-t / time_constant), independent of the temperature.
 
     Attributes:
         gyro_bias: At the start, of all channels alike or of each, rad/s.
@@ -127,16 +127,16 @@ class WarmUp:
 
 @dataclass(frozen=True, kw_only=True)
 class Delivery:
-    """What happens to samples on their way from the sensors to the recorder.
+    """Delivery of samples from the sensors to the recorder.
 
     Attributes:
-        bunch: So many samples are sent and stamped together, when the last of them is there.
-        late: Share of the samples that are held up, and with them those that queue behind.
-        delay: Mean time for which such a sample is held up, exponentially distributed, s.
-        lost: Share of the samples that never arrive, each by itself.
-        twice: Share of the samples that arrive twice, stamp and all.
+        bunch: Number of samples that are sent and stamped together, when the last one is made.
+        late: Share of the samples that are late, and delay those queued behind them.
+        delay: Mean delay of such a sample, exponentially distributed, s.
+        lost: Share of the samples that never arrive, each independently.
+        twice: Share of the samples that arrive twice, with the same stamp.
         frozen_every: Mean time from one freeze to the next, s; infinite for none.
-        frozen_for: For so long the device repeats its last sample, with new stamps, s.
+        frozen_for: Time for which the device repeats its last sample, with new stamps, s.
 
     """
 
@@ -151,24 +151,24 @@ class Delivery:
 
 @dataclass(frozen=True, kw_only=True)
 class ImuOptions:
-    """What the simulated IMU does beyond its data sheet and its sensor model.
+    """Properties of the simulated IMU beyond its data sheet and its sensor model.
 
     Attributes:
-        sample_rate: Hz, in the device's own clock; None: the data sheet's, or 100 Hz.
-        noise: Whether there is random walk by the data sheet.
-        bias_instability: Whether the biases drift by the data sheet.
+        sample_rate: Hz, by the device's own clock; None: the data sheet's, or 100 Hz.
+        noise: Whether there is random walk as in the data sheet.
+        bias_instability: Whether the biases drift as in the data sheet.
         bias_time_constant: Correlation time of the drift, s.
         turn_on_gyro: Standard deviation of a bias drawn once per run, rad/s.
         turn_on_accel: The same of the accelerometers, m/s^2.
         quantise: Whether pulses and counts are whole numbers.
         warming: Temperature over the run.
-        thermal_drift: What temperature does to the channels.
+        thermal_drift: Effect of temperature on the channels.
         lever: From the centre of rotation to the accelerometers, body axes, m.
         clock_offset: Device clock minus host clock at the start, s.
-        clock_rate_error: How much faster the device clock runs, relative (50e-6 is 50 ppm).
+        clock_rate_error: Relative rate error of the device clock (50e-6 is 50 ppm fast).
         imu_stamp_jitter: Standard deviation of the stamps, s; at most 0.45 of a sample.
-        warm_up: Biases that fade.
-        delivery: What happens to samples on their way.
+        warm_up: Decaying biases.
+        delivery: Delivery of the samples.
         frame_id: Of the samples.
 
     """
@@ -193,13 +193,13 @@ class ImuOptions:
 
 @dataclass(frozen=True)
 class Shock:
-    """The unit is shocked and stays rotated in its mounting.
+    """A shock that leaves the unit rotated in its mount.
 
     Attributes:
         time: s since the start.
-        axis: About which body axis; any length.
-        angle: By how much, rad.
-        duration: How long the shock takes, s.
+        axis: Body axis of the rotation; any length.
+        angle: Its angle, rad.
+        duration: Its duration, s.
 
     """
 
@@ -211,11 +211,11 @@ class Shock:
 
 @dataclass(frozen=True)
 class Vibration:
-    """How the mounting rings after each arrival, about and along a random direction.
+    """Ringing of the mounting after each stop, about and along a random direction.
 
     Attributes:
-        rate: Amplitude of the angular rate at first, rad/s.
-        force: Amplitude of the specific force at first, m/s^2.
+        rate: Initial amplitude of the angular rate, rad/s.
+        force: Initial amplitude of the specific force, m/s^2.
         frequency: Hz.
         decay: Time constant, s.
 
@@ -229,7 +229,7 @@ class Vibration:
 
 @dataclass(frozen=True)
 class Shake:
-    """How the floor shakes all the time: tones of random phase within a band.
+    """Permanent vibration of the floor: tones of random phase within a band.
 
     Attributes:
         rate: Root mean square of the angular rate about each axis, rad/s.
@@ -247,21 +247,21 @@ class Shake:
 
 @dataclass(frozen=True, kw_only=True)
 class StandOptions(TableOptions, ImuOptions):
-    """Everything about a simulated stand besides plan, table, IMU, model and site.
+    """All options of a simulated stand besides plan, table, IMU, model and site.
 
     Attributes:
         start_time: Host stamp of the start, ns.
-        lead: Standing still before the first setpoint and after the last, s.
-        settle: From the arrival at a step's end to the start of its dwell, s.
-        setpoint_rate: How often a setpoint is repeated, Hz.
+        lead: Time at rest before the first setpoint and after the last, s.
+        settle: From the end of a step's motion to the start of its dwell, s.
+        setpoint_rate: Repetition rate of setpoints, Hz.
         joint_state_rate: Hz.
         joint_stamp_jitter: Standard deviation of the joint states' stamps, s; at most 0.45 of
             their spacing.
         temperature_rate: Hz.
-        block_length: No block holds more than so long, s.
-        vibration: After each arrival.
+        block_length: Longest duration of a block, s.
+        vibration: After each stop.
         shake: Of the floor.
-        shock: None, or one shock.
+        shock: One shock, or None.
 
     """
 
@@ -281,10 +281,10 @@ class StandOptions(TableOptions, ImuOptions):
 def switched_on(seed: int, start: float) -> int | tuple[int, int]:
     """Return the seed of hardware that is switched on at a time.
 
-    Switched on again it is the same unit, but its noise is not that of the first time again.
+    Switched on again it is the same unit with different noise.
 
     Args:
-        seed: As a person gives it.
+        seed: The user's seed.
         start: s since the epoch.
 
     """

@@ -1,4 +1,4 @@
-"""A simulated stand that turns several units: one table, one motion, and an IMU for each."""
+"""A simulated stand with several units: one table, one motion, and an IMU for each."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class SimulatedUnit:
     Attributes:
         topic: Of its samples.
         spec: Units, scale factors and noise.
-        model: The truth that a calibration is to find.
+        model: The true model, to be found by a calibration.
         mount: (3, 3) columns are its body axes in those that the table mounts.
-        lever: From the centre of rotation to its accelerometers, its body axes, m.
-        seed: Of its noise: the same seed gives the same bits, whatever else is on the table. None:
-            of a unit that is alone, whose noise follows from the stand's.
+        lever: From the centre of rotation to its accelerometers, in its body axes, m.
+        seed: Of its noise: the same seed gives the same bits, independent of other units. None: for
+            a unit that is alone, derived from the stand's.
 
     """
 
@@ -42,7 +42,7 @@ class SimulatedUnit:
     seed: int | None
 
     def moved(self, motion: Motion) -> Motion:
-        """Return the motion of the table as this unit's axes have it."""
+        """Return the motion of the table in this unit's axes."""
         if np.array_equal(self.mount, np.eye(3)):
             return motion
         inward, shaking = self.mount.T, motion.shaking
@@ -57,15 +57,15 @@ class SimulatedUnit:
 
 
 class SeveralOnTable(SimulatedStand):
-    """A `SimulatedStand` with several units: what is the table's own all of them have in common.
+    """A `SimulatedStand` with several units, to which the errors of the table are common.
 
-    What the options say of an IMU (clock, delivery, thermal drift) holds for each, but its lever.
+    The options of an IMU (clock, delivery, thermal drift) apply to each, except the lever arm.
 
     Args:
-        plan: That is run.
-        table: By its description.
+        plan: The plan that is run.
+        table: Its description.
         units: At least one.
-        site: Where the stand is.
+        site: Site of the stand.
         options: Of the stand; the defaults if not given.
         seed: Of the table's randomness.
 
@@ -99,7 +99,7 @@ class SeveralOnTable(SimulatedStand):
 
 
 def beside(topic: str, other: str) -> str:
-    """Return the topic of the same unit that is called as the last part of another.
+    """Return the topic of the same unit, named like the last part of another topic.
 
     >>> beside('/left/imu/pulses', 'imu/skew')
     '/left/imu/skew'

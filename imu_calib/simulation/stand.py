@@ -38,18 +38,18 @@ TEMPERATURE_TOPIC = 'imu/temperature'
 SKEW_TOPIC = 'imu/skew'
 
 _TONES = 12
-"""Tones of a shaking floor: their sum is Gaussian to a few percent (central limit)."""
+"""Tones of the floor's vibration: their sum is Gaussian to a few percent (central limit)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """When a step of the plan was run.
+    """Times of a step.
 
     Attributes:
         step: The step.
         begin: Its first setpoint, s since the start.
-        rest: When the table came to rest, s.
-        end: When the next step begins, s.
+        rest: Arrival of the table at rest, s.
+        end: Start of the next step, s.
 
     """
 
@@ -60,13 +60,13 @@ class Visit:
 
 
 class SimulatedStand:
-    """Table, IMU and the node that leads the table through a plan, in simulated time.
+    """Table, IMU and sequencer running a plan, in simulated time.
 
-    The table is run through the plan at once; the samples are made block by block. The same
-    arguments and the same seed give the same bits.
+    The table's motion is computed at once, the samples block by block. The same arguments and the
+    same seed give the same bits.
 
     Attributes:
-        visits: When each step was run.
+        visits: Times of each step.
         motion: The true motion of the unit.
         duration: Length of the session, s.
 
@@ -103,7 +103,7 @@ class SimulatedStand:
         self._joint_phase = float(joint_phase.uniform())
 
     def blocks(self) -> Iterator[tuple[str, Block]]:
-        """Yield (topic, block) in order of time, to be read once.
+        """Yield (topic, block) in order of time; can be iterated once.
 
         Topics are turntable/setpoint, turntable/joint_states, imu/pulses and imu/temperature,
         and imu/skew where the unit has a skewed gyro.
@@ -120,7 +120,7 @@ class SimulatedStand:
             yield from ((topic, block) for topic, block in named if len(block))
 
     def _sampled(self, end: float) -> Iterator[tuple[str, Block]]:
-        """Yield what the unit has sampled since the last call, up to a time."""
+        """Yield the samples of the unit since the last call, up to a time."""
         yield IMU_TOPIC, self._imu.advance(self.motion, end)
         if self._imu.skewed is not None:
             yield SKEW_TOPIC, self._imu.skewed
@@ -143,7 +143,7 @@ class SimulatedStand:
             )
 
     def _run(self, steps: tuple[Step, ...]) -> tuple[Visit, ...]:
-        """Send each step until the table stands, then wait; at rest no setpoint matters."""
+        """Send each step until the table is at rest, then wait; a resting table ignores setpoints."""
         visits: list[Visit] = []
         begin = self.options.lead
         for step in steps:
@@ -174,7 +174,7 @@ class SimulatedStand:
         return motion if self.options.shock is None else _shocked(motion, self.options.shock)
 
     def _sender(self, step: Step) -> Callable[[int], Setpoint]:
-        """Return what makes the setpoint of a step from its stamp."""
+        """Return a function that makes the setpoint of a step from its stamp."""
         return partial(
             Setpoint,
             plan=self.plan.name,
@@ -237,10 +237,10 @@ def simulate(
 
     Args:
         plan: What to run.
-        table: The table as its configuration has it; what it is in truth is in the options.
+        table: Its description; its true errors are in the options.
         imu_spec: Units, scale factors and noise of the IMU.
-        model: The truth that a calibration is to find.
-        site: Where the stand is.
+        model: The true model, to be found by a calibration.
+        site: Site of the stand.
         options: Errors, clocks and rates; the defaults if not given.
         seed: Of all randomness: the same seed gives the same bits.
 
@@ -260,7 +260,7 @@ def instants(begin: float, end: float, rate: float, phase: float) -> Floats:
 
 
 def _shaking(shake: Shake, rng: np.random.Generator) -> Shaking:
-    """Draw the tones of a floor: as many as make the sum look like noise within the band."""
+    """Draw the tones of a vibration, enough of them to resemble noise within the band."""
     frequency = rng.uniform(shake.lowest, shake.highest, _TONES)
     swing = 2 * math.pi * frequency[:, None]
     # The directions are random, the root mean square about each axis is as stated.

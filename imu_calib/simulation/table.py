@@ -19,23 +19,23 @@ from .tracks import Track, braking, side_by_side, trapezoid
 from .true_table import TableSizes, TrueTable
 
 _STANDS = 1e-7
-"""A goal closer than this is no move, rad: the rounding of a table's inverse kinematics."""
+"""rad: closer goals need no move: the rounding of a table's inverse kinematics."""
 
 _CONTENT = attrgetter(*(f.name for f in fields(Setpoint) if f.name != 'stamp'))
-"""All that a repeated setpoint has in common with the one before."""
+"""The fields that a repeated setpoint shares with the one before."""
 
 
 @dataclass(frozen=True, eq=False)
 class TableState:
-    """What the table is doing.
+    """Present state of the table.
 
     Attributes:
         time: s since the table's epoch.
         angles: (k,) encoder readings, rad.
         rates: (k,) rad/s.
-        at_rest: Whether every joint stands still.
-        step: Index of the plan's step that was accepted last, None before the first.
-        stopped: Why it stands short of its goal; empty while it follows setpoints.
+        at_rest: Whether every joint is at rest.
+        step: Index of the plan's step accepted last, None before the first.
+        stopped: Why it stopped before its goal; empty while it follows setpoints.
 
     """
 
@@ -49,9 +49,9 @@ class TableState:
 
 @dataclass(frozen=True, eq=False)
 class _Order:
-    """Where the joints are to come to rest: by the goal, by the encoder, in truth; and how fast.
+    """Goal of the joints: commanded, by the encoder, true; and rates.
 
-    `turns` says whether one turns whole turns.
+    `turns` is whether a joint turns whole turns.
     """
 
     goal: Floats
@@ -64,11 +64,11 @@ class _Order:
 class SimulatedTable:
     """A turntable that follows setpoints with trapezoidal profiles.
 
-    Time only goes forward. A setpoint is in force from `command` on; repeating it keeps the table
-    going, a new one makes it brake and go to the new goal, HOLD brakes. Reading at a time in the
-    future commits the table to what it does until then, the stop without setpoints included.
+    Time only increases. A setpoint is in force from `command` on; repeating it keeps the table
+    moving, a new one makes it brake and go to the new goal, HOLD brakes. Reading at a future time
+    commits the table to its motion until then, including the stop without setpoints.
 
-    Live: `command(setpoint, now)` whenever one comes, then `advance(now)`, `motion(now)`.
+    Live: call `command(setpoint, now)` for each setpoint, then `advance(now)`, `motion(now)`.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class SimulatedTable:
             options: Its errors; the defaults if not given.
             rng: Source of the errors.
             epoch: Stamp at which the table's time is zero, ns.
-            start: (k,) encoder angles where it stands, rad; zeros if not given.
+            start: (k,) initial encoder angles, rad; zeros if not given.
 
         Raises:
             InputError: A joint has no limit of rate or acceleration.
@@ -121,18 +121,18 @@ class SimulatedTable:
 
     @property
     def rest_time(self) -> float:
-        """When the table is at rest, s, if setpoints keep coming."""
+        """Time at which the table is at rest, s, if setpoints continue."""
         return self._track.end
 
     def command(self, setpoint: Setpoint, time: float) -> None:
-        """Take a setpoint. HOLD is obeyed however old its stamp is: clocks may differ.
+        """Take a setpoint. HOLD is obeyed whatever the age of its stamp: clocks may differ.
 
         Args:
-            setpoint: As it comes off the topic.
-            time: When it arrives, s since the epoch.
+            setpoint: As received from the topic.
+            time: Time of its arrival, s since the epoch.
 
         Raises:
-            InputError: Refused, and why; the table goes on as if it had not come.
+            InputError: Refused, with the reason; the table continues unchanged.
 
         """
         self._pass(time)
@@ -151,15 +151,15 @@ class SimulatedTable:
         self._deadline = time + self.options.setpoint_timeout
 
     def sent_until(self, time: float) -> None:
-        """Take it that the last setpoint has been repeated often enough, up to `time`, s."""
+        """Assume that the last setpoint was repeated often enough, up to `time`, s."""
         self._time = time
         self._deadline = time + self.options.setpoint_timeout
 
     def advance(self, time: float) -> TableState:
-        """Let time pass up to `time` (s since the epoch) and return the state then.
+        """Advance the time to `time` (s since the epoch) and return the state then.
 
         Raises:
-            InputError: The time lies in the past.
+            InputError: The time is in the past.
 
         """
         self._pass(time)
@@ -188,7 +188,7 @@ class SimulatedTable:
         return self._track.at(times)[0][:, self._truths]
 
     def motion(self, until: float) -> Motion:
-        """Return the true motion, which holds up to `until`, s since the epoch."""
+        """Return the true motion, valid up to `until`, s since the epoch."""
         self._reach(np.array([until]))
         course = self._track, self._base
         if self._motion is None or self._motion[0] != course:
@@ -218,7 +218,7 @@ class SimulatedTable:
         )
 
     def forget(self, before: float) -> None:
-        """Drop the past before a time (s since the epoch), so that a live table can run on."""
+        """Drop the past before a time (s since the epoch), to limit the memory of a live table."""
         self._track = self._track.since(before)
         self._base = self._base.since(before)
 
@@ -253,7 +253,7 @@ class SimulatedTable:
         return bool(self.options.stop_tilt or self.options.stop_heading)
 
     def _hidden(self) -> Floats:
-        """Draw by how much joints that stop are off what their encoders read, rad."""
+        """Draw the positioning errors of stopping joints, rad."""
         hidden = self._draw(self._errors, self.options.positioning_error)
         if self.options.stop_error:
             hidden = hidden + self.options.stop_error * self._stop_errors.standard_normal(
@@ -262,7 +262,7 @@ class SimulatedTable:
         return hidden
 
     def _base_error(self) -> Floats:
-        """Draw how the table leans about its base's x and y, and turns about z, at a stop, rad."""
+        """Draw the tilt about the base's x and y and the rotation about z at a stop, rad."""
         sizes = np.array([self.options.stop_tilt] * 2 + [self.options.stop_heading])
         return np.asarray(sizes * self._stops.standard_normal(3) if self._leans else sizes)
 
@@ -284,14 +284,14 @@ class SimulatedTable:
         self._go(time)
 
     def _standstill(self) -> _Order:
-        """Return the order to stay where the joints come to rest anyhow."""
+        """Return the order to stay where the joints come to rest in any case."""
         rest = self._track.value[-1]
         encoder, true = rest[self._encoders], rest[self._truths]
         arrives = np.abs(encoder - self._order.encoder) < _STANDS
         return _Order(np.where(arrives, self._order.goal, encoder), encoder, true, self._fastest)
 
     def _demand(self, setpoint: Setpoint, before: _Order) -> tuple[Floats, Floats]:
-        """Return angles (k,) and rates (k,) in the table's order; joints not named stay."""
+        """Return angles (k,) and rates (k,) in the table's order; unnamed joints stay."""
         angles, rates = before.goal.copy(), np.zeros(len(self.table.joints))
         names = list(self.table.names)
         count = len(setpoint.joints)
@@ -313,7 +313,7 @@ class SimulatedTable:
         return angles, rates
 
     def _aim(self, goal: Floats, before: _Order) -> _Order:
-        """Aim at a position; a joint with that goal already keeps its place and its error."""
+        """Set a goal position; a joint already at that goal keeps its place and its error."""
         hidden = self._hidden()
         servo = self._draw(self._servo_errors, self.options.servo_error)
         stays = np.abs(goal - before.goal) < _STANDS
@@ -324,9 +324,9 @@ class SimulatedTable:
     def _aim_turn(
         self, setpoint: Setpoint, angles: Floats, rates: Floats, before: _Order
     ) -> _Order:
-        """Aim at whole turns: the error of the angle repeats where the joint comes back to.
+        """Set a goal of whole turns: a joint that returns to its angle has the same error again.
 
-        The turn beyond those asked for is where the joint starts and stops.
+        The turn beyond those asked for is used to start and stop.
         """
         where = _where(setpoint)
         j = self._turning_joint(setpoint, angles, rates, before)
@@ -370,7 +370,7 @@ class SimulatedTable:
         return int(turning[0])
 
     def _go(self, time: float) -> None:
-        """Move to where the order aims, each joint at its own pace, after a stop if need be."""
+        """Move to the goal of the order, each joint by itself, after a stop if needed."""
         self._stop_joints(time)
         start = max(time, self._track.end)
         last = self._track.value[-1]
@@ -388,7 +388,7 @@ class SimulatedTable:
             moves.append(move)
             stops = float(self._order.true[k])
             if self.options.stop_error and self._order.turns:
-                # A joint that turns is where its encoder reads: it errs again where it stops.
+                # A turning joint has no positioning error; at its stop a new one is drawn.
                 truths.append(move.stopping(true - origin, stops))
             else:
                 truths.append(move.mapped(true, stops))
@@ -397,7 +397,7 @@ class SimulatedTable:
             self._base = self._base.followed_by(self._leaning(start, self._track.end))
 
     def _leaning(self, start: float, end: float) -> Track:
-        """Return how the table leans from how it stands to another error, evenly on the way."""
+        """Return a track of the tilt from its present value to a new one, at a constant rate."""
         value, target = self._base.at(np.array([start]))[0][0], self._base_error()
         still = np.zeros(3)
         return Track(

@@ -1,4 +1,4 @@
-"""Motion with constant acceleration piece by piece: trapezoids, braking, standing still."""
+"""Motion of piecewise constant acceleration: trapezoids, braking, rest."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from ..stream import Floats
 class Track:
     """Columns that move together in time, each a quadratic within a piece.
 
-    Before the first piece the first one is extended; the last one lasts for ever.
+    The first piece is extended into the past, the last one without end.
 
     Attributes:
-        start: (m,) when each piece begins, s, never decreasing.
+        start: (m,) start of each piece, s, never decreasing.
         value: (m, c) values at the start of each piece, rad.
         rate: (m, c) their rates there, rad/s.
         acceleration: (m, c) constant through the piece, rad/s^2.
@@ -33,17 +33,17 @@ class Track:
 
     @classmethod
     def standing(cls, time: float, value: Floats) -> Track:
-        """Make a track that stands at (c,) values from a time on."""
+        """Return a track at rest at (c,) values from a time on."""
         still = np.zeros((1, len(value)))
         return cls(np.array([time]), np.array(value, dtype=float)[None], still, still)
 
     @property
     def end(self) -> float:
-        """When the last piece begins, s: for a motion that ends at rest, the time of rest."""
+        """Start of the last piece, s: for a motion that ends at rest, the time of rest."""
         return float(self.start[-1])
 
     def piece(self, times: Floats) -> NDArray[np.intp]:
-        """Return the (n,) index of the piece that each of (n,) times falls into."""
+        """Return the (n,) index of the piece of each of (n,) times."""
         return np.maximum(np.searchsorted(self.start, times, side='right') - 1, 0)
 
     def at(self, times: Floats) -> tuple[Floats, Floats]:
@@ -55,9 +55,9 @@ class Track:
         return self.value[index] + (rate + change / 2) * elapsed, rate + change
 
     def stopping(self, offset: float, target: float) -> Track:
-        """Return the same course at an offset, until it brakes: it stops at another value.
+        """Return the same track at an offset until it brakes; then it stops at another value.
 
-        Needs a track of one column whose last piece but one brakes.
+        Requires one column, and braking in the last piece but one.
         """
         value, rate, acceleration = self.value + offset, self.rate.copy(), self.acceleration.copy()
         way = float(value[-1, 0] - value[-2, 0])
@@ -68,9 +68,9 @@ class Track:
         return Track(self.start, value, rate, acceleration)
 
     def mapped(self, origin: float, target: float) -> Track:
-        """Return the same course in time from another value to another value.
+        """Return a track of the same times between other values.
 
-        Needs a track of one column whose last value differs from its first.
+        Requires one column whose last value differs from its first.
         """
         ratio = (target - origin) / float(self.value[-1, 0] - self.value[0, 0])
         value = origin + (self.value - self.value[0]) * ratio
@@ -78,7 +78,7 @@ class Track:
         return Track(self.start, value, self.rate * ratio, self.acceleration * ratio)
 
     def followed_by(self, later: Track) -> Track:
-        """Return this track up to where another begins, and that one from there on."""
+        """Return this track up to the start of another, and that one from there on."""
         keep = self.start < later.start[0]
         return Track(
             np.concatenate([self.start[keep], later.start]),
@@ -104,7 +104,7 @@ class Track:
 
 
 def side_by_side(tracks: Sequence[Track]) -> Track:
-    """Return one track with the columns of several; a piece ends where one of theirs does."""
+    """Return one track with the columns of several; its pieces end where any of theirs do."""
     start = np.unique(np.concatenate([track.start for track in tracks]))
     states = [track.at(start) for track in tracks]
     return Track(
@@ -123,9 +123,9 @@ def trapezoid(
     A distance too short to reach `max_rate` gives a triangle.
 
     Args:
-        time: When it starts, s.
-        origin: Where it starts, rad.
-        target: Where it ends, rad.
+        time: Start, s.
+        origin: Start value, rad.
+        target: End value, rad.
         max_rate: rad/s, above zero.
         max_acceleration: rad/s^2, above zero.
 
@@ -150,9 +150,9 @@ def braking(time: float, value: Floats, rate: Floats, max_acceleration: float) -
     """Return the stop of columns that come to rest together, the first one at the limit.
 
     Args:
-        time: When it starts, s.
-        value: (c,) where, rad.
-        rate: (c,) how fast, rad/s.
+        time: Start, s.
+        value: (c,) start values, rad.
+        rate: (c,) their rates, rad/s.
         max_acceleration: rad/s^2, above zero.
 
     """

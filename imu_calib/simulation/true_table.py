@@ -1,4 +1,4 @@
-"""A simulated table as it truly is: what its description does not say."""
+"""True geometry of a simulated table: its deviations from the description."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class TableSizes:
 
     Attributes:
         zeros: Of each joint's true zero about the described one.
-        orthogonality: Of each joint's axis about either direction across it, but the first's: how
-            that one leans is the tilt of the table.
+        orthogonality: Of each joint's axis about either direction across it, except the first's,
+            whose lean is the tilt of the table.
         wobble: Of an axis about either direction across it, once and twice per turn.
         encoder: Error of an encoder within the turn, once and twice per turn.
 
@@ -40,14 +40,14 @@ class TableSizes:
 
 @dataclass(frozen=True)
 class TrueJoint:
-    """A joint as it truly is; a is the angle that its encoder reads.
+    """The true geometry of a joint; a is its encoder reading.
 
     Attributes:
         axis: Unit vector in the frame of the joint before it.
-        zero: To add to the angle, rad.
-        encoder: What the encoder reads beyond the angle, once and twice per turn of a.
-        wobble: By how much the axis leans about either direction across it (`across`), once and
-            twice per turn of a.
+        zero: Added to the angle, rad.
+        encoder: Error of the encoder reading, once and twice per turn of a.
+        wobble: Lean of the axis about either direction across it (`across`), once and twice per
+            turn of a.
 
     """
 
@@ -62,7 +62,7 @@ class TrueJoint:
 
 @dataclass(frozen=True)
 class TrueTable:
-    """The geometry of a table as it truly is, joints from the base outwards.
+    """The true geometry of a table, joints from the base outwards.
 
     A joint turns by W(a) R(axis, a - encoder(a) + zero), with a the angle that its encoder reads
     and W(a) = R(u, wobble[0](a)) R(v, wobble[1](a)) about the directions u and v across the axis.
@@ -93,7 +93,7 @@ class TrueTable:
         return cls(tuple(joints))
 
     def axes_and_links(self, first_column: int) -> tuple[Floats, Floats, tuple[Link, ...]]:
-        """Return the axes (m, 3), zeros (m,) and links of a `Motion`: those that do something.
+        """Return the axes (m, 3), zeros (m,) and links of a `Motion`, without effectless ones.
 
         Args:
             first_column: Of the track, for the first joint.
@@ -116,7 +116,7 @@ class TrueTable:
         return np.array(axes), np.array(zeros), tuple(links)
 
     def save(self, path: Path, table: Table) -> None:
-        """Write it as YAML beside what describes it; angles in arcsec but for the zeros."""
+        """Write it as YAML beside the description; angles in arcsec, except the zeros."""
         joints = [
             {
                 'name': described.name,
@@ -146,7 +146,8 @@ _HEAD = """\
 def across(axis: tuple[float, float, float]) -> tuple[Floats, Floats]:
     """Return the two directions across an axis: x and y for an axis along z.
 
-    The first is nearest to the letter that the axis is least along, the second completes them.
+    The first is nearest to the coordinate axis least parallel to the axis; the second completes
+    them.
     """
     along = np.array(axis)
     letter = np.eye(3)[int(np.argmin(np.abs(along)))]

@@ -1,4 +1,4 @@
-"""Tables on a line: setpoints in, joint angles out, and a stop on every way out."""
+"""Drivers of tables on a line: setpoints in, joint angles out, and a stop on every exit."""
 
 from .ascii import BadReply, Move, Order, Reading, Refusal, Stop
 from .control import Control, Status

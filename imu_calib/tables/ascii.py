@@ -1,6 +1,6 @@
-"""A table controller's ASCII lines: what docs/tables.md describes, and what to change for another.
+"""ASCII protocol of a table controller, see docs/tables.md; change this for another protocol.
 
-Every line that is sent gets one line back: OK, ERR with a number and words, or the state.
+Every line sent gets one line back: OK, ERR with a number and words, or the state.
 Angles are in degrees, rates in degrees per second, axes are counted from 1.
 """
 
@@ -18,16 +18,16 @@ from ..units import DEG
 
 
 class BadReply(ImuCalibError):
-    """The line that came back is none of the protocol."""
+    """The reply is not part of the protocol."""
 
 
 class Refusal(ImuCalibError):
-    """The controller says no, and why."""
+    """The controller refuses, with its reason."""
 
 
 @dataclass(frozen=True)
 class Move:
-    """Bring an axis (from 0) to an angle, rad, at a rate above zero, rad/s."""
+    """Move an axis (from 0) to an angle, rad, at a rate above zero, rad/s."""
 
     axis: int
     angle: float
@@ -36,7 +36,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Stop:
-    """Brake all axes and stand."""
+    """Brake all axes."""
 
 
 Order: TypeAlias = Move | Stop
@@ -51,14 +51,14 @@ class Reading:
 
 
 def order_line(order: Order) -> str:
-    """Return the line that gives an order."""
+    """Return the line for an order."""
     if isinstance(order, Stop):
         return 'STOP'
     return f'MOVE {order.axis + 1} {order.angle / DEG:.6f} {order.rate / DEG:.6f}'
 
 
 def watchdog_line(seconds: float) -> str:
-    """Return the line after which the controller stops by itself when none comes for so long."""
+    """Return the line that makes the controller stop after so many seconds without a line."""
     return f'WATCHDOG {seconds:.3f}'
 
 
@@ -66,11 +66,11 @@ STATE_LINE = 'STATE'
 
 
 def check(reply: str) -> None:
-    """Accept the reply to an order.
+    """Check the reply to an order.
 
     Raises:
-        Refusal: The controller says ERR.
-        BadReply: Anything but OK and ERR.
+        Refusal: The controller replied ERR.
+        BadReply: Neither OK nor ERR.
 
     """
     words = reply.split(maxsplit=2)
@@ -81,11 +81,11 @@ def check(reply: str) -> None:
 
 
 def reading(reply: str, axes: int) -> Reading:
-    """Read the state of so many axes: STATE, the angles, the rates.
+    """Parse the state of the axes: STATE, the angles, the rates.
 
     Raises:
-        Refusal: The controller says ERR.
-        BadReply: No state, or not that of so many axes.
+        Refusal: The controller replied ERR.
+        BadReply: Not a state, or not one of so many axes.
 
     """
     word, *values = reply.split() or ['']

@@ -1,4 +1,4 @@
-"""The thread that talks to a table's controller; nothing but the controller can make it wait."""
+"""The thread that communicates with a table's controller; only the controller can block it."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ from .follower import Follower
 from .line import Line
 
 _RETRY = 0.5
-"""s before a lost controller is called again."""
+"""s before a lost controller is contacted again."""
 _BAD_IN_A_ROW = 3
-"""Answers: one may be broken by noise on the line, three are another device."""
+"""Bad replies: noise on the line can cause one; three in a row mean another device."""
 _WAITING = 2000
-"""Answers held for the node: 20 s at 100 Hz."""
+"""Readings held for the node: 20 s at 100 Hz."""
 _WATCHDOG = 1.0
-"""The controller stops by itself when no line has come for so long, s: a driver may be killed."""
+"""s without a line after which the controller stops by itself, if a driver is killed."""
 
 
 @dataclass(frozen=True)
 class Status:
-    """How the line to the controller is.
+    """State of the line to the controller.
 
     Attributes:
         open: Whether the controller answers.
         text: A sentence.
-        refusal: Why the last setpoint is not followed; empty where it is.
-        bad: Replies so far that were none of the protocol.
-        breaks: How often the line broke.
+        refusal: Why the last setpoint is not followed; otherwise empty.
+        bad: Number of replies so far outside the protocol.
+        breaks: Number of line failures.
 
     """
 
@@ -58,13 +58,13 @@ class Status:
 
 
 class Control:
-    """Reads the axes, follows setpoints, and stops the table whatever ends it.
+    """Read the axes, follow setpoints, and stop the table at any exit.
 
-    Setpoints are put in and joint states taken out without waiting, whatever the line does; in
-    turn the line goes on, and the table stops in time, whatever those do who take them.
+    Putting setpoints in and taking joint states out never waits for the line; a slow caller in turn
+    does not delay the line or the stop.
 
     Args:
-        open_line: Opens the line; raises OSError.
+        open_line: Opens the line; may raise OSError.
         follower: The rules.
         names: Of the joints, in the order of the axes.
         now: Time of the stamps, ns.
@@ -93,27 +93,27 @@ class Control:
         self._thread = threading.Thread(target=self._run, name='table control', daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self, patience: float) -> bool:
-        """Stop the table and end the thread; return whether it has within so many seconds."""
+        """Stop the table and end the thread; return whether it ended within so many seconds."""
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join(patience)
         return not self._thread.is_alive()
 
     def command(self, setpoint: Setpoint) -> None:
-        """Put a setpoint in; the newest counts."""
+        """Set the setpoint; the newest counts."""
         self._setpoint.append(setpoint)
 
     @property
     def status(self) -> Status:
-        """How it goes."""
+        """Return the state of the line."""
         return Status(*self._link, self._follower.refusal, self._bad, self._breaks)
 
     def take(self) -> JointBlock | None:
-        """Return the joint states since the last call, None where there are none."""
+        """Return the joint states since the last call, None if there are none."""
         taken = [self._readings.popleft() for _ in range(len(self._readings))]
         if not taken:
             return None
@@ -137,7 +137,7 @@ class Control:
             self._ending.wait(_RETRY)
 
     def _serve(self, line: Line) -> None:
-        """Read and follow until the end; whatever happens, the last line is a stop."""
+        """Read and follow until the end; in every case the last line sent is a stop."""
         try:
             for text in (order_line(Stop()), watchdog_line(_WATCHDOG)):
                 check(line.ask(text))
@@ -163,7 +163,7 @@ class Control:
     def _read(self, line: Line) -> Reading:
         before = self._now()
         at = reading(line.ask(STATE_LINE), len(self._names))
-        # The controller looked somewhere between question and answer.
+        # The controller took the reading between question and answer.
         stamp = (before + self._now()) // 2
         if not self._readings or stamp > self._readings[-1][0]:
             self._readings.append((stamp, at))
@@ -177,13 +177,13 @@ class Control:
         orders = self._follower.command(setpoint, self._now(), time.monotonic(), at)
         try:
             for order in orders:
-                # Held up midway, as by a debugger: what is left was ordered for another time.
+                # After a long interruption, as by a debugger, pending orders are out of date.
                 late = self._follower.watch(time.monotonic())
                 self._give(line, late or (order,))
                 if late:
                     break
         except Refusal as error:
-            # One axis may move already.
+            # One axis may be moving already.
             check(line.ask(order_line(Stop())))
             self._follower.halt(str(error))
 

@@ -1,4 +1,4 @@
-"""What a table's driver makes of setpoints: orders, refusals, and a stop when none comes."""
+"""Rules of a table driver: orders and refusals for setpoints, and a stop when none comes."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from ..units import DEG
 from .ascii import Move, Order, Reading, Stop
 
 _STANDS = 0.1 * DEG
-"""A joint slower than this, rad/s, stands."""
+"""rad/s: a slower joint is at rest."""
 
 _NEAR = 0.5 * DEG
-"""How far from its angle a joint may be when a turn starts, rad."""
+"""Largest distance of a joint from its angle at the start of a turn, rad."""
 
 
 class Follower:
-    """Turns setpoints into orders. It knows no clock and no line: times come with the calls.
+    """Convert setpoints to orders. It has no clock and no line: times are arguments.
 
     Args:
         table: Joints in the order of the axes, and their limits.
         timeout: Longest time without a setpoint while the table may move, s.
-        age: How old the stamp of a setpoint may be, s.
+        age: Greatest age of a setpoint's stamp, s.
 
     Attributes:
-        refusal: Why the last setpoint is not followed; empty where it is.
+        refusal: Why the last setpoint is not followed; otherwise empty.
 
     Raises:
-        InputError: A joint has no greatest rate.
+        InputError: A joint has no maximum rate.
 
     """
 
@@ -52,13 +52,13 @@ class Follower:
     def command(
         self, setpoint: Setpoint, now: int, steady: float, at: Reading
     ) -> tuple[Order, ...]:
-        """Take a setpoint; return what is to be ordered. HOLD is obeyed however old its stamp is.
+        """Take a setpoint; return the orders for it. HOLD is obeyed whatever the age of its stamp.
 
         Args:
-            setpoint: As it came off the topic.
-            now: Time of its stamp's clock, ns.
+            setpoint: As received from the topic.
+            now: Time by the clock of its stamp, ns.
             steady: Monotonic time, s.
-            at: Where the table is.
+            at: Present reading of the table.
 
         """
         age = (now - setpoint.stamp) * 1e-9
@@ -90,23 +90,23 @@ class Follower:
         return orders
 
     def _hold(self, content: Setpoint, known: bool, at: Reading) -> tuple[Order, ...]:
-        """Stop, and once more whenever the table moves though it is to stand."""
+        """Order a stop, and again whenever the table moves during HOLD."""
         again = self._rejected or bool((np.abs(at.rates) > _STANDS).any())
         self._content, self._rejected, self._stopped, self.refusal = content, False, True, ''
         return () if known and not again else (Stop(),)
 
     def watch(self, steady: float) -> tuple[Order, ...]:
-        """Return the stop where setpoints have failed to come."""
+        """Return a stop if setpoints have stopped coming."""
         if self._stopped or steady <= self._deadline:
             return ()
         self._stopped = True
         return (Stop(),)
 
     def halt(self, refusal: str = '') -> None:
-        """Note that the table stands, or is about to, for another reason than its setpoints.
+        """Note that the table stops, or will soon, for a reason other than its setpoints.
 
         Args:
-            refusal: Why the present setpoint is not to be tried again.
+            refusal: Why the present setpoint must not be retried.
 
         """
         self._stopped, self._rejected, self.refusal = True, bool(refusal), refusal
@@ -122,7 +122,7 @@ class Follower:
         return tuple(Move(k, float(goal[k]), float(pace[k])) for k in range(len(goal)))
 
     def _demand(self, setpoint: Setpoint, at: Reading, where: str) -> tuple[Floats, Floats]:
-        """Return angles and rates in the table's order; joints that are not named stay."""
+        """Return angles and rates in the table's order; unnamed joints stay."""
         goal, rates = at.angles.copy(), np.zeros(len(at.angles))
         names = list(self._table.names)
         count = len(setpoint.joints)
@@ -139,7 +139,7 @@ class Follower:
     def _aim_turn(
         self, setpoint: Setpoint, goal: Floats, rates: Floats, at: Reading, where: str
     ) -> None:
-        """Aim at whole turns, and one more to start and stop in."""
+        """Order whole turns, and one more to start and stop in."""
         turning = np.flatnonzero(rates)
         if len(turning) != 1 or not (setpoint.turns >= 1 and float(setpoint.turns).is_integer()):
             raise InputError(f'{where}: expected whole turns of one joint.')

@@ -1,4 +1,4 @@
-"""A serial port or a TCP connection on which lines are asked and answered."""
+"""Request-reply lines over a serial port or a TCP connection."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from ..errors import InputError
 from .ascii import BadReply
 
 _LONGEST = 1024
-"""Bytes of an answer; what is longer is no line of text."""
+"""Bytes of a reply; longer ones are not text lines."""
 
 
 class Port(Protocol):
-    """Bytes out and in; every call may raise OSError."""
+    """Transport of bytes; every call may raise OSError."""
 
     def drop(self) -> None:
-        """Forget what has come."""
+        """Discard received bytes."""
 
     def write(self, data: bytes) -> None:
         """Send."""
 
     def read_line(self) -> bytes:
-        """Return all up to a line feed, or what has come when time is up."""
+        """Return all up to a line feed, or the bytes received until the timeout."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the port."""
 
 
 class Line:
-    """Asks a line and waits for the answer.
+    """Send lines and wait for replies.
 
     Args:
         url: A serial port, or socket://host:port for TCP.
@@ -41,7 +41,7 @@ class Line:
 
     Raises:
         InputError: The URL is neither.
-        OSError: It does not open.
+        OSError: It cannot be opened.
 
     """
 
@@ -53,14 +53,14 @@ class Line:
         )
 
     def ask(self, line: str) -> str:
-        """Send a line and return the one that comes back, without its end.
+        """Send a line and return the reply without its end.
 
         Raises:
-            OSError: The line broke, or nothing came back in time.
-            BadReply: What came back is no text.
+            OSError: The line failed, or there was no reply in time.
+            BadReply: The reply is not text.
 
         """
-        # What is still under way answers an older line.
+        # Bytes still pending belong to the reply to an older line.
         self._port.drop()
         self._port.write(f'{line}\r\n'.encode('ascii'))
         reply = self._port.read_line()
@@ -72,7 +72,7 @@ class Line:
             raise BadReply(f'Found {reply[:20]!r}, expected ASCII text.') from None
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the port."""
         self._port.close()
 
 

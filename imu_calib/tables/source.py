@@ -1,6 +1,6 @@
-"""Whose setpoints a table follows: those of one source at a time, and none while that is forbidden.
+"""Select the setpoints that a table follows: one source at a time, and none while forbidden.
 
-It knows no clock and no middleware: times and sources come with the calls.
+It has no clock and no middleware: times and sources are arguments.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from ..stream import Mode, Setpoint
 
 
 class OneSource:
-    """Lets through the setpoints of one source; whatever else comes makes the table stand.
+    """Pass the setpoints of one source; any other setpoint makes the table hold.
 
-    A source has the table from its first setpoint until it has been silent for so long that the
-    table has stopped for want of setpoints; then another may have it. While one has it, a setpoint
-    of another is not followed: it is unknown which of the two is right, so the table stands.
-    HOLD is let through from everybody, for standing still is never wrong. After a stand nothing
-    moves before that long has passed without a setpoint but HOLD: a leader that has not
-    noticed does not go on where it was.
+    A source controls the table from its first setpoint until its silence exceeds the timeout, after
+    which the table has stopped; then another source may take over. Meanwhile a setpoint of another
+    source is not followed: which of the two is right is unknown, so the table holds. HOLD is passed
+    from all sources, since standing still is always safe. After such a hold nothing moves until the
+    timeout has passed without a setpoint other than HOLD, so that a leader that did not notice
+    cannot continue where it was.
 
     Args:
-        timeout: Silence after which a source has the table no more, s: that of the driver's
+        timeout: Silence after which a source no longer controls the table, s: that of the driver's
             setpoints.
 
     Attributes:
-        words: Why setpoints are not followed, in sentences; empty where they are.
+        words: Why setpoints are not followed, in sentences; otherwise empty.
 
     """
 
@@ -39,13 +39,13 @@ class OneSource:
         self.words = ''
 
     def forbid(self, why: str) -> Setpoint | None:
-        """Take whether something forbids every movement.
+        """Set whether movement is forbidden.
 
         Args:
-            why: A sentence; empty where nothing does.
+            why: A sentence; empty if allowed.
 
         Returns:
-            The HOLD that stops what is being followed; None where nothing is.
+            The HOLD that stops the motion being followed; None if there is none.
 
         """
         if self.words == self._forbidden:
@@ -58,11 +58,11 @@ class OneSource:
         return None if followed is None else replace(followed, mode=Mode.HOLD)
 
     def admit(self, setpoint: Setpoint, source: bytes, steady: float) -> Setpoint:
-        """Return what the table is to follow: the setpoint as it came, or HOLD in its place.
+        """Return the setpoint for the table: as received, or HOLD in its place.
 
         Args:
-            setpoint: As it came off the topic.
-            source: Tells its publisher from others.
+            setpoint: As received from the topic.
+            source: Identifies its publisher.
             steady: Monotonic time, s.
 
         """
@@ -80,7 +80,7 @@ class OneSource:
         return setpoint
 
     def _objection(self, steady: float) -> str:
-        """Return why a movement is not followed; empty where it is."""
+        """Return why a movement is not followed; otherwise empty."""
         if self._forbidden:
             return self._forbidden
         if steady - self._second_at <= self._timeout:
