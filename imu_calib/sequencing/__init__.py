@@ -1,4 +1,4 @@
-"""A turntable led through a plan: joint states and commands in, setpoints and the state out."""
+"""Run a plan on a turntable: joint states and commands in, setpoints and the state out."""
 
 from .encoders import Encoders, Feedback, FeedbackError
 from .rules import Phase, Rules, SequencerState

@@ -1,4 +1,4 @@
-"""Joint states to angles in the table's order, continuous, with rates."""
+"""Convert joint states to continuous angles in the table's order, with rates."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from ..turntable import TURN, Table
 from ..units import DEG
 
 WINDOW = 0.1
-"""Over which a table has to stand to be at rest, s; rates that are derived are its mean."""
+"""s without motion after which a table is at rest; derived rates are means over this time."""
 
 _WINDOW = round(WINDOW * 1e9)
 """ns."""
 
 _JITTER = 5 * DEG
-"""What the jitter of the stamps may add to the way between two joint states."""
+"""Largest change of angle between two joint states that stamp jitter may cause."""
 
 
 class FeedbackError(InputError):
-    """Joint states that say nothing of this table."""
+    """Joint states that are invalid for this table."""
 
 
 @dataclass(frozen=True)
@@ -47,16 +47,16 @@ class Feedback:
 
 
 class Encoders:
-    """Follows the joint states of a table.
+    """Track the joint states of a table.
 
     Args:
-        table: Whose.
-        quiet: What counts as no motion, rad.
-        patience: A stamp that lies further back than this starts the stream anew, s.
+        table: The table.
+        quiet: Largest angle that counts as no motion, rad.
+        patience: A stamp that is earlier by more than this restarts the stream, s.
 
     Attributes:
         ignored: Messages that lack a joint of the table.
-        ignored_names: What the latest of them names.
+        ignored_names: Joint names of the latest of them.
 
     """
 
@@ -71,13 +71,13 @@ class Encoders:
         self._turns = [0.0] * len(table.joints)
 
     def take(self, block: JointBlock) -> Iterator[Feedback]:
-        """Yield the joint states of a block whose stamps advance.
+        """Yield the joint states of a block whose stamps increase.
 
-        Messages that lack a joint of the table are left out and counted: other joints may share
-        the topic.
+        Messages that lack a joint of the table are skipped and counted: other joints may share the
+        topic.
 
         Raises:
-            FeedbackError: An angle is no number, or the stamps jump back.
+            FeedbackError: An angle is NaN, or the stamps jump back.
 
         """
         joints = block.of(self._table.names)
@@ -131,10 +131,10 @@ class Encoders:
         return Feedback(stamp, gap, tuple(angles), rates_of_joints, still)
 
     def _unwrapped(self, angles: list[float], last: tuple[float, ...], gap: float) -> list[float]:
-        """Add whole turns where an angle jumps by about a turn, further than it can have turned.
+        """Add whole turns where an angle jumps by about a turn, more than the joint can turn.
 
-        After a gap in the joint states only where the encoder is known to wrap: the table may have
-        gone anywhere, or begun anew. Other jumps are left as they are, for the watch to see.
+        After a gap in the joint states, only if the encoder is known to wrap: the table may have
+        moved anywhere, or restarted. Other jumps are kept, for the watch to detect.
         """
         result = []
         for k, (angle, before) in enumerate(zip(angles, last, strict=True)):

@@ -1,4 +1,4 @@
-"""Watch that a table that is not led stands still: an object from a stop to the next start."""
+"""Check that an idle table stays at rest, from a stop to the next start."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from .rules import Rules
 from .watch import Standing
 
 _NEWS = 2.0
-"""A way is worth a new sentence when it has grown by this factor: a long turn takes a few."""
+"""Growth of the excursion that is reported again: a few reports for a long turn."""
 
 
 class IdleWatch:
-    """Watches a table by its joint states while no plan is run.
+    """Monitor a table by its joint states while no plan is run.
 
     The table may take the time that its limits allow to come to rest. From then on a joint that
-    strays further than `Standing` allows (five times the arrival tolerance, at most the overshoot
-    tolerance) moves without a command. It stands again with a joint state that shows no
-    way since the one before, nor a rate: less than the arrival tolerance within `encoders.WINDOW`.
+    moves further than `Standing` allows (five times the arrival tolerance, at most the overshoot
+    tolerance) moves without a command. It is at rest again after a joint state without motion since
+    the one before and without a rate: less than the arrival tolerance within `encoders.WINDOW`.
 
     Args:
-        table: Which.
+        table: The table.
         rules: Tolerances.
         at: The last joint state before the stop, None if there is none.
-        led: Whether it was on a motion until then.
+        led: Whether it was in a commanded motion until then.
 
     Attributes:
-        moves: Whether it moves at the moment.
-        text: What it did, in sentences; empty while it did nothing.
-        way: How far it went from where it stood, at most, rad.
-        rate: How fast at most, rad/s.
+        moves: Whether it moves at present.
+        text: Sentences on its motion; empty without.
+        way: Largest distance from its rest, rad.
+        rate: Largest rate, rad/s.
 
     """
 
@@ -50,10 +50,10 @@ class IdleWatch:
         self.rate = 0.0
 
     def look(self, now: Feedback) -> bool:
-        """Take a joint state; return whether there is something new to report."""
+        """Take a joint state; return whether there is a new report."""
         last, self._last = self._last, now.angles
         if self._standing.rest is None and not 0 < now.gap <= self._rules.feedback_timeout:
-            # What it did meanwhile is unknown.
+            # The motion in the meantime is unknown.
             self._standing = Standing(self._table, self._rules, now)
         if not self.moves:
             stands, fault = self._standing.look(now)
@@ -76,7 +76,7 @@ class IdleWatch:
         return True
 
     def _rests(self, now: Feedback, last: tuple[float, ...] | None) -> bool:
-        """Say whether nothing turned from the last joint state to this one, by its rates too."""
+        """Return whether no joint moved since the last joint state, also by the rates."""
         quiet = self._rules.arrival
         slow = all(abs(rate) <= quiet / WINDOW for rate in now.rates)
         return (

@@ -1,4 +1,4 @@
-"""What of a plan is to be run yet, in which order, and how long it takes."""
+"""Remaining steps of a plan, their order and duration."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from .steps import end_of, laid_out, motion_time
 
 
 class Itinerary:
-    """The steps of a plan from where the table stands, and the way back there.
+    """The steps of a plan from the table's present position, and the way back there.
 
     Attributes:
-        current: The step that is run, or to be run next; None before the plan is laid out.
+        current: The current or next step; None before the plan is laid out.
 
     """
 
@@ -37,28 +37,28 @@ class Itinerary:
 
     @property
     def index(self) -> int:
-        """Of the current step; 0 before the plan is laid out."""
+        """Index of the current step; 0 before the plan is laid out."""
         return 0 if self.current is None else self.current.index
 
     @property
     def goes_home(self) -> bool:
-        """Whether the current step is the way back, or nothing is laid out yet."""
+        """Whether the current step is the way back, or the plan is not laid out yet."""
         return self.current is self._home
 
     @property
     def home(self) -> Step:
-        """The way back to where the table stood."""
+        """The way back to the start position."""
         assert self._home is not None
         return self._home
 
     def lay_out(self, angles: Sequence[float]) -> None:
-        """Make the steps anew.
+        """Compute the steps anew.
 
         Args:
-            angles: Where the table stands, rad.
+            angles: Present angles of the table, rad.
 
         Raises:
-            InputError: The table cannot do them.
+            InputError: The steps are beyond the table's limits.
 
         """
         before = np.array(angles)
@@ -72,12 +72,12 @@ class Itinerary:
             before = end_of(step)
 
     def leave_out(self, done: frozenset[int]) -> None:
-        """Leave out steps that were run in a session that is gone on with."""
+        """Remove steps that were run in the session that is resumed."""
         self._queue = deque(step for step in self._queue if step.index not in done)
         self.current = self._queue[0] if self._queue else self._steps[-1]
 
     def put_back(self) -> None:
-        """Have the current step, which was interrupted, run first."""
+        """Run the interrupted current step first."""
         if self.current is not None:
             self._queue.appendleft(self.current)
 
@@ -86,7 +86,7 @@ class Itinerary:
         return self._queue.popleft() if self._queue else None
 
     def repeat(self, indices: Sequence[int]) -> bool:
-        """Append steps that left too little, as often as the rules allow; return whether any."""
+        """Append steps with too little data, as often as the rules allow; return whether any."""
         again = [
             step
             for step in self._steps
@@ -97,14 +97,14 @@ class Itinerary:
         return bool(again)
 
     def seconds_left(self) -> float:
-        """Return how long what comes after the current step will take, s."""
+        """Return the duration of all after the current step, s."""
         left = sum(self._time_of(step) for step in self._queue)
         if not self.goes_home and self._home not in self._queue:
             left += self._times['home']
         return left
 
     def seconds_of_current(self) -> float:
-        """Return how long the current step takes: motion, settling and dwell, s."""
+        """Return the duration of the current step: motion, settling and dwell, s."""
         return 0.0 if self.current is None else self._time_of(self.current)
 
     def _time_of(self, step: Step) -> float:

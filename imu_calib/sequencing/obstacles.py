@@ -1,4 +1,4 @@
-"""Why a table may not be led, and why one that was led stands."""
+"""Reasons against starting a plan, and reasons for a stop."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ _NO_FEEDBACK = 'There are no joint states from the table.'
 
 
 class Obstacles:
-    """What keeps a plan from being started.
+    """Obstacles to starting a plan.
 
     Attributes:
-        emergency: What a start is answered while the emergency stop is on; else empty.
-        feedback: What is wrong with the joint states; empty while they are sound.
-        calibrator: What keeps the calibrator from taking a session in; empty where nothing does.
+        emergency: Reply to a start during the emergency stop; else empty.
+        feedback: Fault of the joint states; empty while they are valid.
+        calibrator: Fault of the calibrator; empty without.
 
     """
 
@@ -22,7 +22,7 @@ class Obstacles:
         self._forbidden: dict[str, str] = {}
 
     def forbid(self, what: str, why: str) -> bool:
-        """Take who forbids to lead the table, and why; empty: no longer. Return whether anew."""
+        """Set who forbids motion and why; empty: no longer. Return whether this is new."""
         if why == self._forbidden.get(what, ''):
             return False
         if not why:
@@ -33,16 +33,16 @@ class Obstacles:
 
     @property
     def forbidden(self) -> str:
-        """Why others forbid to lead the table, in sentences; empty where none does."""
+        """Why others forbid motion, in sentences; otherwise empty."""
         return ' '.join(self._forbidden.values())
 
 
 class Reasons:
-    """Why the table stands, and what has happened to it since.
+    """Reason for a stop, and events since.
 
     Attributes:
-        reason: Why it stands, or goes home without the calibrator's word; else empty.
-        fault: Whether something went wrong since the last start, and the stop was not asked for.
+        reason: Why the table stopped, or goes home without the calibrator's reply; else empty.
+        fault: Whether there was a fault since the last start, not a requested stop.
 
     """
 
@@ -52,17 +52,17 @@ class Reasons:
         self._remarks: dict[str, str] = {}
 
     def begin(self, reason: str = '', *, fault: bool = False) -> None:
-        """Forget what was, and give a new reason."""
+        """Reset, and set a new reason."""
         self.reason, self.fault = reason, fault
         self._remarks.clear()
 
     def remark(self, what: str, text: str) -> None:
-        """Add what went wrong while it stood, once by its name."""
+        """Add a fault that occurred at rest, once by its name."""
         self.fault = True
         self._remarks[what] = text
 
     @property
     def words(self) -> str:
-        """All of it in sentences."""
+        """Return all of it in sentences."""
         remarks = [text for text in self._remarks.values() if text != self.reason]
         return ' '.join([*filter(None, [self.reason]), *remarks])

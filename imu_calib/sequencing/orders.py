@@ -1,4 +1,4 @@
-"""The present command to the table, and whether the table follows it."""
+"""The present command to the table, and the check that the table follows it."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from .watch import Standing, Watch
 
 
 class Orders:
-    """The setpoint of the moment, from when it was sent on, and the watch on what comes of it.
+    """The present setpoint, from its sending on, and the watch on its execution.
 
     Args:
         plan: Name of the plan.
-        table: Which table.
+        table: The table.
         rules: Tolerances.
 
     Attributes:
         revision: Changes with the setpoint.
         motion: The motion that was ordered last; None once the table was commanded to hold.
         turns_done: Turns at rate of the last motion, without sign.
-        idle: What the table did while it was not led.
+        idle: Motion of the table while idle.
 
     """
 
@@ -53,38 +53,38 @@ class Orders:
         return held(current, angles, self._plan, self._table)
 
     def hold(self, current: Step | None, at: Feedback | None) -> None:
-        """Tell the table to hold; who watches it, and for what, stays as it is.
+        """Command the table to hold; the present watch is kept.
 
         Args:
-            current: The step that is interrupted, where there is one.
-            at: The last joint state, where there is one.
+            current: The interrupted step, if any.
+            at: The last joint state, if any.
 
         """
         self._order(self.to_hold(current, at), None)
 
     def stop(self, current: Step | None, at: Feedback | None) -> None:
-        """Tell the table to hold, and watch it come to rest; arguments as of `hold`."""
+        """Command the table to hold, and watch it come to rest; arguments as of `hold`."""
         led = isinstance(self._watch, Watch) or self._watch.led
         self.idle = IdleWatch(self._table, self._rules, at, led=led)
         self._watch = Standing(self._table, self._rules, at, led=led)
         self.hold(current, at)
 
     def move(self, motion: Step) -> None:
-        """Tell the table to move; it is watched once that was sent."""
+        """Command a motion; it is watched once the setpoint was sent."""
         self.turns_done = 0.0
         self._order(setpoint_of(motion, self._plan, self._table.names), motion)
 
     def stay(self, goal: tuple[float, ...], at: Feedback | None) -> None:
-        """Watch that the table stays at (k,) angles, rad, at which it has arrived."""
+        """Watch that the table stays at its goal, (k,) angles, rad."""
         self._watch = Standing(self._table, self._rules, at)
         self._watch.keep(goal)
 
     def to_send(self, stamp: int, at: Feedback | None) -> Setpoint | None:
-        """Return the setpoint of the moment, None before the first; it counts as sent now.
+        """Return the present setpoint, None before the first; it counts as sent now.
 
         Args:
-            stamp: When it is sent, ns.
-            at: The last joint state, where there is one: a motion is watched from there.
+            stamp: Time of sending, ns.
+            at: The last joint state, if any: the watch on a motion begins there.
 
         """
         if self._setpoint is None:
@@ -97,11 +97,11 @@ class Orders:
 
     @property
     def under_way(self) -> bool:
-        """Whether the setpoint has left: what was measured before says nothing of what it does."""
+        """Whether the setpoint was sent: earlier measurements do not show its effect."""
         return self._sent
 
     def look(self, now: Feedback) -> tuple[bool, str]:
-        """Return whether the motion is complete, and what is wrong, in a sentence."""
+        """Return whether the motion is complete, and a sentence on any fault."""
         there, fault = self._watch.look(now)
         if isinstance(self._watch, Watch):
             self.turns_done = self._watch.turns_done

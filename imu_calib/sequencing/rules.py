@@ -1,4 +1,4 @@
-"""Tolerances and times of a sequencer, and the phases that it reports."""
+"""Tolerances and times of a sequencer, and the phases of its state."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..units import DEG
 
 
 class Phase(IntEnum):
-    """What the table is doing; values as in imu_calib_msgs/TurntableState."""
+    """Phase of the table; values as in imu_calib_msgs/TurntableState."""
 
     IDLE = 0
     MOVING = 1
@@ -23,16 +23,16 @@ class Phase(IntEnum):
 
 @dataclass(frozen=True)
 class Rules:
-    """Tolerances and times; all times count the stamps of the joint states.
+    """Tolerances and times; all times are by the stamps of the joint states.
 
     Attributes:
         settle: From the arrival at a step's end to the start of its dwell, s.
-        arrival: A joint has arrived that stands within this of its goal, rad.
-        overshoot: How far a joint may pass its goal, or stray from its way, rad.
+        arrival: Largest distance from its goal of a joint that has arrived, rad.
+        overshoot: Largest distance of a joint beyond its goal, or off its way, rad.
         feedback_timeout: Longest gap between joint states, s.
-        supervised: Whether a calibrator says which steps are to be repeated.
-        repeats: How often a step is repeated at most because the calibrator asks for it.
-        repeat_wait: How long the end of the plan waits for the calibrator's word, s.
+        supervised: Whether a calibrator requests repetitions of steps.
+        repeats: Most repetitions of a step at the calibrator's request.
+        repeat_wait: Longest wait for the calibrator's reply at the end of the plan, s.
 
     """
 
@@ -47,18 +47,18 @@ class Rules:
 
 @dataclass(frozen=True)
 class SequencerState:
-    """What the sequencer is doing: the content of imu_calib_msgs/TurntableState.
+    """State of the sequencer: the content of imu_calib_msgs/TurntableState.
 
     Attributes:
         plan: Name of the plan.
-        step: Index of the step that is run, or was run last.
+        step: Index of the current or last step.
         steps: Number of steps, 0 before the first start.
         position: Id of the plan's position, empty on the way back to the start.
-        phase: What it does.
-        reason: Why it is PAUSED or ABORTED, DONE without the calibrator's word, or what happened
-            to a table that is not led; else empty.
-        fault: Whether something went wrong, and the stop was not asked for.
-        waits_for: What a start that was accepted waits for, else empty.
+        phase: Present phase.
+        reason: Why it is PAUSED or ABORTED, DONE without the calibrator's reply, or what happened
+            to an idle table; else empty.
+        fault: Whether there was a fault, not a requested stop.
+        waits_for: What an accepted start waits for, else empty.
         angles: (k,) measured, unwrapped, rad; empty before the first joint state.
         rates: (k,) measured, rad/s.
         turns_done: Turns at rate of the current RATE step, without sign.

@@ -1,4 +1,4 @@
-"""A plan's steps, one after the other, while the table is led through them."""
+"""Run the steps of a plan one after another."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from .steps import check, end_of, way_to
 
 
 class Leg(Enum):
-    """Where within its plan a table is."""
+    """Stage within a running plan."""
 
     STOPPING = auto()
-    """Until the table stands, to go on from there."""
+    """Until the table is at rest, to continue from there."""
     MOVING = auto()
     SETTLING = auto()
     DWELLING = auto()
     REVIEWING = auto()
-    """For the calibrator's word on what is to be repeated."""
+    """Waiting for the calibrator's reply on repetitions."""
     HOME = auto()
-    """Back where it stood: there is nothing left to be done."""
+    """Back at its start position: the plan is complete."""
 
 
 _WITHIN_A_STEP = frozenset({Leg.MOVING, Leg.SETTLING, Leg.DWELLING})
@@ -44,18 +44,18 @@ _PHASES = {
 
 
 class Run:
-    """Leads a table from step to step, each confirmed by the joint states.
+    """Run a table from step to step, each confirmed by the joint states.
 
     Args:
-        plan: What is run.
-        table: On what.
+        plan: The plan.
+        table: The table.
         rules: Tolerances and times.
 
     Attributes:
-        itinerary: The steps, and which comes next.
-        orders: What the table is commanded.
-        leg: Where within the plan it is; while it is not led, STOPPING.
-        remark: How the plan ended, a sentence for a person; else empty.
+        itinerary: The steps in order.
+        orders: The commands to the table.
+        leg: Stage within the plan; STOPPING while idle.
+        remark: How the plan ended, in a sentence; else empty.
 
     """
 
@@ -72,14 +72,14 @@ class Run:
 
     @property
     def phase(self) -> Phase:
-        """What the table is doing while it is led."""
+        """Phase of the table while a plan runs."""
         motion = self.orders.motion
         if self.leg is Leg.MOVING and motion is not None and motion.mode is Mode.RATE:
             return Phase.TURNING
         return _PHASES[self.leg]
 
     def go(self, at: Feedback | None, done: frozenset[int] = frozenset()) -> None:
-        """Go on, once the table stands, with what is left of the plan.
+        """Continue with the remaining plan once the table is at rest.
 
         Args:
             at: The last joint state.
@@ -93,28 +93,28 @@ class Run:
         self._stop(Leg.STOPPING, at)
 
     def interrupt(self, at: Feedback | None) -> None:
-        """Hold the table; the step that is interrupted is run first when it goes on."""
+        """Hold the table; the interrupted step is run first on continuing."""
         if self.leg in _WITHIN_A_STEP:
             self.itinerary.put_back()
         self._stop(Leg.STOPPING, at)
 
     def follow(self, now: Feedback) -> str:
-        """Go on by one joint state; return what went wrong, in a sentence, else nothing."""
+        """Process a joint state; return a sentence on a fault, or nothing."""
         if not self.orders.under_way:
             return ''
         there, fault = self.orders.look(now)
         return fault or self._go_on(now, there)
 
     def review(self, stamp: int, repeat_steps: Sequence[int], at: Feedback) -> str:
-        """Take the calibrator's word in REVIEWING; return what goes wrong, in a sentence.
+        """Process the calibrator's reply in REVIEWING; return a sentence on a fault.
 
         Args:
-            stamp: Up to when it has worked through the joint states, ns.
-            repeat_steps: Indices of steps that left too little.
+            stamp: Stamp of the last joint state that it has processed, ns.
+            repeat_steps: Indices of steps with too little data.
             at: The last joint state.
 
         """
-        # Joint states that are yet to come have not been worked through.
+        # A reply that does not cover all joint states is too early.
         latest = at.stamp + self._rules.feedback_timeout * 1e9
         if not self._ended <= stamp <= latest:
             return ''
@@ -175,7 +175,7 @@ class Run:
         return self._begin(step or self.itinerary.home, at)
 
     def _begin(self, step: Step, at: Feedback) -> str:
-        """Command a step; a turn whose place is not certain is preceded by the way there."""
+        """Command a step; a turn whose start may be off is preceded by a move there."""
         self.itinerary.current = step
         off = np.abs(step.angles - np.array(at.angles)).max()
         near = self._place_is_known and off <= self._rules.arrival

@@ -1,4 +1,4 @@
-"""Leads a table through a plan, from joint states and commands alone: no clock, no ROS."""
+"""Run a plan on a table by joint states and commands alone: no clock, no ROS."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .supervision import CALIBRATOR, Supervision
 
 
 class _Stage(Enum):
-    """Where the sequencer is within a session."""
+    """Stage of a session."""
 
     IDLE = auto()
     WAITING = auto()
-    """For the calibrator, to start or to resume."""
+    """Waiting for the calibrator, to start or to resume."""
     RUNNING = auto()
     PAUSED = auto()
     DONE = auto()
@@ -42,14 +42,13 @@ _PHASES = {
 class Sequencer:
     """Runs a plan on a table, step by step, each confirmed by the joint states.
 
-    A step counts as begun when its setpoint was sent: `setpoint` says what to send, `revision`
-    changes with it. Whatever goes wrong ends in HOLD and PAUSED; `start` then repeats the step
-    that was interrupted. After an abort or an emergency stop it starts the plan anew: somebody
-    may have touched the unit.
+    A step counts as begun when its setpoint was sent: `setpoint` returns what to send, `revision`
+    changes with it. Every fault ends in HOLD and PAUSED; `start` then repeats the interrupted step.
+    After an abort or an emergency stop it restarts the plan: the unit may have been touched.
 
     Args:
-        plan: What is run.
-        table: On what.
+        plan: The plan.
+        table: The table.
         rules: Tolerances and times.
 
     Raises:
@@ -78,17 +77,17 @@ class Sequencer:
 
     @property
     def revision(self) -> int:
-        """Changes with the setpoint that is to be sent."""
+        """Number that changes with the setpoint to be sent."""
         return self._run.orders.revision
 
     @property
     def running(self) -> bool:
-        """Whether the table is led: from the start to DONE, but for pauses."""
+        """Whether a plan runs: from the start to DONE, except pauses."""
         return self._stage is _Stage.RUNNING
 
     @property
     def reviewing(self) -> bool:
-        """Whether the plan has been run and the calibrator is to say what is to be repeated."""
+        """Whether the plan has been run and the calibrator's reply on repetitions is awaited."""
         return self.running and self._run.leg is Leg.REVIEWING
 
     @property
@@ -98,7 +97,7 @@ class Sequencer:
 
     @property
     def obstacle(self) -> str:
-        """Why a start would be refused now; empty if it would not."""
+        """Why a start would be refused now; otherwise empty."""
         found = self._obstacles
         if found.emergency:
             return found.emergency
@@ -109,19 +108,19 @@ class Sequencer:
 
     @property
     def idle(self) -> IdleWatch:
-        """What the table did while no plan was run."""
+        """Motion of the table while no plan is run."""
         return self._run.orders.idle
 
     @property
     def fault(self) -> bool:
-        """Whether something went wrong since the last start, and the stop was not asked for."""
+        """Whether there was a fault since the last start, not a requested stop."""
         return self._why.fault
 
     def start(self) -> str:
-        """Start, resume after a pause, or start anew; return what is done, in words.
+        """Start, resume after a pause, or restart; return a sentence on which.
 
         Raises:
-            InputError: Refused, and why.
+            InputError: Refused, with the reason.
 
         """
         if self.obstacle:
@@ -141,26 +140,26 @@ class Sequencer:
         return f'Resumes with step {index}.' if resumes else f'Runs {self.plan.name}.'
 
     def resume(self) -> None:
-        """Have the first start run what the calibrator lacks alone: its session is gone on with.
+        """Make the first start run only the steps that the calibrator lacks, in its old session.
 
         Raises:
-            InputError: No calibrator is listened to.
+            InputError: The sequencer is not supervised by a calibrator.
 
         """
         self._supervision.resume()
 
     def skip_done(self, seen: int, repeat_steps: Sequence[int]) -> None:
-        """Take what the calibrator has from before.
+        """Set the steps that the calibrator has from its old session.
 
         Args:
-            seen: How many steps it has seen at least the beginning of.
-            repeat_steps: Indices of those among them that left too little.
+            seen: Number of steps of which it has at least the beginning.
+            repeat_steps: Indices of those among them with too little data.
 
         """
         self._supervision.skip_done(seen, repeat_steps)
 
     def pause(self) -> None:
-        """Stop, to go on later.
+        """Stop, to continue later.
 
         Raises:
             InputError: Nothing is running.
@@ -171,7 +170,7 @@ class Sequencer:
         self._halt(_Stage.PAUSED, 'Paused on request.')
 
     def abort(self, reason: str = 'Aborted on request.') -> None:
-        """Stop for good.
+        """Stop finally.
 
         Raises:
             InputError: Nothing was started.
@@ -182,11 +181,11 @@ class Sequencer:
         self._halt(_Stage.ABORTED, reason)
 
     def emergency(self, on: bool, obstacle: str = 'The emergency stop is on.') -> None:
-        """Take the emergency stop's state; its release alone moves nothing.
+        """Set the state of the emergency stop; its release alone moves nothing.
 
         Args:
             on: Whether it is on.
-            obstacle: What a start is answered while it is on.
+            obstacle: Reply to a start while it is on.
 
         """
         if on and not self._obstacles.emergency:
@@ -197,12 +196,12 @@ class Sequencer:
         self._obstacles.emergency = obstacle if on else ''
 
     def forbid(self, what: str, why: str, *, awaited: bool = False) -> None:
-        """Take whether something forbids to lead the table.
+        """Set whether motion is forbidden.
 
         Args:
-            what: Who says so, for instance a topic.
-            why: A sentence; empty where it forbids no longer, which alone moves nothing.
-            awaited: Whether something is yet to come: no fault while the table is not led.
+            what: The source, for instance a topic.
+            why: A sentence; empty if no longer forbidden, which alone moves nothing.
+            awaited: Whether it only awaits something: no fault while idle.
 
         """
         if not self._obstacles.forbid(what, why):
@@ -213,30 +212,30 @@ class Sequencer:
             self._remark(what, why)
 
     def fail(self, reason: str) -> None:
-        """Stop and pause, if the table is led."""
+        """Stop and pause, if a plan runs."""
         if self.running:
             self._halt(_Stage.PAUSED, reason, fault=True)
 
     def lose_feedback(self, reason: str) -> None:
-        """Take it that joint states do not come any more, or say nothing of the table."""
+        """Note that joint states have ceased or are invalid."""
         self._obstacles.feedback = reason
         self.fail(reason)
 
     def set_calibrator_fault(self, fault: str) -> None:
-        """Take what keeps the calibrator from taking a session in; empty where nothing does.
+        """Set the fault that prevents the calibrator from taking a session; empty without.
 
-        No plan is started while there is a fault; one that runs goes on.
+        With a fault no plan is started; a running one continues.
         """
         if self.rules.supervised:
             self._obstacles.calibrator = fault
 
     @property
     def ignored(self) -> tuple[int, tuple[str, ...]]:
-        """How many joint states lacked a joint of the table, and what the latest named."""
+        """Number of joint states that lacked a joint of the table, and the names of the latest."""
         return self._encoders.ignored, self._encoders.ignored_names
 
     def set_calibrator_present(self, heard: bool, reason: str = '') -> None:
-        """Take whether the calibrator is there; while it is silent the table is not led."""
+        """Set whether the calibrator is present; without it the table is not moved."""
         if not self.rules.supervised:
             return
         self._supervision.hear(heard)
@@ -249,11 +248,11 @@ class Sequencer:
                 self._halt(_Stage.PAUSED, self._obstacles.feedback, fault=True)
 
     def review(self, stamp: int, repeat_steps: Sequence[int]) -> None:
-        """Take the calibrator's word; ignore it while none is awaited.
+        """Process the calibrator's reply; ignore it while none is awaited.
 
         Args:
-            stamp: Up to when it has worked through the joint states, ns.
-            repeat_steps: Indices of steps that left too little.
+            stamp: Stamp of the last joint state that it has processed, ns.
+            repeat_steps: Indices of steps with too little data.
 
         """
         if not self.reviewing or self._feedback is None:
@@ -262,7 +261,7 @@ class Sequencer:
             self.fail(fault)
 
     def take(self, block: JointBlock) -> bool:
-        """Take joint states; return whether their stamps advance."""
+        """Take joint states; return whether their stamps increase."""
         advanced = False
         try:
             for now in self._encoders.take(block):
@@ -276,18 +275,18 @@ class Sequencer:
         """Return the setpoint to send now, None before the first start.
 
         Args:
-            stamp: When it is sent, ns.
+            stamp: Time of sending, ns.
 
         """
         return self._run.orders.to_send(stamp, self._feedback)
 
     def hold(self, stamp: int) -> Setpoint:
-        """Return the setpoint that stops the table, whatever else is going on."""
+        """Return the setpoint that stops the table in any state."""
         hold = self._run.orders.to_hold(self._run.itinerary.current, self._feedback)
         return replace(hold, stamp=stamp)
 
     def state(self) -> SequencerState:
-        """Return what is going on."""
+        """Return the present state."""
         at, run = self._feedback, self._run
         stage = self._waits_from if self._stage is _Stage.WAITING else self._stage
         phase = run.phase if self.running else _PHASES[stage]
@@ -313,18 +312,18 @@ class Sequencer:
 
     @property
     def feedback_fault(self) -> str:
-        """What is wrong with the joint states; empty while they are sound."""
+        """Fault of the joint states; empty while they are valid."""
         return self._obstacles.feedback
 
     @property
     def summary(self) -> tuple[object, ...]:
-        """What makes a state worth telling: it changes with everything but the measurements."""
+        """Return a key of the state that changes with all except the measurements."""
         motion, current = self._run.orders.motion, self._run.itinerary.current
         mode = None if motion is None else motion.mode
         return self._stage, self._waits_from, self._run.leg, mode, current, self._why.words
 
     def _remark(self, what: str, text: str) -> None:
-        """Hold a table that is not led, and say why; a start that waits is called off."""
+        """Hold an idle table, and note why; a waiting start is cancelled."""
         if self._stage is _Stage.WAITING:
             self._stage = self._waits_from
         self._why.remark(what, text)
@@ -332,18 +331,18 @@ class Sequencer:
             self._run.orders.hold(self._run.itinerary.current, self._feedback)
 
     def _halt(self, stage: _Stage, reason: str, *, fault: bool = False) -> None:
-        """Hold, and do not go on by itself."""
+        """Hold, and do not continue automatically."""
         self._run.interrupt(self._feedback)
         self._why.begin(reason, fault=fault)
         self._stage = stage
 
     def _go(self) -> None:
-        """Go on once the table stands."""
+        """Continue once the table is at rest."""
         self._stage = _Stage.RUNNING
         self._run.go(self._feedback, self._supervision.left_out())
 
     def _follow(self, now: Feedback) -> None:
-        """Go on by one joint state."""
+        """Process a joint state of a running plan."""
         if not self.running:
             self._see_it_stand(now)
         elif now.gap > self.rules.feedback_timeout:
@@ -359,6 +358,6 @@ class Sequencer:
                 self._stage = _Stage.DONE
 
     def _see_it_stand(self, now: Feedback) -> None:
-        """Hold a table that moves though it is not led, and say how far and how fast."""
+        """Hold an idle table that moves, and report how far and how fast."""
         if self.idle.look(now):
             self._remark('unled', self.idle.text)

@@ -1,4 +1,4 @@
-"""Steps of a plan as setpoints: where they end, how long they take, what the table allows."""
+"""Steps of a plan as setpoints: end positions, durations, limits of the table."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from ..units import DEG
 
 
 def laid_out(plan: Plan, table: Table, start: Floats) -> tuple[tuple[Step, ...], Step]:
-    """Return the steps of a plan from where the table stands, and the way back there.
+    """Return the steps of a plan from the table's present position, and the way back there.
 
     Args:
-        plan: What is to be run.
-        table: On what.
-        start: (k,) angles where the table stands, rad.
+        plan: The plan.
+        table: The table.
+        start: (k,) present angles of the table, rad.
 
     Raises:
-        InputError: The table cannot do it: names joint, value and limit.
+        InputError: Beyond the table's limits: names joint, value and limit.
 
     """
     still = np.zeros(len(start))
@@ -38,7 +38,7 @@ def laid_out(plan: Plan, table: Table, start: Floats) -> tuple[tuple[Step, ...],
 
 
 def check(step: Step, table: Table) -> None:
-    """Refuse what lies beyond the table's limits of angle, rate and acceleration.
+    """Refuse steps beyond the table's limits of angle, rate and acceleration.
 
     Raises:
         InputError: Names joint, value and limit.
@@ -48,7 +48,7 @@ def check(step: Step, table: Table) -> None:
     table.check(step.angles, step.rates, where)
     table.check(end_of(step), step.rates, where)
     for joint, rate in zip(table.joints, step.rates, strict=True):
-        # One turn is spare to run up and down in: v^2 / a of it is used.
+        # One extra turn is available for run-up and run-down, which use v^2 / a of it.
         needed = float(rate) ** 2 / TURN
         if needed > joint.max_acceleration * (1 + 1e-9):
             raise InputError(
@@ -59,19 +59,19 @@ def check(step: Step, table: Table) -> None:
 
 
 def end_of(step: Step) -> Floats:
-    """Return the (k,) angles at which a step comes to rest, rad."""
+    """Return the (k,) angles at rest after a step, rad."""
     travel = np.where(step.rates == 0, 0.0, np.copysign(TURN * (step.turns + 1), step.rates))
     return np.asarray(step.angles + travel)
 
 
 def way_to(step: Step) -> Step:
-    """Return the step that goes where a turn starts."""
+    """Return the step that moves to the start of a turn."""
     still = np.zeros(len(step.rates))
     return replace(step, mode=Mode.POSITION, rates=still, turns=0, dwell=0.0)
 
 
 def motion_time(step: Step, before: Floats, table: Table) -> float:
-    """Return how long a step moves at the table's limits from (k,) angles before it, s."""
+    """Return the duration of a step's motion from (k,) angles at the table's limits, s."""
     ways = end_of(step) - before
     return max(
         travel_time(
@@ -98,13 +98,13 @@ def setpoint_of(step: Step, plan: str, joints: tuple[str, ...]) -> Setpoint:
 
 
 def held(current: Step | None, angles: Sequence[float] | None, plan: str, table: Table) -> Setpoint:
-    """Return the setpoint that stops a table where it is; its stamp is for the sender to set.
+    """Return the setpoint that stops a table where it is; the sender sets its stamp.
 
     Args:
-        current: The step that is interrupted, where there is one.
-        angles: Where the table is, rad, for the record; None where unknown.
+        current: The interrupted step, if any.
+        angles: Present angles, rad, for the record; None if unknown.
         plan: Name of the plan.
-        table: Which table.
+        table: The table.
 
     """
     joints = table.joints

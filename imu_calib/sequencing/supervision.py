@@ -1,4 +1,4 @@
-"""The calibrator as the sequencer knows it: whether it is there, and what it has from before."""
+"""The calibrator from the sequencer's view: its presence, and its data of an old session."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ CALIBRATOR = 'the calibrator (calibration/progress)'
 
 
 class Supervision:
-    """Whether a calibrator listens, and which steps it has from a session that is gone on with.
+    """Presence of a calibrator, and the steps that it has from a session that is resumed.
 
     Args:
-        needed: Whether the table is led only while one listens.
+        needed: Whether the table is moved only while one is present.
 
     Attributes:
-        heard: Whether the table may be led as far as the calibrator goes.
+        heard: Whether the calibrator, if needed, is present.
 
     """
 
@@ -27,10 +27,10 @@ class Supervision:
         self._done: frozenset[int] | None = None
 
     def resume(self) -> None:
-        """Have the next start run what the calibrator lacks alone.
+        """Make the next start run only the steps that the calibrator lacks.
 
         Raises:
-            InputError: No calibrator is listened to.
+            InputError: No calibrator is needed.
 
         """
         if not self.needed:
@@ -41,16 +41,16 @@ class Supervision:
         self._resumes = True
 
     def skip_done(self, seen: int, repeat_steps: Sequence[int]) -> None:
-        """Take what the calibrator has from before; arguments as `Sequencer.skip_done`."""
+        """Set the steps that the calibrator has already; arguments as `Sequencer.skip_done`."""
         if self._resumes:
             self._done = frozenset(range(seen)) - frozenset(repeat_steps)
 
     def hear(self, present: bool) -> None:
-        """Take whether the calibrator is there; to go on with a session what it has is needed."""
+        """Set whether the calibrator is present; to resume a session, its steps are needed too."""
         self.heard = present and not (self._resumes and self._done is None)
 
     def left_out(self) -> frozenset[int]:
-        """Return the steps that need not be run again, once: the next start runs all."""
+        """Return the steps to skip, once: the next start runs all."""
         if not self._resumes or self._done is None:
             return frozenset()
         self._resumes = False

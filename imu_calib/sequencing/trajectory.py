@@ -1,11 +1,11 @@
-"""Setpoints as finite trajectories, for controllers that follow points in time.
+"""Convert setpoints to finite trajectories, for controllers that follow points in time.
 
-joint_trajectory_controller replaces the trajectory it follows by the one that comes, samples it
-by the time since its header's stamp, and holds the last point. A zero stamp starts it now, from
-where the joints are, on a cubic to the first point.
+joint_trajectory_controller replaces its trajectory by each new one, samples it by the time since
+its header's stamp, and holds the last point. A zero stamp starts it now, from the present joint
+positions, on a cubic to the first point.
 
-So all pieces of one motion carry the stamp of its start and coincide up to where the earlier one
-brakes: that they take a while to arrive does no harm, and a table whose node has died brakes.
+So all pieces of one motion have the stamp of its start and coincide up to where the earlier one
+brakes: transmission delays do no harm, and the table brakes if its node fails.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from ..turntable import TURN, Table
 from .encoders import Feedback
 
 _LEAD = 0.1
-"""A motion starts so long after its first piece is sent, s."""
+"""s from sending the first piece of a motion to its start."""
 
 _PIECE = 3.0
-"""s that a trajectory reaches ahead: so long a controller moves if its leader dies."""
+"""s that a trajectory reaches ahead: the time for which a controller moves if its node fails."""
 _RENEWAL = 1.0
 """s between two trajectories: two may be lost before the last one ends."""
 _SOONEST_STOP = 0.1
-"""s more than the limits need to stop: the joint state that this begins from is old by then."""
+"""s added to the shortest stop, since the joint state at its start is old by then."""
 _OLD = 0.2
-"""A joint state of this age does not say any more where the table is, s."""
+"""Age of a joint state, s, above which the table's position is unknown."""
 
 
 class Overtaken(ImuCalibError):
-    """The next piece comes when the table brakes already: it would have to jump."""
+    """The next piece comes when the table brakes already: the course would jump."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Piece:
 
     Attributes:
         stamp: Its start, ns; 0: now.
-        course: Knots; without the one at time zero it starts from where the table is.
+        course: Knots; without one at time zero it starts from the present position.
 
     """
 
@@ -53,7 +53,7 @@ class Piece:
 
 
 class Lead:
-    """Turns the setpoints that are sent over and over into pieces of trajectories."""
+    """Convert repeated setpoints to pieces of trajectories."""
 
     def __init__(self, table: Table) -> None:
         self._table = table
@@ -66,14 +66,14 @@ class Lead:
         self._told = -math.inf
 
     def piece(self, setpoint: Setpoint, at: Feedback) -> Piece | None:
-        """Return the trajectory to send with a setpoint, None while the last one will do.
+        """Return the trajectory to send with a setpoint, None while the last one suffices.
 
         Args:
-            setpoint: As it is sent, checked against the table's limits; its stamp is now.
+            setpoint: As sent, checked against the table's limits; its stamp is now.
             at: The last joint state.
 
         Raises:
-            Overtaken: Too late to go on with the motion without a jump.
+            Overtaken: Too late to continue the motion without a jump.
 
         """
         if setpoint.mode is Mode.HOLD:
@@ -97,9 +97,9 @@ class Lead:
         return Piece(self._start, course.until(self._covered, self._accelerations))
 
     def _stop(self, at: Feedback) -> Piece:
-        """Return the way to the nearest stopping point, from where the table is."""
+        """Return the course to the nearest stopping point, from the present position."""
         times = [abs(r) / a for r, a in zip(at.rates, self._accelerations, strict=True)]
-        # In a little more than the shortest time: the joint state is some milliseconds old.
+        # Slightly longer than the shortest time: the joint state is some milliseconds old.
         time = max(times) + _SOONEST_STOP
         goal = np.array(at.angles) + np.array(at.rates) * time / 2
         return Piece(0, Course(np.array([time]), goal[None], np.zeros((1, len(goal)))))
@@ -127,7 +127,7 @@ class Lead:
         return self._stop(at)
 
     def _cut_short(self, setpoint: Setpoint) -> Piece | None:
-        """Brake on the course that is followed: where the table is, is unknown."""
+        """Brake on the present course: the table's position is unknown."""
         course, end = self._course, (setpoint.stamp - self._start) * 1e-9 + _LEAD
         if course is None or end >= self._covered:
             return None

@@ -1,4 +1,4 @@
-"""Compares the table with its command: one object per motion, fed with joint states."""
+"""Compare the table with its command: one object per motion, fed with joint states."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from .encoders import WINDOW, Feedback
 from .rules import Rules
 
 _LAG = 1.0
-"""From a setpoint to the first motion, s, at most."""
+"""Longest time from a setpoint to the first motion, s."""
 
 _SLACK = 2.0
-"""How much longer than at its limits a motion may take."""
+"""Longest duration of a motion, relative to that at the table's limits."""
 
 _PROGRESS = 0.1
-"""Share of the expected way below which a joint counts as stalled."""
+"""Share of the expected motion below which a joint counts as stalled."""
 
 _RATE_SPAN = 0.3
-"""Over which the rate of a turn is taken, s: jitter of two stamps must not count."""
+"""s over which the rate of a turn is measured: jitter of two stamps must not matter."""
 
 _RATE_TOLERANCE = 0.1
-"""Of the rate commanded: tables hold 1e-3, one that slips or is blocked is far beyond.
+"""Of the commanded rate: tables keep 1e-3, one that slips or is blocked is far beyond.
 
-It has to be exceeded twice in a row, to the same side: a joint state that a busy computer delays by
+It must be exceeded twice in a row, to the same side: a joint state that a busy computer delays by
 35 ms makes one rate an eighth too low, and the next one too high.
 """
 
 _RATE_ASTRAY = 0.5
-"""The same, once is enough: a joint state would have to be late by half a span. A judgement."""
+"""The same for a single time: a joint state would have to be late by half a span. A judgement."""
 
 _STRAY = 5.0
-"""How many times the arrival tolerance a joint may stray that is to stand."""
+"""Largest motion of a joint commanded to hold, in arrival tolerances."""
 
 SETS_OUT = 2 * WINDOW
-"""s of joint states from a stop on that may show a table still that had just been set in motion:
-`Feedback.still` looks back for half of that, the other half is the table's to set out in."""
+"""s after a stop in which joint states may show rest although a motion had just been commanded:
+`Feedback.still` covers half of it, the other half is the table's reaction time."""
 
 
 @dataclass
 class _Way:
-    """One joint on its way."""
+    """Motion of one joint."""
 
     joint: Joint
     goal: float
@@ -58,11 +58,11 @@ class _Way:
 
 
 class Watch:
-    """Watches a motion to its end.
+    """Monitor a motion to its end.
 
     Attributes:
         begin: Stamp of the joint state before the first setpoint, ns.
-        expected: How long the motion takes at the table's limits, s.
+        expected: Duration of the motion at the table's limits, s.
 
     """
 
@@ -99,11 +99,11 @@ class Watch:
 
     @property
     def turns_done(self) -> float:
-        """Turns at rate so far; 0 where nothing turns."""
+        """Turns at rate so far; 0 without a turn."""
         return 0.0 if self._turn is None else self._turn.done
 
     def look(self, now: Feedback) -> tuple[bool, str]:
-        """Return whether the table has arrived, and what is wrong, in a sentence, if anything."""
+        """Return whether the table has arrived, and a sentence on any fault."""
         arrived = now.still
         for way, angle in zip(self._ways, now.angles, strict=True):
             fault = self._astray(way, angle) or self._stalled(way, angle, now.stamp)
@@ -114,7 +114,7 @@ class Watch:
             fault = self._turn.look(now.stamp)
             if fault:
                 return False, fault
-        # Without joint states it is unknown whether the table stands; how long that may last is
+        # Without joint states it is unknown whether the table is at rest; the longest gap is
         # `Rules.feedback_timeout`.
         self._unseen += max(0.0, now.gap - WINDOW)
         elapsed = (now.stamp - self.begin) * 1e-9
@@ -123,7 +123,7 @@ class Watch:
         return arrived, ''
 
     def _astray(self, way: _Way, angle: float) -> str:
-        """Say which way the joint goes wrong; empty where it does not."""
+        """Return how the joint leaves its way; empty if it does not."""
         joint, allowed = way.joint, self._rules.overshoot
         where = f'Joint {joint.name} is at {angle / DEG:.3f} deg'
         if not joint.lower - allowed <= angle <= joint.upper + allowed:
@@ -172,10 +172,10 @@ class Watch:
 
 
 class _TurnRate:
-    """The rate of a turn, held against the one that was asked for.
+    """Compare the rate of a turn with the commanded one.
 
-    The turn beyond those asked for is for running up and down, half of it at each end: in between
-    the joint must be at rate, whatever its acceleration.
+    The extra turn is for run-up and run-down, half of it at each end: in between the joint must be
+    at rate, whatever its acceleration.
     """
 
     def __init__(self, way: _Way, rate: float, turns: int) -> None:
@@ -213,13 +213,13 @@ class _TurnRate:
 
 
 class Standing:
-    """Watches that a table comes to rest, and stays there.
+    """Monitor that a table comes to rest, and stays there.
 
     Args:
         table: The table that was commanded to hold.
         rules: Tolerances.
         at: The last joint state before the command, None if there is none.
-        led: Whether it was on a motion until then: what was still before it set out is no dwell.
+        led: Whether it was in a commanded motion until then: rest before its start does not count.
 
     Attributes:
         led: The same, until it has come to rest.
@@ -239,15 +239,15 @@ class Standing:
 
     @property
     def rest(self) -> tuple[float, ...] | None:
-        """Where the table stands, (k,) rad; None before it has come to rest."""
+        """Rest position of the table, (k,) rad; None before it has come to rest."""
         return self._rest
 
     def keep(self, goal: tuple[float, ...]) -> None:
-        """Take it that the table stands at (k,) angles by now, rad."""
+        """Assume that the table is at rest at (k,) angles, rad."""
         self._rest = goal
 
     def look(self, now: Feedback) -> tuple[bool, str]:
-        """Return whether the table stands, and what is wrong, in a sentence, if anything."""
+        """Return whether the table is at rest, and a sentence on any fault."""
         if self._begin is None:
             self._begin = now.stamp
         if self._rest is not None:

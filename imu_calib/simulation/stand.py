@@ -143,7 +143,7 @@ class SimulatedStand:
             )
 
     def _run(self, steps: tuple[Step, ...]) -> tuple[Visit, ...]:
-        """Send each step until the table is at rest, then wait; a resting table ignores setpoints."""
+        """Send each step until the table is at rest, then wait; at rest setpoints do nothing."""
         visits: list[Visit] = []
         begin = self.options.lead
         for step in steps:
