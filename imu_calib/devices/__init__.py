@@ -1,4 +1,4 @@
-"""IMU devices: the bytes of a line to columns of samples with the host's stamps."""
+"""IMU devices: bytes of a line to columns of samples with the host's stamps."""
 
 from .baud import Baud, choose_baud, too_slow
 from .checksum import CATALOGUE, Checksums, Crc, Sum, Xor

@@ -1,4 +1,4 @@
-"""The rate of a device's serial port: who says it, and whether its frames fit."""
+"""Baud rate of a device's serial port: its origin, and whether the frames fit."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from .format import FrameFormat
 
 DEFAULT = 115200
-"""bit/s, where neither the user nor the device's file says anything."""
+"""bit/s, if neither the user nor the device's file states a rate."""
 _COMMON = (115200, 230400, 460800, 921600, 1843200, 3000000)
-"""Rates that are advised, bit/s: those that USB adapters for serial ports offer from 115200 on."""
+"""Recommended rates, bit/s: those of USB adapters for serial ports, from 115200 on."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Baud:
 
     Attributes:
         rate: bit/s.
-        origin: Who says so, for a person.
+        origin: Source of the rate, in words.
 
     """
 
@@ -30,7 +30,7 @@ class Baud:
 
 
 def choose_baud(given: int | None, frames: FrameFormat) -> Baud:
-    """Return the rate of the port: as given, else of the device's file, else the default."""
+    """Return the rate of the port: as given, else from the device's file, else the default."""
     if given:
         return Baud(given, 'as given')
     if frames.baud is not None:
@@ -41,12 +41,12 @@ def choose_baud(given: int | None, frames: FrameFormat) -> Baud:
 
 
 def too_slow(baud: int, frames: FrameFormat, sample_rate: float | None) -> str:
-    """Return a sentence where the frames do not fit through the port; nothing where they do.
+    """Return a sentence if the frames exceed the port's rate; else an empty one.
 
     Args:
         baud: bit/s.
         frames: The format of the frames.
-        sample_rate: Frames a second; None where it is not known.
+        sample_rate: Frames per second; None if unknown.
 
     """
     if sample_rate is None:

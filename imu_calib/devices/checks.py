@@ -11,18 +11,18 @@ from .fields import HIGH_WORD_FIRST, LOW_WORD_FIRST, Number
 
 _ORDERS = {'little': '<', 'big': '>'}
 ORDERS = {**_ORDERS, 'low_word_first': LOW_WORD_FIRST, 'high_word_first': HIGH_WORD_FIRST}
-"""Of the bytes of a number."""
+"""Byte orders of a number."""
 OWN_KINDS = ('sum', 'xor', 'crc', 'fletcher')
-"""Checksums that are not of the catalogue."""
+"""Checksums outside the catalogue."""
 WORDS = (8, 16, 32)
-"""Bits of what a sum adds."""
+"""Bits of the words of a sum."""
 FLETCHER = (255, 256)
 """Moduli of Fletcher's checksum."""
 
 
 @dataclass(frozen=True)
 class FrameCheck:
-    """Where a checksum stands and which bytes it covers: from `first` up to, without, `end`."""
+    """Position of a checksum and the bytes that it covers: from `first` up to, without, `end`."""
 
     algorithm: Algorithm
     number: Number
@@ -32,7 +32,7 @@ class FrameCheck:
 
 
 def read_algorithm(check: Section, order: str) -> Algorithm:
-    """Read `kind` of a checksum and its parameters; its byte order where it states none."""
+    """Read `kind` of a checksum and its parameters; `order` is its default byte order."""
     kind = check.text('kind')
     if kind in CATALOGUE:
         return CATALOGUE[kind]
@@ -83,7 +83,7 @@ def read_order(section: Section, default: str | None) -> str:
 
 
 def read_number_order(section: Section, default: str, size: int) -> str:
-    """Read the order of the bytes of a number of so many: words may be swapped, too."""
+    """Read the byte order of a number of so many bytes: words may be swapped, too."""
     if not section.has('byte_order'):
         return default
     order = section.choice('byte_order', ORDERS)

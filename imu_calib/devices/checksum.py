@@ -26,10 +26,10 @@ class Crc:
     Attributes:
         width: Bits: 8, 16, 24 or 32.
         poly: Generator polynomial without its highest bit, unreflected.
-        init: Register at the start, unreflected.
-        refin: Whether bytes go in with their lowest bit first.
-        refout: Whether the register comes out reflected.
-        xorout: What the register is combined with at the end.
+        init: Initial register, unreflected.
+        refin: Whether bytes enter with their lowest bit first.
+        refout: Whether the register is reflected at the end.
+        xorout: Combined with the register at the end.
 
     """
 
@@ -65,9 +65,9 @@ class Sum:
 
     Attributes:
         width: Bits: 8, 16, 24 or 32.
-        negated: Whether what is sent makes the sum zero.
-        word: Bits of what is added: 8, 16 or 32.
-        order: Of the bytes of a word: '<' lowest first, '>' highest.
+        negated: Whether the transmitted value makes the sum zero.
+        word: Bits of the summands: 8, 16 or 32.
+        order: Byte order of a word: '<' lowest first, '>' highest.
 
     """
 
@@ -79,13 +79,13 @@ class Sum:
 
 @dataclass(frozen=True)
 class Fletcher:
-    """Fletcher's checksum of bytes: their sum, and the sum of all sums on the way.
+    """Fletcher's checksum of bytes: their sum, and the sum of all partial sums.
 
     The sum is the low byte, the sum of sums the high one (J. Fletcher, An Arithmetic Checksum for
     Serial Transmissions, IEEE Trans. Communications 30 (1982); RFC 1146, appendix I).
 
     Attributes:
-        modulus: Of both: 255 as Fletcher has it, or 256 as MIP and UBX.
+        modulus: Of both: 255 in Fletcher's original, or 256 in MIP and UBX.
 
     """
 
@@ -98,7 +98,7 @@ class Xor:
     """Exclusive or of the bytes.
 
     Attributes:
-        init: What it starts with.
+        init: Initial value.
 
     """
 
@@ -110,20 +110,20 @@ Algorithm: TypeAlias = Crc | Sum | Fletcher | Xor
 
 
 def fits(algorithm: Algorithm, length: int) -> bool:
-    """Say whether so many bytes are whole words of what the algorithm adds."""
+    """Return whether so many bytes are whole words of the algorithm."""
     return not isinstance(algorithm, Sum) or 8 * length % algorithm.word == 0
 
 
 class Checksums:
-    """Computes one checksum for messages of one length.
+    """Compute one checksum for messages of one length.
 
-    A CRC is linear over GF(2): it is the exclusive or of what each byte contributes at its place.
-    With one table per place it takes one look-up per byte, and none waits for the one before.
+    A CRC is linear over GF(2): it is the exclusive or of the contributions of each byte at its
+    place. With one table per place it takes one look-up per byte, independent of the others.
 
     Args:
-        algorithm: Which.
+        algorithm: The algorithm.
         length: Bytes of a message.
-        padding: Zero bytes that count as if they followed (STIM300 fills up to whole words).
+        padding: Zero bytes assumed to follow (STIM300 fills up to whole words).
 
     """
 
@@ -153,7 +153,7 @@ class Checksums:
 
 @lru_cache(maxsize=64)
 def checksums(algorithm: Algorithm, length: int, padding: int = 0) -> Checksums:
-    """Return what computes one checksum for messages of one length; its tables are made once."""
+    """Return a calculator of one checksum for messages of one length; its tables are cached."""
     return Checksums(algorithm, length, padding)
 
 
@@ -166,7 +166,7 @@ def _sums(rows: Bytes, kind: Sum) -> Words:
 
 def _fletcher(rows: Bytes, modulus: int) -> Words:
     count = rows.shape[1]
-    # The first byte is part of every sum on the way, the last one of the last alone.
+    # The first byte is in every partial sum, the last one in the last alone.
     weights = np.arange(count, 0, -1, dtype=np.int64)
     first: NDArray[np.int64] = rows.sum(axis=1, dtype=np.int64) % modulus
     second: NDArray[np.int64] = (rows @ weights) % modulus
@@ -209,7 +209,7 @@ def _byte_table(crc: Crc) -> Words:
 
 
 def _after_zero(register: Words, crc: Crc, table: Words) -> Words:
-    """Return registers after one more byte, a zero."""
+    """Return registers after one more byte of zero."""
     if crc.refin:
         low: Words = table[register & np.uint32(0xFF)]
         return (register >> np.uint32(8)) ^ low

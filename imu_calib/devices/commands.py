@@ -1,4 +1,4 @@
-"""What a device is sent, so that it starts to send frames, and ends."""
+"""Commands that make a device start and stop sending frames."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from ..units import Dimension
 from .numbers import whole_list
 
 LONGEST = 1024
-"""Bytes of a command: more is a slip of the pen."""
+"""Bytes of a command: more is taken for a typing error."""
 LONGEST_WAIT = 10.0
 """s after a command: a device that restarts takes about a second. A judgement."""
 LONGEST_STOP = 2.0
 """s after all commands that stop a device: closing the port waits for them. A judgement."""
 LEAST_SILENCE = 0.5
-"""s without a byte before a device is started again: a USB adapter keeps bytes for tens of ms."""
+"""s without a byte before a device is restarted: a USB adapter holds bytes for tens of ms."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """Bytes to send, and how long to wait before the next, s."""
+    """Bytes to send, and the wait before the next, s."""
 
     data: bytes
     wait: float = 0.0
@@ -29,12 +29,12 @@ class Command:
 
 @dataclass(frozen=True)
 class Commands:
-    """What is sent to a device.
+    """Commands to a device.
 
     Attributes:
-        start: When its port opens.
-        again: After so long without a byte, s, `start` is sent again; None: never.
-        stop: Before its port is closed.
+        start: Sent when its port opens.
+        again: Time without a byte after which `start` is sent again, s; None: never.
+        stop: Sent before its port is closed.
 
     """
 
@@ -47,7 +47,7 @@ class Commands:
 
 
 NOTHING = Commands()
-"""Of a device that sends by itself."""
+"""For a device that sends without commands."""
 
 
 def read_commands(section: Section) -> Commands:

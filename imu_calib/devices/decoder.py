@@ -1,4 +1,4 @@
-"""Bytes of a line to columns of samples: finds the frames, drops what is none, counts the rest."""
+"""Decode bytes of a line to columns of samples: find the frames, drop and count all else."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Samples:
         accel: (n, 3) counts.
         skew: (n,) counts of the skewed gyro, None without one.
         celsius: (n,) temperature, None without one.
-        counter: (n,) frame counter, less the messages before that it counts and that are no
-            frames; None without one.
+        counter: (n,) frame counter, less the other messages before that it counts; None without
+            one.
         time: (n,) device time in units of `DeviceTime.unit`, as sent; None without one.
-        faults: (n,) bit k is set where the format's fault k is there.
-        end: (n,) how many bytes had come since the start when the frame was complete.
+        faults: (n,) bit k is set while the format's fault k is present.
+        end: (n,) number of bytes from the start to the end of the frame.
 
     """
 
@@ -48,18 +48,17 @@ class Samples:
 
 @dataclass
 class Counts:
-    """What has come over the line.
+    """Counts of received data.
 
     Attributes:
         frames: Frames that were decoded.
         bad: Frames whose checksum is wrong.
-        skipped: Bytes that belong to no good frame and no known message, those of bad frames
-            included.
-        others: Messages that the format knows and that are no frames.
-        lost: Frames that are missing by the counter.
-        repeated: Frames that came twice and were taken once.
-        restarts: How often the counter went back.
-        unusable: Frames with a channel that is no number.
+        skipped: Bytes outside good frames and known messages, including those of bad frames.
+        others: Known messages that are not frames.
+        lost: Frames missing by the counter.
+        repeated: Repeated frames, used once.
+        restarts: Number of times that the counter went back.
+        unusable: Frames with a NaN in a channel.
 
     """
 
@@ -74,13 +73,13 @@ class Counts:
 
 
 class Decoder:
-    """Finds frames in a stream of bytes; how the stream is cut into pieces does not matter.
+    """Find frames in a stream of bytes; the result does not depend on how the stream is cut.
 
-    Reading from left to right, a frame is where the constant bytes stand and the checksum holds;
-    reading goes on behind it, and else at the next byte.
+    From left to right, a frame begins where the constant bytes match and the checksum holds; the
+    search continues behind it, else at the next byte.
 
     Attributes:
-        counts: What has come so far.
+        counts: Counts so far.
 
     """
 
@@ -98,7 +97,7 @@ class Decoder:
         self.counts = Counts()
 
     def feed(self, data: bytes) -> Samples:
-        """Take the next bytes; return the samples of the frames that are complete with them."""
+        """Take the next bytes; return the samples of the frames that they complete."""
         buffer = np.frombuffer(self._tail + data, np.uint8)
         length = self._format.length
         step = self._in_step(buffer)
@@ -116,13 +115,13 @@ class Decoder:
         return self._columns(*self._without_repetitions(rows, end, counted))
 
     def _between(self, buffer: Bytes, starts: Indices) -> Indices:
-        """Look for other messages; return how many before each frame its counter counts."""
+        """Find other messages; return how many before each frame its counter counts."""
         counted = np.zeros(len(starts), np.int64)
         if not self._others.kinds:
             return counted
         ends = np.concatenate([[0], starts + self._format.length])
         apart = starts != ends[:-1]
-        # The first frame ends what was open before it.
+        # The first frame ends an incomplete message before it.
         apart[:1] = True
         for k in np.flatnonzero(apart).tolist():
             self._others.take(buffer[ends[k] : starts[k]].tobytes())
@@ -136,14 +135,14 @@ class Decoder:
         self.counts.others = self._others.found
 
     def _in_step(self, buffer: Bytes) -> int:
-        """Return how many good frames follow each other from the beginning."""
+        """Return the number of consecutive good frames from the beginning."""
         length = self._format.length
         count = len(buffer) // length
         good = self._good(buffer[: count * length].reshape(count, length))
         return count if good.all() else int(good.argmin())
 
     def _search(self, buffer: Bytes, first: int) -> Indices:
-        """Return where good frames start that do not begin before `first`."""
+        """Return the starts of good frames, at `first` or later."""
         length = self._format.length
         candidates = self._candidates(buffer, first)
         good = self._holds(_frames(buffer, candidates, length))
@@ -152,7 +151,7 @@ class Decoder:
         return starts
 
     def _candidates(self, buffer: Bytes, first: int) -> Indices:
-        """Return where the constant bytes stand."""
+        """Return where the constant bytes match."""
         last = len(buffer) - self._format.length + 1
         (at, value), *others = self._format.constant
         found = first + np.flatnonzero(buffer[first + at : last + at] == value)
@@ -178,7 +177,7 @@ class Decoder:
         )
 
     def _count_bad(self, bad: Indices, starts: Indices) -> None:
-        """Count frames that are damaged, each once, though sync bytes may stand within it."""
+        """Count damaged frames, each once, even with sync bytes within."""
         length = self._format.length
         before = np.searchsorted(starts, bad, side='right') - 1
         outside = before < 0
@@ -191,10 +190,10 @@ class Decoder:
     def _without_repetitions(
         self, rows: Bytes, end: Indices, others: Indices
     ) -> tuple[Bytes, Indices, Indices | None]:
-        """Look at the steps of the counter; leave out frames that repeat the one before.
+        """Remove frames that repeat the one before, by the steps of the counter.
 
         Returns:
-            Rows, their ends, and their counter without the (n,) others that it counted before each.
+            Rows, their ends, and their counter without the (n,) other messages counted before each.
 
         """
         counter = self._format.counter
@@ -223,7 +222,7 @@ class Decoder:
         return rows, end, np.mod(values - counter.step * taken, counter.modulus)
 
     def _count_lost(self, steps: Indices, others: Indices) -> Indices:
-        """Count missing frames; return how many of the missing counts are other messages'."""
+        """Count missing frames; return how many of the missing counts are other messages."""
         counter = self._format.counter
         assert counter is not None
         if counter.tells_direction:
@@ -238,7 +237,7 @@ class Decoder:
         return others
 
     def _columns(self, rows: Bytes, end: Indices, counter: Indices | None) -> Samples:
-        """Return the columns of frames that are known to be good."""
+        """Return the columns of good frames."""
         form = self._format
         gyro = np.column_stack([channel.read(rows) for channel in form.gyro])
         accel = np.column_stack([channel.read(rows) for channel in form.accel])
@@ -264,7 +263,7 @@ class Decoder:
 
 
 def _frames(buffer: Bytes, starts: Indices, length: int) -> Bytes:
-    """Return (n, length) contiguous frames; the buffer's own bytes where they lie in a row."""
+    """Return (n, length) contiguous frames; the buffer's own bytes if they adjoin."""
     if len(starts) == 0:
         return np.empty((0, length), np.uint8)
     first, end = int(starts[0]), int(starts[-1]) + length
@@ -274,7 +273,7 @@ def _frames(buffer: Bytes, starts: Indices, length: int) -> Bytes:
 
 
 def _apart(starts: Indices, length: int) -> Indices:
-    """Drop starts that lie within the frame before: those bytes are taken."""
+    """Drop starts within the frame before."""
     if len(starts) < 2 or (np.diff(starts) >= length).all():
         return starts
     kept, free = [], 0

@@ -1,4 +1,4 @@
-"""Delays from the samples' time line to their arrival: the least of late, and how it drifts."""
+"""Delays from sampling to arrival: their recent minimum and drift."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ import numpy as np
 from ..stream import Stamps
 
 _WINDOW = 2_000_000_000
-"""Width of a window at first, ns. A judgement: in two seconds some sample comes without delay on
-any line that is read by bunches of a USB adapter (16 ms)."""
+"""Initial width of a window, ns. A judgement: in two seconds some sample comes without delay on
+any line that is read in bunches from a USB adapter (16 ms)."""
 
 _MOST_WINDOWS = 512
-"""Windows that are kept, to bound memory: beyond, they are merged by twos."""
+"""Windows kept, to bound memory: beyond, pairs are merged."""
 
 _FEWEST_WINDOWS = 8
-"""Windows from which a drift is stated: six degrees of freedom are left for its deviation."""
+"""Fewest windows for a drift: its deviation then has six degrees of freedom."""
 
 
 @dataclass(frozen=True)
 class Drift:
-    """How much faster the device's clock runs than the host's, and the standard deviation, ppm."""
+    """Rate of the device's clock relative to the host's, and its standard deviation, ppm."""
 
     ppm: float
     std: float
 
 
 class Delays:
-    """Least delay between sample and arrival, in windows of time, ns."""
+    """Least delay from sample to arrival, in windows of time, ns."""
 
     def __init__(self) -> None:
         self._width = _WINDOW
@@ -38,7 +38,7 @@ class Delays:
 
     @property
     def recent(self) -> int | None:
-        """Least delay of late, ns."""
+        """Recent least delay, ns."""
         if self._current is None:
             return None
         return min(delay for _, delay in [*self._windows[-1:], self._current])
@@ -67,7 +67,7 @@ class Delays:
         self._current = window, least
 
     def _merge(self) -> None:
-        """Make the windows twice as wide."""
+        """Double the width of the windows."""
         windows, current = self._windows, self._current
         self._width *= 2
         self._windows, self._current = [], None

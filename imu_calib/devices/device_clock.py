@@ -1,4 +1,4 @@
-"""The device's clock on the host's time line: a line of rate one, begun anew where it must be."""
+"""Map the device's clock to the host's time: a line of rate one, restarted where necessary."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from .host_clock import HostClock
 from .steps import Indices, Stepper
 
 _NS = 1_000_000_000
-"""Of a second."""
+"""ns per second."""
 _SETTLING = _NS // 2
 """ns of samples after which the offset is fixed at the least delay: thirty bunches of a USB adapter
 (16 ms)."""
 _LONGEST_SETTLING = 2 * _NS
-"""The same by the host's time, where samples are slow to come."""
+"""The same by the host's time, for slow samples."""
 _CATCH_UP = _NS // 10
-"""A host that was busy reads what waits for it much faster than it came: by then it has."""
+"""ns after which a busy host has read all waiting data, which it reads faster than it arrived."""
 _LONG_CATCH_UP = _NS
 """The same without other evidence of lost time: a late read is then more probable."""
 _READS = 3
-"""One late read proves nothing of the line."""
+"""Late reads required: a single one proves nothing."""
 _PART_OF_A_TURN = 8
-"""A delay tells turns of a counter if it is whole turns within an eighth: for a turn of 128 ms
+"""A delay shows turns of a counter if it is whole turns within an eighth: for a turn of 128 ms
 16 ms, the time for which a USB adapter holds bytes back (latency timer of FTDI's)."""
 _LOST = "Frames are missing, whole turns of the counter: the host's clock shows that time passed."
 _NOT_LOST = 'Frames that were counted as missing were only late.'
@@ -40,19 +40,18 @@ _UNCLEAR = (
     'from the time of arrival.'
 )
 _HOST_STEP = 10.0 * _NS
-"""ns by which arrivals must be late at least before a host counts as suspended. A judgement: no
-driver holds bytes back for so long."""
+"""ns: least delay of arrivals that shows a suspended host. A judgement: no driver holds bytes back
+for so long."""
 
 
 @dataclass(frozen=True)
 class Jump:
-    """A place where the device contradicts itself or the host.
+    """A contradiction within the device's data, or with the host.
 
     Attributes:
-        elapsed: When, ns after the first sample.
-        seconds: By how much the device's clock went too far, or the host's was set, s; None where
-            that is not known.
-        reason: What happened, for a person.
+        elapsed: Its time, ns after the first sample.
+        seconds: Jump of the device's clock, or of the host's, s; None if unknown.
+        reason: What happened, in words.
 
     """
 
@@ -63,7 +62,7 @@ class Jump:
 
 @dataclass
 class _Late:
-    """A run of late samples: since when, ns, the least delay, ns, and in how many reads."""
+    """A run of late samples: start, ns, the least delay, ns, and number of reads."""
 
     since: int
     least: int
@@ -71,48 +70,48 @@ class _Late:
 
 
 class DeviceClock:
-    """Maps samples to the host's time: stamp = offset + elapsed + set_by.
+    """Map samples to the host's time: stamp = offset + elapsed + set_by.
 
     `elapsed` runs at the rate of the device's clock, or, without one, of its frame counter times
     the nominal period, or else of the number of samples; lost samples then show as drift. The
     offset is the least delay between clock and arrival in the first moments, and stays. A clock
-    that jumps is corrected by the counter, or by the arrival where the counter cannot tell.
+    that jumps is corrected by the counter, or by the arrival if the counter does not determine it.
 
-    Where arrivals are given on a steady clock, too, the host's clock is compared with that:
-    `set_by` is what it has been set by since the first sample, back or forth, and stamps follow
-    each step from the first sample that arrived after it, as all else does that the host stamps.
-    They go back where the host's clock does, and where samples turn out to be placed too late. A
-    clock that is slewed is not set: the device then drifts against it, which is said, not applied.
+    If arrivals are also given by a steady clock, the host's clock is compared with it: `set_by` is
+    the sum of its steps since the first sample, and stamps follow each step from the first sample
+    that arrived after it, as all other stamps of the host do. They go back where the host's clock
+    does, and where samples prove to be placed too late. A slewed clock is not set: the device then
+    drifts against it, which is reported, not corrected.
 
-    Without a steady clock, and for all that it does not explain, the least delay of late is what
-    a sample must have:
+    Without a steady clock, and for all that it does not explain, samples are compared with the
+    recent least delay:
 
-    - Less of it by more than the tolerance: time cannot have been saved, so a clock was set. From
-      that sample on all have the least delay again.
-    - More of it, in every sample for a while: samples are missing, or a clock was set. Where there
-      is a counter and no clock, whole turns of the counter are put in and counted after a tenth
-      of a second, and stamps are exact again: a gap of any length, if a turn is longer than twice
-      the tolerance. What is not whole turns within an eighth of one is undecided: after a
-      second the line begins anew at the least delay. So it does without a counter.
-    - Where clock and counter agree, no sample is missing, and only the host's clock can have been
-      set: with a steady clock ten seconds count (a host that was suspended), else the tolerance.
+    - A delay that is smaller by more than the tolerance is impossible, so a clock was set. From
+      that sample on the least delay is restored.
+    - A delay that is larger, in every sample for a while, shows missing samples or a clock that was
+      set. With a counter and no clock, whole turns of the counter are inserted and counted after a
+      tenth of a second, and stamps are exact again: for a gap of any length, if a turn is longer
+      than twice the tolerance. A delay that is not whole turns within an eighth of one is
+      undecided: after a second the line restarts at the least delay, as it does without a counter.
+    - If clock and counter agree, no sample is missing, and only the host's clock can have been
+      set: with a steady clock the tolerance is ten seconds (a host that was suspended).
 
-    Such a line is as exact as the least delay of what it was begun with: a bunch of a USB adapter,
-    16 ms, at most. All of it is a `Jump`.
+    A restarted line is as exact as the least delay at its start: within a bunch of a USB adapter,
+    16 ms, at most. Each of these events is a `Jump`.
 
     Args:
         time: The device's clock, None without one.
         counter: The frame counter, None without one.
-        period: Nominal sample period, s; None where it is not known.
-        tolerance: How far arrivals may contradict the device, s; None where the host's clock is
-            too coarse to say so.
-        live: Whether arrivals tell the time; those of a file do not.
+        period: Nominal sample period, s; None if unknown.
+        tolerance: Largest contradiction between arrivals and device, s; None if the host's clock
+            is too coarse to judge.
+        live: Whether arrivals show the time; those of a file do not.
 
     Attributes:
         offset: Host stamp of elapsed 0, ns; None until it is settled.
-        jumps: How often the clock jumped or started anew.
+        jumps: Number of jumps and restarts of the clock.
         last_jump: The last of them.
-        set_by: (n,) of the samples fed last: by how much the host's clock has been set, ns.
+        set_by: (n,) sum of the steps of the host's clock, ns, for the samples fed last.
 
     Raises:
         InputError: Neither a clock nor a nominal period is known.
@@ -160,17 +159,17 @@ class DeviceClock:
 
     @property
     def drift(self) -> Drift | None:
-        """Of the device against the host; None until it is known."""
+        """Drift of the device against the host; None until it is known."""
         return self._line.drift() if self._live else None
 
     @property
     def drift_counts(self) -> bool:
-        """Whether the host's clock is good enough to blame the device for a drift."""
+        """Whether the host's clock is accurate enough to attribute a drift to the device."""
         return self._live and self._tolerance is not None
 
     @property
     def ahead(self) -> float | None:
-        """How far the newest stamps are ahead of their arrival, s; None while not settled."""
+        """By how much the newest stamps are ahead of their arrival, s; None while not settled."""
         if self.offset is None or self._line.recent is None or not self._live:
             return None
         return (self.offset - self._host.first - self._line.recent) / _NS
@@ -182,17 +181,17 @@ class DeviceClock:
         arrival: Stamps,
         steady: Stamps | None = None,
     ) -> Stamps:
-        """Take samples; return when they were made.
+        """Take samples; return their sampling times.
 
         Args:
             time: (n,) device time in units of `DeviceTime.unit`, as sent; None without one.
             counter: (n,) frame counter as sent; None without one.
-            arrival: (n,) host time at which each sample had arrived, ns; in order but where the
-                host's clock was set back.
+            arrival: (n,) host time of each sample's arrival, ns; in order except where the host's
+                clock was set back.
             steady: (n,) the same by the monotonic clock, ns, in order; None without one.
 
         Returns:
-            (n,) elapsed, ns after the first sample. It increases but where the class says.
+            (n,) elapsed, ns after the first sample. It increases except as the class describes.
 
         """
         if len(arrival) == 0:
@@ -234,7 +233,7 @@ class DeviceClock:
             self._stepper.settled = True
 
     def _place_by_arrival(self, elapsed: Stamps, index: int, arrival: Stamps) -> None:
-        """Shift all from an index on so that it has the delay that was usual before."""
+        """Shift all from an index on so that it has the usual delay."""
         usual = self._line.recent
         if usual is None or not self._live:
             return
@@ -243,10 +242,10 @@ class DeviceClock:
         elapsed[index:] += max(shift, before + 1 - int(elapsed[index]))
 
     def _compare(self, elapsed: Stamps, arrival: Stamps, steady: bool) -> int:
-        """Hold samples against their arrival, and correct what contradicts it.
+        """Compare samples with their arrival, and correct contradictions.
 
         Returns:
-            How many of the samples are not late for reasons that are still open.
+            The number of samples that are not late for an undecided reason.
 
         """
         usual = self._line.recent
@@ -262,7 +261,7 @@ class DeviceClock:
         return self._compare_late(elapsed, arrival, usual, tolerance)
 
     def _compare_late(self, elapsed: Stamps, arrival: Stamps, usual: int, tolerance: float) -> int:
-        """Find delays that grow and stay; return how many samples are not late."""
+        """Find delays that grow and stay; return the number of samples that are not late."""
         in_time = np.flatnonzero(arrival - elapsed - usual <= tolerance)
         begin = int(in_time[-1]) + 1 if len(in_time) else 0
         if begin:
@@ -283,7 +282,7 @@ class DeviceClock:
         return len(arrival)
 
     def _turns(self, shift: float) -> int:
-        """Return how many whole turns of the counter explain a delay, ns; 0 where none do."""
+        """Return the number of whole turns of the counter in a delay, ns; 0 if it is none."""
         if self._time is not None or self._counter is None or self.period is None:
             return 0
         turn = self._counter.turn * self.period
@@ -291,7 +290,7 @@ class DeviceClock:
         return whole if abs(shift - whole * turn) <= turn / _PART_OF_A_TURN else 0
 
     def _correct(self, elapsed: Stamps, index: int, shift: int) -> None:
-        """Shift all from an index on, by whole turns of the counter where those explain it."""
+        """Shift all from an index on, by whole turns of the counter if these explain it."""
         whole = self._turns(shift)
         counted = 0 if self._counter is None else round(whole * self._counter.turn)
         if whole and self.period is not None and self.unseen + counted >= 0:
@@ -304,7 +303,7 @@ class DeviceClock:
         self._note(int(elapsed[index]), -shift / _NS, reason)
 
     def _contradiction(self, shift: int) -> str:
-        """Say what samples mean that are late by so much, below zero early."""
+        """Return the meaning of a delay, negative if early, in words."""
         if self._time is not None:
             return _SET if self._counter is not None else _JUMPED
         if self._counter is not None:

@@ -1,4 +1,4 @@
-"""What stands in a frame: numbers, channels, counter, clock, conditions that a device reports."""
+"""Fields of a frame: numbers, channels, counter, clock, reported conditions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LOW_WORD_FIRST = 'low word'
 HIGH_WORD_FIRST = 'high word'
 
 _FRACTION = 4
-"""Bytes of the fraction of FP16.32, which stand before those of the whole number (Xsens MT Low
+"""Bytes of the fraction of FP16.32, which precede those of the whole number (Xsens MT Low
 Level Communication Protocol, MT0101P, formats of output data)."""
 
 
@@ -34,7 +34,7 @@ class Number:
         order: '<' lowest byte first, '>' highest; of an even number of bytes also `LOW_WORD_FIRST`,
             words of 16 bits of which the lowest is first, each with its high byte first, and
             `HIGH_WORD_FIRST`, the highest word first, each with its low byte first.
-        bits: First bit and number of bits where it does not take all of them, else None.
+        bits: First bit and number of bits if it does not take all of them, else None.
 
     """
 
@@ -56,7 +56,7 @@ class Number:
 
     @property
     def modulus(self) -> int | None:
-        """How many values it has, None where it is not a whole number."""
+        """Number of its values, None if it is not an integer."""
         if not self.is_whole:
             return None
         return 1 << (8 * self.size if self.bits is None else self.bits[1])
@@ -81,15 +81,15 @@ class Number:
         )
         if self.kind == 'f':
             return _native(strided)
-        # The bits of an unsigned 64-bit number stay; differences modulo 2^64 do, too.
+        # The bits of an unsigned 64-bit number are kept, and so are differences modulo 2^64.
         return strided.astype(np.int64, casting='unsafe')
 
     def _gathered(self, rows: Bytes) -> Values:
-        """Read a number whose bytes stand in no order, or are so many, as no processor has it."""
+        """Read a number of a byte order or size without a native type."""
         if self.kind == 'f':
             native = np.ascontiguousarray(rows[:, self._places()]).view(f'<f{self.size}')
             return _native(native[:, 0])
-        # At the upper end of 64 bits, so that shifting down fills up with the sign.
+        # At the upper end of 64 bits, so that the shift down extends the sign.
         padded = np.zeros((len(rows), 8), np.uint8)
         padded[:, 8 - self.size :] = rows[:, self._places()]
         code = '<u8' if self.kind == 'u' else '<i8'
@@ -112,7 +112,7 @@ class Number:
 
 
 def _native(values: Values) -> Floats:
-    # A signalling NaN is no number like any other; numpy would warn of it on the screen.
+    # A signalling NaN is a NaN like any other; numpy would warn of it on the screen.
     with np.errstate(invalid='ignore'):
         return values.astype(np.float64)
 
@@ -143,7 +143,7 @@ class FrameCounter:
 
     @property
     def turn(self) -> float:
-        """Frames after which it starts anew."""
+        """Frames after which it wraps."""
         return self.modulus / self.step
 
     @property
@@ -157,10 +157,10 @@ class DeviceTime:
     """The device's clock.
 
     Attributes:
-        number: Where it stands.
-        tick: What one unit of it lasts, ns.
-        modulus: Ticks after which it starts anew, None where it does not.
-        shorter: Where models differ, the ticks after which others of them start anew before.
+        number: The field.
+        tick: Duration of its unit, ns.
+        modulus: Ticks after which it wraps, None if it does not.
+        shorter: Ticks after which other models of the device wrap earlier.
 
     """
 
@@ -189,20 +189,20 @@ class DeviceTime:
 
     @property
     def unit(self) -> float:
-        """What one unit of what `read` returns lasts, ns."""
+        """Unit of the values of `read`, ns."""
         return self.tick if self.number.is_whole else 1.0
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A condition that the device reports of itself.
+    """A condition that the device reports.
 
     Attributes:
         number: The status field.
-        mask: Bits that it concerns.
-        when_set: It is there when one of the bits is set; else when one of them is clear.
-        words: What it means, for a person.
-        error: Whether the data must not be trusted; else it is worth a warning.
+        mask: Bits concerned.
+        when_set: Present when one of the bits is set; else when one of them is clear.
+        words: Its meaning, in words.
+        error: Whether the data must not be used; else it is a warning.
 
     """
 
@@ -213,7 +213,7 @@ class Fault:
     error: bool = True
 
     def read(self, rows: Bytes) -> NDArray[np.bool_]:
-        """Return in which of the (n, length) contiguous frames it is there."""
+        """Return in which of the (n, length) contiguous frames it is present."""
         bits = self.number.read(rows) & np.array(self.mask, np.uint64).astype(np.int64)
         wanted = 0 if self.when_set else np.array(self.mask, np.uint64).astype(np.int64)
         return np.asarray(bits != wanted)
@@ -222,12 +222,12 @@ class Fault:
 def differences(
     values: NDArray[np.int64], previous: int, modulus: int | None, *, signed: bool = True
 ) -> Floats:
-    """Return the (n,) steps of a number that starts anew at its modulus.
+    """Return the (n,) steps of a number that wraps at its modulus.
 
     Args:
         values: (n,) as sent.
         previous: The one before.
-        modulus: None where it has none.
+        modulus: None without one.
         signed: Whether a step of more than half the modulus is one back.
 
     """

@@ -24,15 +24,15 @@ TYPES = {
 }
 TICKS_NS = {'ns': 1.0, 'us': 1e3, 'ms': 1e6, 's': 1e9}
 LONGEST = 4096
-"""Bytes of a frame: more is a slip of the pen."""
+"""Bytes of a frame: more is taken for a typing error."""
 _BITS_OF_A_BYTE = 10
 """On a serial line as pyserial opens it, 8N1: a start bit, eight of data, no parity, a stop bit."""
 BAUD = (50, 100_000_000)
-"""The slowest rate that POSIX names, and more than any UART runs at."""
+"""The lowest rate in POSIX, and more than any UART supports."""
 _MOST_FAULTS = 62
-"""Bits of a mask of 64 that stay clear of its sign, and one to spare."""
+"""Bits of a 64-bit mask without its sign, less one as a reserve."""
 COUNTLESS = 2**62
-"""No frame counter comes that far; differences modulo this fit 64 bits."""
+"""Above any frame counter; differences modulo this fit 64 bits."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class FrameFormat:
     Attributes:
         name: Of the device or of its output format.
         length: Bytes of a frame.
-        constant: Offsets and values of the bytes that are the same in every frame; the first of
+        constant: Offsets and values of the bytes that are equal in every frame; the first of
             them are the sync bytes at the frame's beginning.
         gyro: Channels x, y, z.
         accel: Channels x, y, z.
@@ -50,10 +50,10 @@ class FrameFormat:
         temperature: In degrees Celsius, None without one.
         counter: None without one.
         time: None without one.
-        faults: What the status fields can say.
-        check: None where nothing protects a frame but its constant bytes.
-        others: Messages between the frames that are no samples.
-        baud: Of the device's serial port, bit/s; None where the file does not say.
+        faults: Conditions in the status fields.
+        check: Checksum; None without one.
+        others: Other messages between the frames.
+        baud: Of the device's serial port, bit/s; None if the file does not state it.
         commands: Sent to it when the port opens and closes.
 
     """
@@ -74,14 +74,14 @@ class FrameFormat:
     commands: Commands = NOTHING
 
     def checksums(self) -> Checksums | None:
-        """Return what computes the checksum of frames."""
+        """Return the calculator of the frames' checksum."""
         check = self.check
         if check is None:
             return None
         return checksums(check.algorithm, check.end - check.first, check.padding)
 
     def bits_per_second(self, sample_rate: float) -> float:
-        """Return what frames at a rate in Hz need of a serial port, bit/s."""
+        """Return the rate that frames at a rate in Hz require of a serial port, bit/s."""
         return sample_rate * self.length * _BITS_OF_A_BYTE
 
 
@@ -130,7 +130,7 @@ def read_format(section: Section) -> FrameFormat:
 
 
 class _Frame:
-    """Reads the fields of a frame of a known length."""
+    """Read the fields of a frame of a known length."""
 
     def __init__(self, length: int, order: str) -> None:
         self.length = length
@@ -171,7 +171,7 @@ class _Frame:
         return channels
 
     def channel(self, fields: Section, name: str) -> Channel | None:
-        """Read one channel, if it is there."""
+        """Read one channel, if present."""
         if not fields.has(name):
             return None
         section = fields.section(name)
@@ -181,7 +181,7 @@ class _Frame:
         return channel
 
     def counter(self, fields: Section) -> FrameCounter | None:
-        """Read the frame counter, if it is there."""
+        """Read the frame counter, if present."""
         if not fields.has('counter'):
             return None
         section = fields.section('counter')
@@ -195,7 +195,7 @@ class _Frame:
         return FrameCounter(number, modulus, step)
 
     def time(self, fields: Section) -> DeviceTime | None:
-        """Read the device's clock, if it is there."""
+        """Read the device's clock, if present."""
         if not fields.has('time'):
             return None
         section = fields.section('time')
@@ -244,7 +244,7 @@ class _Frame:
         return tuple(faults)
 
     def refuse_overlap(self, result: FrameFormat) -> None:
-        """Refuse fields on bytes that are taken by sync bytes or the checksum."""
+        """Refuse fields that overlap sync bytes or the checksum."""
         taken = {offset: 'constant bytes' for offset, _ in result.constant}
         check = result.check
         if check is not None:

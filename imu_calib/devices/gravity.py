@@ -1,4 +1,4 @@
-"""Whether what the accelerometers say is gravity: whether the IMU's file fits the device."""
+"""Check the IMU's file against the device: the accelerometers must read about gravity."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from ..stream import Floats, Stamps, Units
 from ..units import STANDARD_GRAVITY
 
 _SPAN_NS = 500_000_000
-"""What is looked at: the first half second. A judgement: five pieces, of which two may be shocks,
-and a person who waits at the screen learns it before anything moves."""
+"""ns examined: the first half second. A judgement: five pieces, of which two may contain shocks,
+and a waiting user learns of an error before anything moves."""
 
 _PIECE_NS = 100_000_000
-"""Averaged piece by piece: a table at 400 deg/s turns by 40 deg in one, which takes 2 % off the
-mean; a pulse more or less is little beside what gravity gives in it."""
+"""ns of a piece to average: a table at 400 deg/s turns by 40 deg in one, which reduces the mean by
+2 %; one pulse is small beside the pulses of gravity in it."""
 
 _FACTOR = 3.0
-"""Further off than the worst accelerometer and the centripetal force of a fast table, closer than
-the units that are mistaken for each other: g and m/s^2 (9.8), g and mg (1000)."""
+"""More than the error of the worst accelerometer and the centripetal force of a fast table, less
+than the ratio of units that are confused: g and m/s^2 (9.8), g and mg (1000)."""
 
 
 class Gravity:
-    """Looks at the first half second of samples.
+    """Check the first half second of samples.
 
     Args:
-        imu: What the numbers are said to mean; None: nothing is judged.
+        imu: Description of the numbers; None: no check.
 
     """
 
@@ -37,18 +37,18 @@ class Gravity:
 
     @property
     def judged(self) -> bool:
-        """Whether there is nothing more to look at."""
+        """Whether the check is complete."""
         return self._verdict is not None
 
     def take(self, accel: Floats, elapsed: Stamps) -> str:
-        """Take samples in; say in a sentence why the numbers cannot be what the file says.
+        """Take samples; return why the numbers contradict the file.
 
         Args:
             accel: (n, 3) as sent, n > 0.
             elapsed: (n,) ns after the first sample.
 
         Returns:
-            The sentence; empty while there is nothing to be said.
+            A sentence; empty without a contradiction.
 
         """
         if self._verdict is None:
@@ -65,7 +65,7 @@ class Gravity:
         assert imu is not None
         force = _specific_force(np.concatenate(self._accel), elapsed, imu)
         low, high = STANDARD_GRAVITY / _FACTOR, STANDARD_GRAVITY * _FACTOR
-        # A converter may count from any offset: its codes may come to more than gravity.
+        # An ADC may count from any offset: its codes may exceed gravity.
         if low <= force and (force <= high or imu.units is Units.COUNTS):
             return ''
         return (

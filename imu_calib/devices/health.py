@@ -1,4 +1,4 @@
-"""What is to be said of a device, its line and its clock: a level, a sentence, the figures."""
+"""State of a device, its line and its clock: a level, a sentence, the figures."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from .gravity import Gravity
 from .source import SourceState
 
 _REMEMBERED = 10.0
-"""s that an event is still said."""
+"""s for which an event is reported."""
 _RATE_SPAN = 2.0
-"""s: a rate counted over it is known to one sample in it."""
+"""s: a rate counted over it is accurate to one sample in it."""
 _RATE_TOLERANCE = 0.02
-"""Share: quartz keeps 1e-4, RC oscillators 1e-2."""
+"""Relative: quartz keeps 1e-4, RC oscillators 1e-2."""
 _DRIFT_TOLERANCE = 500.0
 """ppm: five times a poor quartz."""
 _STRANGE = 20
-"""Frames' worth of bytes in which there is a frame, if it is the device that was described."""
+"""Bytes, in frames, that contain a frame if the device is the described one."""
 
 _GREETING = 0.5
-"""What a device may send before its frames takes no longer, s. A judgement: 5 kB at 115200 bit/s,
-ten times what a boot loader prints."""
+"""s: longest output of a device before its frames. A judgement: 5 kB at 115200 bit/s, ten times the
+output of a boot loader."""
 
 _PATIENCE = 0.25
-"""s: a gap this long is no delay of the host any more."""
+"""s: a longer gap is not a delay of the host."""
 _NS = 1_000_000_000
-"""Of a second."""
+"""ns per second."""
 
 
 class Severity(IntEnum):
-    """As in diagnostic_msgs/DiagnosticStatus."""
+    """Levels as in diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -48,7 +48,7 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True)
 class PartStatus:
-    """What is said of one part."""
+    """Status of one part."""
 
     part: str
     severity: Severity
@@ -57,14 +57,14 @@ class PartStatus:
 
 
 class Health:
-    """Watches what comes from a device. Host times are in ns, steady times in s.
+    """Monitor the data of a device. Host times are in ns, steady times in s.
 
     Args:
         frames: The format of its frames.
-        nominal: Sample rate, Hz; None where it is not known.
+        nominal: Sample rate, Hz; None if unknown.
         gap_timeout: Longest time without a frame, s.
-        caution: What is wrong with the port though it is open, a sentence; empty for nothing.
-        imu: What its numbers are said to mean; None where not stated.
+        caution: Problem of the port although it is open, a sentence; empty without.
+        imu: Description of its numbers; None if not stated.
 
     """
 
@@ -101,14 +101,14 @@ class Health:
     def take(
         self, samples: Samples, elapsed: Stamps, received: int, now: int, steady: float
     ) -> None:
-        """Take note of what has come.
+        """Take received data.
 
         Args:
             samples: n samples, possibly none.
             elapsed: (n,) ns after the first sample.
-            received: Bytes they were found in.
+            received: Bytes that contained them.
             now: Host time.
-            steady: Monotonic time of the host, which is not simulated.
+            steady: Monotonic time of the host, which is never simulated.
 
         """
         self._bytes += received
@@ -138,7 +138,7 @@ class Health:
                 self._faults_new.add(fault.words)
 
     def _measure_rate(self, elapsed: Stamps, now: int) -> None:
-        """Count samples per second of the device's clock, of the host's where it has none."""
+        """Measure the sample rate by the device's clock, or the host's without one."""
         time = int(elapsed[-1]) if self._format.time is not None else now
         if self._rate_from is None or time < self._rate_from[0]:
             self._rate_from = time, 0
@@ -157,14 +157,14 @@ class Health:
 
     @property
     def judged(self) -> bool:
-        """Whether it has been looked at what the accelerometers say."""
+        """Whether the accelerometers have been checked against gravity."""
         return self._gravity.judged
 
     def silent(self, now: int, steady: float) -> bool:
-        """Say whether no frame has come for too long.
+        """Return whether no frame has come for too long.
 
-        Simulated time may leap by seconds while a busy machine reads the line: it takes a while
-        of the steady clock, too. What is missing then is said when the next frame comes.
+        Simulated time may leap by seconds while a busy machine reads the line: the steady clock
+        must agree. Missing frames are then reported when the next frame comes.
         """
         if self._heard is None:
             return False
@@ -178,7 +178,7 @@ class Health:
     def statuses(
         self, state: SourceState, counts: Counts, clock: DeviceClock, now: int, steady: float
     ) -> list[PartStatus]:
-        """Return what is to be said now."""
+        """Return the present statuses."""
         if self._begun is None and (state.open or state.ended):
             self._begun = now
         if self._last_bytes is None:
@@ -204,7 +204,7 @@ class Health:
     def _note_events(self, counts: Counts, steady: float) -> None:
         seen, self._seen = self._seen, replace(counts)
         if seen.frames:
-            # What comes before the first frame is the rest of one that was cut.
+            # The bytes before the first frame are the rest of an earlier one.
             happened = {
                 'lost': (counts.lost > seen.lost, 'Frames are lost on the way.'),
                 'bad': (counts.bad > seen.bad, 'Frames are damaged on the way.'),
@@ -260,7 +260,7 @@ class Health:
         return Severity.OK, 'Frames come in.'
 
     def _before_the_first(self, now: int) -> tuple[Severity, str]:
-        # A port that does not open yet says so itself.
+        # A port that does not open yet reports that itself.
         begun = now if self._begun is None else self._begun
         late = (now - begun) / _NS - self._gap_timeout
         if self._bytes and late > _GREETING:
@@ -273,7 +273,7 @@ class Health:
         return Severity.WARN, 'The first frame has not come yet.'
 
     def _what_comes(self, state: SourceState, steady: float) -> PartStatus:
-        """Say whether it is what the files of device and IMU describe."""
+        """Return whether the data agrees with the files of device and IMU."""
         if self._heard is None and (what := self._strange(state, steady)):
             return PartStatus(
                 'format',
@@ -289,12 +289,12 @@ class Health:
         )
 
     def _strange(self, state: SourceState, steady: float) -> str:
-        """Say what comes where no frame will; nothing where one may."""
+        """Return a sentence on data without frames; empty if frames may still come."""
         first, last = self._first_bytes, self._last_bytes
         enough = self._bytes >= _STRANGE * self._format.length
         if first is not None and enough and steady - first >= _GREETING:
             return 'Bytes are received, but'
-        # What was read a moment ago may not have been taken yet.
+        # The last bytes read may still be waiting.
         if state.ended and last is not None and steady - last >= _GREETING:
             return f'{state.text} It holds'
         return ''

@@ -1,4 +1,4 @@
-"""The host's clock against the monotonic clock: by how much it has been set."""
+"""Compare the host's clock with the monotonic clock: find its steps."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 from ..stream import Stamps
 
 _LEAST_STEP = 10_000_000
-"""A smaller difference, ns, can come of a reading that was interrupted between the two clocks."""
+"""A smaller difference, ns, can result from an interruption between the readings of both clocks."""
 
 
 class HostClock:
-    """Finds where the host's clock was set, from readings of it and of a steady clock.
+    """Find steps of the host's clock, from readings of it and of a steady clock.
 
-    A clock that is slewed (adjtime, NTP's corrections of rate) takes the steady one with it on
-    Linux: both run at the corrected rate, and nothing is set. What is left between them is steps.
+    On Linux a slewed clock (adjtime, NTP's corrections of rate) slews the steady one alike: both
+    run at the corrected rate. Their difference then consists of steps.
     """
 
     def __init__(self) -> None:
@@ -23,15 +23,15 @@ class HostClock:
 
     @property
     def first(self) -> int:
-        """How far the host's clock was ahead of the steady one at the first reading, ns."""
+        """By how much the host's clock was ahead of the steady one at the first reading, ns."""
         return self._first or 0
 
     def feed(self, host: Stamps, steady: Stamps) -> tuple[Stamps, list[tuple[int, int]]]:
-        """Take (n,) readings of both clocks, ns, one at least.
+        """Take (n,) readings of both clocks, ns, at least one.
 
         Returns:
-            (n,) by how much the host's clock has been set since the first reading, ns, and the
-            steps among these readings: index and ns, in order.
+            (n,) sum of the steps of the host's clock since the first reading, ns, and the steps
+            among these readings: index and ns, in order.
 
         """
         ahead = host - steady

@@ -1,4 +1,4 @@
-"""The lines that a device's bytes come over: a serial port, a TCP or UDP socket, a file."""
+"""Transports of a device's bytes: a serial port, a TCP or UDP socket, a file."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 POLL = 0.1
-"""s between two looks at whether it is to end."""
+"""s between two checks for the end."""
 CONNECT = 2.0
-"""s for a connection."""
+"""s allowed for a connection."""
 _CHUNK = 16384
 """Bytes read at once."""
 _KEEPALIVE = {'TCP_KEEPIDLE': 5, 'TCP_KEEPINTVL': 2, 'TCP_KEEPCNT': 3}
-"""A device that lost its power closes nothing: so many seconds, and it counts as gone."""
+"""s after which a device without a reply counts as gone: a loss of power closes no connection."""
 
 
 class Line(Protocol):
-    """Something open that bytes are read from."""
+    """An open source of bytes."""
 
     def read(self) -> bytes | None:
-        """Return what has come, nothing after a while without, None at the end."""
+        """Return received bytes, none after a timeout, None at the end."""
 
     def write(self, data: bytes) -> None:
         """Send bytes to the device."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the line."""
 
 
 class _Socket:
-    """What is read from a socket, waited for no longer than a poll takes."""
+    """A socket whose reads wait no longer than a poll."""
 
     KIND: ClassVar[socket.SocketKind]
     BUFFER: ClassVar[int]
-    """Bytes that the kernel holds (SO_RCVBUF)."""
+    """Bytes buffered by the kernel (SO_RCVBUF)."""
     MOST: ClassVar[int]
-    """Bytes of one reading."""
+    """Bytes of one read."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(_family(host), self.KIND)
@@ -51,11 +51,11 @@ class _Socket:
             raise
 
     def _open(self, host: str, port: int) -> None:
-        """Connect, or wait at an address."""
+        """Connect, or bind to an address."""
         raise NotImplementedError
 
     def _received(self, data: bytes) -> bytes | None:
-        """Return what was read, None where it means the end."""
+        """Return the bytes read, None if they mean the end."""
         return data
 
     def read(self) -> bytes | None:
@@ -75,7 +75,7 @@ class Tcp(_Socket):
     """A TCP connection."""
 
     KIND = socket.SOCK_STREAM
-    # A small buffer: a device that is simulated goes no faster than its samples are used.
+    # A small buffer: a simulated device goes no faster than its samples are used.
     BUFFER = 1 << 16
     MOST = _CHUNK
 
@@ -88,7 +88,7 @@ class Tcp(_Socket):
         self._socket.connect((host, port))
 
     def _received(self, data: bytes) -> bytes | None:
-        # Nothing at once: the other end has closed it.
+        # An empty read: the other end has closed the connection.
         return data or None
 
 
@@ -105,7 +105,7 @@ class Udp(_Socket):
 
 
 class Serial:
-    """A serial port, or whatever else pyserial opens."""
+    """A serial port, or anything else that pyserial opens."""
 
     def __init__(self, url: str, baud: int, restarts: bool) -> None:
         import serial
@@ -114,11 +114,11 @@ class Serial:
             url, baudrate=baud, timeout=POLL, write_timeout=CONNECT
         )
         _lower_at_close(self._port, restarts)
-        # What has waited there since somebody else closed it would arrive far too late.
+        # Bytes left from before the port was opened would arrive far too late.
         self._port.reset_input_buffer()
 
     def read(self) -> bytes | None:
-        """Return what has come, nothing after a while without."""
+        """Return received bytes, none after a timeout."""
         data = self._port.read(max(1, min(self._port.in_waiting, _CHUNK)))
         return bytes(data)
 
@@ -128,17 +128,17 @@ class Serial:
         self._port.flush()
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._port.close()
 
 
 def _lower_at_close(port: Any, lower: bool) -> None:
-    """Have the system lower the control lines of a serial port when it is closed, or not to."""
+    """Set whether the system lowers the control lines of a serial port when it is closed."""
     try:
         import termios
     except ImportError:
         return
-    # A port of the network, or one without such lines.
+    # A network port, or one without control lines.
     with contextlib.suppress(termios.error, OSError, TypeError, AttributeError):
         mode = termios.tcgetattr(port.fileno())
         mode[2] = mode[2] | termios.HUPCL if lower else mode[2] & ~termios.HUPCL
@@ -146,21 +146,21 @@ def _lower_at_close(port: Any, lower: bool) -> None:
 
 
 class File:
-    """Bytes that were recorded."""
+    """Recorded bytes."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open('rb')
 
     def read(self) -> bytes | None:
-        """Return what comes next, None at the end."""
+        """Return the next bytes, None at the end."""
         return self._file.read(_CHUNK) or None
 
     def write(self, data: bytes) -> None:
-        """Refuse: a file takes no commands."""
+        """Refuse: a file accepts no commands."""
         raise io.UnsupportedOperation(f'{len(data)} bytes for a recording.')
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
 

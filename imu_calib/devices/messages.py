@@ -1,4 +1,4 @@
-"""Messages on a device's line that are no samples: known, so that they count as no damage."""
+"""Known messages on a device's line that are not samples, so that they do not count as damage."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .fields import Number
 from .numbers import whole_list
 
 _LONGEST = 4096
-"""Bytes: more than any IMU sends at once, and a length that is damaged is not waited for longer. A
+"""Bytes: more than any IMU sends at once; a damaged length does not make the decoder wait longer. A
 judgement."""
 
 LENGTH_TYPES = {'u8': 1, 'u16': 2}
@@ -22,10 +22,10 @@ LENGTH_TYPES = {'u8': 1, 'u16': 2}
 
 @dataclass(frozen=True)
 class MessageCheck:
-    """A checksum whose place and whose last byte are counted back from the message's end.
+    """A checksum whose offset and last byte are counted from the message's end.
 
     Attributes:
-        algorithm: Which.
+        algorithm: The algorithm.
         offset: Of its first byte, below zero: -1 is the message's last byte.
         order: '<' lowest byte first, '>' highest.
         first: First byte that it covers, from the beginning.
@@ -42,13 +42,13 @@ class MessageCheck:
 
 @dataclass(frozen=True)
 class Message:
-    """A kind of message that is no sample.
+    """A kind of message that is not a sample.
 
     Attributes:
         sync: Its first bytes.
-        length: Bytes of it, checksum included, or the number in it that tells them.
-        more: Added to that number.
-        check: None where it has no checksum.
+        length: Bytes of it, checksum included, or its field that states them.
+        more: Added to that field.
+        check: None without a checksum.
         counted: Whether the frame counter counts it, too.
 
     """
@@ -60,7 +60,7 @@ class Message:
     counted: bool
 
     def length_at(self, data: bytes, at: int) -> int | None:
-        """Return how long the message would be that begins at a byte; None where more must come."""
+        """Return the length of a message that begins at a byte; None if more bytes are needed."""
         if isinstance(self.length, int):
             return self.length
         begin, end = at + self.length.offset, at + self.length.end
@@ -70,7 +70,7 @@ class Message:
 
     @property
     def least(self) -> int:
-        """Fewest bytes of one: those that must be there to tell that it is one."""
+        """Fewest bytes by which a message is recognised."""
         ends = [len(self.sync)]
         if isinstance(self.length, Number):
             ends.append(self.length.end)
@@ -79,7 +79,7 @@ class Message:
         return max(ends)
 
     def holds(self, message: bytes) -> bool:
-        """Say whether the checksum of a whole message is right."""
+        """Return whether the checksum of a whole message is right."""
         check = self.check
         if check is None:
             return True
@@ -98,13 +98,13 @@ def _unsigned(data: bytes, order: str) -> int:
 
 @dataclass
 class Messages:
-    """Finds messages among the bytes between frames; how those are cut does not matter.
+    """Find messages among the bytes between frames, independent of how those are cut.
 
     Attributes:
-        kinds: What may come; where several fit, the first.
-        found: How many have come.
-        size: Bytes of these.
-        counted: How many that the frame counter counts have come since `close`.
+        kinds: Possible messages; if several match, the first.
+        found: Number of messages.
+        size: Their bytes.
+        counted: Number of messages since `close` that the frame counter counts.
 
     """
 
@@ -116,17 +116,17 @@ class Messages:
 
     @property
     def undecided(self) -> int:
-        """How many of the bytes can still become a message."""
+        """Number of bytes that can still become a message."""
         return len(self._open)
 
     def take(self, data: bytes) -> None:
-        """Take the next bytes that are no frame."""
+        """Take the next bytes outside frames."""
         if self.kinds:
             self._open += data
             self._look(ended=False)
 
     def close(self) -> int:
-        """A frame follows: no message goes on; return how many came that its counter counts."""
+        """End at a frame: return the number of messages that its counter counts."""
         self._look(ended=True)
         counted, self.counted = self.counted, 0
         return counted
@@ -136,7 +136,7 @@ class Messages:
         while at < len(data):
             starts = [s for s in (data.find(kind.sync, at) for kind in self.kinds) if s >= 0]
             if not starts:
-                # What begins at the very end may be the beginning of a sync.
+                # The last bytes may be the beginning of a sync.
                 kept = 0 if ended else max(len(kind.sync) for kind in self.kinds) - 1
                 at = max(at, len(data) - kept)
                 break
@@ -148,7 +148,7 @@ class Messages:
         self._open = data[at:]
 
     def _length(self, data: bytes, at: int, *, ended: bool) -> int | None:
-        """Return the length of the message at a byte, 0 where none is, None while it is open."""
+        """Return the length of the message at a byte, 0 without one, None while undecided."""
         for kind in self.kinds:
             if not data.startswith(kind.sync, at):
                 continue

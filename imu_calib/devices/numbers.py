@@ -1,4 +1,4 @@
-"""Lists of whole numbers, and scales, in a device's file, checked: key, found, expected."""
+"""Read lists of integers, and scales, from a device's file, with checks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..errors import InputError
 
 
 def whole_list(section: Section, name: str, lower: int, upper: int) -> list[int]:
-    """Read a list of whole numbers from `lower` to `upper`."""
+    """Read a list of integers from `lower` to `upper`."""
     found = []
     for value in section.items(name):
         number = as_whole(value, lower, upper)
@@ -23,7 +23,7 @@ def whole_list(section: Section, name: str, lower: int, upper: int) -> list[int]
 
 
 def numbers(section: Section, name: str, most: int = 3) -> list[float]:
-    """Read one number or a list of them; 1 where there is none."""
+    """Read one number or a list of them; 1 if absent."""
     if not section.has(name):
         return [1.0]
     raw = section.raw(name)

@@ -1,4 +1,4 @@
-"""What has come from a device: decoded, timed and judged."""
+"""Decode, time and check the data of a device."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ shipped devices sends a hundred frames a second."""
 
 
 class Reception:
-    """Takes the bytes of one device in. Host times are in ns, steady times in s.
+    """Receive the bytes of one device. Host times are in ns, steady times in s.
 
     Args:
         frames: The format of its frames.
-        imu: What its numbers are said to mean.
+        imu: Description of its numbers.
         sample_rate: Nominal, Hz; 0 for the IMU's own.
         gap_timeout: Longest time without a frame, s.
-        baud: Of a serial port; None where there is none.
-        live: Whether arrivals tell the time; those of a file do not.
+        baud: Of a serial port; None without one.
+        live: Whether arrivals show the time; those of a file do not.
         simulated: Whether the host's time is simulated.
 
     Attributes:
         clock: Maps samples to the host's time.
-        health: What is to be said of the device.
+        health: Monitors the device.
 
     """
 
@@ -49,7 +49,7 @@ class Reception:
     ) -> None:
         nominal = sample_rate or imu.sample_rate
         self._decoder = Decoder(frames)
-        # Simulated time comes in steps, far too coarse to judge the device's clock by it.
+        # Simulated time comes in steps that are too coarse to check the device's clock.
         self.clock = DeviceClock(
             frames.time,
             frames.counter,
@@ -62,12 +62,12 @@ class Reception:
         self._received = 0
 
     def take(self, chunks: list[Chunk], now: int, steady: float) -> tuple[Samples, Stamps]:
-        """Take what has been read; return n samples, possibly none, and their (n,) times.
+        """Take bytes; return n samples, possibly none, and their (n,) times.
 
         Args:
-            chunks: Bytes with the times at which they had arrived, at least one.
+            chunks: Bytes with their arrival times, at least one.
             now: Host time.
-            steady: Monotonic time of the host, which is not simulated.
+            steady: Monotonic time of the host, which is never simulated.
 
         """
         data = b''.join(chunk.data for chunk in chunks)
@@ -81,5 +81,5 @@ class Reception:
         return samples, elapsed
 
     def statuses(self, state: SourceState, now: int, steady: float) -> list[PartStatus]:
-        """Return what is to be said now of port, format, stream, clock and device."""
+        """Return the present statuses of port, format, stream, clock and device."""
         return self.health.statuses(state, self._decoder.counts, self.clock, now, steady)

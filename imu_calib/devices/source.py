@@ -1,4 +1,4 @@
-"""Where a device's bytes come from: a serial port, a TCP or UDP socket, a file."""
+"""Source of a device's bytes: a serial port, a TCP or UDP socket, a file."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from .lines import CONNECT, POLL, File, Line, Serial, Tcp, Udp
 _RETRY = 0.5
 """s before a lost line is opened again."""
 _CAPACITY = 1 << 18
-"""Bytes held for a node that is slow: more than 2 s at 921600 baud."""
+"""Bytes held for a slow node: more than 2 s at 921600 baud."""
 _TRIES = 5
-"""Readings of two clocks, of which one at least is not interrupted."""
+"""Readings of both clocks, of which at least one is not interrupted."""
 _NS = 1_000_000_000
 """ns per second."""
 _AT_ONCE = 1_000_000
-"""ns; a thread that is interrupted between two clocks reads them again."""
+"""ns; if reading both clocks took longer, they are read again."""
 _SOCKETS = ('socket', 'tcp', 'udp')
 _ADVICE = {
     errno.ENOENT: 'there is no such device. Connect it and switch it on; ls -l /dev/serial/by-id '
@@ -53,7 +53,7 @@ _ADVICE = {
     'datagrams arrive, 0.0.0.0 for any.',
     errno.EADDRINUSE: 'another program takes what arrives there. End that one.',
 }
-"""What a failure to open means, and what to do."""
+"""Meaning of an error on opening, and the remedy."""
 _ALIKE = {
     errno.ENODEV: errno.ENOENT,
     errno.ENXIO: errno.ENOENT,
@@ -65,7 +65,7 @@ _SERIAL_NAME = re.compile(r'^(/dev/|COM\d+$|\\\\.\\)')
 
 
 class Chunk(NamedTuple):
-    """Bytes that were read at once, and when: host's time just after, and a steady clock's, ns."""
+    """Bytes of one read, and its time: host's time just after, and a steady clock's, ns."""
 
     data: bytes
     arrival: int
@@ -73,7 +73,7 @@ class Chunk(NamedTuple):
 
 
 def steady_time() -> int:
-    """Return monotonic time, ns; it goes on while the host is suspended."""
+    """Return monotonic time, ns; it continues while the host is suspended."""
     if hasattr(time, 'CLOCK_BOOTTIME'):
         return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
     return time.monotonic_ns()
@@ -81,13 +81,13 @@ def steady_time() -> int:
 
 @dataclass(frozen=True)
 class SourceState:
-    """How a source is.
+    """State of a source.
 
     Attributes:
         open: Whether bytes can come.
-        ended: Whether none will ever come again: the end of a file.
+        ended: Whether the end of a file was reached.
         text: A sentence.
-        tried: Whether it was tried to open it.
+        tried: Whether opening was tried.
 
     """
 
@@ -98,10 +98,10 @@ class SourceState:
 
 
 class Source:
-    """Reads a device in a thread of its own, and opens it again when it breaks.
+    """Read a device in a separate thread, and reopen it after failures.
 
-    What was read waits in a bounded queue. While that is full nothing is read: over TCP the
-    device has to wait, a serial port or UDP loses bytes, which the frame counter shows.
+    Data waits in a bounded queue. While that is full nothing is read: over TCP the device has to
+    wait; a serial port or UDP loses bytes, which the frame counter shows.
 
     Args:
         url: /dev/ttyUSB0 or another name or URL of pyserial's; socket://host:port for TCP;
@@ -109,17 +109,17 @@ class Source:
         now: The host's time, ns; called in the reading thread.
         baud: Of a serial port.
         capacity: Bytes that may wait.
-        commands: Start the device where a serial port or a TCP connection opens, and stop it before
-            that is closed. Nothing is sent to where datagrams come from, or to a file.
+        commands: Start the device when a serial port or a TCP connection opens, and stop it before
+            closing. Nothing is sent to datagram sources or files.
         restarts: Whether closing leaves the device stopped: a serial port lowers its control lines,
-            as it usually does, and some devices restart when the next one who opens it raises them;
-            and the commands that stop it are sent.
+            as usual, and some devices restart when these are raised at the next opening; and the
+            stop commands are sent.
 
     Attributes:
         url: As given.
-        commands: What the device is sent.
-        state: How it is at the moment.
-        opened: How often it has been opened; counted before anything is read.
+        commands: Commands to the device.
+        state: Present state.
+        opened: Number of openings; counted before anything is read.
 
     Raises:
         InputError: The URL is none of these, or the file does not exist.
@@ -151,11 +151,11 @@ class Source:
         self._thread = threading.Thread(target=self._run, name=f'read {url}', daemon=True)
 
     def start(self) -> None:
-        """Begin to read."""
+        """Start reading."""
         self._thread.start()
 
     def take(self, most: int = _CAPACITY) -> list[Chunk]:
-        """Return what has come since, oldest first, of about `most` bytes; do not wait."""
+        """Return received chunks, oldest first, of about `most` bytes; do not wait."""
         taken: list[Chunk] = []
         with self._changed:
             while self._chunks and most > 0:
@@ -168,7 +168,7 @@ class Source:
 
     @property
     def live(self) -> bool:
-        """Whether bytes come when they are made; those of a file are all there at once."""
+        """Whether bytes come when they are made; those of a file are available at once."""
         return self._kind is not File
 
     @property
@@ -177,7 +177,7 @@ class Source:
         return not self._chunks
 
     def stop(self) -> None:
-        """Close it and end the thread."""
+        """Close the line and end the thread."""
         self._stopping.set()
         with self._changed:
             self._changed.notify()
@@ -224,7 +224,7 @@ class Source:
             self.state = SourceState(False, False, f'{self.url} was closed by the other end.')
 
     def _send(self, line: Line, commands: tuple[Command, ...]) -> None:
-        """Send commands and wait after each as long as its device needs."""
+        """Send commands and wait after each as long as the device requires."""
         stops = commands is self.commands.stop
         for command in commands:
             if self._stopping.is_set() and not stops:
@@ -240,7 +240,7 @@ class Source:
         return again is not None and steady_time() - heard > again * _NS
 
     def _moment(self) -> tuple[int, int]:
-        """Read the host's clock and the steady one at once, as far as nothing interrupts."""
+        """Read the host's clock and the steady one together, without interruption if possible."""
         for _ in range(_TRIES):
             before = steady_time()
             host = self._now()
@@ -258,15 +258,15 @@ class Source:
 
 
 def check_port(url: str) -> None:
-    """Refuse what no device can be read from now, without opening it.
+    """Refuse a device that cannot be read now, without opening it.
 
     Opening a serial port moves its control lines, which resets some devices.
 
     Args:
-        url: As of `Source`.
+        url: As in `Source`.
 
     Raises:
-        InputError: The URL is none, the device or file is not there, or may not be read.
+        InputError: The URL is invalid, the device or file does not exist, or may not be read.
 
     """
     kind, _ = _parse(url, baud=50, restarts=True)
@@ -279,7 +279,7 @@ def check_port(url: str) -> None:
 
 
 def _does_not_open(url: str, error: Exception) -> str:
-    """Say that a port does not open, why, and what to do."""
+    """Return a sentence on a port that does not open: reason and remedy."""
     number = _number(error)
     if isinstance(error, socket.gaierror):
         reason = 'the name of the host is not known. Check it, or give the address.'
@@ -291,7 +291,7 @@ def _does_not_open(url: str, error: Exception) -> str:
 
 
 def _number(error: BaseException | None) -> int:
-    """Return the errno of an error, or of the one that pyserial made it of; 0 without one."""
+    """Return the errno of an error, or of its cause in pyserial; 0 without one."""
     if error is None:
         return 0
     if isinstance(number := getattr(error, 'errno', None), int):
@@ -308,7 +308,7 @@ def _reason(error: Exception) -> str:
 
 
 def is_serial(url: str) -> bool:
-    """Say whether pyserial opens it: a port that has a baud rate."""
+    """Return whether pyserial opens it: a port that has a baud rate."""
     scheme, separator, _ = url.partition('://')
     if separator:
         return scheme not in _SOCKETS
@@ -316,7 +316,7 @@ def is_serial(url: str) -> bool:
 
 
 def _parse(url: str, baud: int, restarts: bool) -> tuple[Callable[..., Line], tuple[Any, ...]]:
-    """Return what opens a URL, and its arguments."""
+    """Return the class that opens a URL, and its arguments."""
     if not url:
         raise InputError(
             "The device's port is missing: /dev/ttyUSB0, socket://host:port, udp://host:port or a "

@@ -1,4 +1,4 @@
-"""Steps from sample to sample by the device: its clock against its counter."""
+"""Time steps between samples by the device: its clock compared with its counter."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from .fields import DeviceTime, FrameCounter, differences
 Indices = NDArray[np.int64]
 
 _LEAST_JUMP = 1e6
-"""ns: clock and counter may contradict each other by a millisecond, the coarsest unit of a device's
-time that is usual. A judgement."""
+"""ns: clock and counter may differ by a millisecond, the coarsest common unit of a device's time. A
+judgement."""
 
 _PERIODS = 2.5
 """The same in sample periods: stamp and count may belong to neighbouring samples at both ends, and
 half a period is for rounding. A judgement."""
 
 _RATE_TOLERANCE = 1e-3
-"""The same of the time between two frames: the period is learnt in the first moments, and the
-device's clock may change its rate afterwards. A judgement: quartzes keep to 1e-4."""
+"""The same of the time between two frames: the period is estimated in the first moments, and the
+rate of the device's clock may change afterwards. A judgement: quartzes keep to 1e-4."""
 
 _PLAUSIBLE = 2e9
-"""ns by which a step may be longer than what the host saw go by: what may wait in buffers before it
-is read. A judgement."""
+"""ns by which a step may exceed the host's elapsed time: data may wait in buffers before it is
+read. A judgement."""
 
 _NS = 1e9
-"""Of a second."""
+"""ns per second."""
 
 
 @dataclass
 class Finding:
-    """A jump at an index; `by_arrival` where only the arrival tells how much time went by."""
+    """A jump at an index; `by_arrival` if only the arrival shows the elapsed time."""
 
     index: int
     seconds: float | None
@@ -44,24 +44,24 @@ class Finding:
 
 @dataclass
 class Steps:
-    """(n,) ns from sample to sample, and where they had to be corrected."""
+    """(n,) ns from sample to sample, and the corrections."""
 
     nanoseconds: Floats
     findings: list[Finding] = field(default_factory=list)
 
 
 class Stepper:
-    """Compares the steps of a device's clock and counter, and corrects the one that is wrong.
+    """Compare the steps of a device's clock and counter, and correct the wrong one.
 
     Args:
         time: The device's clock, None without one.
         counter: The frame counter, None without one.
-        period: Nominal, ns; None where it is not known, which needs a clock.
-        live: Whether the host's time tells how much went by.
+        period: Nominal, ns; None if unknown, which requires a clock.
+        live: Whether the host's time shows the elapsed time.
 
     Attributes:
         period: Sample period by the device's clock once it is settled, else nominal, ns.
-        settled: Set from outside when the period is not to change any more.
+        settled: Set from outside when the period must not change any more.
         unseen: Frames lost in whole turns of the counter, which its steps do not show.
 
     """
@@ -87,13 +87,13 @@ class Stepper:
     def feed(
         self, time: Indices | None, counter: Indices | None, past: Floats, *, begins: bool
     ) -> Steps:
-        """Take samples; return how much time went by before each.
+        """Take samples; return the time elapsed before each.
 
         Args:
             time: (n,) device time in units of `DeviceTime.unit`, as sent; None without one.
             counter: (n,) frame counter; None without one.
-            past: (n,) how much time went by for the host since the sample before, ns.
-            begins: Whether the first of them is the first of all, before which there is none.
+            past: (n,) host time elapsed since the sample before, ns.
+            begins: Whether the first of them is the first sample of all.
 
         """
         ticks = counts = None
@@ -104,7 +104,7 @@ class Stepper:
             signed = self._counter.tells_direction
             counts = differences(counter, self._count, self._counter.modulus, signed=signed)
             if not signed:
-                # Frames that repeat were taken out: the same count again is a whole turn.
+                # Repeated frames were removed: an equal count is a whole turn.
                 counts[counts == 0] = self._counter.modulus
             counts /= self._counter.step
             self._count = int(counter[-1])
@@ -130,7 +130,7 @@ class Stepper:
         return steps
 
     def _learn_period(self, ticks: Floats, counts: Floats | None) -> None:
-        """Take the sample period from the device's clock in the first moments."""
+        """Estimate the sample period from the device's clock in the first moments."""
         if self.settled:
             return
         frames = np.ones_like(ticks) if counts is None else counts
@@ -143,7 +143,7 @@ class Stepper:
     def _compared(
         self, ticks: Floats, counts: Floats, past: Floats, period: float, begins: bool
     ) -> Steps:
-        """Compare the steps of clock and counter; correct the one that is wrong."""
+        """Compare the steps of clock and counter; correct the wrong one."""
         steps = Steps(ticks)
         expected = counts * period
         allowed = np.maximum(_LEAST_JUMP, _PERIODS * period)
@@ -158,7 +158,7 @@ class Stepper:
     def _wraps(
         self, ticks: Floats, counts: Floats, past: Floats, period: float, k: int, allowed: float
     ) -> bool:
-        """Explain a contradiction by whole turns of the clock or of the counter, if that does."""
+        """Explain a contradiction by whole turns of the clock or of the counter, if possible."""
         assert self._time is not None and self._counter is not None
         excess = ticks[k] - counts[k] * period
         if self._time.modulus is not None:
@@ -191,7 +191,7 @@ class Stepper:
 
 
 def _forward(steps: Floats, period: float | None, reason: str, begins: bool) -> Steps:
-    """Leave the steps to the arrival that do not go forward."""
+    """Replace steps that do not go forward by those of the arrival."""
     back = steps <= 0
     back[0] &= not begins
     steps[back] = 1.0 if period is None else period
