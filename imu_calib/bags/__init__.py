@@ -1,4 +1,4 @@
-"""Recordings of rosbag2, in and out: storage only, the bytes of the messages go to `cdr`."""
+"""Read and write recordings of rosbag2: storage only, `cdr` converts the bytes of messages."""
 
 from ..definitions import definition
 from .journal import FINISHED, Journal

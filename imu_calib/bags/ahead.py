@@ -1,4 +1,4 @@
-"""The next compressed chunks are unpacked on two cores while those before are decoded."""
+"""Unpack the next compressed chunks on two cores while earlier ones are decoded."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ Stored = TypeVar('Stored')
 Content = TypeVar('Content')
 
 _AHEAD = 3
-"""Chunks that are begun: one that a thread unpacks, one to help with, one for the thread to go on
-with meanwhile."""
+"""Chunks in progress: one unpacked by the thread, one by the caller while it waits, and a next one
+for the thread."""
 
 
 class ReadAhead(Generic[Stored, Content]):
-    """Loads chunks, compressed ones before they are asked for.
+    """Load chunks, compressed ones in advance.
 
-    Unpacking takes longer than all the rest of reading and lets go of the interpreter, so that a
-    second core does it; who waits for it unpacks the chunk after. Files are read in the thread
-    that asks: what reads them knows of no other.
+    Unpacking takes longer than the rest of reading and releases the interpreter lock, so a second
+    core does it; a caller that waits for it unpacks the chunk after. Files are read in the caller's
+    thread: their readers are not thread-safe.
 
     Args:
-        groups: In the order in which they will be asked for.
-        fetch: Reads what is stored of one.
-        unpack: Makes its content of that.
+        groups: In the order in which they will be requested.
+        fetch: Reads the stored bytes of one.
+        unpack: Converts these to its content.
 
     """
 
@@ -47,7 +47,7 @@ class ReadAhead(Generic[Stored, Content]):
         self._pool: ThreadPoolExecutor | None = None
 
     def load(self, group: ChunkGroup) -> Content:
-        """Return a chunk, and begin with those that follow it."""
+        """Return a chunk, and start those that follow it."""
         stored, future = self._begun.pop(group.start, None) or (self._fetch(group), None)
         self._begin(group)
         if future is None or future.cancel():
@@ -57,23 +57,24 @@ class ReadAhead(Generic[Stored, Content]):
         return future.result()
 
     def _begin(self, group: ChunkGroup) -> None:
-        """Hand over the chunks that follow one."""
+        """Submit the chunks that follow one."""
         for after in self._after(group):
             if after.start in self._begun:
                 continue
             try:
                 stored = self._fetch(after)
             except (OSError, InputError):
-                # It is said when that chunk is asked for.
+                # The error is raised when that chunk is requested.
                 return
-            # Most commands never need it, and it takes longer to load than the rest of reading.
+            # Imported here: most commands never need it, and its import takes longer than that of
+            # the rest.
             from concurrent.futures import ThreadPoolExecutor
 
             self._pool = self._pool or ThreadPoolExecutor(1, 'unpacking')
             self._begun[after.start] = stored, self._pool.submit(self._unpack, stored)
 
     def _help(self, group: ChunkGroup) -> None:
-        """Unpack a chunk that follows one and that the thread has not come to."""
+        """Unpack a following chunk that the thread has not started."""
         from concurrent.futures import Future
 
         for after in self._after(group):
@@ -85,7 +86,7 @@ class ReadAhead(Generic[Stored, Content]):
                 return
 
     def _after(self, group: ChunkGroup) -> Iterator[ChunkGroup]:
-        """Yield the compressed chunks that follow one without another in between."""
+        """Yield the compressed chunks that follow one without interruption."""
         for _ in range(_AHEAD):
             following = self._following.get(group.start)
             if following is None or not following.compression:

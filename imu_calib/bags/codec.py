@@ -1,4 +1,4 @@
-"""The two compressions of recordings, imported when a recording needs them."""
+"""The two compressions of recordings, imported on demand."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
     from .remote import AnyPath
 
 _ZSTD_MODULES = ('zstandard', 'compression.zstd', 'backports.zstd')
-"""The first one unpacks into memory that it is given, in three quarters of the others' time."""
+"""The first one can unpack into given memory, in three quarters of the others' time."""
 _BLOCK = 1 << 20
 """Bytes decompressed at once."""
 _PIECE = 1 << 17
-"""Bytes of a block of known size that are unpacked at once: few enough to be in the processor's
-cache when they are copied, and enough that the interpreter, which each piece needs, is seldom
-asked."""
+"""Bytes of a block of known size that are unpacked at once: few enough to remain in the processor's
+cache until they are copied, and enough that the interpreter, needed once per piece, costs
+little."""
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 
 
 class CodecError(Exception):
-    """Compressed data that does not unpack; the caller knows which."""
+    """Corrupt compressed data; the caller adds which."""
 
 
 def decompressor(compression: str) -> Callable[[bytes | memoryview], bytes]:
     """Return the function that unpacks one compressed block.
 
     Args:
-        compression: '', 'lz4' or 'zstd', as mcap chunks name it.
+        compression: '', 'lz4' or 'zstd', as named in mcap chunks.
 
     Returns:
-        A function that raises CodecError for data that does not unpack.
+        A function that raises CodecError for corrupt data.
 
     Raises:
         InputError: The compression is unknown, or its package is not installed.
@@ -56,10 +56,10 @@ def decompressor(compression: str) -> Callable[[bytes | memoryview], bytes]:
 
 
 def unpacked_into(memory: memoryview, data: bytes | memoryview, compression: str) -> bool:
-    """Unpack one compressed block into memory of the size that it is said to have.
+    """Unpack one compressed block into memory of its stated size.
 
-    Unpacking it at once takes fresh memory several times over, which the system clears page by
-    page: four times as long as unpacking alone.
+    Unpacking it at once allocates fresh memory several times, which the system clears page by page:
+    four times as long as unpacking alone.
 
     Args:
         memory: (size,) bytes.
@@ -67,7 +67,7 @@ def unpacked_into(memory: memoryview, data: bytes | memoryview, compression: str
         compression: 'lz4' or 'zstd'.
 
     Returns:
-        Whether it is one sound frame of that size; `decompressor` knows what else it may be.
+        Whether it is one valid frame of that size; `decompressor` handles all other cases.
 
     """
     module = _lz4() if compression == 'lz4' else _zstd()
@@ -84,8 +84,8 @@ def unpacked_into(memory: memoryview, data: bytes | memoryview, compression: str
 def _read_into(memory: memoryview, data: bytes | memoryview, module: Any) -> bool:
     """Let zstandard unpack into memory."""
     stated = module.get_frame_parameters(data)
-    # A frame that states its size goes there without another copy in between. Of its checksum this
-    # reader does not notice that it is cut off.
+    # A frame that states its size is unpacked there without another copy. This reader does not
+    # notice a missing checksum at the end.
     if stated.content_size != len(memory) or stated.has_checksum:
         return False
     with module.ZstdDecompressor().stream_reader(data, read_across_frames=True) as frames:
@@ -102,7 +102,7 @@ def _moved_into(memory: memoryview, data: bytes | memoryview, frame: Any) -> boo
         data = b''
         if not piece:
             return False
-    # What ends a frame may still be there.
+    # The end marker of a frame may still follow.
     beyond = b'' if frame.eof else frame.decompress(b'', 1)
     return bool(frame.eof) and not beyond and not frame.unused_data
 
@@ -125,14 +125,14 @@ def compressor(compression: str) -> Callable[[bytes], bytes]:
 
 
 def unpack_file(source: AnyPath, target: Path) -> str:
-    """Unpack a zstd file block by block, as far as it goes.
+    """Unpack a zstd file block by block, as far as possible.
 
     Args:
         source: Compressed file.
         target: File to write.
 
     Returns:
-        What stopped it before the end of the source; empty if nothing did.
+        The error before the end of the source; empty without.
 
     Raises:
         InputError: No package for zstd is installed.
@@ -151,7 +151,7 @@ def unpack_file(source: AnyPath, target: Path) -> str:
 
 
 class _FrameStream:
-    """Decompresses a sequence of zstd frames with whichever package is there."""
+    """Decompress a sequence of zstd frames with any of the packages."""
 
     def __init__(self, module: Any) -> None:
         self._module = module
@@ -164,7 +164,7 @@ class _FrameStream:
         return self._module.ZstdDecompressor()
 
     def feed(self, block: bytes) -> list[bytes]:
-        """Return what the next bytes of the file unpack to."""
+        """Return the unpacked content of the next bytes of the file."""
         pieces = []
         while block:
             if self._frame is None:
@@ -183,7 +183,7 @@ def _zstandard_decompress(module: Any) -> Callable[[bytes | memoryview], bytes]:
         if module.frame_content_size(data) > 0:
             content = module.ZstdDecompressor().decompress(data)
             return content
-        # A frame need not state its size, which the one-shot call of this package insists on.
+        # A frame need not state its size, which the one-shot call of this package requires.
         frame = module.ZstdDecompressor().decompressobj()
         content = frame.decompress(data)
         if not frame.eof:
@@ -207,7 +207,7 @@ def _guarded(
 
 @cache
 def _errors() -> tuple[type[Exception], ...]:
-    """Return what the packages raise for corrupt data."""
+    """Return the exceptions of the packages for corrupt data."""
     packages = [_optional(name) for name in _ZSTD_MODULES]
     own = [package.ZstdError for package in packages if package is not None]
     return (RuntimeError, ValueError, EOFError, MemoryError, *own)
@@ -215,7 +215,7 @@ def _errors() -> tuple[type[Exception], ...]:
 
 @cache
 def _optional(name: str) -> Any:
-    """Import a package; None where it is missing, which Python would look for anew each time."""
+    """Import a package; None if it is missing, for which Python would search again each time."""
     try:
         return importlib.import_module(name)
     except ImportError:

@@ -1,4 +1,4 @@
-"""Which storage files make up a recording, and how each is opened."""
+"""Find the storage files of a recording and open them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _OTHERS = {
         'NAME,NAME,NAME:UNIT --accel NAME,NAME,NAME:UNIT makes a recording of it.',
     ),
 }
-"""What people record instead, by the ending of its name, and the way from there."""
+"""Other formats of recordings, by file ending, and the way to convert them."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Found:
 
 
 class Scratch:
-    """A temporary folder that is made when it is needed, and removed afterwards."""
+    """A temporary folder, created when needed and removed afterwards."""
 
     def __init__(self) -> None:
         self._folder: Path | None = None
@@ -50,7 +50,7 @@ class Scratch:
         return self._folder
 
     def remove(self) -> None:
-        """Remove the folder with all that was unpacked into it."""
+        """Remove the folder with all unpacked files."""
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
@@ -61,7 +61,7 @@ def find_files(path: AnyPath, losses: Losses) -> Found:
 
     Args:
         path: Folder of rosbag2, or one storage file.
-        losses: Takes sentences about files that are missing.
+        losses: Receives sentences on missing files.
 
     Returns:
         The files.
@@ -95,7 +95,7 @@ def find_files(path: AnyPath, losses: Losses) -> Found:
 def _listed(
     names: tuple[str, ...], present: list[AnyPath], folder: str, losses: Losses
 ) -> tuple[AnyPath, ...]:
-    """Return the files that the metadata names, in its order."""
+    """Return the files named in the metadata, in its order."""
     by_name = {p.name: p for p in present} | {_bare(p.name): p for p in present}
     paths: list[AnyPath] = []
     for name in names:
@@ -127,17 +127,17 @@ def _bare(name: str) -> str:
 
 
 def _natural(path: AnyPath) -> list[tuple[int, str]]:
-    """Sort key that puts name_2 before name_10."""
+    """Return a sort key that puts name_2 before name_10."""
     return [(int(t or 0), s) for t, s in re.findall(r'(\d*)(\D*)', path.name)]
 
 
 def open_storage(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage:
-    """Open one storage file, unpacking it first where the whole file is compressed.
+    """Open one storage file; unpack it first if the whole file is compressed.
 
     Args:
         path: The file.
-        scratch: Where to put what is unpacked.
-        losses: Takes sentences about what cannot be read.
+        scratch: Folder for unpacked files.
+        losses: Receives sentences on unreadable data.
 
     Returns:
         The storage.
@@ -154,7 +154,7 @@ def open_storage(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage:
             with path.open('rb') as file:
                 magic = file.read(16)
         if magic.startswith(b'SQLite format 3') or (not magic and path.suffix == '.db3'):
-            # Loads SQLite, which few recordings need.
+            # Imported here: it loads SQLite, which few recordings need.
             from .sqlite import SqliteStorage
 
             return SqliteStorage(_with_its_log(path), losses)
@@ -164,7 +164,7 @@ def open_storage(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage:
 
 
 def _with_its_log(path: AnyPath) -> Path:
-    """Return where SQLite can open a database, beside it the log that its writer may have left."""
+    """Return a path at which SQLite can open a database together with its writer's log."""
     here = local(path)
     if isinstance(path, RemotePath):
         log = path.with_name(f'{path.name}-wal')

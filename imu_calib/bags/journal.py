@@ -1,4 +1,4 @@
-"""The journal of a live session: a recording that survives the program that writes it."""
+"""The journal of a live session: a recording that survives a crash of its program."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ if TYPE_CHECKING:
     from ..stream import Block
 
 FINISHED = 'imu_calib.finished'
-"""Entry of a journal whose session came to its end."""
+"""Entry of a journal whose session is complete."""
 
 _HELD = 512 << 20
-"""Bytes held while the disk takes none: 25 minutes of 1 kHz; more may cost the machine its life."""
+"""Most bytes held while the disk is full: 25 minutes of 1 kHz; more could crash the machine."""
 
 
 class Journal:
-    """Writes what comes in, as it comes in, and reads it back after a crash.
+    """Write received messages at once, and read them back after a crash.
 
     Args:
-        path: Folder; one that holds an unfinished session is gone on with.
-        description: What the recording is to say of itself (plan, IMU, table, site).
-        topics: What each topic carries that the session is calibrated from.
+        path: Folder; an unfinished session in it is resumed.
+        description: The recording's own entries (plan, IMU, table, site).
+        topics: Kind of each topic used in the calibration.
 
     Raises:
-        InputError: The folder holds something else: a finished session, one of another plan, IMU,
-            table or site, or no recording.
+        InputError: The folder holds a finished session, one of another plan, IMU, table or site,
+            or no recording.
 
     """
 
@@ -48,7 +48,7 @@ class Journal:
         self._last: dict[str, int] = {}
         self._newest = 0
         resumed = path.is_dir() and any(path.iterdir())
-        # Opened before the writer adds its file, so that only what was left is read.
+        # Opened before the writer adds its file, so that only older files are read.
         self._former = _unfinished(path, description) if resumed else None
         self._writer = RecordingWriter(path, description, resume=resumed)
         for topic, kind in topics.items():
@@ -61,15 +61,15 @@ class Journal:
 
     @property
     def former(self) -> Mapping[str, str]:
-        """What the recording says of itself that is gone on with; nothing where it begins."""
+        """Own entries of the resumed recording; empty for a new one."""
         return {} if self._former is None else self._former.custom_data
 
     def note(self, entries: Mapping[str, str]) -> None:
-        """Add entries to what the recording says of itself."""
+        """Add own entries to the recording."""
         self._writer.add_custom_data(entries)
 
     def replay(self) -> Iterator[tuple[str, Block]]:
-        """Yield topic and block of what the session before the crash left.
+        """Yield topic and block from the session before the crash.
 
         To be read before the first `write`.
         """
@@ -89,12 +89,11 @@ class Journal:
             topic: Full name.
             type_name: Message type.
             messages: Serialised messages, at least one.
-            now: When they came in, ns; no message is logged before one that was written earlier,
-                even where the clock jumps back.
+            now: Time of their arrival, ns; log times never decrease, even if the clock jumps back.
 
         Raises:
-            InputError: The disk takes no more. The messages are held in memory, and the next
-                `flush` tries again.
+            InputError: The disk is full. The messages are held in memory, and the next `flush`
+                tries again.
 
         """
         first = max(now, self._newest, self._last.get(topic, 0) + 1)
@@ -104,31 +103,31 @@ class Journal:
         self._writer.write(topic, type_name, messages, log_time)
 
     def add_latched_topic(self, topic: str, type_name: str) -> None:
-        """Describe a topic whose last message late subscribers get."""
+        """Describe a topic whose last message is sent to late subscribers."""
         self._writer.add_topic(topic, type_name, transient_local=True)
 
     def flush(self) -> None:
-        """Bring everything to where a killed program does not lose it.
+        """Write all data to the operating system, so that it survives a killed program.
 
         Raises:
-            InputError: The disk takes no more.
+            InputError: The disk is full.
 
         """
         self._writer.flush()
 
     @property
     def overfull(self) -> bool:
-        """Whether more is held in memory than a machine should be asked to hold."""
+        """Whether more is held in memory than is safe."""
         return self._writer.held > _HELD
 
     def close(self, *, finished: bool) -> None:
         """Finish the file.
 
         Args:
-            finished: Whether the session came to its end, so that nothing is to be added.
+            finished: Whether the session is complete, so that nothing is to be added.
 
         Raises:
-            InputError: The disk takes no more.
+            InputError: The disk is full.
 
         """
         if finished:
@@ -137,7 +136,7 @@ class Journal:
 
 
 def _whole(recording: Recording, topics: Mapping[str, Kind]) -> Iterator[tuple[str, Block]]:
-    """Yield what can be read, which is nothing where the file is cut off in its first messages."""
+    """Yield the readable blocks; none if the file is cut off in its first messages."""
     empty = True
     try:
         for topic, block in recording.read(topics):
@@ -149,11 +148,11 @@ def _whole(recording: Recording, topics: Mapping[str, Kind]) -> Iterator[tuple[s
 
 
 def _unfinished(path: Path, description: Mapping[str, str]) -> Recording | None:
-    """Open an unfinished session of the same kind; None where nothing had come in yet."""
+    """Open an unfinished session of the same kind; None if it has no messages."""
     try:
         recording = open_recording(path)
     except RecordingError:
-        # A file that holds no message names no topic either; the writer refuses anything else.
+        # A file without messages has no topics either; the writer refuses other files.
         return None
     held = recording.custom_data
     if FINISHED in held:

@@ -1,4 +1,4 @@
-"""Reads mcap storage files, a few chunks at a time."""
+"""Read mcap storage files, a few chunks at a time."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Unpacked:
-    """Chunks in memory: their bytes, and where the messages of each channel lie."""
+    """Chunks in memory: their bytes, and the offsets of the messages of each channel."""
 
     buffer: Bytes
     channels: dict[int, Placed]
@@ -71,7 +71,7 @@ class McapStorage:
 
     Args:
         path: The file.
-        losses: Takes sentences about what cannot be read.
+        losses: Receives sentences on unreadable data.
 
     Raises:
         RecordingError: This is no mcap file.
@@ -106,7 +106,7 @@ class McapStorage:
 
     @property
     def custom_data(self) -> Mapping[str, str]:
-        """Contents of the metadata records; rosbag2's own record counts with its custom data."""
+        """Contents of the metadata records, and the custom data in rosbag2's own record."""
         merged: dict[str, str] = {}
         for name, pairs in self._catalogue.metadata.items():
             own = name == 'rosbag2'
@@ -131,7 +131,7 @@ class McapStorage:
             load = partial(self._located, ahead, group)
             return cache.get((self.path, group.start), load, users).batch(ids, group.end)
 
-        # Not generators, whose frames would hold a batch, and its memory, until the next one.
+        # Not generators, whose frames would keep a batch, and its memory, until the next one.
         return {
             topic: filter(None, map(partial(batch, ids), together if ids else ()))
             for topic, ids in channels.items()
@@ -149,9 +149,9 @@ class McapStorage:
         return counts
 
     def _learn_channels(self) -> None:
-        """Look for channels in the chunks that hold messages of unknown channels.
+        """Search for channels in chunks with messages of unknown channels.
 
-        A file without summary describes its channels within the chunks alone.
+        A file without a summary describes its channels within the chunks alone.
         """
         known = self._catalogue.channels
         complete = bool(known) and self._catalogue.counts is not None
@@ -175,7 +175,7 @@ class McapStorage:
                 self._losses.add(f'{self.path.name}: {error}.')
 
     def _fetch(self, group: ChunkGroup) -> _Stored:
-        """Bring chunks into memory as they are stored."""
+        """Read the stored bytes of chunks into memory."""
         first, size = group.start, group.reach - group.start
         memory = None if group.compression else self._memory.lend(size)
         with self.path.open('rb', buffering=0) as file:
@@ -185,7 +185,7 @@ class McapStorage:
         return ChunkGroup(tuple(chunks)), content, tables
 
     def _with_content(self, fetched: _Stored) -> _Content:
-        """Unpack chunks that were fetched."""
+        """Unpack the bytes of chunks."""
         group, content, tables = fetched
         buffer, size = np.frombuffer(content, np.uint8), group.size
         together = bool(group.compression) and size <= TOGETHER
@@ -207,16 +207,16 @@ class McapStorage:
         return buffer, parts
 
     def _located(self, ahead: ReadAhead[_Stored, _Content], group: ChunkGroup) -> Unpacked:
-        """Find the messages of chunks; the thread that unpacks goes on meanwhile."""
+        """Find the messages of chunks while the thread continues to unpack."""
         buffer, parts = ahead.load(group)
         return Unpacked(buffer, located(parts, buffer, self._losses.add))
 
     def _unpack(
         self, chunk: Chunk, stored: memoryview, memory: memoryview | None = None
     ) -> Bytes | None:
-        """Return the bytes of a chunk, in memory of the size that it states where that is given.
+        """Return the unpacked bytes of a chunk, in given memory of its stated size if any.
 
-        None, and a stated loss, where they are not sound.
+        None, and a stated loss, if they are corrupt.
         """
         if chunk.cut or len(stored) < chunk.stored:
             return self._unpack_cut(chunk, stored)
@@ -257,7 +257,7 @@ class McapStorage:
 
 
 def _unpacked(chunk: Chunk, stored: memoryview, memory: memoryview | None) -> bytes | memoryview:
-    """Unpack a chunk, into memory where its size fits."""
+    """Unpack a chunk, into memory if its size fits."""
     if not chunk.compression:
         return stored
     if memory is not None and unpacked_into(memory, stored, chunk.compression):
@@ -270,7 +270,7 @@ def _unpacked(chunk: Chunk, stored: memoryview, memory: memoryview | None) -> by
 
 
 def _read(file: ByteFile, position: int, size: int, memory: Bytes | None = None) -> memoryview:
-    """Read bytes of a file, fewer where it ends; into (size,) bytes of memory where these are."""
+    """Read bytes of a file, fewer at its end; into (size,) bytes of memory if given."""
     file.seek(position)
     if memory is None:
         return memoryview(file.read(size))
@@ -279,7 +279,7 @@ def _read(file: ByteFile, position: int, size: int, memory: Bytes | None = None)
 
 
 def _with_checksum(chunk: Chunk, record: memoryview) -> Chunk:
-    """Add the CRC that a chunk's own record states; none where that is no head of this chunk."""
+    """Add the CRC in a chunk's own record; none if that is not the head of this chunk."""
     if chunk.crc is not None:
         return chunk
     try:
@@ -296,8 +296,8 @@ def _tables(chunk: Chunk, content: memoryview, first: int, file: ByteFile) -> di
     Args:
         chunk: The chunk.
         content: Bytes of the file.
-        first: Offset of the first one of them.
-        file: Where to read what lies elsewhere.
+        first: Offset of the first of these bytes.
+        file: For reading other parts.
 
     """
     tables = {}

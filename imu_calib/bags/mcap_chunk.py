@@ -1,4 +1,4 @@
-"""Chunks of an mcap file: where one lies, by its own head or by what the summary says of it."""
+"""Chunks of an mcap file: their offsets, from their own heads or from the summary."""
 
 from __future__ import annotations
 
@@ -15,38 +15,37 @@ CHUNK_FIELDS = 40
 """Bytes of a chunk's fields before its records: start, end, size, CRC, compression, length
 (mcap.dev/spec)."""
 LONGEST_HEAD = CHUNK_FIELDS + 16
-"""Bytes of a record that tell what it holds: a chunk's fields, with the longest name of a
+"""Bytes of a record that describe its content: a chunk's fields, with the longest name of a
 compression."""
 INDEX_HEAD = 6
 """Bytes of a message index before its entries: channel, bytes of entries (mcap.dev/spec)."""
 _LONGEST_INDEX = 1 << 20
-"""Bytes between a chunk and the end of its message index that are read with it at once: more than
-indices take, and little beside a chunk."""
+"""Bytes between a chunk and the end of its message index up to which both are read at once: more
+than indices take, and little beside a chunk."""
 TOGETHER = 9 << 19
-"""Bytes of the chunks that are loaded as one: enough that the interpreter's time, which each load
-takes once, is little beside that of the bytes, and few enough to stay in the processor's cache.
-Recorders close a chunk when it has reached 1 MiB or 0.75 MiB: four or five are loaded as one, which
-took less of the processor than three or six."""
+"""Bytes of the chunks loaded as one: enough to make the interpreter's time per load negligible, and
+few enough to stay in the processor's cache. Recorders close a chunk at 1 MiB or 0.75 MiB: four or
+five are loaded as one, which took less processor time than three or six."""
 
 
 @dataclass
 class Chunk:
-    """Where messages lie in the file: a chunk record, or a stretch of a file without chunks.
+    """A range of messages in the file: a chunk record, or messages without chunks.
 
     Attributes:
         start: Offset of the record.
         data: Offset of the stored bytes.
         stored: Number of stored bytes that the file holds.
-        size: Number of bytes that they unpack to; None where the file does not say.
+        size: Bytes after unpacking; None if the file does not state it.
         compression: '', 'lz4' or 'zstd'.
-        crc: CRC-32 of the unpacked bytes; 0 where there is none, None where the summary alone was
-            read, which does not say.
+        crc: CRC-32 of the unpacked bytes; 0 without one, None if only the summary was read, which
+            does not contain it.
         start_ns: Earliest log time.
         end_ns: Latest log time.
         index: Offset in the file and number of the message index entries of each channel; None
             without index.
-        counts: Messages of each channel; None where only unpacking would tell.
-        cut: The file ends within this chunk.
+        counts: Messages of each channel; None if known only after unpacking.
+        cut: Whether the file ends within this chunk.
 
     """
 
@@ -69,18 +68,18 @@ class Chunk:
 
     @property
     def reach(self) -> int:
-        """Offset of the byte after the message index, where that is near, else as `end`."""
+        """Offset of the byte after the message index, if that is near, else as `end`."""
         index = self.index or {}
         reach = max([self.end, *(position + 16 * count for position, count in index.values())])
         return reach if reach - self.end <= _LONGEST_INDEX else self.end
 
     @property
     def most(self) -> int:
-        """Bytes of what is stored, or of what that unpacks to."""
+        """Bytes stored or after unpacking, whichever is more."""
         return max(self.stored, self.size or 0)
 
     def may_hold(self, channels: frozenset[int]) -> bool:
-        """Tell whether there may be messages of some channels."""
+        """Return whether there may be messages of some channels."""
         return self.counts is None or not channels.isdisjoint(self.counts)
 
     def __str__(self) -> str:
@@ -89,7 +88,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class ChunkGroup:
-    """Chunks of one compression, one behind the other in the file, that are loaded as one."""
+    """Adjoining chunks of one compression that are loaded as one."""
 
     chunks: tuple[Chunk, ...]
 
@@ -105,21 +104,21 @@ class ChunkGroup:
 
     @property
     def reach(self) -> int:
-        """Offset of the byte after what is to be read."""
+        """Offset of the byte after the range to be read."""
         return max(chunk.reach for chunk in self.chunks)
 
     @property
     def compression(self) -> str:
-        """Of every chunk."""
+        """Compression of every chunk."""
         return self.chunks[0].compression
 
     @property
     def size(self) -> int:
-        """Bytes of memory that the chunks take at most."""
+        """Most bytes of memory for the chunks."""
         return sum(chunk.most for chunk in self.chunks)
 
     def may_hold(self, channels: frozenset[int]) -> bool:
-        """Tell whether there may be messages of some channels."""
+        """Return whether there may be messages of some channels."""
         return any(chunk.may_hold(channels) for chunk in self.chunks)
 
 
@@ -128,14 +127,14 @@ def chunk_at(position: int, head: bytes) -> tuple[Chunk, int]:
 
     Args:
         position: Offset of its record in the file.
-        head: Bytes of the record behind opcode and length, `LONGEST_HEAD` of them or more.
+        head: Bytes of the record behind opcode and length, at least `LONGEST_HEAD` of them.
 
     Returns:
         The chunk, and the least length of its record.
 
     Raises:
         struct.error: There are too few bytes.
-        UnicodeDecodeError: This is no chunk.
+        UnicodeDecodeError: This is not a chunk.
 
     """
     fields = Fields(head)
@@ -147,7 +146,7 @@ def chunk_at(position: int, head: bytes) -> tuple[Chunk, int]:
 
 
 def chunks_of(catalogue: Catalogue, end: int) -> list[Chunk] | None:
-    """Return the chunks of a file by its summary alone; None where that does not say all of them.
+    """Return the chunks of a file by its summary alone; None if that is incomplete.
 
     Args:
         catalogue: Of the summary.
@@ -168,14 +167,14 @@ def chunks_of(catalogue: Catalogue, end: int) -> list[Chunk] | None:
         for channel, count in (chunk.counts or {}).items():
             counts[channel] = counts.get(channel, 0) + count
     stated = {channel: count for channel, count in (catalogue.counts or {}).items() if count}
-    # Messages without a chunk around them, or without an index, are in the statistics alone.
+    # Messages outside chunks, or without an index, are in the statistics alone.
     return chunks if counts == stated and stated.keys() <= catalogue.channels.keys() else None
 
 
 def _of_summary(entry: ChunkIndex) -> Chunk:
     stored, size = entry.sizes
     data = entry.start + entry.length - stored
-    # One message index follows another, the last one ends where all of them do.
+    # The message indexes adjoin; the last one ends where all of them do.
     inside = sorted((offset, channel) for channel, offset in entry.index.items())
     ends = [*(offset for offset, _ in inside[1:]), data + stored + entry.behind]
     index = {}
@@ -190,7 +189,7 @@ def _of_summary(entry: ChunkIndex) -> Chunk:
 
 
 def grouped(chunks: Sequence[Chunk]) -> list[ChunkGroup]:
-    """Put chunks together that are loaded as one.
+    """Group chunks that are loaded as one.
 
     Args:
         chunks: In the order of the file.

@@ -1,4 +1,4 @@
-"""Where messages lie in unpacked chunks: by their indexes where these are sound, else by a walk."""
+"""Find the messages in unpacked chunks: by valid indexes, otherwise by walking the records."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _MESSAGE = int(Op.MESSAGE)
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The content of one chunk in a buffer that may hold others beside it.
+    """The content of one chunk in a buffer that may hold more.
 
     Attributes:
-        name: What to call the chunk.
-        start: Where its records begin.
-        end: Where they end.
+        name: Name of the chunk for messages.
+        start: Start of its records.
+        end: End of its records.
         tables: Message index: (n, 2) log times and offsets from the start, by channel.
 
     """
@@ -44,7 +44,7 @@ class Placed:
     """Messages of one channel within a buffer.
 
     Attributes:
-        offset: (n,) where each serialised message starts.
+        offset: (n,) start of each serialised message.
         size: (n,) bytes of each.
         log_ns: Log time of the first.
 
@@ -61,7 +61,7 @@ def located(parts: Sequence[Part], buffer: Bytes, lose: Callable[[str], None]) -
     Args:
         parts: The chunks, in the order of the buffer.
         buffer: Holds their records.
-        lose: Takes sentences about what is no message.
+        lose: Receives sentences on invalid records.
 
     Returns:
         Messages by channel, in the order of the buffer.
@@ -79,11 +79,11 @@ def indexed(parts: Sequence[Part], buffer: Bytes) -> dict[int, Placed] | None:
     """Find messages by the indexes alone; arguments as of `located`.
 
     Returns:
-        Messages by channel; None where an index contradicts its chunk or leaves messages out, and
-        for several chunks also where each has to be looked at by itself.
+        Messages by channel; None if an index contradicts its chunk or is incomplete, and for
+            several chunks also if each must be examined separately.
 
     """
-    # One table behind the other, those of a channel together, in the order of the buffer.
+    # The tables of a channel are joined, in the order of the buffer.
     channels = dict.fromkeys(channel for part in parts for channel in part.tables)
     held = [(one, k) for one in channels for k, part in enumerate(parts) if one in part.tables]
     if not held:
@@ -96,7 +96,7 @@ def indexed(parts: Sequence[Part], buffer: Bytes) -> dict[int, Placed] | None:
     offsets += np.repeat([parts[k].start for _, k in held], counts)
     rising = _are_rising(offsets, begins)
     if not rising:
-        # No order of the entries is prescribed; messages count in the order of the file.
+        # The order of entries is not prescribed; messages are taken in the order of the file.
         offsets = offsets[np.lexsort((offsets, np.repeat(begins, counts)))]
         rising = _are_rising(offsets, begins)
     inside = all(
@@ -125,14 +125,14 @@ def indexed(parts: Sequence[Part], buffer: Bytes) -> dict[int, Placed] | None:
 
 
 def _are_rising(offsets: Indices, begins: list[int]) -> bool:
-    """Tell whether offsets rise within each table, which begin at some of them."""
+    """Return whether offsets increase within each table; tables begin at `begins`."""
     rising = offsets[1:] > offsets[:-1]
     rising[[begin - 1 for begin in begins[1:]]] = True
     return bool(rising.all())
 
 
 def _is_complete(placed: dict[int, Placed], buffer: Bytes, part: Part) -> bool:
-    """Tell whether messages and records of other kinds fill a chunk, without overlap."""
+    """Return whether messages and other records fill a chunk without overlap."""
     starts = np.sort(np.concatenate([p.offset for p in placed.values()])) - HEAD
     ends = np.sort(np.concatenate([p.offset + p.size for p in placed.values()]))
     starts, ends = np.append(starts, part.end), np.concatenate([[part.start], ends])
@@ -154,7 +154,7 @@ def _walked(part: Part, buffer: Bytes, lose: Callable[[str], None]) -> dict[int,
             'bytes are left out.'
         )
     marked = offsets[records[offsets] == _MESSAGE]
-    # The head of a message reaches further than that of a record, perhaps beyond the chunk.
+    # The head of a message is longer than that of a record, and may exceed the chunk.
     offsets = marked[marked <= len(records) - HEAD]
     _, size, channel_of = _heads(records, offsets)
     sound = size >= 0
@@ -169,7 +169,7 @@ def _walked(part: Part, buffer: Bytes, lose: Callable[[str], None]) -> dict[int,
 
 
 def _joined(several: Sequence[dict[int, Placed]]) -> dict[int, Placed]:
-    """Put the messages of chunks one after another."""
+    """Concatenate the messages of chunks."""
     joined = {}
     for channel in dict.fromkeys(channel for placed in several for channel in placed):
         mine = [placed[channel] for placed in several if channel in placed]
@@ -182,13 +182,13 @@ def _joined(several: Sequence[dict[int, Placed]]) -> dict[int, Placed]:
 def _heads(buffer: Bytes, offsets: Indices) -> tuple[Bytes, Indices, np.ndarray[Any, Any]]:
     """Return opcodes of records, sizes of their messages, and channels, (n,) each.
 
-    A size is negative where a record is too short to be a message.
+    A size is negative if a record is too short for a message.
     """
     width = RECORD_HEAD + 2
     if len(offsets) == 0:
         return np.empty(0, np.uint8), np.empty(0, np.int64), np.empty(0, np.uint16)
     anywhere = np.ndarray((len(buffer) - width + 1,), f'V{width}', buffer, 0, (1,))
-    # Plain views: one of a structure takes the interpreter longer than the fields are worth.
+    # Plain views: structured ones cost more interpreter time than the fields are worth.
     gathered, shape, step = anywhere[offsets], (len(offsets),), (width,)
     length = np.ndarray(shape, '<i8', gathered, 1, step)
     channel = np.ndarray(shape, '<u2', gathered, RECORD_HEAD, step)

@@ -1,4 +1,4 @@
-"""The records of the mcap format: reading and building them as bytes.
+"""Read and build the records of the mcap format as bytes.
 
 Format: mcap.dev/spec, version 0. A record is an opcode byte, a length of 8 bytes, and content.
 """
@@ -59,7 +59,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class ChunkIndex:
-    """What the summary says of a chunk.
+    """The summary's entry on a chunk.
 
     Attributes:
         times: Earliest and latest log time, ns.
@@ -83,7 +83,7 @@ class ChunkIndex:
 
 @dataclass
 class Catalogue:
-    """What records say of the file as a whole.
+    """Records on the file as a whole.
 
     Attributes:
         schemas: Message type, language and text of the definition by schema id.
@@ -105,7 +105,7 @@ class Catalogue:
     totals: tuple[int, int] | None = None
 
     def add(self, op: int, content: bytes) -> None:
-        """Take note of a record, if it is of a kind that matters.
+        """Store a record, if it is of a relevant kind.
 
         Raises:
             RecordError: It contradicts the format.
@@ -154,7 +154,7 @@ def _form(codes: str) -> struct.Struct:
 
 
 class Fields:
-    """Reads the fields of one record in turn."""
+    """Read the fields of one record in sequence."""
 
     def __init__(self, content: bytes, position: int = 0) -> None:
         self._content = content
@@ -172,7 +172,7 @@ class Fields:
         return self.numbers(code)[0]
 
     def skip(self, size: int) -> None:
-        """Pass over bytes."""
+        """Skip bytes."""
         self.position += size
 
     def block(self) -> bytes:
@@ -215,7 +215,7 @@ def strings(pairs: dict[str, str]) -> bytes:
 
 
 def walk(buffer: Bytes, start: int = 0) -> tuple[Indices, int]:
-    """Find the records that lie one after another in a buffer.
+    """Find consecutive records in a buffer.
 
     Args:
         buffer: (bytes,) records.

@@ -1,4 +1,4 @@
-"""Finds the chunks of an mcap file by walking over its records, with or without a footer."""
+"""Find the chunks of an mcap file by walking over its records, with or without a footer."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     ByteFile: TypeAlias = FileIO | BufferedIOBase
 
 _WINDOW = 1 << 22
-"""Bytes read at once of messages that lie in no chunk."""
+"""Bytes read at once of messages outside chunks."""
 _SMALL = frozenset({Op.SCHEMA, Op.CHANNEL, Op.METADATA})
 
 
 @dataclass
 class Scan:
-    """What walking over the records of a file brought to light."""
+    """Result of walking over the records of a file."""
 
     chunks: list[Chunk] = field(default_factory=list)
     catalogue: Catalogue = field(default_factory=Catalogue)
@@ -49,17 +49,17 @@ def scan(path: AnyPath, losses: Losses) -> Scan:
 
     Args:
         path: The file.
-        losses: Takes sentences about what is missing or broken.
+        losses: Receives sentences on missing or damaged data.
 
     Returns:
-        What was found.
+        The chunks, channels and metadata.
 
     Raises:
         RecordingError: This is no mcap file.
         OSError: The file cannot be read.
 
     """
-    # Records lie far apart: a buffer would be filled for each.
+    # Records are far apart: a buffer would be filled for each.
     with path.open('rb', buffering=0) as file:
         return _Scanner(path, file, losses).scan()
 
@@ -81,7 +81,7 @@ class _Scanner:
     def scan(self) -> Scan:
         self._check_magic()
         self._read_summary()
-        # Of a file elsewhere a walk over the records would fetch a piece of every chunk.
+        # In a remote file, walking the records would fetch a part of every chunk.
         if self.elsewhere and self._is_summed_up():
             return self.found
         position = len(MAGIC)
@@ -102,13 +102,13 @@ class _Scanner:
 
     def _read(self, position: int, size: int) -> bytes:
         if not self.elsewhere:
-            # One call of the system instead of two, for each record of the walk.
+            # One system call instead of two for each record.
             return os.pread(self.file.fileno(), size, position)
         self.file.seek(position)
         return self.file.read(size)
 
     def _read_summary(self) -> None:
-        """Read the summary section, where the file has one."""
+        """Read the summary section, if there is one."""
         footer = self._read(max(self.size - FOOTER_SIZE, 0), FOOTER_SIZE)
         if not footer.endswith(MAGIC) or footer[:RECORD_HEAD] != struct.pack('<BQ', Op.FOOTER, 20):
             return
@@ -126,14 +126,14 @@ class _Scanner:
                 content = offset + RECORD_HEAD
                 catalogue.add(op, summary[content : content + length])
         except RecordError:
-            # The data section says the same again.
+            # The data section repeats it.
             return
         self.found.catalogue = catalogue
         self.chunk_starts = frozenset(entry.start for entry in catalogue.chunks)
         self.end = int(start)
 
     def _is_summed_up(self) -> bool:
-        """Take the chunks from the summary; say whether it knows all that the walk would find."""
+        """Take the chunks from the summary; return whether it is complete."""
         chunks = chunks_of(self.found.catalogue, self.end)
         if chunks is None:
             return False
@@ -144,7 +144,7 @@ class _Scanner:
         return True
 
     def _record(self, position: int) -> int | None:
-        """Take in the record at a position; return the next, or None where there is no sense."""
+        """Process the record at a position; return the next, or None if it is invalid."""
         beginning = self._read(position, RECORD_HEAD + LONGEST_HEAD)
         if len(beginning) < RECORD_HEAD:
             return self._overrun(position)
@@ -173,17 +173,17 @@ class _Scanner:
         return following
 
     def _overrun(self, position: int) -> int | None:
-        """Judge a record that reaches beyond the data: a cut file, or a wrong length."""
+        """Handle a record that extends beyond the data: a cut file, or a wrong length."""
         if self.finished:
             return None
         self.cut_at = position
         return self.size
 
     def _state_unfinished(self, position: int) -> None:
-        """State that the recorder did not come to its end."""
+        """State that the recording was not completed."""
         chunks = self.found.chunks
         if chunks and not chunks[-1].cut:
-            # Its message index may be cut off as well, which would hide the topics without one.
+            # Its message index may be cut off as well, which would hide topics without one.
             chunks[-1].index = chunks[-1].counts = None
         until = max((chunk.end_ns for chunk in chunks if not chunk.cut), default=None)
         known = f'; the data up to log time {until / 1e9:.3f} s is whole' if until else ''
@@ -200,7 +200,7 @@ class _Scanner:
         return following
 
     def _resume(self, position: int) -> int:
-        """State a broken stretch, and go on at the next chunk that the summary knows."""
+        """State a damaged range, and continue at the next chunk in the summary."""
         starts = [s for s in self.chunk_starts if position < s < self.end]
         following = min(starts, default=self.end)
         what = 'the rest' if following == self.end else f'{following - position} bytes'
@@ -227,7 +227,7 @@ class _Scanner:
         return following
 
     def _index(self, position: int, length: int, following: int, head: bytes) -> int | None:
-        """Note a message index record: it belongs to the chunk before it."""
+        """Store a message index record: it belongs to the chunk before it."""
         if length < INDEX_HEAD:
             return None
         channel, size = struct.unpack_from('<HI', head)
@@ -240,7 +240,7 @@ class _Scanner:
         return following
 
     def _unchunked(self, position: int) -> int | None:
-        """Take in messages that lie in the file without a chunk around them."""
+        """Process messages outside chunks."""
         (length,) = struct.unpack('<Q', self._read(position + 1, 8))
         if length < MESSAGE_HEAD:
             return None
@@ -265,7 +265,7 @@ class _Scanner:
 
 
 def _stretch(buffer: Bytes, offsets: Indices, position: int, size: int) -> Chunk:
-    """Describe messages without a chunk as if they were one, not compressed."""
+    """Describe messages outside chunks as an uncompressed chunk."""
     view = [('channel', '<u2'), ('sequence', '<u4'), ('log_time', '<u8')]
     heads = np.ndarray((max(len(buffer) - 22, 0),), view, buffer, RECORD_HEAD, (1,))
     heads = heads[offsets[offsets + 31 <= len(buffer)]]

@@ -1,4 +1,4 @@
-"""Writes one mcap file, chunk by chunk."""
+"""Write one mcap file, chunk by chunk."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _HEAD = RECORD_HEAD + MESSAGE_HEAD
 
 @dataclass
 class _Open:
-    """The chunk that is being filled."""
+    """The chunk being filled."""
 
     parts: list[bytes] = field(default_factory=list)
     size: int = 0
@@ -40,15 +40,15 @@ class _Open:
 
 
 class McapWriter:
-    """One mcap file that is being written.
+    """One mcap file being written.
 
-    What is in closed chunks survives if the program is killed: the records are self-contained,
-    and summary and footer only make them quicker to find.
+    Closed chunks survive a kill of the program: the records are self-contained, and summary and
+    footer only make them faster to find.
 
     Args:
         path: File to create.
         compression: '', 'lz4' or 'zstd'.
-        pack: Compresses a chunk so.
+        pack: Compresses a chunk.
         chunk_bytes: Size at which a chunk is closed.
         chunk_ns: Span of log time at which a chunk is closed.
 
@@ -69,7 +69,7 @@ class McapWriter:
         self._compression = compression
         self._chunk_bytes = chunk_bytes
         self._chunk_ns = chunk_ns
-        # Unbuffered: what a full disk refuses is known at once, and is written again later.
+        # Unbuffered: an error of a full disk appears at once, and the data is written again later.
         self._file = path.open('xb', buffering=0)
         self._chunk = _Open()
         self._schemas: dict[str, bytes] = {}
@@ -120,10 +120,10 @@ class McapWriter:
         log_time: Indices,
         publish_time: Indices | None = None,
     ) -> None:
-        """Append messages, closing chunks as they fill; published when logged unless stated.
+        """Append messages, closing full chunks; publish times default to log times.
 
         Raises:
-            OSError: The disk takes no more; the messages are held, and `flush` tries again.
+            OSError: The disk is full; the messages are held, and `flush` tries again.
 
         """
         start = 0
@@ -167,7 +167,7 @@ class McapWriter:
         self.counts[channel] += len(messages)
 
     def flush(self) -> None:
-        """Close the chunk, if it holds messages, and hand it to the operating system."""
+        """Close the chunk, if it holds messages, and pass it to the operating system."""
         chunk = self._chunk
         if not chunk.index:
             return
@@ -204,7 +204,7 @@ class McapWriter:
 
     @property
     def held(self) -> int:
-        """Bytes that wait for their chunk to be closed."""
+        """Bytes in the open chunk."""
         return self._chunk.size
 
     def _put(self, content: bytes) -> None:
@@ -220,7 +220,7 @@ class McapWriter:
             raise
 
     def _summary(self, start: int) -> bytes:
-        """Build everything from the summary section to the end of the file, the CRC still zero."""
+        """Build all from the summary section to the end of the file, with the CRC still zero."""
         span = (self.start_ns, self.end_ns) if self._chunk_index else (0, 0)
         counts = b''.join(struct.pack('<HQ', c, n) for c, n in self.counts.items())
         numbers = (len(self._schemas), len(self._channels), 0, len(self._metadata_index))
@@ -249,7 +249,7 @@ class McapWriter:
 def _records(
     channel: int, sequence: int, messages: Messages, log_time: Indices, publish_time: Indices
 ) -> bytes:
-    """Build message records; those of equal size are filled in column by column."""
+    """Build message records; those of equal size are filled column by column."""
     size = int(messages.size[0])
     if not (messages.size == size).all():
         return b''.join(

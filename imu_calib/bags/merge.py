@@ -1,7 +1,7 @@
-"""Blocks of several topics in step with each other, however they interleave in the file.
+"""Merge blocks of several topics in step, independent of their order in the file.
 
-Within a topic the order of the file is kept. Between topics, none runs ahead of the others by
-more than a bounded time, so that a reader that pairs them needs little memory.
+Within a topic the order of the file is kept. No topic is ahead of the others by more than a bounded
+time, so that a reader that pairs them needs little memory.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from ..stream import Block, Stamps
 
 STRETCH_NS = 5_000_000_000
-"""ns of one topic that may come before another's: what is out of order by less is put in order."""
+"""ns by which a topic may be out of order against another and is still put in order."""
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A block on its way out.
+    """A block to be merged.
 
     Attributes:
         block: The samples.
         log_ns: Log time of the message that the block starts with, or of one shortly before.
-        position: Bytes of the recording that lie before the end of the piece.
+        position: Bytes of the recording before the end of the piece.
 
     """
 
@@ -49,11 +49,11 @@ class _Queue:
     stamps: Stamps
 
     def first(self, by_stamp: bool) -> tuple[int, int]:
-        """Return when the head starts; ties are broken by the place in the file."""
+        """Return the start time of the head; ties are broken by the position in the file."""
         return int(self.stamps[0]) if by_stamp else self.head.log_ns, self.head.position
 
     def take(self, limit: int | None) -> Block:
-        """Remove samples from the head: those up to the first one after a limit, at least one."""
+        """Remove samples from the head up to the first one after a limit, at least one."""
         count = len(self.stamps)
         beyond = self.stamps > limit if limit is not None else np.zeros(1, np.bool_)
         if beyond.any():
@@ -70,7 +70,7 @@ class _Queue:
         return taken
 
     def advance(self) -> bool:
-        """Fetch the next piece if the head is used up; tell whether there is one."""
+        """Fetch the next piece if the head is used up; return whether there is one."""
         if len(self.stamps):
             return True
         following = next(self.rest, None)
@@ -87,7 +87,7 @@ def merge(topics: Iterable[tuple[str, Iterator[Piece]]]) -> Iterator[tuple[str, 
         topics: Names and non-empty pieces, each topic in its own order.
 
     Yields:
-        Topic, block, and the bytes of the recording that are done.
+        Topic, block, and the number of bytes of the recording done.
 
     """
     queues = []
@@ -95,7 +95,7 @@ def merge(topics: Iterable[tuple[str, Iterator[Piece]]]) -> Iterator[tuple[str, 
         head = next(pieces, None)
         if head is not None:
             queues.append(_Queue(topic, pieces, head, _stamps(head.block)))
-    # A driver that leaves its stamps at zero would otherwise be read to its end first.
+    # Otherwise a stream with stamps of zero would be read to its end first.
     by_stamp = all(int(queue.stamps[0]) != 0 for queue in queues)
     while queues:
         queues.sort(key=lambda queue: queue.first(by_stamp))

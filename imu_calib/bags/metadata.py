@@ -20,21 +20,21 @@ if TYPE_CHECKING:
 
 NAME = 'metadata.yaml'
 VERSION = 9
-"""Of metadata.yaml, as rosbag2 of Jazzy writes it."""
+"""Version of metadata.yaml as written by rosbag2 of Jazzy."""
 _KEY = 'rosbag2_bagfile_information'
 _TEXTS = 4
-"""Texts that are remembered: of a recording there are two, and it may be compared with another."""
+"""Texts cached: a recording has two, and may be compared with another."""
 
 
 @dataclass(frozen=True)
 class Metadata:
-    """What metadata.yaml says that matters for reading.
+    """The parts of metadata.yaml used for reading.
 
     Attributes:
-        files: Names of the storage files, in order; None where the file does not say.
+        files: Names of the storage files, in order; None if not stated.
         custom_data: The user's own entries.
         counts: Messages by topic name.
-        problem: Why there is no sound metadata; empty where there is.
+        problem: Why the metadata is invalid or missing; else empty.
 
     """
 
@@ -45,7 +45,7 @@ class Metadata:
 
 
 def read_metadata(folder: AnyPath) -> Metadata:
-    """Read the metadata of a recording, as far as it is there.
+    """Read the metadata of a recording, if present.
 
     Args:
         folder: Folder of the recording.
@@ -54,7 +54,7 @@ def read_metadata(folder: AnyPath) -> Metadata:
         The metadata; `problem` names a missing or broken file.
 
     Raises:
-        OSError: The file is there but cannot be read.
+        OSError: The file exists but cannot be read.
 
     """
     path = folder / NAME
@@ -66,7 +66,7 @@ def read_metadata(folder: AnyPath) -> Metadata:
         return Metadata(problem=f'{NAME} is not YAML ({" ".join(str(error).split())[:120]})')
 
 
-# A command that looks at the topics first opens a recording twice.
+# A command that examines the topics first opens a recording twice.
 @lru_cache(maxsize=_TEXTS)
 def _metadata(text: str) -> Metadata:
     content = yaml_text.load(text)
@@ -122,7 +122,7 @@ def qos_profile(*, transient_local: bool = False) -> dict[str, Any]:
 
 
 def offered_profiles(text: str) -> list[dict[str, Any]]:
-    """Return the QoS profiles that a recorder wrote as YAML; none where that is no list."""
+    """Return the QoS profiles that a recorder wrote as YAML; none if that is not a list."""
     try:
         profiles = yaml_text.load(text)
     except yaml.YAMLError:
@@ -133,13 +133,13 @@ def offered_profiles(text: str) -> list[dict[str, Any]]:
 
 
 def dump(value: Any) -> str:
-    """Write a value as YAML, in the order it has."""
+    """Write a value as YAML, in its own order."""
     return yaml_text.dump(value, default_flow_style=False)
 
 
 @dataclass(frozen=True)
 class FileSpan:
-    """One storage file: its name, its first and last log time in ns, how many messages it holds."""
+    """One storage file: its name, its first and last log time in ns, its number of messages."""
 
     name: str
     start_ns: int

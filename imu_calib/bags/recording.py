@@ -1,4 +1,4 @@
-"""Recordings of rosbag2: opening them and reading their topics as columns."""
+"""Open recordings of rosbag2 and read their topics as columns."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ def open_recording(path: str | AnyPath, sha256: str | None = None) -> Recording:
     Args:
         path: Folder of rosbag2, with or without metadata.yaml, or one .mcap or .db3 file, or a URL
             of one that fsspec reads; a storage file may be compressed with zstd as a whole.
-        sha256: Of the storage files, where it is known already.
+        sha256: Of the storage files, if known already.
 
     Returns:
-        The recording. `losses` names what is missing or broken in it.
+        The recording. `losses` describes missing or damaged data.
 
     Raises:
         InputError: Nothing of it can be read.
@@ -67,7 +67,7 @@ def open_recording(path: str | AnyPath, sha256: str | None = None) -> Recording:
 
 
 def _open_all(paths: Sequence[AnyPath], scratch: Scratch, losses: Losses) -> list[Storage]:
-    """Open what can be opened; a file that cannot be is a loss as long as another one can."""
+    """Open all files; one that cannot be opened is a loss if another one can."""
     opened = [_open_or_tell(path, scratch, losses) for path in paths]
     storages = [storage for storage in opened if not isinstance(storage, RecordingError)]
     problems = [error for error in opened if isinstance(error, RecordingError)]
@@ -86,10 +86,10 @@ def _open_or_tell(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage | 
 
 
 class Recording:
-    """A recording that is open for reading; made by `open_recording`.
+    """A recording open for reading; made by `open_recording`.
 
     Attributes:
-        path: What was opened.
+        path: The path opened.
         files: The storage files, in order.
         topics: Topics of all files together, by name.
         custom_data: Entries that the recorder left in the metadata.
@@ -110,7 +110,7 @@ class Recording:
         self.path = path
         self._sha256 = sha256
         self.files = found.paths
-        # What is lost was counted by who recorded it: the files alone know what is there.
+        # Counts of the recorder include lost messages: only the files contain the actual ones.
         self.topics = _topics(storages, {} if losses.sentences else found.metadata.counts)
         if not self.topics:
             sentences = ''.join(f' {sentence}' for sentence in losses.sentences)
@@ -127,7 +127,7 @@ class Recording:
             [(a, b) for a, b in times if a is not None and b is not None]
         )
         self.close = weakref.finalize(self, scratch.remove)
-        """Remove what was unpacked to temporary files; also done when the object goes."""
+        """Remove files unpacked to temporary folders; also done when the object is deleted."""
 
     def __enter__(self) -> Recording:
         """Return the recording; leaving the block closes it."""
@@ -139,14 +139,14 @@ class Recording:
 
     @property
     def losses(self) -> list[str]:
-        """Sentences about what could not be read so far: file, what, from when to when."""
+        """Sentences on unreadable data so far: file, what, time range."""
         return list(self._losses.sentences)
 
     def sha256(self) -> str:
         """Return the SHA-256 of the storage files' contents, in the order of their names.
 
         Raises:
-            RecordingError: A file cannot be read any more.
+            RecordingError: A file can no longer be read.
 
         """
         if self._sha256 is None:
@@ -164,15 +164,16 @@ class Recording:
         """Read topics as columns, in memory that does not grow with the recording.
 
         Args:
-            topics: What to read: topic names, and what each is to carry.
-            progress: Called now and then with the bytes that are done and their total.
+            topics: Topic names, and the kind of each.
+            progress: Called now and then with the bytes done and their total.
 
         Yields:
-            Topic and block. Within a topic the order is that of the files; the topics keep step
-            with each other, however they interleave in the files.
+            Topic and block. Within a topic the order is that of the files; the topics are in step
+            with
+                each other, whatever their order in the files.
 
         Raises:
-            InputError: A topic is missing or of another type, or none holds a message.
+            InputError: A topic is missing or of another type, or none has a message.
 
         """
         self._check(topics)
@@ -181,14 +182,14 @@ class Recording:
     def messages(
         self, progress: Callable[[int, int], None] | None = None
     ) -> Iterator[tuple[Topic, Messages, Times]]:
-        """Read all topics as serialised messages, unpacked but else as they were recorded.
+        """Read all topics as serialised messages, unpacked but otherwise as recorded.
 
         Args:
-            progress: Called now and then with the bytes that are done and their total.
+            progress: Called now and then with the bytes done and their total.
 
         Yields:
-            Topic, messages and their times; file after file, the topics of a file in step with
-            each other, each in its own order.
+            Topic, messages and their times; file after file, the topics of a file in step with each
+                other, each in its own order.
 
         """
         before, total = 0, sum(storage.size for storage in self._storages)
@@ -226,7 +227,7 @@ class Recording:
             progress(total, total)
 
     def _state_missing(self, found: Mapping[str, int]) -> None:
-        """State messages that metadata.yaml counts and nothing else tells the lack of.
+        """State missing messages that only the counts in metadata.yaml show.
 
         A damaged page of a sqlite3 file can lose rows without an error.
         """
@@ -293,7 +294,7 @@ def content_hash(files: Sequence[AnyPath]) -> str:
         InputError: Its connection was lost.
 
     """
-    # Loads OpenSSL, which who only reads does not need.
+    # Imported here: it loads OpenSSL, which reading does not need.
     import hashlib
 
     digest = hashlib.sha256()
@@ -305,7 +306,7 @@ def content_hash(files: Sequence[AnyPath]) -> str:
 
 
 def _topics(storages: Sequence[Storage], counts: Mapping[str, int]) -> tuple[Topic, ...]:
-    """Unite the topics of all files; counts that the files lack come from metadata.yaml."""
+    """Unite the topics of all files; missing counts are taken from metadata.yaml."""
     topics: dict[str, Topic] = {}
     for storage in storages:
         for name, topic in storage.topics.items():
@@ -322,14 +323,14 @@ def _decoded(
         for batch in cursor:
             log_ns, position = batch.log_ns, base + batch.position
             blocks = kind.decode(_unpacked(batch.messages, malformed), malformed)
-            # The blocks share no memory with the messages: that is free for the next ones.
+            # The blocks do not share memory with the messages, which is free for the next ones.
             del batch
             for block in blocks:
                 yield Piece(block, log_ns, position)
 
 
 def _as_recorded(stretch: MessageBatch, malformed: Malformed) -> tuple[Messages, Times]:
-    """Return messages with their times; those that do not unpack are left out of both."""
+    """Return messages with their times; those that cannot be unpacked are removed from both."""
     times, messages = stretch.times(), stretch.messages
     if not messages.payload(0).startswith(ZSTD_MAGIC):
         return messages, times
@@ -348,7 +349,7 @@ def _as_recorded(stretch: MessageBatch, malformed: Malformed) -> tuple[Messages,
 def _unpacked(messages: Messages, malformed: Malformed) -> Messages:
     """Unpack messages that are compressed one by one.
 
-    A CDR message starts with a zero byte and a zstd frame never does, so that the bytes tell,
+    A CDR message starts with a zero byte and a zstd frame never does, so the bytes are sufficient,
     with or without metadata.yaml.
     """
     if not messages.payload(0).startswith(ZSTD_MAGIC):

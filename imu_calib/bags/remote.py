@@ -1,4 +1,4 @@
-"""Paths of recordings, here or behind URLs of fsspec."""
+"""Paths of recordings: local, or URLs of fsspec."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 
 def is_url(name: object) -> bool:
-    """Say whether a name is a URL, and no path of this machine."""
+    """Return whether a name is a URL instead of a local path."""
     return isinstance(name, str) and '://' in name
 
 
 def located(name: str | AnyPath) -> AnyPath:
-    """Return the path that a name is of, here or elsewhere.
+    """Return the local or remote path for a name.
 
     Raises:
-        InputError: It is a URL whose protocol is unknown or needs a library that is not
-            installed, or that cannot be reached.
+        InputError: It is a URL whose protocol is unknown, needs a library that is not installed,
+            or cannot be reached.
 
     """
     if isinstance(name, RemotePath):
@@ -38,7 +38,7 @@ def located(name: str | AnyPath) -> AnyPath:
 
 
 def local(path: AnyPath) -> Path:
-    """Return a path at which a library of C can open a file; what lies elsewhere is fetched whole.
+    """Return a local path for a C library; a remote file is fetched whole.
 
     Raises:
         InputError: It cannot be fetched.
@@ -48,14 +48,13 @@ def local(path: AnyPath) -> Path:
 
 
 class RemotePath:
-    """A file or folder that fsspec reads, with what the readers of recordings use of a `Path`.
+    """A file or folder read by fsspec, with the methods of `Path` that the readers use.
 
     Args:
-        url: As it was given.
+        url: As given.
         files: Its file system.
         inside: Its path there.
-        kind: 'file', 'directory' or '' where there is nothing, and the bytes of a file where they
-            are known.
+        kind: 'file', 'directory' or '' if there is nothing, and the bytes of a file if known.
 
     """
 
@@ -72,7 +71,7 @@ class RemotePath:
         """Return the path of a URL.
 
         Raises:
-            InputError: As of `located`.
+            InputError: As in `located`.
 
         """
         require('fsspec', f'{url} (a URL)', 'remote')
@@ -86,7 +85,7 @@ class RemotePath:
                 "HTTP (pip install 'imu_calib[remote]'); other protocols need libraries of their "
                 'own.'
             ) from None
-        # Of a process that lives long, what lay there an hour ago counts for nothing.
+        # In a long-lived process, cached listings would be out of date.
         files.invalidate_cache()
         inside = inside.rstrip('/')
         return cls(url.rstrip('/'), files, inside, _looked_up(url, files, inside))
@@ -114,7 +113,7 @@ class RemotePath:
         return self.with_inside(f'{self._inside.rpartition("/")[0]}/{name}')
 
     def with_inside(self, inside: str, kind: _Kind | None = None) -> RemotePath:
-        """Return another path of the same file system; looks it up where its kind is not given."""
+        """Return another path of the same file system; looks it up if its kind is not given."""
         below = inside.removeprefix(f'{self._inside}/')
         known = below != inside
         url = f'{self._url}/{below}' if known else str(self._files.unstrip_protocol(inside))
@@ -122,19 +121,19 @@ class RemotePath:
         return RemotePath(url, self._files, inside, kind)
 
     def exists(self) -> bool:
-        """Say whether there is anything."""
+        """Return whether it exists."""
         return self._kind != _NOTHING
 
     def is_file(self) -> bool:
-        """Say whether it is a file."""
+        """Return whether it is a file."""
         return self._kind[0] == 'file'
 
     def is_dir(self) -> bool:
-        """Say whether it is a folder."""
+        """Return whether it is a folder."""
         return self._kind[0] == 'directory'
 
     def iterdir(self) -> Iterator[RemotePath]:
-        """Yield what a folder holds.
+        """Yield the entries of a folder.
 
         Raises:
             InputError: It cannot be listed.
@@ -142,12 +141,12 @@ class RemotePath:
         """
         if self._held is None:
             entries = tried(self._url, lambda: self._files.ls(self._inside, detail=True))
-            # Kept, with what is fetched of them: a folder is looked through more than once.
+            # Kept, with their fetched content: a folder is listed more than once.
             self._held = {path.name: path for path in self._paths(entries)}
         yield from self._held.values()
 
     def below(self) -> Iterator[RemotePath]:
-        """Yield all files below a folder, however deep: one listing for all of them.
+        """Yield all files below a folder at any depth, by one listing.
 
         Raises:
             InputError: It cannot be listed.
@@ -157,7 +156,7 @@ class RemotePath:
         yield from self._paths(entries.values())
 
     def matching(self) -> Iterator[RemotePath]:
-        """Yield what the path names as a pattern (*, ?, **).
+        """Yield the paths that match this one as a pattern (*, ?, **).
 
         Raises:
             InputError: It cannot be listed.
@@ -169,12 +168,12 @@ class RemotePath:
     def _paths(self, entries: Any) -> Iterator[RemotePath]:
         for entry in sorted(entries, key=lambda e: str(e['name'])):
             inside = str(entry['name']).rstrip('/')
-            # A folder that somebody made in a bucket lists itself.
+            # A folder that was created explicitly in a bucket lists itself.
             if inside != self._inside:
                 yield self.with_inside(inside, (entry['type'], entry.get('size')))
 
     def stat(self) -> os.stat_result:
-        """Return the size of a file, and nothing else that is known."""
+        """Return the size of a file; other fields are not known."""
         return os.stat_result((0, 0, 0, 0, 0, 0, self._opened().size, 0, 0, 0))
 
     def open(self, mode: str = 'rb', buffering: int = -1) -> io.BufferedIOBase:
@@ -189,7 +188,7 @@ class RemotePath:
             return file.read().decode(encoding)
 
     def fetched(self) -> Path:
-        """Fetch the whole file; return where it is, for as long as this path lives.
+        """Fetch the whole file; return its local path, valid for the lifetime of this path.
 
         Raises:
             OSError: There is no such file.
@@ -215,7 +214,7 @@ _NOTHING: _Kind = ('', None)
 
 
 def _looked_up(url: str, files: AbstractFileSystem, inside: str) -> _Kind:
-    """Return what lies at a path, and its size."""
+    """Return the kind of a path, and its size."""
     try:
         entry = tried(url, lambda: files.info(inside))
     except FileNotFoundError:

@@ -1,8 +1,8 @@
-"""The bytes of a file that lies elsewhere, fetched by ranges, each once.
+"""Fetch the bytes of a remote file by ranges, each once.
 
-What was fetched is kept in a temporary file of this machine until the copy goes, with holes where
-nothing was asked for: a recording that is read and then hashed comes over the network once, and of
-one whose summary is read, little comes.
+Fetched bytes are kept in a sparse local temporary file for the lifetime of the copy: a recording
+that is read and then hashed is transferred once, and one whose summary is read is hardly
+transferred at all.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
 BLOCK = 1 << 18
-"""Bytes that a request is for at least: on a usual line they take about as long as its answer."""
+"""Fewest bytes of a request: on a usual line their transfer takes as long as the latency."""
 AHEAD = 1 << 23
-"""Bytes that a request is for at most. Who reads on is given twice as many each time up to it: the
-wait for an answer is then small against them, and a worker's memory holds them easily."""
+"""Most bytes of a request. Sequential reads double the size each time up to this: the latency is
+then small in comparison, and the memory of a worker suffices easily."""
 
 
 class Copy:
-    """The bytes of a file as far as they were asked for, in a temporary file."""
+    """The bytes of a file requested so far, in a temporary file."""
 
     def __init__(self, url: str, files: AbstractFileSystem, inside: str, size: int | None) -> None:
         self._url = url
@@ -46,14 +46,14 @@ class Copy:
         self.size = 0
         weakref.finalize(self, _discard, self._file, folder)
         if size is None:
-            # A server that does not say how long a file is sends all of it.
+            # A server that does not state the length of a file sends all of it.
             self._keep_whole(self._requested(None, None))
         else:
             self.size = size
             self._there = np.zeros(-(-size // BLOCK), np.bool_)
 
     def read(self, start: int, end: int) -> bytes:
-        """Return bytes, fewer where the file ends."""
+        """Return bytes, fewer at the end of the file."""
         end = min(end, self.size)
         if start >= end:
             return b''
@@ -61,7 +61,7 @@ class Copy:
         return os.pread(self._file.fileno(), end - start, start)
 
     def fill(self, start: int, end: int) -> None:
-        """Fetch what is not there of a range, and more where it goes on from the last one."""
+        """Fetch the missing bytes of a range, and more if it continues the last one."""
         first, stop = start // BLOCK, -(-end // BLOCK)
         missing = np.flatnonzero(~self._there[first:stop]) + first
         if not len(missing):
@@ -75,11 +75,11 @@ class Copy:
             self._fetch(run[0], run[-1] + 1)
 
     def _fetch(self, first: int, stop: int) -> None:
-        """Fetch blocks that lie one after another."""
+        """Fetch consecutive blocks."""
         start, end = first * BLOCK, min(stop * BLOCK, self.size)
         content = self._requested(start, end)
         if len(content) == self.size != end - start:
-            # A server that knows no ranges.
+            # A server that does not support ranges.
             self._keep_whole(content)
             return
         self._write(content, start)
@@ -119,7 +119,7 @@ class Copy:
 
 
 def _runs(blocks: np.ndarray[Any, np.dtype[np.int64]]) -> Iterator[list[int]]:
-    """Part blocks into runs that are one request each."""
+    """Split blocks into runs that are one request each."""
     most = AHEAD // BLOCK
     for run in np.split(blocks, np.flatnonzero(np.diff(blocks) > 1) + 1):
         for k in range(0, len(run), most):
@@ -132,32 +132,32 @@ def _discard(file: io.FileIO, folder: Path) -> None:
 
 
 class Reader(io.BufferedIOBase):
-    """An open file: a place in a copy."""
+    """An open file: a position in a copy."""
 
     def __init__(self, copy: Copy) -> None:
         self._copy = copy
         self._position = 0
 
     def readable(self) -> bool:
-        """Say that it can be read."""
+        """Return True."""
         return True
 
     def seekable(self) -> bool:
-        """Say that it can be read from anywhere."""
+        """Return True."""
         return True
 
     def tell(self) -> int:
-        """Return the place."""
+        """Return the position."""
         return self._position
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a place."""
+        """Set the position."""
         base = {os.SEEK_SET: 0, os.SEEK_CUR: self._position, os.SEEK_END: self._copy.size}[whence]
         self._position = max(base + offset, 0)
         return self._position
 
     def read(self, size: int | None = -1) -> bytes:
-        """Read bytes, all that follow without a size."""
+        """Read bytes, all remaining ones without a size."""
         end = self._copy.size if size is None or size < 0 else self._position + size
         content = self._copy.read(self._position, end)
         self._position += len(content)

@@ -1,4 +1,4 @@
-"""Requests over a network, which are made again where the connection is lost."""
+"""Repeat network requests whose connection is lost."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from ..errors import InputError
 Result = TypeVar('Result')
 
 TRIES = 3
-"""Of a request: a connection that is lost once is nothing, one that is lost three times is."""
+"""Tries of a request: a connection may be lost once, but three times is an error."""
 PAUSE = 0.5
-"""s before the second try; doubled before the third: a server that restarts takes about that."""
+"""s before the second try; doubled before the third: about the restart time of a server."""
 
 
 def tried(url: str, request: Callable[[], Result]) -> Result:
-    """Return what a request gives; one whose connection is lost is made again.
+    """Return the result of a request; repeat it if the connection is lost.
 
     Raises:
-        FileNotFoundError: There is nothing.
+        FileNotFoundError: There is no such file.
         InputError: No right to read, or the connection was lost `TRIES` times.
 
     """
@@ -31,7 +31,7 @@ def tried(url: str, request: Callable[[], Result]) -> Result:
         try:
             return request()
         except Exception as error:
-            # Each protocol has errors of its own for a connection that is lost.
+            # Each protocol has its own exceptions for a lost connection.
             lost = _behind(error)
             if isinstance(lost, FileNotFoundError):
                 raise
@@ -47,9 +47,9 @@ def tried(url: str, request: Callable[[], Result]) -> Result:
 
 
 def _behind(error: Exception) -> Exception:
-    """Return what an error is about: over HTTP a server that is gone is a file that is not found.
+    """Return the cause of an error: over HTTP, a lost server appears as a file that is not found.
 
-    What S3 does not find has the server's answer behind it.
+    For a missing file on S3, the cause is the server's reply.
     """
     cause = error.__cause__
     found = isinstance(error, FileNotFoundError) and isinstance(cause, Exception)

@@ -1,4 +1,4 @@
-"""Reads sqlite3 storage files: from their pages where those are sound, through SQLite elsewhere."""
+"""Read sqlite3 storage files: from their pages if these are valid, otherwise through SQLite."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _EXPECTED = {
 
 @dataclass(frozen=True)
 class _Loaded:
-    """A window of pages in memory: its rows; None where SQLite has to read them."""
+    """A window of pages in memory: its rows; None if SQLite must read them."""
 
     rows: Rows | None
 
@@ -49,10 +49,10 @@ class SqliteStorage:
 
     Args:
         path: The file.
-        losses: Takes sentences about what cannot be read.
+        losses: Receives sentences on unreadable data.
 
     Raises:
-        RecordingError: This is no sqlite3 file of rosbag2.
+        RecordingError: This is not an sqlite3 file of rosbag2.
         OSError: The file cannot be read.
 
     """
@@ -91,7 +91,7 @@ class SqliteStorage:
         return {topic: self._read(ids[topic], pages.windows, load) for topic in topics}
 
     def _pages(self) -> TablePages | None:
-        """Return the pages of the messages; None where SQLite alone knows what counts."""
+        """Return the pages of the messages; None if only SQLite can read them correctly."""
         if self._root is None or self._first is None or self._tolerant or not self._immutable:
             return None
         with suppress(OddPagesError, OSError):
@@ -104,7 +104,7 @@ class SqliteStorage:
         windows: Sequence[Window],
         load: Callable[[Window], Rows | None],
     ) -> Iterator[MessageBatch]:
-        """Read windows of pages, through SQLite those that it alone can read."""
+        """Read windows of pages, through SQLite where necessary."""
         for window in windows if topics else ():
             rows = load(window)
             if rows is None:
@@ -127,7 +127,7 @@ class SqliteStorage:
         return MessageBatch(messages, int(log[0]), self._position(following), times)
 
     def _position(self, row: int | None) -> int:
-        """Estimate how many bytes of the file lie before a row."""
+        """Estimate the number of bytes in the file before a row."""
         if row is None or self._first is None or self._last is None:
             return self.size
         return self.size * (row - self._first) // max(self._last - self._first, 1)
@@ -141,7 +141,7 @@ class SqliteStorage:
             raise RecordingError(f'{self.path.name} {what}: expected a sqlite3 file.')
         expected = _stated_size(head)
         if self.size < expected:
-            # SQLite itself would read zeros where the last page is cut.
+            # SQLite itself would read zeros if the last page is cut off.
             self._losses.add(
                 f'{self.path.name} is cut off: {self.size} of {expected} bytes are there.'
             )
@@ -152,7 +152,7 @@ class SqliteStorage:
         connection = sqlite3.connect(address, uri=True)
         connection.text_factory = partial(str, encoding='utf-8', errors='replace')
         if self._tolerant:
-            # SQLite refuses a file that is shorter than its header says, except in this mode.
+            # SQLite refuses a file shorter than its header states, except in this mode.
             connection.execute('PRAGMA writable_schema=ON')
         return connection
 
@@ -173,7 +173,7 @@ class SqliteStorage:
             self._losses.add(f'{self.path.name} is damaged; what can be read of it is used.')
 
     def _describe(self) -> None:
-        """Read what the file says of itself."""
+        """Read the description in the file."""
         with closing(self._connect()) as database:
             self._check_schema(database)
             rows = database.execute('SELECT id, name, type, serialization_format FROM topics')
@@ -186,7 +186,8 @@ class SqliteStorage:
                     )
                     continue
                 self._ids.setdefault(str(name), []).append(key)
-                # Counting would take a pass over the whole file; metadata.yaml mostly knows.
+                # Counting would need a pass over the whole file; metadata.yaml usually has the
+                # counts.
                 described = _described(database, str(name), str(kind))
                 topic = Topic(str(name), str(kind), None, str(encoding), described)
                 before = self.topics.get(topic.name)
@@ -222,7 +223,7 @@ class SqliteStorage:
 
 
 def _stated_size(head: bytes) -> int:
-    """Return the size that the header of a sqlite3 file states; 0 where it states none."""
+    """Return the size stated in the header of a sqlite3 file; 0 if not stated."""
     if len(head) < HEADER or head[24:28] != head[92:96]:
         return 0
     page, count = struct.unpack_from('>H', head, 16)[0], struct.unpack_from('>I', head, 28)[0]
@@ -230,7 +231,7 @@ def _stated_size(head: bytes) -> int:
 
 
 def _extreme(database: sqlite3.Connection, what: str) -> int | None:
-    """Ask for one extreme value: SQLite answers that from an index, and two by a scan."""
+    """Query one extreme value: SQLite finds one by an index, but two by a scan."""
     found = database.execute(f'SELECT {what} FROM messages').fetchone()[0]
     if found is None or isinstance(found, int):
         return found
@@ -245,9 +246,9 @@ def _loaded(pages: TablePages, window: Window, topics: Indices) -> _Loaded:
 
 
 def _root(database: sqlite3.Connection) -> int | None:
-    """Return the root page of the messages; None where its rows are not as rosbag2 has them."""
+    """Return the root page of the messages; None if its columns differ from those of rosbag2."""
     columns = list(database.execute('PRAGMA table_info(messages)'))
-    # A column with an index of its own is no other name of the row id.
+    # A column with an index is not an alias of the row id.
     own = any(row[3] == 'pk' for row in database.execute('PRAGMA index_list(messages)'))
     usual = [row[1] for row in columns] == ['id', 'topic_id', 'timestamp', 'data']
     query = "SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = 'messages'"
@@ -257,7 +258,7 @@ def _root(database: sqlite3.Connection) -> int | None:
 
 
 def _described(database: sqlite3.Connection, topic: str, kind: str) -> Described:
-    """Return what the file says of a topic: later versions of the schema hold more."""
+    """Return the description of a topic: later versions of the schema contain more."""
     profiles, definition, language = '', '', ''
     with suppress(*DAMAGE):
         query = 'SELECT offered_qos_profiles FROM topics WHERE name = ?'
@@ -274,7 +275,7 @@ def _described(database: sqlite3.Connection, topic: str, kind: str) -> Described
 
 
 def _custom_data(database: sqlite3.Connection) -> Mapping[str, str]:
-    """Return the custom data of the metadata table, which the schema has from version 3 on."""
+    """Return the custom data of the metadata table, in the schema from version 3 on."""
     try:
         rows = database.execute('SELECT metadata FROM metadata ORDER BY id').fetchall()
     except sqlite3.Error:

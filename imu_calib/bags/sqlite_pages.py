@@ -1,9 +1,8 @@
-"""Reads the rows of rosbag2's table of messages from the pages of an sqlite3 file, in bulk.
+"""Read the rows of rosbag2's table of messages from the pages of an sqlite3 file, in bulk.
 
-SQLite hands over one row after the other. Here a run of pages is read at once, and NumPy finds the
-rows in it. What follows is for pages as rosbag2 leaves them; whatever looks otherwise, damage
-included, is left to SQLite: nothing is guessed. Sections are those of the SQLite file format,
-https://www.sqlite.org/fileformat2.html.
+SQLite returns one row at a time. Here a run of pages is read at once, and NumPy finds the rows in
+it. Only pages in the form that rosbag2 writes are read; SQLite reads all others, damaged ones
+included. Sections are those of the SQLite file format, https://www.sqlite.org/fileformat2.html.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _INTERIOR, _LEAF = 5, 13
 _HEADS = {_INTERIOR: 12, _LEAF: 8}
 """Bytes before the cell pointers of a page (section 1.6)."""
 _DEEPEST = 20
-"""Levels of a tree: more than fit into the largest file, where none is damaged."""
+"""Levels of a tree: more than in the largest undamaged file."""
 _WINDOW = 1 << 20
 """Bytes of pages that are read at once; a choice between memory and calls."""
 _WIDTH = np.array([0, 1, 2, 3, 4, 6, 8, 0, 0, 0])
@@ -43,7 +42,7 @@ _BLOB = 12
 
 
 class OddPagesError(Exception):
-    """Pages that are damaged, or of a form that rosbag2 does not write."""
+    """Pages that are damaged, or in a form that rosbag2 does not write."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +52,7 @@ class Rows:
     Attributes:
         messages: The serialised messages, in the memory of their pages.
         topic: (n,) number of the topic of each.
-        log: (n,) when each was logged, ns.
+        log: (n,) log time of each, ns.
 
     """
 
@@ -69,11 +68,11 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Some leaf pages that follow each other.
+    """Some consecutive leaf pages.
 
     Attributes:
-        first: The least row id that belongs to them.
-        last: The largest.
+        first: Their least row id.
+        last: Their largest.
         pages: (k,) their numbers, in the order of the row ids.
 
     """
@@ -115,7 +114,7 @@ class TablePages:
             self.windows = list(self._cut(*self._walk(file, root), first))
 
     def _cut(self, pages: Indices, last: Indices, first: int) -> Iterator[Window]:
-        """Cut the table into runs of pages."""
+        """Divide the table into runs of pages."""
         count = max(_WINDOW // self._size, 1)
         for start in range(0, len(pages), count):
             end = int(last[start : start + count][-1])
@@ -133,7 +132,7 @@ class TablePages:
             The rows; their messages share the memory of the pages.
 
         Raises:
-            OddPagesError: SQLite has to read these rows.
+            OddPagesError: SQLite must read these rows.
             OSError: The file cannot be read.
 
         """
@@ -142,7 +141,7 @@ class TablePages:
         try:
             return self._rows(buffer, base, window, topics)
         except IndexError:
-            # A place beyond the last page.
+            # An offset beyond the last page.
             raise OddPagesError from None
 
     def _rows(self, buffer: Bytes, base: Indices, window: Window, topics: Indices) -> Rows:
@@ -154,14 +153,14 @@ class TablePages:
         topic_kind, at = _varints(buffer, at)
         log_kind, at = _varints(buffer, at)
         data_kind, at = _varints(buffer, at)
-        # The row id stands for the column id, which is stored as NULL (section 2.3).
+        # The column id is stored as NULL; its value is the row id (section 2.3).
         _need(id_kind == 0, at - body == head, data_kind >= _BLOB, data_kind % 2 == 0)
         _need(row[1:] > row[:-1], row[:1] >= window.first, row[-1:] <= window.last)
         topic, at = _integers(buffer, topic_kind, at)
         log, at = _integers(buffer, log_kind, at)
         size = (data_kind - _BLOB) // 2
         wanted = np.isin(topic, topics)
-        # What is longer goes on in overflow pages (section 1.6).
+        # Longer payloads continue in overflow pages (section 1.6).
         end = np.repeat(base, count) + self._usable
         within = (payload <= self._usable - 35) & (body + payload <= end)
         _need(at + size == body + payload, within | ~wanted)
@@ -180,13 +179,14 @@ class TablePages:
         raise OddPagesError
 
     def _below(self, buffer: Bytes, base: Indices, last: Indices) -> tuple[Indices, Indices]:
-        """Return the pages one level further down, and the largest row id of each."""
+        """Return the pages one level down, and the largest row id of each."""
         try:
             cell, count = self._cells(buffer, base, _INTERIOR)
             key, _ = _varints(buffer, cell + 4)
         except IndexError:
             raise OddPagesError from None
-        # The rightmost child has no cell, its number is in the head, and its ids go to the end.
+        # The rightmost child has no cell: its number is in the page header, and it has the largest
+        # ids.
         place = np.cumsum(count)
         child = np.insert(_big(buffer, cell, '>u4'), place, _big(buffer, base + 8, '>u4'))
         key = np.insert(key, place, last)
@@ -196,7 +196,7 @@ class TablePages:
         return child, key
 
     def _load(self, file: FileIO, pages: Indices) -> tuple[Bytes, Indices]:
-        """Read pages; return their bytes, with others in between, and where each starts."""
+        """Read pages; return their bytes, with others in between, and the start of each."""
         first, last = int(pages.min()), int(pages.max())
         if last - first < 2 * len(pages):
             count = last - first + 1
@@ -215,10 +215,10 @@ class TablePages:
         return file.read(count * self._size)
 
     def _cells(self, buffer: Bytes, base: Indices, kind: int) -> tuple[Indices, Indices]:
-        """Return where the cells of pages start, page after page, and how many each page has."""
+        """Return the offsets of the cells, page after page, and the number of cells per page."""
         head = _HEADS[kind]
         count = _big(buffer, base + 3, '>u2')
-        # A tree has no empty pages; an empty table is one, and gives nothing to read.
+        # A tree has no empty pages; an empty table is one and has no rows.
         _need(buffer[base] == kind, count > 0, head + 2 * count <= self._usable)
         page = np.repeat(base, count)
         pointer = head + 2 * (np.arange(len(page)) - np.repeat(np.cumsum(count) - count, count))
@@ -228,24 +228,24 @@ class TablePages:
 
 
 def _need(*conditions: NDArray[np.bool_]) -> None:
-    """Refuse pages where a condition does not hold everywhere."""
+    """Refuse pages where a condition is not true everywhere."""
     if not all(bool(condition.all()) for condition in conditions):
         raise OddPagesError
 
 
 def _big(buffer: Bytes, at: Indices, kind: str) -> Indices:
-    """Return numbers that lie anywhere in a buffer."""
+    """Return big-endian numbers at any offsets of a buffer."""
     last = len(buffer) - np.dtype(kind).itemsize + 1
     anywhere: NDArray[np.generic] = np.ndarray((last,), kind, buffer, 0, (1,))
     return anywhere[at].astype(np.int64)
 
 
 def _varints(buffer: Bytes, at: Indices) -> tuple[Indices, Indices]:
-    """Return numbers of variable length (section 1.6), and where what follows starts."""
+    """Return numbers of variable length (section 1.6), and the offsets after them."""
     byte = buffer[at]
     value, after = (byte & 0x7F).astype(np.int64), at + 1
     longer = np.flatnonzero(byte > 0x7F)
-    # The ninth byte, of the largest row ids alone, holds eight bits.
+    # The ninth byte, in the largest row ids alone, holds eight bits.
     for _ in range(7):
         if not len(longer):
             return value, after
@@ -258,10 +258,10 @@ def _varints(buffer: Bytes, at: Indices) -> tuple[Indices, Indices]:
 
 
 def _integers(buffer: Bytes, kind: Indices, at: Indices) -> tuple[Indices, Indices]:
-    """Return integers of a record (section 2.1), and where what follows starts."""
+    """Return integers of a record (section 2.1), and the offsets after them."""
     _need(kind >= 1, kind <= 9, kind != 7)
     width = _WIDTH[kind]
-    # The last of eight bytes are the integer; a page starts with eight bytes of its own.
+    # The last of eight bytes are the integer; a page starts with eight header bytes.
     shift = 64 - 8 * width
     value = _big(buffer, at + width - 8, '>i8') << shift >> shift
     # The types 8 and 9 are the constants 0 and 1.

@@ -1,4 +1,4 @@
-"""Asks SQLite for the messages of a file, past what is damaged."""
+"""Query SQLite for the messages of a file, skipping damaged parts."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ if TYPE_CHECKING:
 
 LAST_ROW = 2**63 - 1
 """The largest row id (SQLite file format, section 2.1)."""
-# Python turns SQLite's own messages into text, which damaged names make impossible; a damaged
-# length asks for more memory than there is.
+# Python decodes SQLite's own messages as text, which fails for damaged names; a damaged length can
+# request more memory than there is.
 DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError, MemoryError)
 _MIN_ROWS, _MAX_ROWS = 2048, 65536
-"""Of a query; a choice between memory and calls."""
+"""Rows of a query; a choice between memory and calls."""
 _Row = tuple[Any, Any]
-"""Log time and data, as the file has them."""
+"""Log time and data, as stored in the file."""
 
 
 class RowQueries:
-    """Reads messages in windows of row ids.
+    """Read messages in windows of row ids.
 
     Args:
         name: Of the file, for sentences.
         connect: Opens it.
-        last: The largest row id that it holds; None where that is damaged.
-        losses: Takes sentences about what cannot be read.
+        last: Its largest row id; None if that is damaged.
+        losses: Receives sentences on unreadable data.
 
     """
 
@@ -51,15 +51,15 @@ class RowQueries:
     def read(
         self, topics: tuple[int, ...], first: int | None, last: int = LAST_ROW
     ) -> Iterator[tuple[Messages, Stamps, int | None]]:
-        """Read the messages of some topics in windows, wider ones where a topic is rare.
+        """Read the messages of some topics in windows, wider ones if a topic is rare.
 
         Args:
             topics: Their numbers.
-            first: The first row id; None where there is no row.
+            first: The first row id; None without rows.
             last: The last row id.
 
         Yields:
-            Messages, when each was logged in ns, and the row id after them, None at the end.
+            Messages, their log times in ns, and the row id after them, None at the end.
 
         """
         start, width = first, _MIN_ROWS
@@ -80,7 +80,7 @@ class RowQueries:
         width: int,
         end: int,
     ) -> tuple[list[_Row], int | None]:
-        """Return the messages of a window of row ids up to `end`, and where the next starts."""
+        """Return the messages of a window of row ids up to `end`, and the start of the next."""
         last = min(start + width - 1, end)
         query = (
             'SELECT timestamp, data FROM messages WHERE id >= ? AND id <= ? '
@@ -103,10 +103,10 @@ class RowQueries:
         end: int,
         error: Exception,
     ) -> tuple[list[_Row], int | None]:
-        """Read row by row up to the damage, state where it is, and go on after it."""
+        """Read row by row up to the damage, state its position, and continue after it."""
         rows: list[_Row] = []
         last = start - 1
-        # One query per row: a query for many fails as a whole where its last row is damaged.
+        # One query per row: a query for many fails as a whole if its last row is damaged.
         with suppress(*DAMAGE):
             while (row := _first_row(database, last + 1, end)) is not None:
                 last = row[0]
@@ -121,7 +121,7 @@ class RowQueries:
         return rows, following
 
     def _next_readable(self, database: sqlite3.Connection, damaged: int, end: int) -> int | None:
-        """Return the first row id after a damaged one that can be read, found in growing steps."""
+        """Return the first readable row id after a damaged one, found in growing steps."""
         if self._last is None:
             return None
         beyond = end + 1 if end < self._last else None
@@ -135,7 +135,7 @@ class RowQueries:
 
 
 def why(error: Exception) -> str:
-    """Return what is wrong with a damaged file, in words."""
+    """Return the damage of a file, in words."""
     return (
         'it states a length beyond the memory of this machine'
         if isinstance(error, MemoryError)
@@ -157,12 +157,12 @@ def _first_row(
 
 
 def _log(rows: list[_Row]) -> Stamps:
-    """Return log times; a foreign value instead of one takes that of the first."""
+    """Return log times; one of a wrong type is replaced by the first."""
     times = [row[0] for row in rows]
     first = next((time for time in times if isinstance(time, int)), 0)
     return np.array([time if isinstance(time, int) else first for time in times], np.int64)
 
 
 def _messages(rows: list[_Row]) -> Messages:
-    # A foreign value instead of bytes becomes an empty message, which the decoder counts.
+    # Data of a wrong type becomes an empty message, which the decoder counts.
     return Messages.join([row[1] if isinstance(row[1], bytes) else b'' for row in rows])

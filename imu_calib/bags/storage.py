@@ -1,4 +1,4 @@
-"""What the two storage formats have in common: topics, stretches of messages, losses."""
+"""Common parts of the two storage formats: topics, batches of messages, losses."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class RecordingError(InputError):
 
 @dataclass(frozen=True)
 class Described:
-    """What a recorder says of a topic beyond its name and type; empty where it says nothing.
+    """A recorder's description of a topic beyond its name and type; empty if not recorded.
 
     Attributes:
         definition: Text of the message definition.
@@ -42,7 +42,7 @@ class Described:
 
 @dataclass(frozen=True)
 class Times:
-    """When messages were logged and published, (n,) ns each."""
+    """Log and publish times of messages, (n,) ns each."""
 
     log: Stamps
     publish: Stamps
@@ -55,9 +55,9 @@ class Topic:
     Attributes:
         name: Full name.
         type: Message type, for instance sensor_msgs/msg/Imu.
-        count: Messages in the recording; None where only reading it through would tell.
+        count: Messages in the recording; None if known only after reading it.
         encoding: How messages are serialised.
-        described: How the recorder described the topic, to be handed on.
+        described: The recorder's description of the topic, for copying.
 
     """
 
@@ -86,8 +86,8 @@ class MessageBatch:
     Attributes:
         messages: The serialised messages, in the order of the file.
         log_ns: Log time of the first message, or of one shortly before.
-        position: Bytes of the storage file that lie before the end of the stretch.
-        times: Looks up when each message was logged and published.
+        position: Bytes of the storage file before the end of the batch.
+        times: Returns log and publish times of the messages.
 
     """
 
@@ -98,19 +98,19 @@ class MessageBatch:
 
 
 class Losses:
-    """Sentences about what could not be read, each said once."""
+    """Sentences on unreadable data, each once."""
 
     def __init__(self) -> None:
         self.sentences: list[str] = []
 
     def add(self, sentence: str) -> None:
-        """State a loss; a chunk that two topics run into is lost once."""
+        """State a loss; one that two topics encounter counts once."""
         if sentence not in self.sentences:
             self.sentences.append(sentence)
 
 
 class Sized(Protocol):
-    """Something that knows how much memory it takes."""
+    """An object with a known size in memory."""
 
     @property
     def nbytes(self) -> int:
@@ -121,10 +121,10 @@ Content = TypeVar('Content', bound=Sized)
 
 
 class Cache:
-    """The chunks that some topics have still to read, within a limit of memory.
+    """Chunks that some topics still have to read, within a limit of memory.
 
-    The cursors of all topics share it, so that an ordinarily interleaved file is read and
-    decompressed once. Chunks go when all have read them: the next one takes the same memory.
+    The cursors of all topics share it, so that a normally interleaved file is read and decompressed
+    once. Chunks are released when all have read them: the next one uses the same memory.
     """
 
     def __init__(self, limit: int) -> None:
@@ -133,12 +133,12 @@ class Cache:
         self._bytes = 0
 
     def get(self, key: Hashable, load: Callable[[], Content], users: int) -> Content:
-        """Return the content of a key, loading it if it is not held.
+        """Return the content of a key; load it if it is not held.
 
         Args:
             key: Name of the content.
-            load: Makes it.
-            users: How often the content is asked for in all, as far as that is known.
+            load: Loads it.
+            users: Expected total number of requests for it.
 
         """
         if key in self._held:
@@ -156,9 +156,9 @@ class Cache:
 
 
 class Memory:
-    """Lends blocks of memory, again when nobody holds anything of what was read into them.
+    """Lend blocks of memory, and reuse them when no reference to their content is left.
 
-    The system clears every page of a new block, which takes longer than to read a file into it.
+    The system clears every page of a new block, which takes longer than reading a file into it.
     """
 
     def __init__(self) -> None:
@@ -166,15 +166,15 @@ class Memory:
         self._lock = threading.Lock()
 
     def lend(self, size: int) -> Bytes:
-        """Return (size,) bytes of any content."""
+        """Return (size,) bytes of undefined content."""
         with self._lock:
             while self._free and len(self._free[-1]) < size:
                 self._free.pop()
             block = self._free.pop() if self._free else None
         if block is None:
-            # Stretches of a file differ a little in length.
+            # Parts of a file differ a little in length.
             block = np.empty(size + size // 8, np.uint8)
-        # What is cut from it refers to it, and it to the block.
+        # A slice of it refers to it, and it refers to the block.
         lent = np.frombuffer(block.data[:size], np.uint8)
         weakref.finalize(lent, self._free.append, block)
         return lent
@@ -193,7 +193,7 @@ class Storage(Protocol):
 
     @property
     def custom_data(self) -> Mapping[str, str]:
-        """Entries that the recorder left in the file."""
+        """The recorder's entries in the file."""
 
     @property
     def topics(self) -> Mapping[str, Topic]:
@@ -204,7 +204,7 @@ class Storage(Protocol):
 
 
 def seconds(start_ns: int, end_ns: int) -> str:
-    """Format a range of log time for a person."""
+    """Format a range of log time for a message."""
     return f'log time {start_ns / 1e9:.3f} s to {end_ns / 1e9:.3f} s'
 
 

@@ -1,4 +1,4 @@
-"""Writes recordings that rosbag2, rosbags and this suite read, and goes on with unfinished ones."""
+"""Write recordings readable by rosbag2, rosbags and this suite, and resume unfinished ones."""
 
 from __future__ import annotations
 
@@ -26,30 +26,29 @@ if TYPE_CHECKING:
     from ..stream import Stamps
 
 CHUNK_BYTES = 1 << 20
-"""Bytes in a chunk: what compresses well, and what a crash may cost."""
+"""Bytes in a chunk: enough for good compression, and the most that a crash may lose."""
 CHUNK_NS = 5_000_000_000
-"""ns in a chunk at most: slow topics are on the disk within that."""
+"""Longest time in a chunk, ns: the delay after which slow topics are on the disk."""
 _RECORD = 'imu_calib'
 _SHORTEST = len(MAGIC)
 
 
 class RecordingWriter:
-    """A recording that is being written: a folder with mcap files and metadata.yaml.
+    """A recording being written: a folder with mcap files and metadata.yaml.
 
-    Messages are held back until a chunk of them is full, until it spans five seconds of log time,
-    or until `flush`; from then on a killed program does not lose them.
+    Messages are held until a chunk is full, until it spans five seconds of log time, or until
+    `flush`; then they survive a kill of the program.
 
     Args:
         path: Folder to create.
         custom_data: Entries for the metadata, for instance plan and IMU.
         compression: '', 'lz4' or 'zstd', applied chunk by chunk.
         chunk_bytes: Size at which a chunk is closed.
-        resume: Go on with the recording that is there: another file beside its files, which stay
-            as they are.
+        resume: Add another file to an existing recording, whose files stay unchanged.
 
     Raises:
-        InputError: The folder exists already or cannot be made, the compression is unknown, or
-            what is to be gone on with cannot be read.
+        InputError: The folder exists already or cannot be made, the compression is unknown, or the
+            recording to resume cannot be read.
 
     """
 
@@ -80,14 +79,14 @@ class RecordingWriter:
             self._file = McapWriter(
                 self.path / self._name, compression, pack, chunk_bytes, CHUNK_NS
             )
-            # Until `close` the metadata would leave the new file out.
+            # Until `close`, the metadata would omit the new file.
             (self.path / metadata.NAME).unlink(missing_ok=True)
         if self._custom_data:
-            # At the start, so that it is there even if the program is killed.
+            # Written at the start, so that it exists even if the program is killed.
             self._file.add_metadata(_RECORD, self._custom_data)
 
     def __enter__(self) -> RecordingWriter:
-        """Return the writer; leaving the block closes it, after an error too."""
+        """Return the writer; leaving the block closes it, also after an error."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -95,7 +94,7 @@ class RecordingWriter:
         self.close()
 
     def add_topic(self, topic: str, type_name: str, *, transient_local: bool = False) -> None:
-        """Describe a topic before its first message; `write` does it where it was not done.
+        """Describe a topic before its first message; `write` does so otherwise.
 
         Args:
             topic: Full name of the topic.
@@ -103,7 +102,7 @@ class RecordingWriter:
             transient_local: The topic is latched: late subscribers get its last message.
 
         Raises:
-            InputError: The topic has another type already, or the type is not known.
+            InputError: The topic already has another type, or the type is not known.
 
         """
         if topic in self._topics:
@@ -120,10 +119,10 @@ class RecordingWriter:
         self._profiles[topic] = [profile]
 
     def copy_topic(self, topic: Topic) -> None:
-        """Describe a topic as another recorder did, whatever its type is.
+        """Describe a topic with another recorder's description, of any type.
 
         Args:
-            topic: As a recording has it.
+            topic: As read from a recording.
 
         """
         known = topic.described
@@ -154,12 +153,12 @@ class RecordingWriter:
             topic: Full name of the topic.
             type_name: Message type, for instance sensor_msgs/msg/Imu.
             messages: Serialised messages.
-            log_time: (n,) when each was received, ns.
-            publish_time: (n,) when each was published, ns; None: when it was received.
+            log_time: (n,) time of each arrival, ns.
+            publish_time: (n,) time of each publication, ns; None: that of the arrival.
 
         Raises:
-            InputError: The topic has another type already, the type is not known, or the disk
-                takes no more.
+            InputError: The topic already has another type, the type is not known, or the disk is
+                full.
 
         """
         self.add_topic(topic, type_name)
@@ -176,13 +175,13 @@ class RecordingWriter:
             self._file.add_metadata(_RECORD, dict(pairs))
 
     def flush(self) -> None:
-        """Bring everything so far to where a killed program does not lose it."""
+        """Write all data so far to the operating system, so that it survives a killed program."""
         with _in_words(self.path):
             self._file.flush()
 
     @property
     def held(self) -> int:
-        """Bytes that are in memory alone."""
+        """Bytes in memory alone."""
         return self._file.held
 
     def close(self) -> None:
@@ -216,18 +215,18 @@ class RecordingWriter:
 
 @dataclass(frozen=True)
 class _Former:
-    """A file of the recording that is gone on with."""
+    """A file of the recording that is resumed."""
 
     span: metadata.FileSpan
     topics: tuple[Topic, ...]
 
 
 def _former_files(path: Path) -> list[_Former]:
-    """Count what the files of a recording hold, the damaged ones too."""
+    """Count the messages of a recording's files, the damaged ones too."""
     losses, scratch = Losses(), Scratch()
     try:
         found = find_files(path, losses)
-        # A file that was cut off within its first bytes holds nothing, and is no file of its kind.
+        # A file cut off within its first bytes is empty and not recognised by its format.
         begun = [path for path in found.paths if path.stat().st_size >= _SHORTEST]
         return [_counted(open_storage(p, scratch, losses)) for p in begun]
     except OSError as error:
