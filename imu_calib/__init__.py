@@ -1,6 +1,6 @@
 """Calibration of strapdown IMUs on a turntable: recordings and live streams to 24 parameters.
 
-What the commands do, from Python (docs/api.md):
+The functions of the commands, from Python (docs/api.md):
 
     import imu_calib
 
@@ -113,7 +113,7 @@ _WHERE = {
     'stand': 'api.standing',
     'verify': 'api.verifying',
 }
-"""Loaded when they are asked for: nodes and commands need few of them, and start in less time."""
+"""Loaded on first use: nodes and commands need few of them, and start faster."""
 
 __all__ = [
     'Batch',

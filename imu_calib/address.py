@@ -1,4 +1,4 @@
-"""Host and port in a socket's URL."""
+"""Parse host and port from a socket's URL."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 
 
 def host_and_port(url: str) -> tuple[str, int] | None:
-    """Return what scheme://host:port names, None where host or port is missing or is none.
+    """Return host and port of scheme://host:port, None if one of them is missing or invalid.
 
     >>> host_and_port('socket://10.0.0.3:5000')
     ('10.0.0.3', 5000)

@@ -1,4 +1,4 @@
-"""Whether calibrations of one unit agree within what they state, parameter by parameter."""
+"""Test whether calibrations of one unit agree within their uncertainties, by parameter."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from .model import Parameter, indices_of
 from .stream import Floats
 
 FALSE_ALARM = 0.01
-"""Chance that calibrations of a unit that has not changed are said to differ in any parameter, as
-in `verification.judgement.DOUBT`; shared among the parameters (Bonferroni)."""
+"""Probability that calibrations of an unchanged unit are found to differ in any parameter, as in
+`verification.judgement.DOUBT`; shared among the parameters (Bonferroni)."""
 
 _NO_VARIANCE = 1e-9
-"""Of the largest eigenvalue of a correlation, below which one is rounding: 1e-16 times some hundred
-rows leaves two digits for files that were written with less than all of theirs."""
+"""Of the largest eigenvalue of a correlation: smaller ones are rounding. Double precision, 1e-16
+times some hundred rows, leaves a margin for files written with fewer digits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """How far k calibrations of one unit are apart, for what their covariances state.
+    """Differences of k calibrations of one unit, compared with their covariances.
 
     Attributes:
         parameters: n of them.
-        chi_square: (n,) about the value that fits all calibrations best; NaN where all are exact.
+        chi_square: (n,) about the value that fits all calibrations best; NaN if all are exact.
         freedom: (n,) its degrees of freedom.
-        chance: (n,) probability of so much or more, for a unit that has not changed.
+        chance: (n,) probability of this chi-square or more, for an unchanged unit.
         total: Chi-square of all parameters together, by the whole covariances.
         total_freedom: Its degrees of freedom.
         total_chance: Its probability.
@@ -52,7 +52,7 @@ class Agreement:
 
     @property
     def differ(self) -> NDArray[np.bool_]:
-        """(n,) which parameters differ significantly."""
+        """(n,) mask of the parameters that differ significantly."""
         return np.asarray((self.freedom > 0) & (self.chance < self.limit))
 
     @property
@@ -62,7 +62,7 @@ class Agreement:
 
     @property
     def consistent(self) -> bool:
-        """Whether chance explains all of them together."""
+        """Whether all of them together are consistent with chance."""
         return self.total_freedom == 0 or self.total_chance >= FALSE_ALARM
 
 
@@ -72,12 +72,13 @@ def agreement(
     """Compare calibrations of independent sessions.
 
     The differences d of all from the first have the covariance S = A P A', with P that of all the
-    parameters and A = [1, -1]: chi-square is d' S^-1 d, that about the mean of generalised least
-    squares, whichever is the first (docs/mathematics.md, 'Calibrations side by side').
+    parameters and A = [1, -1]: chi-square is d' S^-1 d, equal to that about the generalised
+    least-squares mean, for any choice of the first (docs/mathematics.md, 'Calibrations side by
+    side').
 
     Args:
         calibrations: k of them, two or more, with the nominal scale factors of the first.
-        parameters: n that all of them know.
+        parameters: n parameters in all of them.
 
     Returns:
         The agreement, and the (k - 1, n) standard deviations of the differences from the first.
@@ -108,8 +109,8 @@ def agreement(
 def _covariance(calibrations: Sequence[Calibration], parameters: Sequence[Parameter]) -> Floats:
     """Return the covariance of the differences from the first, ((k - 1) n, (k - 1) n).
 
-    Calibrations that were made with the same gravity at one place share its error: in their
-    difference it is gone (docs/mathematics.md, 'Gravity').
+    The error of gravity is common to calibrations made with the same gravity at one place, and
+    cancels in their difference (docs/mathematics.md, 'Gravity').
     """
     count, size = len(calibrations), len(parameters)
     whole = np.zeros((count, size, count, size))
@@ -128,7 +129,7 @@ def _covariance(calibrations: Sequence[Calibration], parameters: Sequence[Parame
 
 
 def _chi_square(apart: Floats, spread: Floats) -> tuple[float, int]:
-    """Return chi-square and its degrees of freedom; what has no variance does not count."""
+    """Return chi-square and its degrees of freedom, without directions of no variance."""
     deviation = np.sqrt(np.maximum(np.diag(spread), 0.0))
     known = deviation > 0
     if not known.any():

@@ -1,7 +1,7 @@
-"""The angles between the input axes of a unit, which do not depend on the frame it is written in.
+"""Compute the angles between the input axes of a unit, which do not depend on the body frame.
 
-Misalignments are against the body axes. A table defines those, and they are known no better than
-its own axes are. Angles between input axes stay when the whole unit is turned.
+Misalignments refer to the body axes, which a table defines with the accuracy of its own axes.
+Angles between input axes do not change when the whole unit is rotated.
 
 Source: docs/mathematics.md, 'Free of frame'.
 """
@@ -19,15 +19,15 @@ from .stream import Floats
 from .units import ARCMIN
 
 SHOWN, SCALE = 'arcmin', ARCMIN
-"""Unit in which engineers write these angles, as they do misalignments."""
+"""Unit in which engineers state these angles, as misalignments."""
 
 _RESPONSES = tuple(p for p in PARAMETERS if p.kind is not ParameterKind.BIAS)
 _OF_A_TRIAD = len(_RESPONSES) // 2
-"""Responses of gyros, and of accelerometers."""
+"""Number of responses of gyros, and of accelerometers."""
 _PAIRS = ((0, 1), (0, 2), (1, 2))
-"""Of axes."""
+"""Pairs of axes."""
 _STEP = 1e-5
-"""Of a response: errors of the central difference by the third order and by rounding are 1e-11."""
+"""Step of a response: truncation (third order) and rounding of the central difference are 1e-11."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Group:
         key: In calibration.yaml.
         words: For people.
         names: Of the angles: pairs of channels, or axes.
-        triads: What must have been estimated.
+        triads: Triads that must have been estimated.
     """
 
     key: str
@@ -59,7 +59,7 @@ class Angles:
     """The three angles of a group.
 
     Attributes:
-        group: Which.
+        group: The group.
         values: (3,) rad.
         std: (3,) their standard deviations, rad.
     """
@@ -77,7 +77,7 @@ def free_of_frame(
     Args:
         model: The calibrated unit.
         covariance: (n, n) SI units; NaN for a triad that was not estimated.
-        parameters: (n,) what the rows stand for; the 24 are among them.
+        parameters: (n,) of the rows; the 24 are among them.
     """
     mine = indices_of(_RESPONSES, parameters)
     square = covariance[np.ix_(mine, mine)]
@@ -90,7 +90,7 @@ def free_of_frame(
     steps = _STEP * np.eye(len(at))
     slopes = np.array([_angles(at + h) - _angles(at - h) for h in steps]).T / (2 * _STEP)
     variances = np.diag(slopes @ np.nan_to_num(square) @ slopes.T)
-    # Where all doubt is common to the unit, what cancels may leave rounding below zero.
+    # If all uncertainty is common to the unit, cancellation may leave rounding below zero.
     std = np.sqrt(np.maximum(variances, 0.0))
     values = _angles(at)
     return tuple(

@@ -1,9 +1,9 @@
-"""Overlapping Allan variance of static dwells, pooled, with what is known of its spread.
+"""Overlapping Allan variance of static dwells, pooled, with its covariance.
 
 The Allan variance of a rate at averaging time tau is the mean square of second differences of its
 integral, d = x(t + 2 tau) - 2 x(t + tau) + x(t), over 2 tau^2 (Allan 1966; IEEE Std 952-1997,
-annex C). Sums over static dwells add up, so that a dwell leaves a few dozen numbers and its
-samples may go.
+annex C). Sums over static dwells add up, so that a dwell is reduced to a few dozen numbers and its
+samples can be dropped.
 
 Noise is described by four coefficients, the squares of IEEE Std 952's: quantisation Q (slope -1),
 random walk N (-1/2), bias instability B (flat, at 0.664 B) and rate random walk K (+1/2).
@@ -26,15 +26,15 @@ _OVERLAP = 16
 _LEAST_CLUSTERS = 3
 """A second difference takes three."""
 _FAR = 4
-"""Octaves: variances further apart have next to nothing in common; it is neglected."""
+"""Octaves: the covariance of variances further apart is negligible."""
 _REACH = 4
-"""Cluster lengths: beyond, second differences have nothing in common."""
+"""Cluster lengths: the covariance of second differences further apart is negligible."""
 _HARMONICS = 64
-"""Of the saw of a counter: those left out hold one percent of its variance."""
+"""Harmonics of a counter's sawtooth: the others hold one percent of its variance."""
 
 
 class Term(IntEnum):
-    """A kind of noise; the order of every array of coefficients."""
+    """A kind of noise, in the order of every array of coefficients."""
 
     QUANTISATION = 0
     RANDOM_WALK = 1
@@ -44,13 +44,13 @@ class Term(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class AllanSums:
-    """Second differences of the integrals of some channels, squared and summed.
+    """Sums of squared second differences of the integrals of some channels.
 
     Attributes:
         period: Sample interval, s.
         lengths: Samples of every gap-free run, in order.
         squares: (k, c) sums at 1, 2, 4, ... samples, in (rad)^2 or (m/s)^2.
-        counts: (k,) how many second differences each sum holds.
+        counts: (k,) number of second differences in each sum.
     """
 
     period: float
@@ -87,12 +87,12 @@ def cluster_sizes(rows: int) -> Floats:
 
 
 def stride(clusters: int) -> int:
-    """Return the step between second differences: beyond a sixteenth, overlap tells no more."""
+    """Return the step between second differences: below 1/16, overlap adds no information."""
     return max(1, clusters // _OVERLAP)
 
 
 def octaves(samples: int) -> int:
-    """Return how many of 1, 2, 4, ... fit thrice into a run."""
+    """Return how many of 1, 2, 4, ... fit three times into a run."""
     return max(0, (samples // _LEAST_CLUSTERS).bit_length())
 
 
@@ -109,7 +109,7 @@ def allan_sums(runs: Sequence[Floats], period: float) -> AllanSums:
     for run in runs:
         for c in range(channels):
             column = run[:, c]
-            # A mean is nothing to a second difference, but costs digits.
+            # Second differences do not depend on the mean, but it would cost digits.
             phase = np.concatenate([[0.0], np.cumsum(column - column.mean())])
             for k in range(octaves(len(run))):
                 if stride(1 << k) > 1:
@@ -135,7 +135,7 @@ def pooled(parts: Sequence[AllanSums]) -> AllanSums:
 
 
 def unit_variances(factors: Floats, period: float) -> Floats:
-    """Return the Allan variances (k, 4) that each squared coefficient of 1 gives.
+    """Return the Allan variances (k, 4) for squared coefficients of 1.
 
     Args:
         factors: (k,) cluster sizes, samples.
@@ -148,10 +148,10 @@ def unit_variances(factors: Floats, period: float) -> Floats:
 def spread(rows: int, lengths: tuple[int, ...], period: float, squares: Floats) -> Floats:
     """Return the covariance (k, k) of pooled Allan variances for noise of given coefficients.
 
-    The second differences are Gaussian, so two sums of squares share twice the sum of the squared
-    covariances of their terms (Greenhall and Riley 2003, "Uncertainty of stability variances based
-    on finite differences", from the generalised autocovariance of each kind of noise). Clusters
-    that differ by more than a factor of 16 share next to nothing.
+    The second differences are Gaussian, so the covariance of two sums of squares is twice the sum
+    of the squared covariances of their terms (Greenhall and Riley 2003, "Uncertainty of stability
+    variances based on finite differences", from the generalised autocovariance of each kind of
+    noise). For clusters that differ by more than a factor of 16 it is negligible.
 
     Args:
         rows: Number k of cluster sizes: 1, 2, 4, ... samples.
@@ -177,7 +177,7 @@ def _shared(small: int, large: int, runs: Floats, period: float) -> Floats:
     """Return the covariance of the Allan variances at two cluster sizes as a form (4, 4)."""
     step, coarse = stride(small), stride(large)
     reach = _REACH * (small + large)
-    # Lag runs from the start of a small second difference to the start of a large one.
+    # The lag is from the start of a small second difference to the start of a large one.
     lag = np.arange(-reach, reach + 1, step, dtype=float)
     terms = _covariances(np.array([small]), np.array([large]), lag, period)[:, 0]
     starts_small, starts_large = runs[runs >= 2 * small], runs[runs >= 2 * large]
@@ -207,8 +207,8 @@ def _covariances(small: Floats, large: Floats, lag: Floats, period: float) -> Fl
 def _autocovariances(apart: Floats, period: float) -> Floats:
     """Return the generalised autocovariances of the integral, for coefficients of 1.
 
-    Up to polynomials that second differences do not see: those of white phase, of Brownian motion,
-    of flicker rate with S(f) = B^2 / (2 pi f), and of integrated Brownian motion.
+    Up to polynomials, which second differences cancel: those of white phase, of Brownian motion, of
+    flicker rate with S(f) = B^2 / (2 pi f), and of integrated Brownian motion.
     """
     logarithm = np.log(np.where(apart > 0, apart, 1.0))
     return np.array(
@@ -222,11 +222,11 @@ def _autocovariances(apart: Floats, period: float) -> Floats:
 
 
 def counter_share(pulses: float, growth: float, factors: Floats) -> Floats:
-    """Return the mean square second difference (k,) that the steps of a counter add, pulses^2.
+    """Return the mean square second difference (k,) from the steps of a counter, pulses^2.
 
     The error of a counter of unknown phase is a sawtooth of its true count, a sum of harmonics that
-    keep their phase until the walk has smeared it. It shares nothing with the walk itself: whatever
-    the path, over all phases its mean is zero. (counter.py, `_faded_error`, has the same series.)
+    keep their phase until the walk has smeared it. It is uncorrelated with the walk itself: for any
+    path, its mean over all phases is zero. (counter.py, `_faded_error`, has the same series.)
 
     Args:
         pulses: Mean count per sample.

@@ -1,7 +1,7 @@
-"""The uncertainty budget of a calibration: what each source contributes to each parameter.
+"""The uncertainty budget of a calibration: contribution of each source to each parameter.
 
-A covariance is a sum of shares, one for each source. The budget keeps their standard deviations
-and degrees of freedom, and states the uncertainties expanded to 95 %.
+A covariance is a sum of shares, one for each source. The budget contains their standard deviations
+and degrees of freedom, and the uncertainties expanded to 95 %.
 
 Source: JCGM 100:2008 (GUM), 5.1.2, 5.2.2 and annex G; docs/mathematics.md, 'Uncertainty budget'.
 """
@@ -21,12 +21,12 @@ PROBABILITY = 0.95
 """Level of confidence of the expanded uncertainties."""
 
 _LEAST_FREEDOM = 1.0
-"""Fewest degrees of freedom that a coverage factor is taken from: of fewer Student's t has no
-table, and a factor beyond 12.7 would say nothing of use."""
+"""Fewest degrees of freedom for a coverage factor: Student's t is not tabulated for fewer, and
+factors beyond 12.7 are of no use."""
 
 
 class Source(Enum):
-    """What makes a parameter uncertain; the value is its name in files."""
+    """A source of uncertainty; the value is its name in files."""
 
     NOISE = 'sensor_noise'
     QUANTISATION = 'quantisation'
@@ -65,7 +65,7 @@ class Source(Enum):
 
     @property
     def words(self) -> str:
-        """What it is, and where its size comes from."""
+        """Description of the source, and the origin of its size."""
         return _ROWS[self][2]
 
 
@@ -115,11 +115,11 @@ _ROWS = {
 
 @dataclass(frozen=True, eq=False)
 class Share:
-    """What a source adds to a covariance.
+    """Contribution of a source to a covariance.
 
     Attributes:
         covariance: (n, n) SI units.
-        freedom: (n,) degrees of freedom of its variances; infinite for what is taken as known.
+        freedom: (n,) degrees of freedom of its variances; infinite if taken as known.
     """
 
     covariance: Floats
@@ -153,7 +153,7 @@ def effective_freedom(variances: Floats, freedom: Floats) -> Floats:
 
     Args:
         variances: (k, n) of independent terms.
-        freedom: (k, n) of each term; infinite for what is known.
+        freedom: (k, n) of each term; infinite if known.
 
     Source: Welch-Satterthwaite, GUM eq. (G.2b).
     """
@@ -168,8 +168,8 @@ class BudgetLine:
     """One source of a budget.
 
     Attributes:
-        source: Which.
-        std: (n,) what it contributes to the standard deviation of each parameter, SI units.
+        source: The source.
+        std: (n,) its contribution to the standard deviation of each parameter, SI units.
         freedom: (n,) degrees of freedom.
     """
 
@@ -243,12 +243,12 @@ class Budget:
         return np.asarray(self.coverage_factor * self.std)
 
     def matters(self, least: float) -> NDArray[np.bool_]:
-        """Say of each source whether it is more than a share of the variance of any parameter."""
+        """Return for each source whether it exceeds a share of the variance of any parameter."""
         return np.asarray(np.any(self.fractions > least, axis=1))
 
     @property
     def fractions(self) -> Floats:
-        """Share (k, n) of each source in the variance of each parameter; zero where it is zero."""
+        """Share (k, n) of each source in the variance of each parameter; zero for zero variance."""
         whole = np.nan_to_num(self.variances.sum(axis=0))
         nothing = np.zeros_like(self.variances)
         return np.asarray(np.divide(self.variances, whole, out=nothing, where=whole > 0))

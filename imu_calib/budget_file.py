@@ -22,18 +22,18 @@ _FOLLOWS = (
     'coverage_factor',
     'expanded_uncertainty',
 )
-"""What the file holds for people: it follows from the sources."""
+"""Keys of the file that are for the reader: they follow from the sources."""
 
 
 def budget_document(
     budget: Budget, parameters: Sequence[Parameter], known: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """Return what the file keeps of a budget.
+    """Return the mapping of a budget in a file.
 
     Args:
         budget: Of n parameters.
         parameters: Their names.
-        known: (n,) which of them were estimated; the others are left out.
+        known: (n,) mask of the estimated ones; the others are left out.
     """
 
     def row(values: Floats) -> list[float]:
@@ -64,12 +64,12 @@ def budget_document(
 def read_budget(
     section: Section, parameters: Sequence[Parameter], known: NDArray[np.bool_]
 ) -> Budget:
-    """Read a budget from its mapping; what follows from the sources is computed anew.
+    """Read a budget from its mapping; quantities that follow from the sources are recomputed.
 
     Args:
         section: The mapping.
         parameters: Those of the calibration, n.
-        known: (n,) which of them were estimated.
+        known: (n,) mask of the estimated ones.
 
     Raises:
         InputError: Other parameters, an unknown source, or no standard deviations.
@@ -97,7 +97,7 @@ def read_budget(
 
 
 def _row(entry: Section, key: str, known: NDArray[np.bool_]) -> Floats:
-    """Return a row of numbers that are not negative, NaN for what was not estimated."""
+    """Return a row of non-negative numbers, NaN for parameters not estimated."""
     values = numbers_of(entry.items(key))
     if values is None:
         raise InputError(f'{entry.key(key)}: found no numbers.')

@@ -1,4 +1,4 @@
-"""A calibration as a value: computed once, saved as text, loaded by others, applied."""
+"""A calibration as a value: computed once, saved as text, loaded and applied by others."""
 
 from __future__ import annotations
 
@@ -49,16 +49,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _FORMAT = 1
-"""Of calibration.yaml; others are refused."""
+"""Version of calibration.yaml; others are refused."""
 
 _RECORDINGS = {'.mcap', '.db3', '.bag'}
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualRow:
-    """What a static dwell shows beyond the model: (3,) rad/s and (3,) m/s^2.
+    """Residuals of a static dwell: (3,) rad/s and (3,) m/s^2.
 
-    NaN where the triad was not estimated.
+    NaN for a triad that was not estimated.
     """
 
     position: str
@@ -69,24 +69,24 @@ class ResidualRow:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The parameters of one unit, with everything that is needed to apply them.
+    """The parameters of one unit, with all that is needed to apply them.
 
     Attributes:
-        imu: What the numbers of the unit's stream mean (nominal scale factors, units).
+        imu: Description of the unit's stream (nominal scale factors, units).
         model: The parameters.
         covariance: (n, n) in the order of `parameters`, SI units. Rows and columns of a triad that
             was not estimated are NaN.
         residuals: One per static dwell.
-        findings: What a person should know, in sentences.
-        provenance: Where it comes from: recording, hash, plan, method, site, versions.
-        serial_number: Which unit of the type `imu.id`; empty where not stated.
-        parameters: What the rows of the covariance stand for: the 24, the terms', the skewed
-            gyros', as `model.parameters_of` orders them.
-        budget: The variances by source; None where the method does not tell.
-        changes: By which parameters changed during the session; None where not asked for. Those
-            that follow the temperature are applied (`compensation/thermal`), others end with it.
-        clock: That stamps the samples, where the session compared it with the table's: pulses are
-            per second of the table's then, else of the stamps'.
+        findings: What the user must know, in sentences.
+        provenance: Origin: recording, hash, plan, method, site, versions.
+        serial_number: Unit of the type `imu.id`; empty if not stated.
+        parameters: Of the rows of the covariance: the 24, those of terms, those of skewed gyros,
+            in the order of `model.parameters_of`.
+        budget: The variances by source; None if the method does not give them.
+        changes: Changes of parameters during the session; None if not asked for. Those with the
+            temperature are applied (`compensation/thermal`), others are not.
+        clock: The stamping clock, if the session compared it with the table's: pulses are then per
+            second of the table's clock, else of the stamps'.
     """
 
     imu: ImuSpec
@@ -102,24 +102,24 @@ class Calibration:
     clock: StampingClock | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a covariance of other parameters than the model's."""
+        """Refuse a covariance that does not fit the model's parameters."""
         assert self.covariance.shape == (len(self.parameters),) * 2
         assert set(self.model.parameters) <= set(self.parameters)
 
     @property
     def std(self) -> Floats:
-        """Standard deviations of `parameters`, SI units; NaN for what was not estimated."""
+        """Standard deviations of `parameters`, SI units; NaN if not estimated."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def __str__(self) -> str:
-        """Return a line; `to_dataframe` has the parameters."""
+        """Return one line; `to_dataframe` has the parameters."""
         which = ' '.join([self.imu.id, self.serial_number]).strip()
         count = int(np.isfinite(self.std).sum())
         said = counted(len(self.findings), 'finding')
         return f'<Calibration of {which}: {count} parameters, {said}>'
 
     def _repr_pretty_(self, printer: Any, _: bool) -> None:
-        """Show the line in a notebook: `repr` has every element of the covariance."""
+        """Show one line in a notebook: `repr` has every element of the covariance."""
         printer.text(str(self))
 
     @property
@@ -129,20 +129,20 @@ class Calibration:
 
     @property
     def free_of_frame(self) -> tuple[Angles, ...]:
-        """The angles between input axes, which no table's frame is in."""
+        """The angles between input axes, which do not depend on the table's frame."""
         return free_of_frame(self.model, self.covariance, self.parameters)
 
     @property
     def noise(self) -> dict[str, ChannelNoise]:
-        """The noise that the session showed, by channel ('gx'); empty where none is known.
+        """The noise of the session, by channel ('gx'); empty if unknown.
 
         Raises:
-            InputError: What the file holds is no noise.
+            InputError: The file's entry is invalid.
         """
         return read_noise(self.provenance.get('noise') or {})
 
     def with_share(self, source: Source, share: Share) -> Calibration:
-        """Return the calibration with what another source adds to its covariance."""
+        """Return the calibration with the contribution of another source to its covariance."""
         budget = None if self.budget is None else self.budget.with_share(source, share)
         return replace(self, covariance=self.covariance + share.covariance, budget=budget)
 
@@ -153,12 +153,13 @@ class Calibration:
         return bool(np.isfinite(self.std[of_accels]).all())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the file holds, by its keys (docs/files/calibration.md): plain values, SI.
+        """Return the content of the file, by its keys (docs/files/calibration.md): plain values,
+        SI.
 
-        A triad that was not estimated has no numbers there: zeros could be taken for a result.
+        A triad that was not estimated has no numbers: zeros could be taken for a result.
 
         Raises:
-            InputError: A parameter that counts as estimated is no finite number.
+            InputError: An estimated parameter is not a finite number.
         """
         std = SensorModel.from_vector(self.std[indices_of(PARAMETERS, self.parameters)])
         known = np.isfinite(self.std)
@@ -195,10 +196,10 @@ class Calibration:
         }
 
     def to_yaml(self) -> str:
-        """Return the file's text: SI units, readable by a person and by yaml.safe_load.
+        """Return the file's text: SI units, for people and for yaml.safe_load.
 
         Raises:
-            InputError: A parameter that counts as estimated is no finite number.
+            InputError: An estimated parameter is not a finite number.
         """
         head = (
             '# Calibration of an IMU, SI units: rad, m, s.\n'
@@ -208,7 +209,7 @@ class Calibration:
         return head + dump(self.to_dict(), _Dumper, width=200)
 
     def _free_document(self) -> dict[str, Any]:
-        """Return the angles between input axes: for who reads the file, `read` finds them anew."""
+        """Return the angles between input axes, for people: `read` recomputes them."""
         found = self.free_of_frame
         return {
             **{angles.group.key: _row(angles.values) for angles in found},
@@ -232,7 +233,7 @@ class Calibration:
     def _triad_document(
         self, letter: str, spec: TriadSpec, triad: Triad, std: Triad
     ) -> dict[str, Any]:
-        """Return a triad's section: the linear part, and what the terms add to it."""
+        """Return a triad's section: the linear part, and its terms."""
         terms = [term for term in terms_of(self.parameters) if term.triad == letter]
         return {
             **_spec_document(spec),
@@ -270,11 +271,11 @@ class Calibration:
         """Read a calibration.
 
         Args:
-            text: As `to_yaml` wrote it.
+            text: As written by `to_yaml`.
             where: The file, for messages.
 
         Raises:
-            InputError: No calibration; names file, key, what was found and what was expected.
+            InputError: Not a calibration; names file, key, what was found and what was expected.
         """
         return cls.read(Section.parse(text, where))
 
@@ -309,10 +310,10 @@ class Calibration:
         return draw_residuals(self)
 
     def plot_noise(self) -> Figure:
-        """Draw the Allan deviation that the session showed; return the matplotlib Figure.
+        """Draw the Allan deviation of the session; return the matplotlib Figure.
 
         Raises:
-            InputError: matplotlib is not installed, or the calibration carries no noise.
+            InputError: matplotlib is not installed, or the calibration contains no noise.
         """
         from .views import draw_noise
 
@@ -331,7 +332,7 @@ class Calibration:
         """Read a calibration file.
 
         Raises:
-            InputError: Unreadable, or no calibration.
+            InputError: Unreadable, or not a calibration.
         """
         return cls.read(calibration_section(path))
 
@@ -340,7 +341,7 @@ class Calibration:
         """Read a calibration from its YAML mapping.
 
         Raises:
-            InputError: No calibration, or one that no strapdown IMU has.
+            InputError: Not a calibration, or not plausible for a strapdown IMU.
         """
         version = section.number('format')
         if version != _FORMAT:
@@ -394,7 +395,7 @@ class Calibration:
 
 
 class _Dumper(SafeDumper):
-    """Keys on lines of their own, rows of numbers on one line, floats to the last bit."""
+    """Write each key on a line, rows of numbers on one line, floats in full precision."""
 
 
 def _flow_list(dumper: SafeDumper, data: list[Any]) -> yaml.Node:
@@ -415,7 +416,7 @@ def _rows(matrix: Floats) -> list[list[float]]:
 
 
 def _spec_document(spec: TriadSpec) -> dict[str, Any]:
-    """Return what is known of a triad beforehand; a range that is not stated is left out."""
+    """Return the description of a triad; a range that is not stated is left out."""
     document = {'scale_factor': float(spec.scale_factor)}
     if np.isfinite(spec.range):
         document['range'] = float(spec.range)
@@ -423,7 +424,7 @@ def _spec_document(spec: TriadSpec) -> dict[str, Any]:
 
 
 def _shape(term: Term) -> tuple[int, ...]:
-    """Return how a term's coefficients stand in a file: one, one for each channel, or rows."""
+    """Return the shape of a term's coefficients in a file: one, one for each channel, or rows."""
     count = len(term.parameters) // len(AXES)
     if not count:
         return ()
@@ -431,7 +432,7 @@ def _shape(term: Term) -> tuple[int, ...]:
 
 
 def _shaped(values: Floats) -> list[Any] | float:
-    """Return coefficients as they stand in a file."""
+    """Return coefficients in the shape of a file."""
     if len(values) == 1:
         return float(values[0])
     return _row(values) if len(values) == len(AXES) else _rows(values.reshape(len(AXES), -1))
@@ -448,7 +449,7 @@ def _residual_document(row: ResidualRow) -> dict[str, Any]:
 def _read_covariance(
     section: Section, parameters: tuple[Parameter, ...], *, accelerometers: bool
 ) -> Floats:
-    """Read the covariance; a truth that was written by hand has none, and is exact."""
+    """Read the covariance; a truth written by hand has none, and is exact."""
     known = [accelerometers or p.triad != 'a' for p in parameters]
     covariance = np.full((len(parameters), len(parameters)), np.nan)
     count = sum(known)
@@ -483,13 +484,13 @@ def calibration_section(path: str | Path) -> Section:
 
 
 def _read_terms(section: Section, letter: str) -> dict[Term, Floats]:
-    """Read the coefficients of the terms that a triad's section states."""
+    """Read the coefficients of the terms in a triad's section."""
     mine = [term for term in TERMS if term.triad == letter and section.has(term.name)]
     return {term: section.array(term.name, _shape(term)).ravel() for term in mine}
 
 
 def _read_triad(section: Section) -> tuple[TriadSpec, Triad | None]:
-    """Read a triad; None for one that has a scale factor alone: it was not estimated."""
+    """Read a triad; None for one with a scale factor alone: it was not estimated."""
     scale = section.number('scale_factor')
     triad = None
     if section.has('error_matrix') or section.has('bias'):

@@ -1,4 +1,4 @@
-"""What a session found of parameters that change with time or temperature: a value and its section.
+"""Changes of parameters with time or temperature in a session: a value and its section of a file.
 
 Source: docs/mathematics.md, 'Terms of a session'.
 """
@@ -19,19 +19,19 @@ from .stream import Floats
 from .units import significant
 
 KEY = 'session_terms'
-"""Its section in calibration.yaml."""
+"""Section in calibration.yaml."""
 
 
 @dataclass(frozen=True, eq=False)
 class Changes:
-    """Coefficients of a session's terms, as it found them.
+    """Estimated coefficients of a session's terms.
 
     Attributes:
         changes: The k coefficients.
         values: (k,) SI units.
         covariance: (k, k) of them.
         cross: (n, k) covariance of the parameters of the sensors and them.
-        time_constant: Of a warm-up, s; NaN where there is none.
+        time_constant: Of a warm-up, s; NaN without one.
     """
 
     changes: tuple[Change, ...]
@@ -47,7 +47,7 @@ class Changes:
 
     @property
     def follows_temperature(self) -> bool:
-        """Whether parameters change with the temperature, which compensation knows."""
+        """Whether parameters change with the temperature, for which compensation corrects."""
         return any(c.course is Course.THERMAL for c in self.changes)
 
     def by_kelvin(self, parameters: Sequence[Parameter]) -> Floats:
@@ -59,7 +59,7 @@ class Changes:
         return found
 
     def shown(self) -> list[tuple[str, str, float, float, str]]:
-        """Return term, coefficient, value, standard deviation and unit as engineers write them."""
+        """Return term, coefficient, value, standard deviation and unit as shown to engineers."""
         rows = []
         for one, value, std in zip(self.changes, self.values, self.std, strict=True):
             words, per = one.course.shown_per
@@ -125,7 +125,7 @@ def read_changes(section: Section, parameters: Sequence[Parameter]) -> Changes:
 
 
 def sentence(changes: Changes) -> str:
-    """Say what the terms found, by how many of their deviations at most."""
+    """Return a sentence on the terms, with their largest ratio to the standard deviation."""
     names = ' and '.join(names_of(changes.changes))
     far = np.abs(changes.values) / changes.std
     worst = int(np.argmax(far))

@@ -1,4 +1,4 @@
-"""The noise of a channel as a value and in files, and the units that data sheets write it in."""
+"""The noise of a channel as a value and in files, and its units in data sheets."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from .stream import Floats
 from .units import DEG, DEG_H, HOUR, MICRO_G
 
 _SIGNIFICANT = 2.0
-"""Standard deviations from which on a coefficient is stated; below it is a limit."""
+"""Standard deviations above which a coefficient is stated; below, a limit is."""
 _NINETY_FIVE = 1.645
 """One-sided standard deviations of 95 percent."""
 
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A coefficient of noise: its value where the data shows it, else what it is below (95 %)."""
+    """A coefficient of noise: its value if significant, else its upper limit (95 %)."""
 
     value: float | None
     std: float | None
@@ -29,7 +29,7 @@ class Coefficient:
 
     @classmethod
     def of(cls, square: float, deviation: float) -> Coefficient:
-        """Take a squared coefficient and its standard deviation."""
+        """Make one from a squared coefficient and its standard deviation."""
         below = math.sqrt(max(square, 0.0) + _NINETY_FIVE * deviation)
         if square < _SIGNIFICANT * deviation or square <= 0:
             return cls(None, None, below)
@@ -39,7 +39,7 @@ class Coefficient:
 
 @dataclass(frozen=True, eq=False)
 class ChannelNoise:
-    """What the static dwells show of one channel, in SI units.
+    """The noise of one channel in the static dwells, in SI units.
 
     Attributes:
         tau: (k,) averaging times, s.
@@ -49,7 +49,7 @@ class ChannelNoise:
         bias_instability: rad/s or m/s^2; the curve is flat at 0.664 of it.
         quantisation: rad or m/s, by slope -1; of a counter the known pulse over sqrt(12).
         rate_random_walk: (rad/s)/sqrt(s) or (m/s^2)/sqrt(s).
-        timed: Whether `tau` holds clusters whose pulses were timed, since single readings of the
+        timed: Whether `tau` refers to clusters with timed pulses, since single readings of the
             counter hide the noise below its steps.
     """
 
@@ -78,7 +78,7 @@ class ChannelNoise:
 
     @classmethod
     def read(cls, document: Mapping[str, Any]) -> ChannelNoise:
-        """Take it from what `document` returned."""
+        """Make it from a result of `document`."""
         coefficients = {
             name: Coefficient(
                 document.get(name),
@@ -96,10 +96,10 @@ COEFFICIENTS = ('random_walk', 'bias_instability', 'quantisation', 'rate_random_
 
 
 def read_noise(document: Mapping[str, Any]) -> dict[str, ChannelNoise]:
-    """Return the noise by channel, of what a calibration keeps.
+    """Return the noise by channel from a calibration's provenance.
 
     Raises:
-        InputError: It is no noise.
+        InputError: The entry is invalid.
     """
     try:
         return {str(name): ChannelNoise.read(entry) for name, entry in document.items()}
@@ -109,7 +109,7 @@ def read_noise(document: Mapping[str, Any]) -> dict[str, ChannelNoise]:
 
 @dataclass(frozen=True)
 class TriadUnits:
-    """How the noise of a triad is written.
+    """Units of the noise of a triad.
 
     Attributes:
         name: gyro or accelerometer.

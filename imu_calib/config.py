@@ -1,4 +1,4 @@
-"""YAML mappings that are read once and checked whole: file, key, found, expected."""
+"""Read YAML mappings once and check them whole: file, key, found, expected."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _EXPONENTIAL = re.compile(r'[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+')
 
 
 class Section:
-    """A mapping of a YAML file whose keys must all be asked for.
+    """A mapping of a YAML file whose keys must all be read.
 
-    `where` names the place in every message. Call `finish` when all known keys were read: what is
-    left over was misspelt by somebody.
+    `where` names the mapping in every message. Call `finish` after reading all known keys: the
+    others are misspelt.
     """
 
     def __init__(self, data: object, where: str) -> None:
@@ -41,7 +41,7 @@ class Section:
         """Read the mapping at the top of a YAML file.
 
         Raises:
-            InputError: Unreadable, not YAML, or no mapping.
+            InputError: Unreadable, not YAML, or not a mapping.
         """
         try:
             text = path.read_text(encoding='utf-8')
@@ -64,23 +64,23 @@ class Section:
         return f'{self.where}: {name}'
 
     def has(self, name: str) -> bool:
-        """Say whether the key is there."""
+        """Return whether the key is present."""
         self._known.append(name)
         return self._data.get(name) is not None
 
     def names(self) -> tuple[str, ...]:
-        """Return the names of all keys, for mappings whose keys are names that somebody gave."""
+        """Return the names of all keys, for mappings whose keys are names chosen by the user."""
         return tuple(self._data)
 
     def raw(self, name: str) -> Any:
-        """Return the value as YAML gives it."""
+        """Return the value as given by YAML."""
         self._known.append(name)
         if self._data.get(name) is None:
             raise InputError(f'{self.where}: the key {name!r} is missing{self._instead(name)}')
         return self._data[name]
 
     def _instead(self, name: str) -> str:
-        """End a sentence on a missing key: with one that may be it, if there is one."""
+        """Return the end of a sentence on a missing key: a similar key, if there is one."""
         others = [key for key in self._data if key not in self._known]
         alike = get_close_matches(name, others, n=1)
         return f'; is {alike[0]!r} a misspelling of it?' if alike else '.'
@@ -97,7 +97,7 @@ class Section:
         return str(value)
 
     def choice(self, name: str, choices: Mapping[str, T], default: str | None = None) -> T:
-        """Return what one of some words stands for."""
+        """Return the meaning of one of some words."""
         word = self.text(name, default)
         if word not in choices:
             raise InputError(
@@ -120,7 +120,7 @@ class Section:
     def whole(
         self, name: str, least: int, most: int | None = None, default: int | None = None
     ) -> int:
-        """Return a whole number from `least` to `most`, which may be open."""
+        """Return an integer from `least` to `most`, which may be open."""
         if default is not None and not self.has(name):
             return default
         value = as_whole(self.raw(name), least, most)
@@ -144,7 +144,7 @@ class Section:
         return values
 
     def texts(self, name: str) -> tuple[str, ...]:
-        """Return a list of strings, which may be empty or not there."""
+        """Return a list of strings, empty if absent."""
         if not self.has(name) or self.raw(name) == []:
             return ()
         items = {str(i): item for i, item in enumerate(self.items(name))}
@@ -189,7 +189,7 @@ class Section:
         return Section(self.raw(name), self.key(name))
 
     def skip(self, *names: str) -> None:
-        """Let mappings stand that are for people and not read."""
+        """Accept mappings that are for people, without reading them."""
         for name in names:
             if self.has(name):
                 self.section(name)
@@ -217,7 +217,7 @@ class Section:
 def as_number(value: object) -> float | None:
     """Return a number, None for anything else.
 
-    YAML 1.1, which PyYAML reads, takes 1e-5 for a text: its exponents need a point before
+    YAML 1.1, which PyYAML reads, takes 1e-5 for a text: its exponents need a decimal point before
     them and a sign.
     """
     if isinstance(value, str) and _EXPONENTIAL.fullmatch(value):
@@ -231,7 +231,7 @@ def as_number(value: object) -> float | None:
 
 
 def as_whole(value: object, least: int, most: int | None) -> int | None:
-    """Return a whole number from `least` to `most`, None for anything else; 2.0 and 2e0 are one."""
+    """Return an integer from `least` to `most`, None for anything else; 2.0 and 2e0 are valid."""
     if isinstance(value, bool) or not isinstance(value, int):
         number = as_number(value)
         if number is None or not number.is_integer():
@@ -241,7 +241,7 @@ def as_whole(value: object, least: int, most: int | None) -> int | None:
 
 
 def numbers_of(value: object) -> Floats | None:
-    """Return lists of numbers as an array; None where they are ragged, or no numbers."""
+    """Return lists of numbers as an array; None if they are ragged or not numbers."""
     if not isinstance(value, list):
         number = as_number(value)
         return None if number is None else np.array(number)

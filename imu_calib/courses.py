@@ -1,4 +1,4 @@
-"""How a table moves at its limits: travel times, and courses of constant acceleration by pieces."""
+"""Motion of a table at its limits: travel times, and courses of piecewise constant acceleration."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SAME_INSTANT = 1e-9
 
 
 def travel_time(distance: float, rate: float, acceleration: float) -> float:
-    """Return how long the fastest motion from rest to rest takes, s.
+    """Return the duration of the fastest motion from rest to rest, s.
 
     Args:
         distance: rad, of either sign.
@@ -28,7 +28,7 @@ def travel_time(distance: float, rate: float, acceleration: float) -> float:
 
 
 def distance_from_rest(time: float, rate: float, acceleration: float) -> float:
-    """Return how far a joint gets in a time (s) from rest within two limits, rad."""
+    """Return the distance from rest in a time (s) within two limits, rad."""
     ramp = min(time, rate / acceleration)
     return acceleration * ramp**2 / 2 + rate * (time - ramp)
 
@@ -37,8 +37,8 @@ def distance_from_rest(time: float, rate: float, acceleration: float) -> float:
 class Course:
     """Joint angles over time with constant acceleration between the knots, at rest at the end.
 
-    A cubic through angles and rates of two neighbouring knots, as joint_trajectory_controller
-    draws it, is exactly this motion.
+    The cubic between two neighbouring knots, as in joint_trajectory_controller, is exactly this
+    motion.
 
     Attributes:
         time: (m,) s from the start, increasing from 0.
@@ -52,7 +52,7 @@ class Course:
 
     @property
     def end(self) -> float:
-        """When it comes to rest, s."""
+        """Time of rest, s."""
         return float(self.time[-1])
 
     def at(self, times: Floats) -> tuple[Floats, Floats]:
@@ -67,7 +67,7 @@ class Course:
         return self.angles[piece] + (self.rates[piece] + rates) / 2 * elapsed, rates
 
     def until(self, time: float, accelerations: Sequence[float]) -> Course:
-        """Return this course up to a time, and from there the stop at (k,) accelerations."""
+        """Return this course up to a time, then the stop at (k,) accelerations."""
         if time >= self.end:
             return self
         angles, rates = (x[0] for x in self.at(np.array([time])))
@@ -86,11 +86,11 @@ def moving(
     rates: Sequence[float],
     accelerations: Sequence[float],
 ) -> Course:
-    """Return the course from rest to rest, each joint at its own pace.
+    """Return the course from rest to rest, each joint by itself.
 
     Args:
-        origin: (k,) where the joints stand, rad.
-        goal: (k,) where they are to stand, rad.
+        origin: (k,) start angles, rad.
+        goal: (k,) end angles, rad.
         rates: (k,) highest rates, rad/s.
         accelerations: (k,) highest accelerations, rad/s^2.
     """
@@ -107,7 +107,7 @@ def moving(
 
 
 def stopping(angles: Floats, rates: Floats, accelerations: Sequence[float]) -> Course:
-    """Return the stop from (k,) angles and rates, each joint at its own acceleration."""
+    """Return the stop from (k,) angles and rates, each joint with its own acceleration."""
     courses = []
     for angle, rate, acceleration in zip(angles, rates, accelerations, strict=True):
         time = abs(float(rate)) / acceleration
@@ -117,12 +117,12 @@ def stopping(angles: Floats, rates: Floats, accelerations: Sequence[float]) -> C
 
 
 def _together(courses: Sequence[tuple[list[float], list[float], list[float]]]) -> Course:
-    """Put the joints side by side: a knot wherever one of them has one."""
+    """Combine the joints: with a knot at each knot of any of them."""
     knots = np.unique(np.concatenate([time for time, _, _ in courses]))
     knots = knots[np.concatenate([[True], np.diff(knots) > _SAME_INSTANT])]
     states = []
     for time, angle, rate in courses:
-        # A piece of no length would hide the one that follows it.
+        # A piece of zero length would hide the next one.
         keep = [0, *(i for i in range(1, len(time)) if time[i] - time[i - 1] > _SAME_INSTANT)]
         column = Course(
             np.array(time)[keep], np.array(angle)[keep, None], np.array(rate)[keep, None]

@@ -1,4 +1,4 @@
-"""Texts of message definitions, as a recording carries them along and as nodes exchange them."""
+"""Texts of message definitions, as stored in recordings and exchanged by nodes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PRIMITIVES = frozenset(
 # A field, not a constant: a type, perhaps an array, a name, perhaps a default value.
 _FIELD = re.compile(r'^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[a-z]\w*\s*(?:$|[^=\s])')
 
-# What the suite records and what its nodes exchange, for where no ROS is installed.
+# Messages that the suite records and its nodes exchange, for machines without ROS.
 _BUILT_IN = {
     'builtin_interfaces/msg/Time': 'int32 sec\nuint32 nanosec\n',
     'std_msgs/msg/Header': 'builtin_interfaces/Time stamp\nstring frame_id\n',
@@ -106,7 +106,7 @@ _BUILT_IN = {
     ),
 }
 
-# Goal, result and feedback, as an .action file has them between its rules.
+# Goal, result and feedback, as separated by rules in an .action file.
 _ACTIONS = {
     'control_msgs/action/FollowJointTrajectory': (
         'trajectory_msgs/JointTrajectory trajectory\n'
@@ -133,7 +133,7 @@ _ACTIONS = {
     )
 }
 _PARTS = ('Goal', 'Result', 'Feedback')
-# What ROS makes of every action (design.ros2.org/articles/actions.html).
+# The messages that ROS makes of every action (design.ros2.org/articles/actions.html).
 _OF_ACTIONS = {
     'SendGoal_Request': 'unique_identifier_msgs/UUID goal_id\n{action}_Goal goal\n',
     'SendGoal_Response': 'bool accepted\nbuiltin_interfaces/Time stamp\n',
@@ -150,11 +150,11 @@ def definition(type_name: str) -> str:
         type_name: Full name, for instance sensor_msgs/msg/Imu.
 
     Returns:
-        Text in the form that mcap calls ros2msg: the definition, then each further one after a
-        rule and its name.
+        Text in mcap's form ros2msg: the definition, then each further one after a rule and its
+            name.
 
     Raises:
-        InputError: The definition of one of them is not to be found.
+        InputError: The definition of one of them is not found.
     """
     parts = [message_text(type_name)]
     seen = [type_name]
@@ -169,11 +169,11 @@ def definition(type_name: str) -> str:
 def message_text(type_name: str) -> str:
     """Return the text of one .msg file.
 
-    Standard messages are built in, the suite's own are read from its files, and others from the
-    ROS installation, where there is one.
+    Standard messages are built in, the suite's own are read from its files, others from the ROS
+    installation, if there is one.
 
     Raises:
-        InputError: It is not to be found.
+        InputError: It is not found.
     """
     if type_name in _BUILT_IN:
         return _BUILT_IN[type_name]
@@ -190,7 +190,7 @@ def _of_action(type_name: str) -> str:
     if part in _OF_ACTIONS:
         return _OF_ACTIONS[part].format(action=action)
     text = _ACTIONS.get(action) or _text_of_file(action)
-    # A rule is a line of its own; comments may hold three hyphens.
+    # A rule is a whole line; comments may contain three hyphens.
     parts = re.split(r'^---$', text, flags=re.MULTILINE)
     return parts[_PARTS.index(part)].lstrip('\n')
 

@@ -10,8 +10,7 @@ from .stream import Floats
 def cross(first: Floats, second: Floats) -> Floats:
     """Return the cross products (..., 3) of vectors (..., 3) with others.
 
-    The same numbers as those of `numpy.cross`, which takes twice as long for the few that come at
-    a time here.
+    Equal to `numpy.cross`, which takes twice as long for the few vectors here.
     """
     x, y, z = first[..., 0], first[..., 1], first[..., 2]
     u, v, w = second[..., 0], second[..., 1], second[..., 2]

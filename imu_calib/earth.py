@@ -14,15 +14,15 @@ EARTH_RATE = 7.292115e-5
 """Rotation of the Earth, rad/s (WGS 84)."""
 
 LUOYANG = 34.65
-"""Latitude of the site of Cao 2022, deg: simulated stands are there by default."""
+"""Latitude of the site of Cao 2022, deg: the default of simulated stands."""
 
 NORMAL_GRAVITY = 'normal gravity (WGS 84)'
 MEASURED = 'measured'
-"""Where the gravity of a site comes from."""
+"""Source of the gravity of a site."""
 
 NORMAL_GRAVITY_STD = 30e-5
-"""By what real gravity differs from normal gravity at the same height, one standard deviation,
-m/s^2: free-air anomalies of some 30 mGal. They are larger in mountains."""
+"""Standard deviation of gravity from normal gravity at the same height, m/s^2: free-air anomalies
+of some 30 mGal. They are larger in mountains."""
 
 HEIGHT_STD = 500.0
 """Standard deviation of a height that is not stated and taken as 0, m.
@@ -33,13 +33,13 @@ one standard deviation of a normal law holds 68.3 %."""
 LATITUDE_STD = math.radians(0.01)
 """Standard deviation of a latitude where none is stated, rad.
 
-1.1 km: two digits behind the point of a degree, and the laboratory somewhere in the town whose
-latitude it is. Rounding alone is 0.0029 deg (GUM F.2.2.1)."""
+1.1 km: two decimals of a degree, and a laboratory anywhere in the town of that latitude. Rounding
+alone is 0.0029 deg (GUM F.2.2.1)."""
 
 _SEMI_MAJOR_AXIS = 6378137.0
 """m. This and the next of WGS 84 (NIMA TR8350.2, third edition, chapter 3)."""
 _FLATTENING = 1 / 298.257223563
-"""A ratio."""
+"""Flattening, a ratio."""
 _GRAVITY_EQUATOR = 9.7803253359
 """m/s^2, normal gravity (TR8350.2, chapter 4; the next, too)."""
 _SOMIGLIANA = 0.00193185265241
@@ -76,15 +76,15 @@ def normal_gravity(latitude: float, height: float = 0.0) -> float:
 
 @dataclass(frozen=True)
 class Site:
-    """Where the table stands.
+    """The site of the table.
 
     Attributes:
         latitude: Geodetic latitude, rad, negative in the south.
         gravity: Local gravity, m/s^2.
         gravity_source: 'measured', or how it was computed.
-        gravity_std: Its standard deviation, m/s^2; 0 for one that is taken as exact.
-        height: Above the ellipsoid, m, where it was stated; None where it was not.
-        latitude_std: Standard deviation of the latitude, rad; 0 for one that is taken as exact.
+        gravity_std: Its standard deviation, m/s^2; 0 if taken as exact.
+        height: Above the ellipsoid, m; None if not stated.
+        latitude_std: Standard deviation of the latitude, rad; 0 if taken as exact.
     """
 
     latitude: float
@@ -109,18 +109,18 @@ class Site:
 
         Args:
             latitude: Geodetic latitude, rad, negative in the south.
-            height: Above the ellipsoid, m; None where unknown: it is then taken as 0 with a
-                standard deviation of `HEIGHT_STD`.
+            height: Above the ellipsoid, m; None if unknown: it is then taken as 0 with a standard
+                deviation of `HEIGHT_STD`.
             gravity: As measured, m/s^2; None for normal gravity.
-            height_std: Standard deviation of the height that is stated, m (default: 0).
-            gravity_std: Standard deviation of the measured gravity (default: 0, it is taken as
-                exact), or of normal gravity at a known height (default: `NORMAL_GRAVITY_STD`, and
-                what the latitude's makes of it), m/s^2.
+            height_std: Standard deviation of the stated height, m (default: 0).
+            gravity_std: Standard deviation of the measured gravity (default: 0, taken as exact), or
+                of normal gravity at a known height (default: `NORMAL_GRAVITY_STD` and the effect of
+                `latitude_std`), m/s^2.
             latitude_std: Standard deviation of the latitude, rad (default: `LATITUDE_STD`).
 
         Raises:
-            InputError: A value that no place on Earth has, or the deviation of a height that is
-                not stated.
+            InputError: A value impossible on Earth, or the deviation of a height that is not
+                stated.
         """
         if not abs(latitude) <= math.pi / 2:
             raise InputError(f'latitude: found {math.degrees(latitude):g} deg, expected -90 to 90.')
@@ -153,12 +153,12 @@ class Site:
 
     @property
     def gravity_doubt(self) -> float:
-        """Standard deviation of gravity over gravity."""
+        """Relative standard deviation of gravity."""
         return self.gravity_std / self.gravity
 
     @property
     def height_assumed(self) -> bool:
-        """Whether gravity is that of an assumed height."""
+        """Whether gravity is computed for an assumed height."""
         return self.gravity_source == NORMAL_GRAVITY and self.height is None
 
     @property

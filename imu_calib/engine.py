@@ -1,6 +1,6 @@
-"""Where independent tasks run: in this process, in processes of this machine, on workers of Dask.
+"""Run independent tasks: in this process, in processes of this machine, on workers of Dask.
 
-What they give depends on the tasks alone: not on where they run, how many at a time, or in which
+The results depend on the tasks alone: not on where they run, how many at a time, or in which
 order they end.
 """
 
@@ -31,19 +31,19 @@ def run_all(
 ) -> list[Result]:
     """Run a function on each of independent tasks; return the results in the order of the tasks.
 
-    More than one process needs a program whose work stands below `if __name__ == '__main__':`.
+    Scripts that use several processes must run under `if __name__ == '__main__':`.
 
     Args:
-        function: Of one task; pickled by its name, with what it is bound to.
+        function: Of one task; pickled by its name, with its bound arguments.
         tasks: Of a finite number.
-        jobs: Processes of this machine; 1 for this one alone, None for one a core. It does not
-            count beside a scheduler.
-        scheduler: Address of a Dask scheduler whose workers do the work (tcp://host:8786).
+        jobs: Processes of this machine; 1 for this one alone, None for one per core. Ignored with a
+            scheduler.
+        scheduler: Address of a Dask scheduler whose workers run the tasks (tcp://host:8786).
         ended: Called with each result, in the order of the tasks.
 
     Raises:
-        InputError: No scheduler answers, Dask is not installed, or what a task raises.
-        NotObservable: What a task raises.
+        InputError: No scheduler answers, Dask is not installed, or raised by a task.
+        NotObservable: Raised by a task.
     """
     results: list[Result] = []
 
@@ -95,7 +95,7 @@ def _in_processes(
             for result in pool.map(function, tasks, chunksize=_share(len(tasks), jobs)):
                 take(result)
         except BaseException:
-            # What they are at would be waited for, and is thrown away.
+            # Otherwise running tasks, whose results are dropped, would be waited for.
             pool.shutdown(wait=False, cancel_futures=True)
             end_started(others)
             raise
@@ -106,13 +106,13 @@ def _share(tasks: int, jobs: int) -> int:
 
 
 def _leave_interrupts() -> None:
-    """Leave Ctrl-C, which reaches every process of a terminal, to the one that ends the others."""
+    """Ignore Ctrl-C, which reaches every process of a terminal: the parent ends the others."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Let what is spawned run one thread each: small matrices gain nothing from more."""
+    """Limit spawned processes to one thread each: small matrices gain nothing from more."""
     before = os.environ.get(THREADS)
     os.environ[THREADS] = '1'
     try:

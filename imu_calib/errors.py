@@ -1,10 +1,10 @@
-"""The two ways in which a calibration can fail, each with its exit code."""
+"""The two kinds of failure of a calibration, each with its exit code."""
 
 
 class ImuCalibError(Exception):
-    """Root of all errors that this package raises on purpose; the text is for a person.
+    """Root of all errors that this package raises deliberately; the text is for the user.
 
-    It names a keyword, or a parameter of a node, as `imu_topic`: the command line says --imu-topic.
+    It names a keyword, or a parameter of a node, as `imu_topic`: the command line has --imu-topic.
     """
 
     exit_code = 2
@@ -17,14 +17,14 @@ class InputError(ImuCalibError):
 
 
 class NotStated(InputError):
-    """A recording does not say what it means: nothing is wrong with it, and more must be stated."""
+    """Required information is neither in the recording nor given: it must be stated."""
 
 
 class NotObservable(ImuCalibError):
-    """The data cannot give the answer: which parameter or position, and why."""
+    """The data does not determine the result: names the parameter or position, and the reason."""
 
     exit_code = 1
 
 
 class Contradiction(NotObservable):
-    """The data contradicts itself, or what is said of it: no weights can reconcile the two."""
+    """The data contradicts itself, or its description: no weighting resolves this."""

@@ -1,4 +1,4 @@
-"""Libraries that only some need."""
+"""Optional libraries."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from .errors import InputError
 
 
 def require(library: str, what: str, extra: str) -> None:
-    """Refuse what needs a library that is not installed.
+    """Raise an error if an optional library is not installed.
 
     Args:
-        library: That is imported.
-        what: Needs it, as the beginning of a sentence.
-        extra: Of this package, which brings it.
+        library: Name to import.
+        what: The feature that needs it, as the beginning of a sentence.
+        extra: Extra of this package that installs it.
 
     Raises:
-        InputError: It is not installed; says how to install it.
+        InputError: It is not installed; explains how to install it.
     """
     if find_spec(library) is None:
         raise InputError(

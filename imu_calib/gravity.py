@@ -1,4 +1,4 @@
-"""What the doubt of the gravity that was assumed does to the parameters of a calibration."""
+"""Effect of the uncertainty of the assumed gravity on the parameters of a calibration."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from .stream import Floats
 from .units import DEG, PPM
 
 _ANOMALY = 0.003
-"""Relative difference of a measured gravity from normal gravity that a place can have: 10 km of
-height, above any laboratory, make 0.3 %, and gravity anomalies a tenth of that (EGM2008)."""
+"""Largest plausible relative difference of a measured gravity from normal gravity: 10 km of height,
+above any laboratory, make 0.3 %, and gravity anomalies a tenth of that (EGM2008)."""
 VAGUE = 10 * DEG
-"""Standard deviation of a latitude that nobody stated. It tells nothing of gravity: the whole way
-from the equator to the poles makes 0.5 %."""
+"""rad: standard deviation above which a latitude counts as not stated. Gravity varies by 0.5 % from
+the equator to the poles."""
 
 
 def gravity_slope(model: SensorModel, parameters: Sequence[Parameter]) -> Floats:
-    """Return by how much parameters change with the relative error of gravity, (n,).
+    """Return the derivatives of parameters by the relative error of gravity, (n,).
 
-    The outputs know gravity only as a factor of the accelerometers' responses and of terms that
-    are products of forces: a session solved with g (1 + e) for g gives 1 / (1 + e) times them, as
-    often as force is a factor.
+    The outputs depend on gravity only as a factor of the accelerometers' responses and of terms
+    that are products of forces: a session solved with g (1 + e) instead of g multiplies each by
+    1 / (1 + e), to the power of the number of forces in the product.
 
     Source: docs/mathematics.md, 'Gravity'.
     """
@@ -39,29 +39,29 @@ def gravity_slope(model: SensorModel, parameters: Sequence[Parameter]) -> Floats
 
 
 def gravity_covariance(model: SensorModel, parameters: Sequence[Parameter], doubt: float) -> Floats:
-    """Return what the doubt of gravity adds to a covariance, (n, n), of rank one.
+    """Return the contribution of gravity's uncertainty to a covariance, (n, n), of rank one.
 
     Args:
         model: The values of the parameters.
-        parameters: What the rows stand for.
-        doubt: Standard deviation of gravity over gravity.
+        parameters: The parameters of the rows.
+        doubt: Relative standard deviation of gravity.
     """
     deviation = gravity_slope(model, parameters) * doubt
     return np.asarray(np.outer(deviation, deviation))
 
 
 def with_gravity(calibration: Calibration, site: Site) -> Calibration:
-    """Return a calibration that allows for the doubt of the gravity it was made with."""
+    """Return a calibration that includes the uncertainty of its gravity."""
     share = gravity_covariance(calibration.model, calibration.parameters, site.gravity_doubt)
     findings = (*calibration.findings, *_findings(calibration, site))
     return replace(calibration.with_share(Source.GRAVITY, Share.known(share)), findings=findings)
 
 
 def gravity_deviation(calibration: Calibration) -> Floats:
-    """Return what one standard deviation of gravity does to the parameters of a calibration, (n,).
+    """Return the effect of one standard deviation of gravity on the parameters, (n,).
 
-    Its outer product is part of the covariance. The error is the same in all calibrations that
-    were made with the same gravity at one place. Zero where no such deviation is stated.
+    Its outer product is part of the covariance. The error is common to all calibrations made with
+    the same gravity at one place. Zero if no such deviation is stated.
     """
     gravity = calibration.provenance.get('gravity')
     std = calibration.provenance.get('gravity_std')
@@ -71,10 +71,10 @@ def gravity_deviation(calibration: Calibration) -> Floats:
 
 
 def without_gravity(calibration: Calibration) -> Floats:
-    """Return the covariance of a calibration if its gravity were exact, (n, n).
+    """Return the covariance of a calibration for exact gravity, (n, n).
 
-    No more is taken off than leaves a covariance: parameters that somebody has changed since have
-    another deviation than the one that was added.
+    The subtraction is limited so that a covariance remains: for parameters that were changed later,
+    the deviation differs from the one that was added.
     """
     deviation, std = gravity_deviation(calibration), calibration.std
     if not deviation.any():
@@ -89,7 +89,7 @@ def without_gravity(calibration: Calibration) -> Floats:
 
 
 def same_place(calibration: Calibration, gravity: object, latitude_deg: object) -> bool:
-    """Say whether a calibration was made with this gravity (m/s^2) at this latitude."""
+    """Return whether a calibration was made with this gravity (m/s^2) at this latitude."""
     where = calibration.provenance
     pairs = ((where.get('gravity'), gravity), (where.get('latitude_deg'), latitude_deg))
     return all(
@@ -111,7 +111,7 @@ def _findings(calibration: Calibration, site: Site) -> list[str]:
 
 
 def _of_another_place(site: Site) -> list[str]:
-    """Say where a measured gravity is not that of the latitude."""
+    """Return a sentence if a measured gravity does not agree with the latitude."""
     if site.gravity_source != MEASURED or site.latitude_std > 0.99 * VAGUE:
         return []
     south, here, north = (

@@ -1,4 +1,4 @@
-"""An IMU as its YAML describes it: what its numbers mean, and its noise by the data sheet."""
+"""Description of an IMU by its YAML: meaning of its numbers, and noise by the data sheet."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from .yaml_text import dump
 FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
 """Largest counts of 16, 24 and 32 bits, of either sign."""
 NEARLY = 0.999
-"""Share of its range from which on a reading counts as at its end: a range is stated to three
-digits, and converters clip a little early. A judgement."""
+"""Share of the range above which a reading counts as saturated: ranges are stated to three digits,
+and ADCs clip slightly early. A judgement."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class TriadSpec:
         random_walk: rad/sqrt(s) or (m/s)/sqrt(s); 0 when not stated.
         bias_instability: rad/s or m/s^2; 0 when not stated.
         range: Largest rate or specific force, rad/s or m/s^2; inf when not stated.
-        pulse: Of SI values that were computed from a counter: its pulse, rad or m/s, whose
-            remainder goes on into the next sample; 0 where there is none.
-        scale_factor_temperature: By how much scale factors follow the temperature, one standard
-            deviation, 1/K; 0 when not stated.
+        pulse: For SI values computed from a counter: its pulse, rad or m/s, whose remainder carries
+            over to the next sample; 0 otherwise.
+        scale_factor_temperature: Standard deviation of the temperature coefficient of scale
+            factors, 1/K; 0 when not stated.
         bias_temperature: The same of biases, (rad/s)/K or (m/s^2)/K.
     """
 
@@ -52,12 +52,12 @@ class ImuSpec:
 
     Attributes:
         id: Name of the unit or of its type.
-        units: What the numbers of its Imu messages are.
+        units: Units of the numbers of its Imu messages.
         sample_rate: Nominal, Hz; None when not stated.
         gyro: The gyro triad.
         accel: The accelerometer triad.
-        skewed: A further gyro that lies askew to the three, None where there is none.
-        specification: What its parameters may be; None when not stated.
+        skewed: A further gyro skewed to the three, None without one.
+        specification: Limits of its parameters; None when not stated.
     """
 
     id: str
@@ -79,13 +79,13 @@ def load_imu(name: str | Path) -> ImuSpec:
 
 
 def compensated_imu(spec: ImuSpec, gyro_gain: float, accel_gain: float) -> ImuSpec:
-    """Return what the numbers of an IMU mean after compensation: SI, with the noise that it has.
+    """Return the description of an IMU after compensation: SI, with its noise.
 
-    A skewed gyro has gone into the three others; limits of the specification are of the raw unit.
+    A skewed gyro is merged into the three others; limits of the specification are of the raw unit.
 
     Args:
-        spec: The raw numbers.
-        gyro_gain: By how much compensation enlarges the noise of a gyro.
+        spec: Description of the raw numbers.
+        gyro_gain: Amplification of a gyro's noise by compensation.
         accel_gain: The same of an accelerometer.
     """
     return replace(
@@ -165,7 +165,7 @@ def read_imu(section: Section) -> ImuSpec:
 
 @dataclass(frozen=True)
 class _Kind:
-    """The key of a triad's random walk, and the dimensions of what its section states."""
+    """Key of a triad's random walk, and the dimensions of the values in its section."""
 
     walk_key: str
     walk: Dimension

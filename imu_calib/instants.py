@@ -1,15 +1,15 @@
-"""Stamps as dates for people: ns since 1970, as ROS has them, where they count from then."""
+"""Format stamps as dates: ns since 1970 as in ROS, if they count from then."""
 
 from __future__ import annotations
 
 from datetime import datetime, timezone
 
 _YEAR_2000, _YEAR_2200 = 946_684_800 * 10**9, 7_258_118_400 * 10**9
-"""Stamps outside count from something else: from when a device was switched on, as a rule."""
+"""Stamps outside have another epoch, usually the time when a device was switched on."""
 
 
 def utc(stamp: int | None) -> datetime | None:
-    """Return the date of a stamp, ns; None where it counts from something else than 1970.
+    """Return the date of a stamp, ns; None if its epoch is not 1970.
 
     Examples:
         >>> utc(1_700_000_109_994_000_000)
@@ -30,7 +30,7 @@ def iso(stamp: int | None) -> str | None:
 
 
 def at(stamp: int) -> str:
-    """Return when something was, for a sentence: the date, or the stamp in seconds.
+    """Return a time for a sentence: the date, or the stamp in seconds.
 
     Examples:
         >>> at(1_700_000_109_994_000_000), at(12_500_000_000)

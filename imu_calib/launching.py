@@ -1,4 +1,4 @@
-"""What all launch files share: nodes that end with their launcher, arguments that are checked."""
+"""Common parts of all launch files: nodes that end with their launcher, checks of arguments."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ _MODULES = {
         'look: in the workspace, `ln -s imu_calib/msg_defs src/imu_calib_msgs` and `colcon build`'
     ),
 }
-"""Python modules that the nodes need, and the packages of Ubuntu that hold them."""
+"""Python modules that the nodes need, and their Ubuntu packages."""
 
 
 BECOMING = (sys.executable, '-m', lifetime.__name__)
-"""What a program that is not of this package is started by, so that it ends with its launcher."""
+"""Command prefix for programs outside this package, so that they end with their launcher."""
 
 
 def node(*, foreign: bool = False, **options: Any) -> Any:
     """Return a launch_ros Node that ends with its launcher, even if that one is killed.
 
     Args:
-        foreign: Not of this package: it is started through this package's `lifetime`, which asks
-            the kernel for the signal in its place.
+        foreign: Whether it is outside this package: it is then started through this package's
+            `lifetime`, which requests the signal from the kernel.
         **options: Of the Node.
     """
     from launch_ros.actions import Node
@@ -62,12 +62,12 @@ def node(*, foreign: bool = False, **options: Any) -> Any:
 
 
 def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any:
-    """Return the action that checks arguments and packages; it comes before the first node.
+    """Return the action that checks arguments and packages, to be placed before the first node.
 
     Args:
-        view: Whether the table is shown, unless an argument says otherwise.
-        port: Whether the IMU's port must be there at the start.
-        table: Whether a table is led, which is a real one unless the device is simulated.
+        view: Whether the table is shown by default.
+        port: Whether the IMU's port must exist at the start.
+        table: Whether a table is moved, a real one unless the device is simulated.
     """
     from launch.actions import OpaqueFunction
 
@@ -86,7 +86,7 @@ def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any
 
 @dataclass(frozen=True)
 class Device:
-    """A unit of several that a node reads.
+    """One of several units, read by a node.
 
     Attributes:
         namespace: Of its node, below the stand's.
@@ -100,11 +100,10 @@ class Device:
 
 
 def devices(given: Mapping[str, str]) -> list[Device]:
-    """Return the units of a stand that are read by nodes of its own; none without their file.
+    """Return the units of a stand that are read by separate nodes; none without a units file.
 
     Args:
-        given: Arguments by name: units and without; device, of those that have none of their own;
-            port.
+        given: Arguments by name: units and without; device, the default for units; port.
 
     Raises:
         InputError: Neither units nor a port are given, or both, or a unit lacks its device.
@@ -140,11 +139,12 @@ def devices(given: Mapping[str, str]) -> list[Device]:
 
 
 _SIMULATED = 'simulated'
-"""The frames of the simulated stand: it has no table that could hurt anybody."""
+"""Frames of the simulated stand, whose table is not dangerous."""
 
 
 def _on_its_own() -> list[Any]:
-    """Keep a stand to this machine, unless the environment says otherwise, and to its own domain.
+    """Restrict a stand to this machine, unless the environment sets otherwise, and to its own
+    domain.
 
     Raises:
         InputError: The domain is the default one.
@@ -163,7 +163,7 @@ def _on_its_own() -> list[Any]:
 
 
 def _viewers(given: Mapping[str, str]) -> tuple[str, ...]:
-    """Name the packages that show the table, as the arguments want it."""
+    """Return the packages that show the table, by the arguments."""
     if given.get('view', 'true').lower() == 'false':
         return ()
     shows = given.get('rviz', 'false').lower() == 'true'
@@ -171,12 +171,12 @@ def _viewers(given: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def _led_by(given: Mapping[str, str]) -> tuple[str, ...]:
-    """Name the package of the action that leads a table of ros2_control."""
+    """Return the package of the action that moves a table of ros2_control."""
     return ('control_msgs',) if given.get('table_output') == 'trajectory' else ()
 
 
 def missing(packages: tuple[str, ...]) -> list[str]:
-    """Name what is not installed, and how to install it."""
+    """Return what is not installed, and how to install it."""
     from ament_index_python.packages import get_packages_with_prefixes
 
     modules = [
@@ -201,10 +201,10 @@ _WITHOUT = {
 
 
 def wrong(given: Mapping[str, str]) -> list[str]:
-    """Name the arguments that cannot be used: which, what was found, what is expected.
+    """Return the invalid arguments: which, what was found, what is expected.
 
     Args:
-        given: Arguments by name; those of other names are not looked at.
+        given: Arguments by name; unknown names are ignored.
     """
     sentences = []
     for name, check in _CHECKS.items():
@@ -223,7 +223,7 @@ def _boolean(text: str) -> None:
 
 
 def _number(lower: float = -math.inf, upper: float = math.inf) -> Callable[[str], None]:
-    """Return a check of a number; nan says that there is none, where any number may stand."""
+    """Return a check of a number; nan means none and is accepted if any number is."""
     limited = lower > -math.inf
 
     def check(text: str) -> None:
@@ -260,7 +260,7 @@ def _one_of(*known: str) -> Callable[[str], None]:
 
 
 def _or(word: str, check: Callable[[str], Any]) -> Callable[[str], None]:
-    """Take a word that stands for nothing given, too."""
+    """Also accept a word that means not given."""
 
     def checked(text: str) -> None:
         if text == word:
@@ -288,7 +288,7 @@ def _file(text: str) -> None:
 
 
 _BAUD = _whole(50, 10_000_000)
-"""bit/s: from the slowest rate that POSIX names to beyond the fastest adapter."""
+"""bit/s: from the lowest rate in POSIX to more than the fastest adapter."""
 _CHECKS: dict[str, Callable[[str], Any]] = {
     'plan': load_plan,
     'imu': _unless_empty(load_imu),

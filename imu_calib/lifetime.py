@@ -1,4 +1,4 @@
-"""A process that does not outlive the one that started it, even if that one is killed."""
+"""End a process with the process that started it, even if that one is killed."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ import time
 from pathlib import Path
 
 ENDS_WITH = 'IMU_CALIB_ENDS_WITH'
-"""Environment variable: number of the process to end with."""
+"""Environment variable: id of the process to end with."""
 
 _SET_DEATH_SIGNAL = 1
 """PR_SET_PDEATHSIG of linux/prctl.h."""
 
 _POLL = 0.2
-"""How often it is looked for where the kernel does not tell, s. A judgement: little work, and a
-table is stopped sooner than by the watchdog of lost joint states (0.5 s)."""
+"""s between checks if the kernel does not notify. A judgement: little work, and a table is stopped
+sooner than by the watchdog of lost joint states (0.5 s)."""
 
 
 def end_with_parent() -> None:
-    """Have this process get SIGTERM when the one that the environment names ends.
+    """Send this process SIGTERM when the process named in the environment ends.
 
-    A node stops its table on SIGTERM. Linux only: prctl(2), PR_SET_PDEATHSIG; where there is
-    another process in between, a prefix of ros2 launch for one, pidfd_open(2).
+    A node stops its table on SIGTERM. Linux only: prctl(2), PR_SET_PDEATHSIG; with another process
+    in between, such as a prefix of ros2 launch, pidfd_open(2).
     """
     parent = os.environ.get(ENDS_WITH)
     if parent is None or not sys.platform.startswith('linux'):
@@ -44,13 +44,13 @@ def _end_with(parent: str) -> None:
 
 
 def _wait_for(process: str) -> None:
-    """Return when a process has ended, maybe before."""
+    """Return when a process has ended, possibly before."""
     try:
         watched = os.pidfd_open(int(process))
     except (ProcessLookupError, ValueError):
         return
     except OSError:
-        # Linux before 5.3, and containers that allow no such call.
+        # Linux before 5.3, and containers that do not allow this call.
         while Path(f'/proc/{process}').exists():
             time.sleep(_POLL)
         return
@@ -58,10 +58,10 @@ def _wait_for(process: str) -> None:
 
 
 def main() -> int:
-    """Become the program of the command line, and end with the parent all the same."""
+    """Replace this process by the program on the command line, which then ends with the parent."""
     end_with_parent()
     with contextlib.suppress(IndexError):
-        # The request for a signal stays; a program that changes its user alone loses it.
+        # The requested signal remains; only a program that changes its user loses it.
         os.execvp(sys.argv[1], sys.argv[1:])
     return 2
 

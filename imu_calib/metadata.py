@@ -1,4 +1,4 @@
-"""What a recording says of itself, so that it can be calibrated from without any other file."""
+"""A recording's own entries, by which it can be calibrated without any other file."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ SERIAL_NUMBER = 'imu_calib.serial_number'
 """Key of a recording's own entries: the unit's serial number."""
 
 LEFT_OUT = 'imu_calib.left_out'
-"""Key of the units that were left out of a session of several: their names, commas between."""
+"""Key of the units that were left out of a session of several: their names, with commas."""
 
 COMPENSATED = 'imu_calib.compensated'
-"""Key of the calibration's file that a recording was compensated by."""
+"""Key of the calibration file by which a recording was compensated."""
 
 _INTERPOLATED = 'imu_calib.accel_interpolated_from_hz'
 _IMU = 'imu_calib.imu'
@@ -37,12 +37,12 @@ def describe(
     Args:
         plan: Name or file of the plan.
         imu: Name or file of the IMU.
-        table: Name or file of the table; None where the unit is held by hand.
-        site: Where it is taken.
-        serial_number: Of the unit; empty where it is not stated.
+        table: Name or file of the table; None if the unit is held by hand.
+        site: Site of the recording.
+        serial_number: Of the unit; empty if not stated.
 
     Raises:
-        InputError: One of the files is not there.
+        InputError: One of the files does not exist.
     """
     files = {'plan': named_file('plans', plan), 'imu': named_file('imus', imu)}
     if table is not None:
@@ -63,7 +63,7 @@ def describe(
 
 
 def shared_description(description: Mapping[str, str]) -> dict[str, str]:
-    """Return of a recording's own entries what several units have in common."""
+    """Return the own entries that are common to several units."""
     return {k: v for k, v in description.items() if k not in {_IMU, SERIAL_NUMBER}}
 
 
@@ -78,35 +78,35 @@ def unit_description(topic: str, imu: str, serial_number: str) -> dict[str, str]
 
 
 def described_imu(data: Mapping[str, str], topic: str) -> str | None:
-    """Return the YAML text of the IMU behind a topic; None where the recording has none.
+    """Return the YAML text of the IMU of a topic; None if the recording has none.
 
-    A stream that was computed from another has a description of its own.
+    A stream computed from another has a separate description.
     """
     return data.get(imu_key(topic), data.get(_IMU))
 
 
 def imu_key(topic: str) -> str:
-    """Return the key of a recording's own entries that describes the numbers of one topic."""
+    """Return the key of the own entry that describes the numbers of one topic."""
     return f'{_IMU}:{topic}'
 
 
 def serial_key(topic: str) -> str:
-    """Return the key of a recording's own entries with the serial number behind one topic."""
+    """Return the key of the own entry with the serial number of one topic's unit."""
     return f'{SERIAL_NUMBER}:{topic}'
 
 
 def interpolation_description(topic: str, rate: float) -> dict[str, str]:
-    """Return a recording's own entry on accelerometers that were read between their own samples.
+    """Return the own entry for accelerometers interpolated between their samples.
 
     Args:
         topic: The samples.
-        rate: Of the accelerometers before, Hz.
+        rate: Original rate of the accelerometers, Hz.
     """
     return {f'{_INTERPOLATED}:{topic}': f'{rate:.6g}'}
 
 
 def interpolated_from(data: Mapping[str, str], topic: str) -> float | None:
-    """Return the rate of accelerometers before they were interpolated, Hz; None: they were not."""
+    """Return the original rate of interpolated accelerometers, Hz; None if not interpolated."""
     try:
         rate = float(data.get(f'{_INTERPOLATED}:{topic}', 'nan'))
     except ValueError:
@@ -115,7 +115,7 @@ def interpolated_from(data: Mapping[str, str], topic: str) -> float | None:
 
 
 def mount_description(topic: str, mount: Floats) -> dict[str, str]:
-    """Return a recording's own entry on how the unit behind a topic is turned on the fixture.
+    """Return the own entry for the rotation of a topic's unit on the fixture.
 
     Args:
         topic: Its samples.
@@ -125,10 +125,10 @@ def mount_description(topic: str, mount: Floats) -> dict[str, str]:
 
 
 def described_mount(data: Mapping[str, str], topic: str, where: str) -> Floats:
-    """Return how the unit behind a topic is turned, (3, 3); as the table has it where none says.
+    """Return the rotation of a topic's unit, (3, 3); that of the table if not stated.
 
     Raises:
-        InputError: The entry is broken.
+        InputError: The entry is invalid.
     """
     if (text := data.get(_mount_key(topic))) is None:
         return np.eye(3)
@@ -148,32 +148,32 @@ def _mount_key(topic: str) -> str:
 def described_anew(
     data: Mapping[str, str], topic: str, imu: ImuSpec, *, raw_is_kept: bool
 ) -> dict[str, str]:
-    """Return a recording's own entries with those of a computed Imu stream.
+    """Return own entries with those of a computed Imu stream.
 
     Args:
         data: Entries of the recording that it was computed from.
         topic: The new stream.
-        imu: What its numbers mean.
-        raw_is_kept: Whether the stream that `data` describes is in the recording too.
+        imu: Its description.
+        raw_is_kept: Whether the recording also contains the stream described in `data`.
     """
     kept = {key: text for key, text in data.items() if raw_is_kept or not key.startswith(_IMU)}
     return {**kept, imu_key(topic): imu_text(imu)}
 
 
 def tells_site(data: Mapping[str, str]) -> bool:
-    """Say whether a recording tells where it was taken."""
+    """Return whether a recording states its site."""
     return _LATITUDE in data
 
 
 def described_site(data: Mapping[str, str], where: str) -> Site:
-    """Return the site that a recording tells of.
+    """Return the site stated in a recording.
 
     Args:
         data: The recording's entries, as `describe` makes them.
         where: The recording, for messages.
 
     Raises:
-        InputError: It tells of none, or of a broken one.
+        InputError: There is none, or it is invalid.
     """
     if not tells_site(data):
         raise NotStated(
@@ -194,7 +194,7 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
         raise InputError(f'{where}: what it says of its site is broken; give `latitude`.') from None
     source = data.get('imu_calib.gravity_source', MEASURED)
     if std is None and source == NORMAL_GRAVITY:
-        # Of a recording from before heights were recorded: as normal gravity without a height.
+        # Recordings from before heights were recorded: as normal gravity without a height.
         std = Site.at(latitude, height).gravity_std
     site = Site.at(latitude, height, gravity, gravity_std=std, latitude_std=latitude_std)
     return replace(site, gravity_source=source)

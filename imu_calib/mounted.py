@@ -1,6 +1,6 @@
-"""Several units on one table: which there are, on which topics, and how they sit on the fixture.
+"""Several units on one table: their descriptions, topics and places on the fixture.
 
-A file (docs/files/units.md) lists them. What is theirs alone stands there; plan, table and site are
+A file (docs/files/units.md) lists them with their individual properties; plan, table and site are
 those of the session.
 """
 
@@ -21,19 +21,19 @@ from .turntable import Table, read_mount
 
 _NAME = r'[A-Za-z_][A-Za-z0-9_]*'
 TOPIC = rf'/?{_NAME}(/{_NAME})*'
-"""Names of topics (ROS 2 design, "Topic and Service name mapping"): what of them a file may say."""
+"""Names of topics (ROS 2 design, "Topic and Service name mapping") allowed in a file."""
 SERIAL = r'[^/\\\x00-\x1f.][^/\\\x00-\x1f]*'
-"""Serial numbers that name a file: bringup finds a calibration by it."""
+"""Serial numbers that can be file names: bringup finds a calibration by it."""
 TRUTHS = 'truths'
-"""Folder that takes what simulated units truly are, SERIAL.yaml each."""
+"""Folder of the true parameters of simulated units, SERIAL.yaml each."""
 PULSES = 'imu/pulses'
 """Topic of a unit's samples, in its namespace."""
 _NO_NAME = re.compile(r'[^A-Za-z0-9_]')
-"""What a name of ROS may not hold."""
+"""Characters not allowed in a ROS name."""
 _FASTEST_LINE = 10_000_000
 """bit/s: more than any serial port has."""
 MOST_UNITS = 256
-"""Units of a session: each topic needs its reader, and no table has room for more."""
+"""Most units of a session: each topic needs a reader, and no table has room for more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,18 +41,18 @@ class MountedUnit:
     """One of several units on a table.
 
     Attributes:
-        serial_number: Which unit of its type; its calibration is called by it.
-        imu: Name or file of its type: what its numbers mean.
+        serial_number: Unit of its type; also the name of its calibration.
+        imu: Name or file of its type, which describes its numbers.
         topic: Of its sensor_msgs/Imu messages, with a leading slash.
-        place: Where it sits on the fixture, for people.
+        place: Its place on the fixture, in words.
         mount: (3, 3) columns are its body axes in those that the table's description mounts.
         lever: (3,) from the centre of rotation to its accelerometers, its body axes, m; of a
             simulated unit.
-        port: Of its device; empty where others read it, or where it is simulated.
-        device: Name or file of the format of its frames; empty: as for all units.
-        baud: Of a serial port, bit/s; 0: as the device's file says.
-        truth: Name or file of its true parameters, of a simulated unit; empty: as for all units.
-        seed: Of the noise of a simulated unit; None for one that follows from the session's.
+        port: Of its device; empty if others read it, or if it is simulated.
+        device: Name or file of the format of its frames; empty for the default.
+        baud: Of a serial port, bit/s; 0 for that of the device's file.
+        truth: Name or file of a simulated unit's true parameters; empty for the default.
+        seed: Of the noise of a simulated unit; None for one derived from the session's.
     """
 
     serial_number: str
@@ -69,17 +69,17 @@ class MountedUnit:
 
     @property
     def name(self) -> str:
-        """Namespace of its node and topics: unit_ and the serial number, as ROS can spell it."""
+        """Namespace of its node and topics: unit_ and the serial number, as a ROS name."""
         return namespace(self.serial_number)
 
     @property
     def named_topic(self) -> str:
-        """Its topic where that is no default; empty where a namespace of the stand may move it."""
+        """Its topic if not the default; empty if a namespace of the stand may change it."""
         return '' if self.topic == f'/{self.name}/{PULSES}' else self.topic
 
     @property
     def turned(self) -> bool:
-        """Whether its axes are others than the table's description has them."""
+        """Whether its axes differ from those in the table's description."""
         return not np.array_equal(self.mount, np.eye(3))
 
     def table(self, table: Table) -> Table:
@@ -88,7 +88,7 @@ class MountedUnit:
 
 
 def load_units(path: str | Path) -> tuple[MountedUnit, ...]:
-    """Read the file of several units; the files that it names are sought beside it first.
+    """Read the file of several units; files named in it are searched for beside it first.
 
     Raises:
         InputError: File, key, what was found and what was expected.
@@ -102,7 +102,7 @@ def read_units(section: Section, folder: Path | None = None) -> tuple[MountedUni
 
     Args:
         section: The mapping.
-        folder: Beside whose files those that it names may lie.
+        folder: Folder of the file, searched for the files named in it.
 
     Raises:
         InputError: File, key, what was found and what was expected.
@@ -126,7 +126,7 @@ def read_units(section: Section, folder: Path | None = None) -> tuple[MountedUni
 
 
 def namespace(serial_number: str) -> str:
-    """Return what topics and nodes of a unit begin with.
+    """Return the prefix of a unit's topics and nodes.
 
     >>> namespace('A-1001')
     'unit_A_1001'
@@ -135,14 +135,14 @@ def namespace(serial_number: str) -> str:
 
 
 def remaining(units: Sequence[MountedUnit], without: str) -> tuple[MountedUnit, ...]:
-    """Return the units but for those that a person leaves out.
+    """Return the units except those left out by the user.
 
     Args:
         units: All.
-        without: Serial numbers, commas between; empty: none is left out.
+        without: Serial numbers, separated by commas; empty: none is left out.
 
     Raises:
-        InputError: There is no such unit, or none is left.
+        InputError: There is no such unit, or all are left out.
     """
     names = [name.strip() for name in without.split(',') if name.strip()]
     known = [unit.serial_number for unit in units]
@@ -158,7 +158,7 @@ def remaining(units: Sequence[MountedUnit], without: str) -> tuple[MountedUnit, 
 
 
 def spread_seeds(units: Sequence[MountedUnit], seed: int) -> tuple[int, ...]:
-    """Return the seed of each simulated unit: its own, or one that follows from the session's."""
+    """Return the seed of each simulated unit: its own, or one derived from the session's."""
     drawn = np.random.SeedSequence([seed, len(units)]).generate_state(len(units))
     return tuple(
         int(other) if unit.seed is None else unit.seed
@@ -197,7 +197,7 @@ def _matching(section: Section, key: str, pattern: str, expected: str) -> str:
 
 
 def _named(name: str, folder: Path | None) -> str:
-    """Return the name of a file that ships, or the path of one beside this."""
+    """Return the name of a shipped file, or the path of one in the folder."""
     path = user_path(name)
     if folder is None or (path.suffix not in {'.yaml', '.yml'} and path.parent == Path()):
         return name

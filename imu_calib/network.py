@@ -1,4 +1,4 @@
-"""How far the words of nodes reach: the network interface, and the ROS domain (docs/access.md)."""
+"""Reach of the nodes' communication: network interface and ROS domain (docs/access.md)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from .errors import InputError
 
 LOOPBACK = 'lo'
-"""The interface that no other machine hears."""
+"""The interface that other machines cannot reach."""
 
 REACH = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _DOMAIN = 'ROS_DOMAIN_ID'
@@ -19,15 +19,15 @@ _URI = 'CYCLONEDDS_URI'
 _STAYS = frozenset({'LOCALHOST', 'OFF'})
 
 _DOMAINS = range(1, 102)
-"""Those whose ports lie below what Linux gives to other programs."""
+"""Domains whose ports are below those that Linux gives to other programs."""
 _claims: deque[socket.socket] = deque()
 _MOST_CLAIMS = 8
-"""Domains that a process keeps at once. A choice: what is left of a stand that has ended may be
-heard for a while, and a hundred domains are for all."""
+"""Most domains kept by a process at once. A choice: a stand that has ended may still be visible for
+a while, and the hundred domains are for all."""
 
 
 def on_interface(name: str) -> str:
-    """Return the configuration that keeps Cyclone DDS to a network interface."""
+    """Return the configuration that restricts Cyclone DDS to a network interface."""
     return (
         f'<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="{name}"/></Interfaces>'
         '</General></Domain></CycloneDDS>'
@@ -35,7 +35,7 @@ def on_interface(name: str) -> str:
 
 
 def names_interface(uri: str) -> bool:
-    """Say whether a value of CYCLONEDDS_URI, or a file that it names, says which interface."""
+    """Return whether a value of CYCLONEDDS_URI, or a file that it names, sets the interface."""
     texts = [uri]
     for part in uri.split(','):
         path = Path(part.strip().removeprefix('file://'))
@@ -45,10 +45,10 @@ def names_interface(uri: str) -> bool:
 
 
 def check_interface(name: str) -> None:
-    """Make sure that this machine has a network interface.
+    """Check that this machine has a network interface.
 
     Raises:
-        InputError: It has not; names those that it has.
+        InputError: It does not; lists the existing ones.
     """
     known = [known for _, known in socket.if_nameindex()]
     if name not in known:
@@ -58,10 +58,10 @@ def check_interface(name: str) -> None:
 
 
 def check_domain(whose: str) -> None:
-    """Refuse ROS's default domain, on which every program without a choice is.
+    """Refuse ROS's default domain, which every program without a choice uses.
 
     Args:
-        whose: What is to have a domain of its own, for a person.
+        whose: The program that needs its own domain, in words.
 
     Raises:
         InputError: ROS_DOMAIN_ID is not set, or 0.
@@ -77,10 +77,10 @@ def check_domain(whose: str) -> None:
 
 
 def kept_to(interface: str) -> dict[str, str]:
-    """Return the variables that keep nodes to an interface; what the user has set of them stays.
+    """Return the variables that restrict nodes to an interface; those set by the user stay.
 
     Raises:
-        InputError: Nothing but the loopback interface is named, and the user asks for more.
+        InputError: The user asks for a wider reach without naming another interface.
     """
     reach = os.environ.get(REACH, '').strip().upper()
     user = os.environ.get(_URI, '').strip()
@@ -94,14 +94,15 @@ def kept_to(interface: str) -> dict[str, str]:
 
 
 _PARTICIPANTS = 10
-"""Ports of a domain that are looked at: a stand has five nodes, and a few who watch."""
+"""Ports of a domain that are checked: a stand has five nodes, and a few observers."""
 
 
 def own_domain() -> int:
-    """Return a domain that is free on this machine, and keep it for this process.
+    """Return a free domain of this machine, and reserve it for this process.
 
-    A node takes the port of its domain only when it has started: until then a name that Linux gives
-    to one process at a time keeps others of the suite away. It is free when the process has ended.
+    A node binds the port of its domain only when it has started: until then other processes of the
+    suite are kept away by a socket name that Linux gives to one process at a time. It is released
+    when the process ends.
 
     Raises:
         InputError: All are in use.
@@ -118,14 +119,14 @@ def own_domain() -> int:
 
 
 def _claim(domain: int) -> socket.socket | None:
-    """Return what keeps a domain until it is closed; None where somebody has it, or is on it."""
+    """Return a socket that reserves a domain until closed; None if it is reserved or used."""
     claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
         claim.bind(f'\0imu_calib_domain_{domain}')
-        # Whoever took the domain first may have ended before others that are still on it.
+        # The process that reserved the domain may have ended before others that still use it.
         for participant in range(_PARTICIPANTS):
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-                # Of each participant (RTPS, 9.6.1.1).
+                # Port of each participant (RTPS, 9.6.1.1).
                 probe.bind(('127.0.0.1', 7410 + 250 * domain + 2 * participant))
     except OSError:
         claim.close()
@@ -134,11 +135,11 @@ def _claim(domain: int) -> socket.socket | None:
 
 
 def leaving(reach: str, how: str) -> str:
-    """Return the sentence for who asks for a network without naming the interface.
+    """Return the sentence for a request for a network without an interface.
 
     Args:
-        reach: What ROS_AUTOMATIC_DISCOVERY_RANGE is.
-        how: What to do, from 'name' or 'set' on.
+        reach: Value of ROS_AUTOMATIC_DISCOVERY_RANGE.
+        how: Remedy, beginning with 'name' or 'set'.
     """
     return (
         f'{REACH} is {reach}, and no network interface is named. Who is on that network could '

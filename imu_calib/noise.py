@@ -1,4 +1,4 @@
-"""The noise that a session shows: random walk, bias instability, quantisation of each channel."""
+"""Estimate the noise of a session: random walk, bias instability, quantisation by channel."""
 
 from __future__ import annotations
 
@@ -26,16 +26,17 @@ from .segmentation.segment import CHANNELS, Statistics
 from .stream import Floats
 
 _STEPS = 12
-"""Of the reweighting; a cap."""
+"""Most steps of the reweighting."""
 _MOSTLY = 0.5
-"""Of a variance: more of it is known of the counter, and tells nothing of the sensor."""
+"""Share of a variance: with more of it from the counter, a point does not determine the sensor's
+noise."""
 _FEWEST_POINTS = 2
-"""A slope takes two."""
+"""A slope needs two."""
 _ALIKE = 0.2
-"""Share: blocks whose lengths differ by more are not compared."""
+"""Relative: blocks whose lengths differ by more are not compared."""
 _SMALLEST_EIGENVALUE = 1e-10
-"""Of the largest: below, an eigenvalue of a correlation is rounding. A judgement: rounding leaves
-some 1e-16 times the number of points, and estimated variances a good deal more."""
+"""Of the largest: smaller eigenvalues of a correlation are rounding. A judgement: rounding gives
+some 1e-16 times the number of points, and estimated variances considerably more."""
 
 
 def session_noise(statistics: Sequence[Statistics], walk: Floats) -> dict[str, ChannelNoise]:
@@ -43,11 +44,11 @@ def session_noise(statistics: Sequence[Statistics], walk: Floats) -> dict[str, C
 
     Args:
         statistics: Of the static dwells.
-        walk: (6,) random-walk coefficients as the calibration takes them: they say how fast a
+        walk: (6,) random-walk coefficients of the calibration, which determine how fast a
             counter's steps are smeared, rad/sqrt(s) and (m/s)/sqrt(s).
 
     Returns:
-        By name of the channel; without those that tell nothing.
+        By name of the channel; without those that the data does not determine.
     """
     with_sums = [s for s in statistics if s.allan is not None and len(s.allan.counts)]
     found = {}
@@ -60,16 +61,16 @@ def session_noise(statistics: Sequence[Statistics], walk: Floats) -> dict[str, C
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Allan variances of one channel, with what makes them up.
+    """Allan variances of one channel, with their contributions.
 
     Attributes:
         factors: (k,) cluster sizes, in steps of `period`.
         period: s.
         lengths: Steps of every run.
         variance: (k,) as observed.
-        known: (k,) what quantisation adds to it by theory.
-        pulse: Size of a pulse; 0 where quantisation is to be fitted.
-        usable: (k,) those to fit noise to.
+        known: (k,) theoretical contribution of quantisation.
+        pulse: Size of a pulse; 0 if quantisation is to be fitted.
+        usable: (k,) mask of points for the fit.
         timed: See `ChannelNoise`.
     """
 
@@ -101,7 +102,7 @@ def _points(statistics: Sequence[Statistics], channel: int, walk: float) -> _Poi
 def _known_share(
     statistics: Sequence[Statistics], channel: int, walk: float, sums: AllanSums
 ) -> Floats:
-    """Return the Allan variance that a counter's steps add by theory, (k,)."""
+    """Return the theoretical Allan variance of a counter's steps, (k,)."""
     total = np.zeros(len(sums.counts))
     for s in statistics:
         own = s.allan
@@ -117,17 +118,17 @@ def _known_share(
 def _timed_points(
     statistics: Sequence[Statistics], channel: int, pulse: float, walk: float
 ) -> _Points | None:
-    """Take the blocks, whose means use the moments of the pulses, for the samples.
+    """Use the blocks, whose means use the times of the pulses, in place of the samples.
 
-    Only static dwells are pooled whose blocks are of one typical length, and whose pulses could be
-    timed to less than the walk.
+    Only static dwells are pooled whose blocks have a typical length, and whose pulses are timed to
+    less than the walk.
     """
     rows = [s.blocks[channel] for s in statistics if len(s.blocks[channel]) > 2]
     rows = [b for b in rows if b[:, 2].mean() < walk**2 * b[:, 1].mean()]
     if not rows:
         return None
     steps = np.array([float(np.median(np.diff(b[:, 3]))) for b in rows])
-    # One that occurs: midway between two lengths there may be none alike.
+    # An existing length: midway between two lengths there may be no similar one.
     period = float(np.sort(steps)[len(steps) // 2])
     rows = [b for b, step in zip(rows, steps, strict=True) if abs(step / period - 1) < _ALIKE]
     most = max(len(b) for b in rows)
@@ -139,7 +140,7 @@ def _timed_points(
         for k, m in enumerate(factors[factors <= len(block) // 3].astype(int)):
             d = phase[2 * m :] - 2 * phase[m:-m] + phase[: -2 * m]
             squares[k] += d @ d
-            # Each block has reading errors of its own.
+            # Each block has independent reading errors.
             known[k] += len(d) * 2 * m * reading
             counts[k] += len(d)
     scale = 2 * counts * (factors * period) ** 2
@@ -150,9 +151,9 @@ def _timed_points(
 
 
 def _fit(points: _Points) -> ChannelNoise:
-    """Fit squared coefficients, none below zero, by generalised least squares.
+    """Fit non-negative squared coefficients by generalised least squares.
 
-    The covariance of the points follows from the coefficients, so both are found by turns.
+    The covariance of the points depends on the coefficients, so both are found in alternation.
     """
     units = unit_variances(points.factors, points.period)
     rows = points.usable
@@ -190,7 +191,7 @@ def _fit(points: _Points) -> ChannelNoise:
 
 
 def _distinguishable(points: int, *, counter: bool) -> list[Term]:
-    """Return the terms that so many points can tell apart, the commonest first."""
+    """Return the terms that so many points can separate, the commonest first."""
     order = [Term.RANDOM_WALK, Term.BIAS_INSTABILITY, Term.QUANTISATION, Term.RATE_RANDOM_WALK]
     if counter:
         order.remove(Term.QUANTISATION)
@@ -200,10 +201,11 @@ def _distinguishable(points: int, *, counter: bool) -> list[Term]:
 def _non_negative(
     units: Floats, variance: Floats, covariance: Floats, terms: Sequence[Term]
 ) -> tuple[Floats, Floats]:
-    """Return the squared coefficients (4,) that fit best, none below zero, and their variances.
+    """Return the best-fitting non-negative squared coefficients (4,) and their variances.
 
-    A handful of terms has few subsets: all are solved at once, and the best without a negative
-    number is taken. What is not in it is zero, and known as well as if it were added.
+    With a handful of terms there are few subsets: all are solved at once, and the best without a
+    negative number is taken. Terms outside it are zero, with the variance that they would have in
+    it.
     """
     whiten = _whitening(covariance)
     design, observed = whiten @ units, whiten @ variance
@@ -233,11 +235,10 @@ def _subsets(terms: tuple[Term, ...]) -> Floats:
 
 
 def _whitening(covariance: Floats) -> Floats:
-    """Return the (k, k) matrix that makes points of a covariance independent, of variance one.
+    """Return the (k, k) matrix that whitens points of a covariance.
 
-    Clusters of a few samples of noise that averages out faster than white (rounding, a hand that
-    trembles) tell nearly the same: what rounding of numbers leaves of an eigenvalue is no
-    information.
+    For noise that averages out faster than white (rounding, a trembling hand), clusters of a few
+    samples are almost fully correlated: eigenvalues at the level of rounding carry no information.
     """
     deviation = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(deviation, deviation))

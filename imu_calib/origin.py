@@ -1,6 +1,6 @@
-"""What a calibration's file says of where it comes from (`provenance`): checked key by key.
+"""Read the provenance in a calibration file, with a check of each known key.
 
-Unknown keys are left as they are: a laboratory may note what it wants.
+Unknown keys are kept: laboratories may add notes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _NOT_NEGATIVE = (
 
 
 def read_origin(section: Section) -> dict[str, Any]:
-    """Return what a file says of where a calibration comes from, as it stands there.
+    """Return the provenance in a file, unchanged.
 
     Raises:
         InputError: Names the key, what was found and what was expected.
@@ -68,7 +68,7 @@ def _number(section: Section, name: str, least: float, most: float | None = None
 
 
 def _numbers(section: Section, name: str, count: int | None = None) -> int:
-    """Check a list of numbers, of which some may be unknown; return how many there are."""
+    """Check a list of numbers, some possibly unknown; return their number."""
     values = section.raw(name)
     known = isinstance(values, list) and all(
         value is None or as_number(value) is not None for value in values
@@ -86,7 +86,7 @@ def _each(section: Section, names: tuple[str, ...]) -> None:
 
 def _clock(section: Section) -> None:
     for name in ('offset_s', 'offset_std_s', 'rate_ppm', 'rate_std_ppm'):
-        # Any number: the deviation of what nothing compares is without an end.
+        # Any number: the deviation of a clock that was not compared is infinite.
         if section.has(name) and as_number(section.raw(name)) is None:
             raise InputError(
                 f'{section.key(name)}: found {section.raw(name)!r}, expected a number.'

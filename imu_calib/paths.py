@@ -1,4 +1,4 @@
-"""Paths as people write them, and files that are written whole."""
+"""Expand paths, and write files atomically."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .errors import InputError
 
 
 def user_path(name: str | Path) -> Path:
-    """Return a path with its leading `~` or `~user` filled in.
+    """Return a path with a leading `~` or `~user` expanded.
 
     Raises:
         InputError: There is no such home folder.
@@ -21,10 +21,10 @@ def user_path(name: str | Path) -> Path:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file whole or not at all; a link stays one, and its file is written.
+    """Write a file whole or not at all; a link is kept, and its target is written.
 
-    A device or a pipe, /dev/null or /dev/stdout, takes the text as it comes: a file put in its
-    place would take it from all programs.
+    A device or a pipe, /dev/null or /dev/stdout, is written directly: a file in its place would
+    hide it from all programs.
 
     Raises:
         InputError: It cannot be written.

@@ -1,4 +1,4 @@
-"""A figure of matplotlib that notebooks show of themselves; needs matplotlib."""
+"""A matplotlib figure that notebooks display; needs matplotlib."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from io import BytesIO
 from matplotlib.figure import Figure
 
 _DOTS = 72.0
-"""Per inch in a notebook: as large as text, and small as a file."""
+"""Dots per inch in a notebook: legible, and a small file."""
 
 
 class Picture(Figure):
-    """A figure that no window is opened for, and that is a picture at the end of a notebook's cell.
+    """A figure without a window, displayed at the end of a notebook's cell.
 
-    Figures of `matplotlib.pyplot` are both by another way, which a notebook has to have set up.
+    Figures of `matplotlib.pyplot` are displayed too, but only if the notebook has set this up.
     """
 
     def _repr_png_(self) -> bytes:

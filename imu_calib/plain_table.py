@@ -1,4 +1,4 @@
-"""Tables on a terminal: no lines, headings in bold."""
+"""Tables on a terminal: without lines, with headings in bold."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from rich.table import Table
 
 
 def plain_table(headings: Sequence[str], sides: str, *, no_wrap: bool = False) -> Table:
-    """Begin a table; rows are added to what is returned.
+    """Return a table, to which rows are then added.
 
     Args:
         headings: Of the columns.
-        sides: For every column 'r' where it is aligned at the right, else 'l'.
-        no_wrap: Whether no cell goes on in the next line.
+        sides: 'r' for each right-aligned column, else 'l'.
+        no_wrap: Whether cells stay on one line.
     """
     table = Table(box=None, pad_edge=False, header_style='bold')
     for heading, side in zip(headings, sides, strict=True):

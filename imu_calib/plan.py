@@ -36,7 +36,7 @@ METHOD_NAMES = (
     'static_six',
     'twelve_position',
 )
-"""The names of `methods.METHODS`, which know plans: a test compares."""
+"""The names of `methods.METHODS`, which imports plans: a test compares."""
 
 BODY_AXES = {'X': np.array([1.0, 0, 0]), 'Y': np.array([0, 1.0, 0]), 'Z': np.array([0, 0, 1.0])}
 
@@ -61,7 +61,7 @@ class Position:
     Attributes:
         id: Name, unique within the plan.
         attitude: (3, 3) R_nb, columns are the body axes in east, north, up of the table's azimuth.
-        dwell: Time to stand still, s; 0 where only turns are made.
+        dwell: Duration of the dwell, s; 0 for turns alone.
         rate_test: Turns made here before the dwell.
     """
 
@@ -87,7 +87,7 @@ class Step:
         angles: (k,) joint angles, rad.
         rates: (k,) joint rates, rad/s.
         turns: Whole turns of a RATE step.
-        dwell: Time to stand still afterwards, s.
+        dwell: Duration of the dwell afterwards, s.
     """
 
     index: int
@@ -107,7 +107,7 @@ class Plan:
         name: Name of the plan.
         title: One line for a person.
         source: Document and section.
-        method: The solver that this plan is made for.
+        method: Default method of the plan.
         positions: In the order of the run.
         by_hand: Turned by hand: the angle of a turn is known, its rate is not.
     """
@@ -121,7 +121,7 @@ class Plan:
 
     @property
     def is_stated(self) -> bool:
-        """Whether anybody said what was run: `UNPLANNED` has no positions."""
+        """Whether the plan is known: `UNPLANNED` has no positions."""
         return bool(self.positions)
 
     def position(self, name: str) -> Position:
@@ -136,13 +136,13 @@ class Plan:
         raise KeyError(name)
 
     def steps(self, table: Table, start: Floats | None = None) -> tuple[Step, ...]:
-        """Lay the plan out on a table: every setpoint in order, each within the limits.
+        """Return the setpoints of the plan on a table in order, each checked against the limits.
 
-        A rate test ends where it began: the joint comes back to the same azimuth, modulo a turn.
+        A rate test ends where it began: the joint returns to the same azimuth, modulo a turn.
 
         Args:
-            table: The table that is to run it.
-            start: (k,) joint angles where the table stands, rad; zeros if not given.
+            table: The table that runs it.
+            start: (k,) present joint angles, rad; zeros if not given.
 
         Raises:
             InputError: Names position, joint, value and limit.
@@ -178,7 +178,7 @@ class Plan:
         return tuple(steps)
 
     def _check_run_up(self, table: Table, joint: int, rate: float, position: str) -> None:
-        """Refuse a rate that the table cannot reach and leave within the turn that is spare."""
+        """Refuse a rate that the table cannot reach and leave within the extra turn."""
         needed = rate**2 / table.joints[joint].max_acceleration
         if needed > TURN:
             raise InputError(
@@ -208,8 +208,8 @@ class Plan:
 
 
 UNPLANNED = Plan('', 'whatever the table did', '', 'joint', ())
-"""Stands for the plan of a session that followed none, or one that is not stated: the joint states
-tell the attitudes, and dwells and turns are named after them."""
+"""Plan of a session that followed none, or an unknown one: attitudes are known from the joint
+states, and dwells and turns are named by them."""
 
 
 def load_plan(name: str | Path) -> Plan:
@@ -281,7 +281,7 @@ def _read_position(section: Section, dwell: float, rate_test: RateTest | None) -
 
 
 def _read_attitude(section: Section) -> Floats:
-    """Read where the body axes X, Y, Z point, and a further turn about one of them."""
+    """Read the directions of the body axes X, Y, Z, and a further rotation about one of them."""
     letters = section.items('axes')
     where = section.key('axes')
     if len(letters) != 3 or not all(isinstance(c, str) and c in COMPASS for c in letters):

@@ -1,4 +1,4 @@
-"""Whether the parameters of a calibration can be those of a strapdown IMU."""
+"""Check whether the parameters of a calibration are plausible for a strapdown IMU."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
     from .calibration import Calibration
 
 _SCALE = (0.5, 2.0)
-"""Response along the input axis. A nominal scale factor that is wrong by a factor of two is that
-of another unit, another range or another unit of measure; the worst of the shipped truths, Cao
-2022's Table 1 read literally, is off by 25 %."""
+"""Limits of the response along the input axis. A nominal scale factor wrong by a factor of two is
+that of another unit, another range or another unit of measure; the worst of the shipped truths,
+Cao 2022's Table 1 read literally, is off by 25 %."""
 
 _TILT = 30 * DEG
-"""Angle between an input axis and its body axis. Beyond it a channel belongs to another axis;
-data sheets of MEMS units state up to 2 deg of misalignment."""
+"""Largest angle between an input axis and its body axis. Beyond it a channel belongs to another
+axis; data sheets of MEMS units state up to 2 deg of misalignment."""
 
 _ROUNDING = 1e-9
-"""How far below zero an eigenvalue of a correlation matrix may come by rounding; double precision
-leaves some 1e-14 for 40 parameters, a file with nine digits 1e-9."""
+"""Largest negative eigenvalue of a correlation matrix due to rounding; double precision gives some
+1e-14 for 40 parameters, a file with nine digits 1e-9."""
 
 
 def is_of_strapdown(response: Floats) -> bool:
-    """Say whether an IMU may have the response (3, 3): row i the channel, column j the axis."""
+    """Return whether the response (3, 3) is plausible: row i the channel, column j the axis."""
     lengths = np.linalg.norm(response, axis=1)
     if not np.all((lengths > _SCALE[0]) & (lengths < _SCALE[1])):
         return False
@@ -37,9 +37,9 @@ def is_of_strapdown(response: Floats) -> bool:
 
 
 def check_plausible(calibration: Calibration, name: str) -> None:
-    """Refuse parameters that no strapdown IMU has, before they are applied.
+    """Refuse implausible parameters before they are applied.
 
-    Biases of ADC codes are not limited: a converter may count from any offset.
+    Biases of ADC codes are not limited: an ADC may count from any offset.
 
     Raises:
         InputError: Names the parameter, what was found and what was expected.
@@ -88,14 +88,14 @@ def _check_lengths(response: Floats, what: str, name: str) -> None:
 
 
 def _check_limits(calibration: Calibration, name: str) -> None:
-    """Refuse what exceeds the limit of its kind, and biases beyond the range."""
+    """Refuse values beyond the limit of their kind, and biases beyond the range."""
     imu = calibration.imu
     ranges = {'g': imu.gyro.range, 'a': imu.accel.range}
     for parameter, value in zip(calibration.parameters, calibration.values.tolist(), strict=True):
         limit = parameter.unit.limit
         words = parameter.kind.value.words
         if parameter.kind is ParameterKind.BIAS:
-            # A converter may count from any offset.
+            # An ADC may count from any offset.
             limit = (
                 None if imu.units is Units.COUNTS else min(limit or np.inf, ranges[parameter.triad])
             )
@@ -108,10 +108,10 @@ def _check_limits(calibration: Calibration, name: str) -> None:
 
 
 def _check_covariance(calibration: Calibration, name: str) -> None:
-    """Refuse what no errors can have: no number, lopsided, or negative in some direction."""
+    """Refuse an invalid covariance: not finite, asymmetric, or not positive semidefinite."""
     if (np.diag(calibration.covariance) < 0).any():
         raise InputError(f'{name}: covariance: found a negative variance.')
-    # A triad that was not estimated has no numbers there, and only the accelerometers may lack.
+    # A triad that was not estimated is NaN, and only the accelerometers may be missing.
     estimated = np.array(
         [p.triad == 'g' or calibration.has_accelerometers for p in calibration.parameters]
     )

@@ -1,4 +1,4 @@
-"""One session simulated many times: what a method reaches against what it says that it reaches."""
+"""Simulate one session many times: compare the errors of a method with its stated deviations."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from .simulation import StandOptions, simulate
 from .stream import Floats
 
 _BLOCK_SECONDS = 300.0
-"""s computed at once: long ones take less time."""
+"""s computed at once: longer blocks take less time."""
 _JOINT_STATES = 25.0
-"""Hz: less than a stand's, at no loss that shows."""
+"""Hz: fewer than a stand's, without a visible loss."""
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What is repeated.
+    """The session to repeat.
 
     Attributes:
-        setup: What is stated to the calibrator.
-        truth: What the sensors are.
-        options: What is wrong with the hardware.
+        setup: Set-up of the calibrator.
+        truth: True sensors.
+        options: Imperfections of the hardware.
         azimuth: True heading of the table's zero, rad; None draws another for each run.
     """
 
@@ -40,11 +40,11 @@ class Study:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One session.
+    """Result of one session.
 
     Attributes:
-        seed: That made it.
-        parameters: What was estimated; none where it was refused.
+        seed: Its seed.
+        parameters: The estimated ones; none if refused.
         error: (n,) estimate less truth, SI units; NaN for a triad that was not estimated.
         std: (n,) standard deviations stated.
         refusal: Why there is no estimate, else empty.
@@ -59,7 +59,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What the runs came to.
+    """Results of all runs.
 
     Attributes:
         runs: All, in the order of their seeds.
@@ -74,7 +74,7 @@ class Outcome:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What the runs estimated."""
+        """Parameters that the runs estimated."""
         return next((run.parameters for run in self.runs if not run.refusal), ())
 
     @property
@@ -133,7 +133,7 @@ def run_once(study: Study, seed: int) -> Run:
     if table is None:
         raise NotObservable(f'Plan {setup.plan.name}: a simulated session needs a table.')
     options = replace(study.options, azimuth=azimuth)
-    # What is known of the site is how it may truly be: as the calibration states, so it errs.
+    # The true site is drawn from the uncertainty stated to the calibrator.
     off, north = np.random.default_rng([seed, 2]).standard_normal(2)
     here = setup.site
     site = replace(
@@ -148,7 +148,7 @@ def run_once(study: Study, seed: int) -> Run:
         calibration = calibrator.finish().calibration
     except NotObservable as error:
         return Run(seed, (), np.empty(0), np.empty(0), str(error))
-    # Terms that one session shows and another does not are no parameters of the study.
+    # Terms found in some sessions only are not parameters of the study.
     asked_for = {*PARAMETERS, *setup.parameters}
     parameters = tuple(p for p in calibration.parameters if p in asked_for)
     places = indices_of(parameters, calibration.parameters)
@@ -160,7 +160,7 @@ def run_once(study: Study, seed: int) -> Run:
 def economical(options: StandOptions) -> StandOptions:
     """Return the same hardware with fewer, longer blocks: half the time for each session.
 
-    The joint states come at 25 Hz, which costs the line through a turn nothing that shows.
+    The joint states come at 25 Hz, which causes no visible loss, even through a turn.
     """
     return replace(options, block_length=_BLOCK_SECONDS, joint_state_rate=_JOINT_STATES)
 
@@ -178,12 +178,12 @@ def repeat(
     The outcome depends on the seeds alone, not on where they are run.
 
     Args:
-        study: What is repeated.
-        runs: How often.
+        study: The session.
+        runs: Number of repetitions.
         seed: Of the first run.
         jobs: Processes; as many as there are cores if not given.
-        show: Called with the runs done and their number.
-        scheduler: As of `run_all`.
+        show: Called with the number of runs done and in total.
+        scheduler: As in `run_all`.
 
     Raises:
         InputError: The stand cannot run the plan, the method does not exist, or no scheduler

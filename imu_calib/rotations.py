@@ -1,9 +1,9 @@
-"""Rotations: matrices of axes, angles and rotation vectors, and what takes them back.
+"""Rotations: matrices from axes, angles and rotation vectors, and their inverses.
 
-Closed forms where one rotation, or the samples of one motion, are turned: scipy.spatial.transform
-takes 0.3 s to import, which reading a plan or a table would pay, and for one rotation twice
-(matrix) to fifteen times (vector) as long. It is used where many are taken back, by up to half a
-turn. Source of the closed forms: Rodrigues; docs/mathematics.md, "Moves", has those of paths.
+Closed forms serve single rotations and the samples of one motion: scipy.spatial.transform takes
+0.3 s to import, which reading a plan or a table would pay, and for one rotation twice (matrix) to
+fifteen times (vector) as long. It is used for inverses of many rotations of up to half a turn.
+Source of the closed forms: Rodrigues; docs/mathematics.md, "Moves", has those of paths.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ GENERATORS = np.array(
         [[0.0, -1, 0], [1, 0, 0], [0, 0, 0]],
     ]
 )
-"""Derivatives of rotations about x, y and z at none."""
+"""Derivatives of rotations about x, y and z at zero."""
 _IDENTITY = np.eye(3)
 _NONE = 1e-20
-"""rad: stands for no angle where it is divided by, and its sine is as large."""
+"""rad: replaces a zero angle in divisions; its sine is equal to it."""
 
 
 def cross_matrix(vector: Floats) -> Floats:
-    """Return the (3, 3) matrix whose product with another is the cross product with (3,)."""
+    """Return the (3, 3) matrix of the cross product with (3,)."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
@@ -51,7 +51,7 @@ def rotation(axis: Floats, angle: Floats | float) -> Floats:
 
 
 def in_rotated_frame(rows: Floats, axis: Floats, angle: Floats) -> Floats:
-    """Return rows @ rotation(axis, angle): vectors seen from the turned frame.
+    """Return rows @ rotation(axis, angle): vectors in the rotated frame.
 
     Args:
         rows: (..., 3) vectors.

@@ -1,4 +1,4 @@
-"""Which enclave of SROS 2 a node has, and the keystore that its policy makes (docs/access.md)."""
+"""SROS 2 enclave of a node, and the keystore from the policy (docs/access.md)."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ def enclave(name: str) -> str:
 
 
 def in_enclave(name: str) -> dict[str, str]:
-    """Return the variable that puts a node into its enclave, unless the user has set one."""
+    """Return the variable that sets a node's enclave, unless the user has set one."""
     return {} if OVERRIDE in os.environ else {OVERRIDE: enclave(name)}
 
 
 def refuse_to_pretend() -> None:
-    """Refuse to speak in the clear where the environment asks for security.
+    """Refuse unencrypted communication if the environment asks for security.
 
     Raises:
-        InputError: It does, and this is the runtime that has no security plug-ins.
+        InputError: It does, and this runtime has no security plug-ins.
     """
     if os.environ.get(_ENABLE, '').strip().lower() == 'true':
         raise InputError(
@@ -49,11 +49,11 @@ def policy_file() -> Path:
 
 
 def make_keystore(keystore: Path, namespace: str = '', policy: Path | None = None) -> list[str]:
-    """Make a keystore of a policy, or bring one up to date; keys that are there stay.
+    """Make or update the keystore of a policy; existing keys are kept.
 
     Args:
         keystore: Folder, of one stand.
-        namespace: In which the stand's nodes are.
+        namespace: Of the stand's nodes.
         policy: Of the user; None for the shipped one.
 
     Returns:
@@ -61,10 +61,9 @@ def make_keystore(keystore: Path, namespace: str = '', policy: Path | None = Non
 
     Raises:
         ImuCalibError: sros2 is not installed, or cannot make the keystore.
-        InputError: The default domain, a policy that cannot be read, or a keystore of another
-            domain.
+        InputError: The default domain, an unreadable policy, or a keystore of another domain.
     """
-    # The keys of a stand are for its domain; sros2 takes it from the environment.
+    # The keys of a stand are for its domain, which sros2 takes from the environment.
     check_domain('a secured stand')
     domain = os.environ['ROS_DOMAIN_ID'].strip()
     _check_domain_of(keystore, domain)
@@ -73,18 +72,18 @@ def make_keystore(keystore: Path, namespace: str = '', policy: Path | None = Non
     try:
         tree = policies.load_policy(file)
         for profile in tree.iter('profile'):
-            # Of several units each has a namespace below the stand's.
+            # With several units, each has a namespace below the stand's.
             below = str(profile.get('ns')).strip('/')
             profile.set('ns', '/' + '/'.join(filter(None, [namespace.strip('/'), below])))
         with tempfile.TemporaryDirectory(prefix='imu_calib_policy_') as folder:
             placed = Path(folder) / file.name
             with placed.open('w', encoding='utf-8') as out:
                 policies.dump_policy(tree, out)
-            with contextlib.redirect_stdout(io.StringIO()):  # It says what it does step by step.
+            with contextlib.redirect_stdout(io.StringIO()):  # It prints each step.
                 api.generate_artifacts(keystore, [], [placed])
     except OSError as error:
         raise InputError(f'{error.filename or keystore}: {error.strerror or error}.') from error
-    except Exception as error:  # sros2, lxml and cryptography raise classes of their own.
+    except Exception as error:  # sros2, lxml and cryptography have their own exceptions.
         raise InputError(f'{file}: {type(error).__name__}: {error}') from error
     return [str(one.get('path')) for one in tree.iter('enclave')]
 

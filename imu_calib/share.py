@@ -1,4 +1,4 @@
-"""Where the files that ship beside the code are: config, plans, message definitions."""
+"""Locate the files shipped with the code: config, plans, message definitions."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _CHECKOUT = _PACKAGE.parent
 def share_folder() -> Path:
     """Return the folder that holds `config`.
 
-    In a checkout (an editable install is one too) it is the checkout; else it is share/imu_calib
-    of the prefix that the package is installed in, be it a ROS workspace or a Python environment.
+    In a checkout (including an editable install) it is the checkout; else it is share/imu_calib of
+    the prefix of the installation, a ROS workspace or a Python environment.
 
     Raises:
-        InputError: None of them holds the package's files.
+        InputError: None of them contains the package's files.
     """
     candidates = [_CHECKOUT, *(p / 'share' / 'imu_calib' for p in _PACKAGE.parents)]
     for folder in candidates:
@@ -44,12 +44,12 @@ def message_folder() -> Path:
 
 
 def named_file(kind: str, name: str | Path) -> Path:
-    """Return the YAML file that a name or a path of the user means.
+    """Return the YAML file for a name or path given by the user.
 
     Args:
         kind: Folder below config: 'plans', 'imus', 'tables', 'truths', 'devices' or
             'imperfections'.
-        name: A shipped name ('twelve_position'), or a path to a file of the user's.
+        name: A shipped name ('twelve_position'), or a path to the user's file.
 
     Raises:
         InputError: Neither exists; the message lists the shipped names.
@@ -74,10 +74,10 @@ def named_file(kind: str, name: str | Path) -> Path:
 
 
 def is_shipped(kind: str, name: str) -> bool:
-    """Say whether a file of a kind ships under a name."""
+    """Return whether a file of a kind is shipped under a name."""
     return name in shipped(kind).split(', ')
 
 
 def shipped(kind: str) -> str:
-    """List the names that ship of a kind of file, as for `named_file`."""
+    """List the shipped names of a kind of file, as for `named_file`."""
     return ', '.join(sorted(p.stem for p in (share_folder() / 'config' / kind).glob('*.yaml')))

@@ -1,4 +1,4 @@
-"""What a unit's parameters may be: the limits of its specification, and the verdict on a value."""
+"""Limits of a unit's parameters by its specification, and the verdict on a value."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from .config import Section
 from .model import TRIADS, Parameter, ParameterKind
 
 COVERAGE = 2.0
-"""Standard deviations to either side of a value within which the truth is taken to lie (95 %)."""
+"""Standard deviations on both sides of a value within which the truth is assumed to lie (95 %)."""
 
 
 class Verdict(Enum):
-    """What a value with its uncertainty says of a limit (ISO 14253-1)."""
+    """Conformity of a value with its uncertainty to a limit (ISO 14253-1)."""
 
     PASS = 'pass'
-    """Within the limit, uncertainty and all."""
+    """Within the limit, including the uncertainty."""
     MARGINAL = 'marginal'
-    """The limit lies within the uncertainty: neither is proven."""
+    """The limit is within the uncertainty: neither is proven."""
     FAIL = 'fail'
-    """Beyond the limit, uncertainty and all."""
+    """Beyond the limit, including the uncertainty."""
 
 
 def judge(value: float, std: float, limit: float) -> Verdict:
-    """Return what a value says of a limit that holds to either side of zero.
+    """Return the verdict on a value for a limit on both sides of zero.
 
     Args:
-        value: As estimated.
+        value: The estimate.
         std: Its standard deviation.
         limit: Largest amount allowed.
     """
@@ -43,16 +43,16 @@ class Specification:
     """The limits of a unit.
 
     Attributes:
-        limits: Largest amounts, SI units, by kind of parameter and triad ('g' or 'a'); nothing is
-            specified of others.
+        limits: Largest amounts, SI units, by kind of parameter and triad ('g' or 'a'); none for
+            others.
     """
 
     limits: Mapping[tuple[ParameterKind, str], float] = field(default_factory=dict)
 
     def limit(self, parameter: Parameter) -> float | None:
-        """Return the largest amount of a parameter, SI; None where nothing is specified.
+        """Return the largest amount of a parameter, SI; None if not specified.
 
-        A skewed gyro's bias has the gyros' limit; its response depends on how it is built in.
+        A skewed gyro's bias has the gyros' limit; its response depends on its mounting.
         """
         return self.limits.get((parameter.kind, parameter.triad))
 

@@ -1,7 +1,7 @@
 """The clock that stamps an IMU's samples, against the table's: a value and its section of a file.
 
-Parameters are those of seconds of the table's clock. Who divides pulses by intervals between stamps
-has those of another clock, and divides the intervals by how much faster it runs.
+Parameters refer to seconds of the table's clock. Intervals between stamps, by which pulses are
+divided, refer to the stamping clock, and are first divided by its relative rate.
 
 Source: docs/mathematics.md, 'Clocks'.
 """
@@ -16,21 +16,21 @@ from .errors import InputError
 from .units import PPM
 
 KEY = 'clock'
-"""Its section in calibration.yaml."""
+"""Section in calibration.yaml."""
 
 _LARGEST = 0.1
-"""No clock is that far off: the simulator refuses it, too."""
+"""Largest plausible rate error of a clock; the simulator has the same limit."""
 
 
 @dataclass(frozen=True)
 class StampingClock:
-    """How fast the clock runs that stamps the samples.
+    """Relative rate of the stamping clock.
 
     Attributes:
-        name: Whose stamps it makes.
+        name: The clock.
         against: The clock that it is compared with.
-        faster: By how much it is faster than that, a ratio less one.
-        std: Standard deviation of that.
+        faster: Ratio of its rate to that of the other clock, less one.
+        std: Its standard deviation.
     """
 
     name: str
@@ -39,7 +39,7 @@ class StampingClock:
     std: float
 
     def pace(self, digits: int) -> str:
-        """Say how fast it runs, in ppm to some decimal digits."""
+        """Return its relative rate in words, in ppm to some decimal digits."""
         parts = f'{abs(self.faster) / PPM:.{digits}f}'
         if float(parts) == 0:
             return f'less than {0.1**digits:.{digits}f} ppm off'
@@ -59,7 +59,7 @@ def read_clock(section: Section) -> StampingClock:
     """Read a file's section.
 
     Raises:
-        InputError: A number that no clock has; names the key.
+        InputError: A number impossible for a clock; names the key.
     """
     clock = StampingClock(
         section.text('name'),
@@ -73,7 +73,7 @@ def read_clock(section: Section) -> StampingClock:
 
 
 def check_clock(clock: StampingClock, where: str) -> None:
-    """Refuse numbers that no clock has.
+    """Refuse numbers that are impossible for a clock.
 
     Raises:
         InputError: Names what was found and what was expected.

@@ -1,6 +1,6 @@
-"""Columns of samples: the only form in which data moves between recordings, nodes and the core.
+"""Columns of samples, the form of all data between recordings, nodes and the core.
 
-A block is a run of consecutive messages of one topic. How a stream is cut into blocks carries no
+A block is a run of consecutive messages of one topic. The division of a stream into blocks has no
 meaning: concatenating the blocks of a topic gives the topic.
 """
 
@@ -18,7 +18,7 @@ Stamps: TypeAlias = NDArray[np.int64]
 
 
 class Units(Enum):
-    """What the numbers of an Imu message are."""
+    """Meaning of the numbers of an Imu message."""
 
     PULSES = 'pulses'
     """Increments counted over the sample interval that ends at the stamp."""
@@ -29,7 +29,7 @@ class Units(Enum):
 
 
 class Mode(IntEnum):
-    """What a setpoint asks of the table; values as in imu_calib_msgs/TurntableSetpoint."""
+    """Mode of a setpoint; values as in imu_calib_msgs/TurntableSetpoint."""
 
     POSITION = 0
     RATE = 1
@@ -76,9 +76,9 @@ class JointBlock:
         return len(self.stamp)
 
     def of(self, names: tuple[str, ...]) -> JointBlock | None:
-        """Return the joints of a table in its order, whatever else the messages name.
+        """Return the joints of a table in its order; other joints are left out.
 
-        None where a joint is missing or named twice: the attitude of the table is then unknown.
+        None if a joint is missing or named twice: the attitude of the table is then unknown.
         """
         if names == self.names:
             return self
@@ -97,12 +97,12 @@ class Setpoint:
         plan: Name of the plan that is run.
         step: Index of the step in the plan, from 0.
         position: Id of the position in the plan, for instance '1' or 'x_up'.
-        mode: POSITION (go there), RATE (turn) or HOLD (stand still now).
+        mode: POSITION (go there), RATE (turn) or HOLD (stop).
         joints: Joint names, the order of `angles` and `rates`.
         angles: Joint angles to reach, rad (POSITION, and the held joints of RATE).
         rates: Joint rates, rad/s (RATE).
         turns: Whole turns of a RATE step, counted without sign.
-        dwell: Seconds to stand after arriving.
+        dwell: Duration of the dwell after arriving, s.
     """
 
     stamp: int
@@ -140,7 +140,7 @@ class TemperatureBlock:
 
 @dataclass(frozen=True, eq=False)
 class SkewBlock:
-    """Consecutive samples of a gyro that lies askew to the three.
+    """Consecutive samples of a skewed gyro.
 
     Attributes:
         stamp: (n,) header stamps, ns.
@@ -155,11 +155,11 @@ class SkewBlock:
 
     @classmethod
     def of(cls, block: ImuBlock) -> SkewBlock:
-        """Take what the topic imu/skew carries for what it is."""
+        """Convert a block of the topic imu/skew."""
         return cls(block.stamp, block.gyro[:, 0])
 
     def as_imu(self) -> ImuBlock:
-        """Return it as the topic imu/skew carries it."""
+        """Return it as a block of the topic imu/skew."""
         gyro = np.zeros((len(self), 3))
         gyro[:, 0] = self.gyro
         return ImuBlock(self.stamp, gyro, np.zeros((len(self), 3)))

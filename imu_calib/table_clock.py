@@ -1,7 +1,7 @@
-"""What the error of the table's own clock does to the parameters of a calibration.
+"""Effect of the table clock's error on the parameters of a calibration.
 
-A table's clock runs fast or slow against the second by some ppm, and nothing in a session shows
-it: the rates that it states and the intervals between samples are all by that clock.
+A table's clock runs fast or slow against the second by some ppm, which a session does not show: the
+rates that it states and the intervals between samples are all by that clock.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from .stream import Floats, Units
 
 
 def clock_slope(model: SensorModel, parameters: Sequence[Parameter], units: Units) -> Floats:
-    """Return by how much parameters change with the relative error of the table's clock, (n,).
+    """Return the derivatives of parameters by the relative error of the table's clock, (n,).
 
-    Where the table counts 1 / (1 + e) of the seconds that pass, its rates are (1 + e) times as
-    large, and so are pulses per second; counts and SI values are what they are. The factor of a
-    product of p rates comes out (1 + e)^(1 - p) times for pulses, else (1 + e)^-p times: pulses
-    per angle know no clock, and accelerations in counts neither.
+    If the table counts 1 / (1 + e) of the true seconds, its rates are (1 + e) times as large, and
+    so are pulses per second; counts and SI values do not change. The factor of a product of p rates
+    is multiplied by (1 + e)^(1 - p) for pulses, else by (1 + e)^-p: pulses per angle do not depend
+    on a clock, and neither do accelerations in counts.
 
     Source: docs/mathematics.md, 'Uncertainty budget'.
     """
@@ -35,11 +35,11 @@ def clock_slope(model: SensorModel, parameters: Sequence[Parameter], units: Unit
 def clock_share(
     model: SensorModel, parameters: Sequence[Parameter], units: Units, deviation: float
 ) -> Share:
-    """Return what the doubt of the table's clock adds to a covariance.
+    """Return the contribution of the table clock's uncertainty to a covariance.
 
     Args:
         model: The values of the parameters.
-        parameters: What the rows stand for.
+        parameters: The parameters of the rows.
         units: Of the IMU's numbers.
         deviation: Standard deviation of the clock's rate, relative.
     """

@@ -1,7 +1,7 @@
-"""What a table's description leaves open: levelling, positioning, axes, zeros and encoders.
+"""Errors of a table beyond its description: levelling, positioning, axes, zeros and encoders.
 
-A joint is thought to turn by R(axis, a): its axis may lean, its zero be off, its encoder err within
-the turn and its axis wobble with the angle a. Each error is small: attitudes follow it to first
+A joint nominally turns by R(axis, a): its axis may lean, its zero be off, its encoder err within
+the turn and its axis wobble with the angle a. Errors are small: attitudes follow them to first
 order.
 
 Source: docs/mathematics.md, "The table's own errors".
@@ -22,7 +22,7 @@ from .stream import Floats
 from .units import ARCSEC, DEG, Dimension
 
 LEVELLED = 20 * ARCSEC
-"""How well a table stands level, about either axis: a tenth of a millimetre on a metre, five
+"""Standard deviation of a table's tilt about either axis: a tenth of a millimetre on a metre, five
 divisions of a machinist's level of 0.02 mm/m."""
 
 ASSUMED: Mapping[str, float] = {
@@ -33,26 +33,27 @@ ASSUMED: Mapping[str, float] = {
     'wobble': 2 * ARCSEC,
     'encoder': 3 * ARCSEC,
 }
-"""Standard deviations of a decent laboratory table, rad, for what its file leaves out.
+"""Standard deviations assumed where a table's file states none, rad: those of a good laboratory
+table.
 
-For units of navigation grade Ruyang Precision, who make such tables, ask for positions within
-10 arcsec and axes perpendicular within 5 arcsec ("Standard process for IMU two-dimensional
+For units of navigation grade Ruyang Precision, a manufacturer of such tables, requires positions
+within 10 arcsec and axes perpendicular within 5 arcsec ("Standard process for IMU two-dimensional
 calibration using a dual axis turntable", ruya-t.com). As limits of a uniform law (GUM 4.3.7) these
 are 5.8 and 2.9 arcsec. The 5.8 are shared among positioning errors, the encoder's two harmonics and
 those of the wobble: the root of 2^2 + 2 x 3^2 + 2 x 2^2 is 5.5.
 
-A zero is an angle between two joints, and who has no autocollimator sets it with the level that the
-table was levelled with: on the plate, against gravity, while the axis before is vertical to 20
-arcsec and no better. The root of 20^2 + 20^2 is 28, rounded up. With the 20 arcsec of one levelling
-4 of 60 sessions on zeros off by 60 were wrong by up to 6.5 deviations ("zeros 60 arcsec" of
-docs/imperfect_stands.py), and nothing but the frame shows a zero.
+A zero is an angle between two joints. Without an autocollimator it is set with the level used for
+levelling the table: on the plate, against gravity, with the axis before vertical to 20 arcsec. The
+root of 20^2 + 20^2 is 28, rounded up. With the 20 arcsec of one levelling, 4 of 60 sessions on
+zeros off by 60 were wrong by up to 6.5 deviations ("zeros 60 arcsec" of docs/imperfect_stands.py);
+only the frame depends on a zero.
 
-Right angles are not assumed to be as good as that. A session shows positions that are worse, and
-what axes lean by is for the greater part a rotation of all misalignments, which no sensor shows. So
-where nobody states it the assumption is what a mechanic makes sure of with a square and a dial
-gauge: 0.05 mm on 200 mm, 52 arcsec, and 30 as a uniform law (a judgement). With 3 arcsec six of 60
-sessions on axes off by 60 were wrong by up to 24 deviations ("orthogonality 60 arcsec" of
-docs/imperfect_stands.py). What moves tell of the axes each session determines anyway.
+Right angles are assumed to be less accurate. A session shows worse positions, but a lean of the
+axes is mostly a rotation of all misalignments, which sensors cannot show. So the assumption is the
+accuracy of a mechanic's square and dial gauge: 0.05 mm on 200 mm, 52 arcsec, and 30 as a uniform
+law (a judgement). With 3 arcsec six of 60 sessions on axes off by 60 were wrong by up to 24
+deviations ("orthogonality 60 arcsec" of docs/imperfect_stands.py). Each session estimates the
+errors of the axes that its moves determine.
 """
 
 FINEST = 1 * ARCSEC
@@ -69,17 +70,17 @@ _BETWEEN_JOINTS = {'zeros', 'orthogonality'}
 _ROUNDING = 1e-9
 """Of a number with its unit, as it is read."""
 _WORST = 1 * DEG
-"""A table so far off its description is described wrongly: angles lean by errors to first order."""
+"""Largest error: beyond it the description is wrong, since angles follow errors to first order."""
 
 
 @dataclass(frozen=True)
 class TableErrors:
-    """Standard deviations of a table's unknown errors, rad; 0 where they are taken as none.
+    """Standard deviations of a table's unknown errors, rad; 0 for none.
 
     Attributes:
-        zeros: Of each joint's zero but the first's, which is the azimuth.
-        orthogonality: Of each joint's axis about either direction across it, but the first's, which
-            is the tilt.
+        zeros: Of each joint's zero except the first's, which is the azimuth.
+        orthogonality: Of each joint's axis about either direction across it, except the first's,
+            which is the tilt.
         wobble: Of an axis about either direction across it, once and twice per turn, each.
         encoder: Error of an encoder within the turn, once and twice per turn, each.
     """
@@ -91,7 +92,7 @@ class TableErrors:
 
     @property
     def exact(self) -> bool:
-        """Whether nothing is left open."""
+        """Whether there are no unknown errors."""
         return not any((self.zeros, self.orthogonality, self.wobble, self.encoder))
 
 
@@ -167,9 +168,9 @@ class JointPoses:
 
     Attributes:
         axis: (3,) in the frame of the joint before it.
-        read: (n,) what its encoder reads, rad.
-        turned: (n, 3, 3) by how much it is turned.
-        body: (n, 3, 3) takes body axes to the frame that it turns.
+        read: (n,) its encoder readings, rad.
+        turned: (n, 3, 3) its rotation.
+        body: (n, 3, 3) from body axes to its rotated frame.
     """
 
     axis: Floats
@@ -179,7 +180,7 @@ class JointPoses:
 
 
 def leaning(joints: Sequence[JointPoses], errors: TableErrors) -> Floats:
-    """Return how attitudes turn about the body axes by one standard deviation of each error.
+    """Return the rotation of attitudes about the body axes by one standard deviation of each error.
 
     Returns:
         (n, 3, e) rad.

@@ -1,4 +1,4 @@
-"""Small matrices gain nothing by threads of BLAS, and lose by those that wait for each other."""
+"""Limit BLAS to one thread: for small matrices more threads cost time by waiting."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ Result = TypeVar('Result')
 
 
 def by_one_thread(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Have a function's linear algebra done by one thread, whatever its caller's program allows.
+    """Run a function with one thread of linear algebra, whatever the program's setting.
 
-    Twelve positions are calibrated in three quarters of the time, with two idle cores, and in a
-    fifth where other programs have the cores. While it runs, the limit holds for the whole process;
-    afterwards it is as before. Without threadpoolctl, which ROS does not bring, nothing is limited.
+    Twelve positions are calibrated in three quarters of the time with two idle cores, and in a
+    fifth with busy cores. The limit holds for the whole process until the function returns. Without
+    threadpoolctl, which ROS does not install, there is no limit.
     """
 
     @wraps(function)

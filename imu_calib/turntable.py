@@ -29,11 +29,11 @@ from .units import DEG, PPM, Dimension
 TURN = 2 * math.pi
 """rad."""
 _UP = np.array([0.0, 0.0, 1.0])
-"""In east, north, up."""
+"""Up, in east, north, up."""
 _REACH_TOLERANCE = 1e-6
-"""rad: rounding of rotation matrices as plans write them."""
+"""rad: rounding of rotation matrices in plans."""
 _WORST_CLOCK = 1e-3
-"""Ten times what a plain quartz may be off: beyond, the number is of another unit."""
+"""Ten times the largest error of plain quartz: a larger number is in another unit."""
 _LETTERS = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
 
 
@@ -67,16 +67,17 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A turntable: joints from the base outwards, and how the unit is mounted on the last.
+    """A turntable: joints from the base outwards, and the mount of the unit on the last.
 
     Attributes:
         name: Name of the table.
         joints: From the base to the unit.
         mount: (3, 3) columns are the body axes in the frame of the last joint.
         azimuth: Heading of the table's zero against north about up, rad; None when unknown.
-        positioning: Standard deviation of a positioning error that the encoder does not show, rad.
+        positioning: Standard deviation of the positioning error, which the encoder does not show,
+            rad.
         clock: Standard deviation of the rate of its clock, relative; 0 when not stated.
-        errors: What is left open of its axes, zeros and encoders.
+        errors: Unknown errors of its axes, zeros and encoders.
         level: Standard deviation of its tilt about either level axis, rad.
         assumed: Keys that its file leaves out: what stands for them is usual, and not stated.
         raised: Keys of which its file states less than is known of any table, which counts instead.
@@ -137,7 +138,7 @@ class Table:
     def attitude(self, angles: Floats) -> Floats:
         """Return R_nb: columns are the body axes in east, north, up of the table's own azimuth.
 
-        An unknown azimuth counts as zero: north is then where the table's zero points.
+        An unknown azimuth counts as zero: north is then the direction of the table's zero.
 
         Args:
             angles: (..., k) encoder angles, rad.
@@ -151,7 +152,7 @@ class Table:
         return np.asarray(result @ self.mount)
 
     def leaning(self, angles: Floats) -> Floats:
-        """Return how attitudes lean by what is left open of the table.
+        """Return the rotation of attitudes by the table's unknown errors.
 
         Args:
             angles: (n, k) encoder angles, rad.
@@ -172,7 +173,7 @@ class Table:
         """Return the axis about which a joint turns, in the body frame.
 
         Args:
-            index: Which joint.
+            index: The joint.
             angles: (..., k) encoder angles of all joints, rad.
 
         Returns:
@@ -185,7 +186,7 @@ class Table:
         return np.asarray(axis @ self.mount)
 
     def vertical_joint(self, angles: Floats) -> int | None:
-        """Return the first joint whose axis stands vertical at these angles, None if none does."""
+        """Return the first joint whose axis is vertical at these angles, None if none is."""
         up = self.attitude(angles).T @ _UP
         for k in range(len(self.joints)):
             if abs(self.joint_axis(k, angles) @ up) > 1 - 1e-9:
@@ -205,7 +206,7 @@ class Table:
             (k,) rad.
 
         Raises:
-            InputError: The table cannot reach it; says by how much it misses.
+            InputError: The table cannot reach it; states the smallest difference.
         """
         start = np.zeros(len(self.joints)) if near is None else near
         base = rotation(_UP, self.azimuth or 0.0)
@@ -240,7 +241,7 @@ class Table:
         return best
 
     def _within_limits(self, angles: Floats, near: Floats) -> Floats | None:
-        """Shift angles by whole turns: near where the table stands, and inside the limits."""
+        """Shift angles by whole turns: near the present angles, and within the limits."""
         result = np.empty_like(angles)
         for k, joint in enumerate(self.joints):
             angle = angles[k] + TURN * round((near[k] - angles[k]) / TURN)
@@ -257,7 +258,7 @@ class Table:
         Args:
             angles: (k,) encoder angles, rad.
             rates: (k,) joint rates, rad/s.
-            where: What is checked, for the message.
+            where: Name of the position, for the message.
 
         Raises:
             InputError: Names joint, value and limit.
@@ -285,10 +286,10 @@ def _travel(angles: Floats, near: Floats) -> float:
 
 
 def _inverse(axes: list[Floats], target: Floats) -> list[Floats]:
-    """List joint angles that may reach a rotation; the caller checks which do.
+    """List joint angles that may reach a rotation; the caller checks them.
 
-    Three joints: the middle angle follows from the angle between the outer axes,
-    a1.(R2 a3) = a1.(G a3), with two solutions; then each neighbour from what is left.
+    Three joints: the middle angle follows from the angle between the outer axes, a1.(R2 a3) =
+    a1.(G a3), with two solutions; then each neighbour from the remaining rotation.
     """
     if len(axes) == 1:
         return [np.array([angle_about(axes[0], target)])]
@@ -307,7 +308,7 @@ def _inverse(axes: list[Floats], target: Floats) -> list[Floats]:
     for second in (phase + spread, phase - spread):
         turned = rotation(middle, second) @ last
         if np.linalg.norm(np.cross(first_axis, turned)) < 1e-7:
-            # Outer and inner axis coincide: the inner stays at zero, the outer does the turning.
+            # Outer and inner axis coincide: the inner stays at zero, the outer makes the rotation.
             first = angle_about(first_axis, target @ rotation(middle, second).T)
             solutions.append(np.array([first, second, 0.0]))
             continue
@@ -407,7 +408,7 @@ def _read_axis(value: object, where: str) -> tuple[float, float, float]:
 
 
 def read_mount(section: Section) -> Floats:
-    """Read where the body axes lie on the last joint: three axes, or yaw, pitch and roll."""
+    """Read the body axes on the last joint: three axes, or yaw, pitch and roll."""
     if not section.has('mount'):
         return np.eye(3)
     if isinstance(section.raw('mount'), list):

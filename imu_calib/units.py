@@ -1,4 +1,4 @@
-"""Units at the edges: text to SI on the way in, engineers' units on the way out."""
+"""Convert units: text to SI on input, engineers' units on output."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DEG_H = DEG / 3600
 HOUR = 3600.0
 """s."""
 STANDARD_GRAVITY = 9.80665
-"""m/s^2 (third CGPM, 1901); what 'g' stands for in files."""
+"""m/s^2 (third CGPM, 1901); the unit 'g' in files."""
 MICRO_G = STANDARD_GRAVITY * 1e-6
 """m/s^2."""
 PPM = 1e-6
@@ -52,7 +52,7 @@ def _per(word: str, units: Mapping[str, float]) -> dict[str, float]:
 
 
 class Dimension(Enum):
-    """A kind of quantity: the units in which a person may write it, and their SI values."""
+    """A kind of quantity: its accepted units, and their SI values."""
 
     ANGLE = _ANGLES
     RATE = _RATES
@@ -116,7 +116,7 @@ _COMMA = re.compile(r'\s*[-+]?\d*,\d+(?![\d,.]).*', re.ASCII)
 
 
 def point_for_comma(text: object) -> str:
-    """Return what to write instead of a number with a decimal comma; nothing for all else.
+    """Return a hint on a number with a decimal comma; empty for all else.
 
     Examples:
         >>> point_for_comma('59,9'), point_for_comma('59.9')
@@ -128,12 +128,12 @@ def point_for_comma(text: object) -> str:
 
 
 def counted(number: int, noun: str, plural: str = '') -> str:
-    """Return a number with what it counts, in the singular where it is one.
+    """Return a number with its noun, in the singular for one.
 
     Args:
-        number: How many.
+        number: The number.
         noun: In the singular.
-        plural: Where it is not the singular with an s.
+        plural: If it is not the singular with an s.
 
     Examples:
         >>> counted(1, 'turn'), counted(0, 'turn'), counted(2, 'is', 'are')
@@ -143,7 +143,7 @@ def counted(number: int, noun: str, plural: str = '') -> str:
 
 
 def significant(value: float, digits: int = 2) -> str:
-    """Return a number with so many digits that count, and no exponent.
+    """Return a number with so many significant digits, without an exponent.
 
     Examples:
         >>> significant(123.4), significant(0.0123), significant(2.0), significant(3400.0, 3)
@@ -157,12 +157,12 @@ def significant(value: float, digits: int = 2) -> str:
 
 
 def parse(text: object, dimension: Dimension, key: str) -> float:
-    """Turn a quantity written with its unit into SI.
+    """Convert a quantity with its unit to SI.
 
     Args:
         text: For instance '7.8 arcsec/pulse'.
         dimension: What is expected.
-        key: Where the text stands, for the error message.
+        key: Key of the text, for the error message.
 
     Raises:
         InputError: Not a number with a unit of that dimension.

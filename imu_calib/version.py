@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def version() -> str:
-    """Return the version that is installed; '0+unknown' for a checkout that is not installed."""
+    """Return the installed version; '0+unknown' for a checkout that is not installed."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:

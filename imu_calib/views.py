@@ -1,4 +1,4 @@
-"""Calibrations, and what they are compared with, as data frames and pictures."""
+"""Calibrations, and their comparisons, as data frames and pictures."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ if TYPE_CHECKING:
 
 _TRIADS = {'g': 'gyros', 'a': 'accelerometers'}
 _BAR = 2.0
-"""Standard deviations that a bar reaches to either side: 95 percent."""
+"""Standard deviations of a bar to either side: 95 percent."""
 
 _WHISKERS_95 = (2.5, 97.5)
-"""Percentiles between which 95 % lie."""
+"""Percentiles that contain 95 %."""
 _NORMAL_95 = 1.96
-"""Standard deviations within which 95 % of a normal law lie."""
+"""Standard deviations that contain 95 % of a normal law."""
 _POINTS = 1000
-"""Of a line: as many as a picture has places."""
+"""Most points of a line: the width of a picture in pixels."""
 
 _NAMES = 30
-"""Below an axis: more would be written over each other."""
+"""Most names below an axis: more would overlap."""
 _HEIGHT = 4.2
-"""Of a row of panels, inches; as is the width of one."""
+"""Height of a row of panels, and width of a panel, inches."""
 
 
 def parameter_frame(calibration: Calibration) -> pandas.DataFrame:
@@ -73,7 +73,7 @@ def compared_frame(
 
 
 def repeated_frame(outcome: Outcome) -> pandas.DataFrame:
-    """Return what repeated sessions come to, by parameter.
+    """Return the results of repeated sessions, by parameter.
 
     Raises:
         InputError: pandas is not installed.
@@ -88,7 +88,7 @@ def repeated_frame(outcome: Outcome) -> pandas.DataFrame:
 
 
 def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) -> pandas.DataFrame:
-    """Return predicted standard deviations, and the least that the session allows, by parameter.
+    """Return predicted standard deviations, and the least possible ones, by parameter.
 
     Raises:
         InputError: pandas is not installed.
@@ -97,7 +97,7 @@ def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) 
 
 
 def draw(calibration: Calibration) -> Picture:
-    """Draw the parameters with bars of two standard deviations, those of a unit beside each other.
+    """Draw the parameters with bars of two standard deviations, grouped by unit.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -123,7 +123,7 @@ def draw(calibration: Calibration) -> Picture:
 
 
 def draw_residuals(calibration: Calibration) -> Picture:
-    """Draw what the model leaves of each static dwell, by position.
+    """Draw the residuals of each static dwell, by position.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -146,10 +146,10 @@ def draw_residuals(calibration: Calibration) -> Picture:
 
 
 def draw_noise(calibration: Calibration) -> Picture:
-    """Draw the Allan deviation that the session showed, with the random walk found of it.
+    """Draw the Allan deviation of the session, with the estimated random walk.
 
     Raises:
-        InputError: matplotlib is not installed, or the calibration carries no noise.
+        InputError: matplotlib is not installed, or the calibration contains no noise.
     """
     seen = calibration.noise
     if not any(len(noise.tau) for noise in seen.values()):
@@ -203,13 +203,13 @@ def draw_differences(title: str, parameters: Sequence[Parameter], normalised: Fl
 def draw_columns(
     title: str, stamp: Stamps, columns: Mapping[str, Floats], units: Mapping[str, str]
 ) -> Picture:
-    """Draw fields over time, a panel for each quantity: what stands before the point of their name.
+    """Draw columns over time, with a panel for each quantity: their names up to the point.
 
     Args:
         title: Above the panels.
         stamp: (n,) ns.
         columns: (n,) each, by name.
-        units: By name, as far as they have one.
+        units: By name, if there is one.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -234,13 +234,13 @@ def draw_columns(
 
 
 def _means(values: Floats, few: int) -> Floats:
-    """Return the means of so many values each; the rest of them is left out."""
+    """Return means of so many consecutive values each; the remainder is left out."""
     count = len(values) // few
     return np.asarray(values[: count * few].reshape(count, few).mean(axis=1))
 
 
 def draw_normalised(title: str, outcome: Outcome) -> Picture:
-    """Draw the normalised errors of repeated sessions beside what a normal law allows.
+    """Draw the normalised errors of repeated sessions beside those of a normal law.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -250,7 +250,7 @@ def draw_normalised(title: str, outcome: Outcome) -> Picture:
     figure = empty_figure(0.4 * len(names) + 2, _HEIGHT)
     axes = figure.subplots()
     _beside_normal(axes)
-    # A box from quartile to quartile of a normal law reaches to 0.67, its whiskers to 1.96.
+    # The quartiles of a normal law are at 0.67, the ends of the whiskers at 1.96.
     axes.boxplot(outcome.normalised[:, known], whis=_WHISKERS_95, sym='.')
     _name(axes, names, first=1)
     axes.set_ylabel('error / standard deviation stated')
@@ -259,10 +259,10 @@ def draw_normalised(title: str, outcome: Outcome) -> Picture:
 
 
 def empty_figure(width: float, height: float, what: str = 'A plot') -> Picture:
-    """Return a figure of a size in inches that belongs to no window.
+    """Return a figure of a size in inches, without a window.
 
     Raises:
-        InputError: matplotlib is not installed; begins with what needs it.
+        InputError: matplotlib is not installed; begins with the feature that needs it.
     """
     require('matplotlib', what, 'plot')
     from .picture import Picture
@@ -271,7 +271,7 @@ def empty_figure(width: float, height: float, what: str = 'A plot') -> Picture:
 
 
 def _beside_normal(axes: Axes) -> None:
-    """Mark one standard deviation, and between which 95 percent lie."""
+    """Mark one standard deviation, and the range of 95 percent."""
     axes.axhspan(-1, 1, color='0.85')
     for level in (-_NORMAL_95, _NORMAL_95):
         axes.axhline(level, color='0.6', linewidth=0.8, linestyle='--')
@@ -287,7 +287,7 @@ def _unit_of(calibration: Calibration) -> str:
 
 
 def _groups(parameters: tuple[Parameter, ...]) -> dict[tuple[str, str], list[int]]:
-    """Return the indices of the parameters of each triad that have a unit in common."""
+    """Return the indices of the parameters of each triad with a common unit."""
     found: dict[tuple[str, str], list[int]] = {}
     for k, parameter in enumerate(parameters):
         found.setdefault((parameter.triad, parameter.unit.shown), []).append(k)

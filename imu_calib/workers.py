@@ -1,4 +1,4 @@
-"""Independent tasks on workers of Dask: those of this machine, or those of a scheduler."""
+"""Run independent tasks on workers of Dask: of this machine, or of a scheduler."""
 
 from __future__ import annotations
 
@@ -29,26 +29,27 @@ Task = TypeVar('Task')
 Result = TypeVar('Result')
 
 MEMORY = '2GiB'
-"""Of a worker of this machine, beyond which it is ended; recordings of any length stay below."""
+"""Most memory of a worker of this machine; recordings of any length stay below."""
 _WAITING = 3
-"""Tasks handed to the scheduler for each worker: one runs, two wait, and its memory stays flat."""
+"""Tasks submitted for each worker: one runs, two wait, and the scheduler's memory stays flat."""
 _COUNT = 1.0
 """s between counts of the workers."""
 _RECONNECT = 60.0
-"""s in which a scheduler that is gone may come back: what restarts it takes a few."""
+"""s in which a lost scheduler may return: a restart takes a few."""
 _CONNECT = '10s'
-"""In which a process of this machine takes a connection, however busy. One that has died holding a
-result is waited for so long, and not tried again: Dask's 30 s and retries are for networks."""
+"""Time limit for a connection to a process of this machine, however busy. A dead one that holds a
+result is waited for this long, without retries: Dask's 30 s and retries are for networks."""
 _ANSWER = '10s'
-"""In which a scheduler takes the connection of a client."""
+"""Time limit for a client's connection to a scheduler."""
 _TICK = '500ms'
-"""Between looks of a process at its own event loop: as often as it looks at its memory."""
+"""Between a process's checks of its own event loop: as often as those of its memory."""
 _KEEPS = 4 << 20
-"""Bytes of freed memory that a worker keeps: a seventh of the faults, 10 ms less a recording."""
+"""Bytes of freed memory that a worker keeps: a seventh of the page faults, 10 ms less per
+recording."""
 
 
 def end_started(others: set[BaseProcess]) -> None:
-    """Kill the processes that this one has started, but those that were there before."""
+    """Kill the processes started by this one, except those in `others`."""
     for process in active_children():
         if process not in others:
             process.kill()
@@ -59,9 +60,9 @@ class Engine:
     """Workers of Dask.
 
     Attributes:
-        scheduler: Address of one that is there; None starts one with workers here.
-        workers: To start; None for one a core.
-        memory: Of each worker that is started.
+        scheduler: Address of a running one; None starts one with workers here.
+        workers: Number to start; None for one per core.
+        memory: Of each started worker.
     """
 
     scheduler: str | None = None
@@ -70,7 +71,7 @@ class Engine:
 
     @contextmanager
     def connected(self) -> Iterator[Client]:
-        """Give a client; what was started for it ends with it.
+        """Yield a client; all that was started for it ends with it.
 
         Raises:
             InputError: No scheduler answers, a value is wrong, or Dask is not installed.
@@ -80,18 +81,19 @@ class Engine:
             raise InputError(f'`workers`: found {self.workers}, expected 1 or more.')
         import dask
 
-        # Before anything is set: it brings what else is to be known.
+        # First of all: it raises the error on missing libraries.
         import distributed  # noqa: F401
 
-        # A worker that dies of a task takes the task with it once more, and no third time.
+        # If a task kills its worker it is run once more, but not a third time.
         settings: dict[str, object] = {
             'distributed.scheduler.allowed-failures': 1,
             'distributed.admin.low-level-log-length': 100,
-            # Each of its processes would look at its own stack a hundred times a second.
+            # Otherwise each process would sample its own stack a hundred times a second.
             'distributed.worker.profile.enabled': False,
-            # Each would ask fifty times a second whether it is in time, and interrupt the work.
+            # Otherwise each would check its event loop fifty times a second and interrupt the work.
             'distributed.admin.tick.interval': _TICK,
-            # Dask has a worker give back every 64 kB, and the next recording fetches them again.
+            # By default a worker returns every 64 kB to the system, and the next recording requests
+            # them again.
             'distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_': _KEEPS,
             'logging.distributed': 'critical',
         }
@@ -118,7 +120,7 @@ class Engine:
                     n_workers=self.workers or os.cpu_count(),
                     threads_per_worker=1,
                     memory_limit=self.memory,
-                    # Of this machine alone: a scheduler runs what it is sent.
+                    # Of this machine alone: a scheduler runs any code sent to it.
                     host='127.0.0.1',
                     dashboard_address='127.0.0.1:0',
                 )
@@ -128,7 +130,7 @@ class Engine:
             try:
                 yield client
             except KeyboardInterrupt:
-                # What they are at would be waited for, and is thrown away.
+                # Otherwise running tasks, whose results are dropped, would be waited for.
                 end_started(others)
                 raise
 
@@ -143,12 +145,12 @@ def _reached(scheduler: str) -> Client:
         get_backend(protocol)
         parse_host_port(place)
     except ValueError as error:
-        # A client that is begun with it would be waited for when the interpreter ends.
+        # A client started at construction would be waited for when the interpreter ends.
         raise InputError(
             f'`scheduler`: found {scheduler!r}, expected an address as tcp://host:8786 ({error}).'
         ) from None
     try:
-        # One that is interrupted half way would be waited for as well.
+        # One that is interrupted while connecting would be waited for as well.
         with _without_interrupts():
             return Client(scheduler, timeout=_ANSWER, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
@@ -160,25 +162,25 @@ def _reached(scheduler: str) -> Client:
 
 @dataclass(frozen=True)
 class WorkerDied:
-    """Stands for the result of a task that two workers died of, one after the other."""
+    """Result of a task that killed two workers, one after the other."""
 
 
 def outcomes(
     client: Client, function: Callable[..., Result], tasks: Iterable[Task], *shared: object
 ) -> Iterator[tuple[int, Result | WorkerDied]]:
-    """Run a function on each of independent tasks; yield their numbers and results as they end.
+    """Run a function on independent tasks; yield their numbers and results as they end.
 
-    Tasks are taken as there is room for them. Those of a scheduler that goes, and comes back within
-    a minute, are handed over again.
+    Tasks are submitted as there is room. If a scheduler is lost and returns within a minute, its
+    tasks are submitted again.
 
     Args:
         client: Of a scheduler.
-        function: Of a task and of what is shared.
+        function: Of a task and the shared arguments.
         tasks: Any number.
-        shared: Further arguments, the same for each: they are sent to each worker once.
+        shared: Further arguments, the same for each task: sent to each worker once.
 
     Raises:
-        InputError: The scheduler does not come back, or a worker cannot run the function.
+        InputError: The scheduler does not return, or a worker cannot run the function.
     """
     from distributed import as_completed
 
@@ -197,7 +199,7 @@ def outcomes(
     def fill() -> None:
         nonlocal room, counted
         if time.monotonic() - counted > _COUNT:
-            # Workers come and go; asking for them takes longer than handing over a task.
+            # Workers come and go; querying them takes longer than submitting a task.
             room, counted = _room(client), time.monotonic()
         for number, task in islice(waiting, max(room - len(running), 0)):
             submit(number, task)
@@ -209,7 +211,7 @@ def outcomes(
             try:
                 yield number, _ended(future, number)
             except CancelledError:
-                # Of a scheduler that went: what workers had been sent went with it.
+                # Data sent to the workers was lost with the scheduler.
                 _wait_for_scheduler(client)
                 sent, held = partial(_given, function, shared), False
                 submit(number, task)
@@ -217,7 +219,7 @@ def outcomes(
             future.release()
             fill()
     finally:
-        # Workers that were started for this end with it; others live on.
+        # Workers started for this end with it; others live on.
         if held and client.cluster is None and client.status == 'running':
             client.unregister_worker_plugin(name)
 
@@ -225,10 +227,10 @@ def outcomes(
 def _sent(
     client: Client, function: Callable[..., Result], name: str, shared: tuple[object, ...]
 ) -> Callable[[Task], Result]:
-    """Send every worker what is shared, those that start later too; return the function of a task.
+    """Send the shared arguments to every present and later worker; return the function of a task.
 
-    As data of the cluster it would be lost with the workers that hold it, and the tasks with it:
-    one that kills its worker would be begun anew, and counted from the first time on.
+    As data of the cluster they would be lost with the workers that hold them, and the tasks with
+    them: a task that kills its worker would be started anew, with its count reset.
     """
     if not shared:
         return function
@@ -241,28 +243,28 @@ def _sent(
 
 
 def _at_worker(function: Callable[..., Result], name: str, task: Task) -> Result:
-    """Run a task with what its worker was sent."""
+    """Run a task with the arguments sent to its worker."""
     from distributed import get_worker
 
     return function(task, *get_worker().plugins[name].shared)
 
 
 def _given(function: Callable[..., Result], shared: tuple[object, ...], task: Task) -> Result:
-    """Run a task with what is sent along."""
+    """Run a task with arguments sent along."""
     return function(task, *shared)
 
 
 def _room(client: Client) -> int:
-    """Return how many tasks are handed over at a time."""
+    """Return the number of tasks submitted at a time."""
     cores: int = sum(client.ncores().values())
     return max(1, _WAITING * cores)
 
 
 def _ended(future: Future, number: int) -> Result | WorkerDied:
-    """Return what a task ended with.
+    """Return the result of an ended task.
 
     Raises:
-        CancelledError: It is to be handed over again.
+        CancelledError: It must be submitted again.
         InputError: A worker could not run it.
     """
     from distributed import KilledWorker
@@ -294,11 +296,11 @@ def _wait_for_scheduler(client: Client) -> None:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Keep Ctrl-C from threads and processes that are started meanwhile: the client ends them.
+    """Block Ctrl-C in threads and processes started meanwhile: the client ends them.
 
-    What starts them later inherits it from its thread. A Ctrl-C meanwhile comes afterwards.
+    Their later children inherit this. A Ctrl-C meanwhile is delivered afterwards.
     """
-    # Started with the first process, it would let signals in again.
+    # It starts with the first process, and would unblock signals.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -309,9 +311,9 @@ def _without_interrupts() -> Iterator[None]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep what Dask logs of workers that come and go off the screen.
+    """Keep Dask's log of lost and new workers off the screen.
 
-    What its callbacks raise, Tornado logs: one has nothing to cancel yet where Ctrl-C comes early.
+    Tornado logs exceptions of Dask's callbacks: after an early Ctrl-C one has nothing to cancel.
     """
     loggers = [logging.getLogger(name) for name in ('distributed', 'tornado.application')]
     before = [logger.level for logger in loggers]

@@ -1,4 +1,4 @@
-"""YAML text in and out, by libyaml where PyYAML was built with it: several times as fast."""
+"""Load and dump YAML text, by libyaml if PyYAML has it: several times as fast."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def load(text: str) -> Any:
     """Return the value of a text with one document.
 
     Raises:
-        yaml.YAMLError: No YAML, or more than plain values.
+        yaml.YAMLError: Not YAML, or more than plain values.
     """
     return yaml.load(text, Loader=SafeLoader)
 
@@ -29,7 +29,7 @@ def dump(value: Any, dumper: type[SafeDumper] = SafeDumper, **form: Any) -> str:
 
     Args:
         value: Of plain values, lists and dictionaries.
-        dumper: Takes the place of the plain one.
-        form: As `yaml.dump` takes it: `width`, `default_flow_style`.
+        dumper: Replaces the default one.
+        form: As in `yaml.dump`: `width`, `default_flow_style`.
     """
     return str(yaml.dump(value, Dumper=dumper, sort_keys=False, **form))
