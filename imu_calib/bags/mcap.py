@@ -74,7 +74,7 @@ class McapStorage:
         losses: Receives sentences on unreadable data.
 
     Raises:
-        RecordingError: This is no mcap file.
+        RecordingError: This is not an mcap file.
         OSError: The file cannot be read.
 
     """

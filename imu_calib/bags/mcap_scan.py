@@ -55,7 +55,7 @@ def scan(path: AnyPath, losses: Losses) -> Scan:
         The chunks, channels and metadata.
 
     Raises:
-        RecordingError: This is no mcap file.
+        RecordingError: This is not an mcap file.
         OSError: The file cannot be read.
 
     """

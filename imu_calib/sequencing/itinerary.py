@@ -52,7 +52,7 @@ class Itinerary:
         return self._home
 
     def lay_out(self, angles: Sequence[float]) -> None:
-        """Compute the steps anew.
+        """Recompute the steps.
 
         Args:
             angles: Present angles of the table, rad.
