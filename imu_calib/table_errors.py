@@ -57,18 +57,18 @@ errors of the axes that its moves determine.
 """
 
 FINEST = 1 * ARCSEC
-"""Standard deviation below which no error of a table is known.
+"""Least standard deviation assumed for any error of a table.
 
-Of what is made best, rotary air bearings, makers state a wobble below 1 arcsec
-(physikinstrumente.com, "Air Bearing Technology"), and of axes on air bearings that are built to
-order right angles within 2 arcsec (Dover Motion, "Motion Control Handbook", linear positioning
-accuracy), as a uniform law 1.2. Autocollimators and polygons, by which tables are measured, do no
-better (a judgement).
+Makers of the best tables, on rotary air bearings, state a wobble below 1 arcsec
+(physikinstrumente.com, "Air Bearing Technology"), and for axes on custom-built air bearings right
+angles within 2 arcsec (Dover Motion, "Motion Control Handbook", linear positioning accuracy), as a
+uniform law 1.2. Autocollimators and polygons, by which tables are measured, are not better (a
+judgement).
 """
 
 _BETWEEN_JOINTS = {'zeros', 'orthogonality'}
 _ROUNDING = 1e-9
-"""Of a number with its unit, as it is read."""
+"""Relative tolerance for a number read with its unit."""
 _WORST = 1 * DEG
 """Largest error: beyond it the description is wrong, since angles follow errors to first order."""
 
@@ -98,12 +98,12 @@ class TableErrors:
 
 @dataclass(frozen=True)
 class Doubts:
-    """What a table's file says of its errors.
+    """Errors stated in a table's file.
 
     Attributes:
         sizes: Standard deviations by key, rad.
-        assumed: Keys that it leaves out: their figures are those of `ASSUMED`.
-        raised: Keys of which it states less than `FINEST`, which counts instead.
+        assumed: Keys missing in the file: their values are those of `ASSUMED`.
+        raised: Keys with stated values below `FINEST`, which replaces them.
     """
 
     sizes: Mapping[str, float]
@@ -112,11 +112,11 @@ class Doubts:
 
 
 def read_doubts(section: Section, joints: int) -> Doubts:
-    """Read what a table's mapping says of its own errors, and fill in what it leaves out.
+    """Read a table's own errors from its mapping, and fill in the missing ones.
 
     Args:
-        section: The mapping. Of a simulated table, which may be exact, all counts as it is stated.
-        joints: How many the table has: one alone has nothing to be at right angles to.
+        section: The mapping. A simulated table may be exact: its stated values are not raised.
+        joints: Number of joints: a single one has no orthogonality.
 
     Raises:
         InputError: Key, what was found and what was expected.
@@ -141,12 +141,12 @@ def read_doubts(section: Section, joints: int) -> Doubts:
 
 
 def counting(joints: int) -> list[str]:
-    """Return the keys of `ASSUMED` that mean something for so many joints."""
+    """Return the keys of `ASSUMED` that apply to so many joints."""
     return [key for key in ASSUMED if joints > 1 or key not in _BETWEEN_JOINTS]
 
 
 def assumption(table: str, assumed: Sequence[str], raised: Sequence[str]) -> str:
-    """Say what is assumed of a table of this name, by the keys of `Doubts`."""
+    """Return the sentences on the assumptions for a table, by the keys of `Doubts`."""
     figures = ', '.join(f'{key} {ASSUMED[key] / ARCSEC:g} arcsec' for key in assumed)
     sentences = []
     if assumed:

@@ -79,9 +79,9 @@ class Table:
         clock: Standard deviation of the rate of its clock, relative; 0 when not stated.
         errors: Unknown errors of its axes, zeros and encoders.
         level: Standard deviation of its tilt about either level axis, rad.
-        assumed: Keys that its file leaves out: what stands for them is usual, and not stated.
-        raised: Keys of which its file states less than is known of any table, which counts instead.
-        described: The table as its file describes it, where a session contradicts that
+        assumed: Keys missing in its file: usual values are assumed.
+        raised: Keys with stated values below `FINEST`, which replaces them.
+        described: The table as described in its file, if a session contradicts that
             (`as_the_best`); else None.
     """
 
@@ -99,17 +99,17 @@ class Table:
 
     @property
     def assumption(self) -> str:
-        """A sentence on what its file leaves out; empty where it states all."""
+        """Sentences on the assumptions about its errors; empty without."""
         return assumption(self.name, self.assumed, self.raised)
 
     @property
     def not_stated(self) -> tuple[str, ...]:
-        """Keys of errors whose sizes are not what its file states."""
+        """Keys of errors whose sizes differ from, or are missing in, its file."""
         return (*self.assumed, *self.raised)
 
     @property
     def too_fine(self) -> tuple[str, ...]:
-        """Keys of errors that its file states smaller than they are known of any table."""
+        """Keys of errors with stated values below `FINEST`."""
         sizes = {f.name: getattr(self.errors, f.name) for f in fields(TableErrors)}
         count = counting(len(self.joints))
         return tuple(
@@ -119,7 +119,7 @@ class Table:
         )
 
     def as_the_best(self) -> Table:
-        """Return it with what its file states too finely as large as of the best tables."""
+        """Return the table with stated values below `FINEST` raised to it."""
         found = dict.fromkeys(self.too_fine, FINEST)
         positioning = found.pop('positioning', self.positioning)
         return replace(

@@ -102,9 +102,9 @@ def _of_term(
 def forecast_changes(
     found: Forecast, setup: Setup, truth: SensorModel, *, drifting: bool = False
 ) -> tuple[ChangeForecast, ...]:
-    """Forecast biases and scale factors that follow a trend or a warm-up.
+    """Forecast biases and scale factors that follow a trend, a warm-up or the temperature.
 
-    And of those that follow the temperature, where it is said to move enough.
+    The temperature is included if its stated change is large enough.
 
     Args:
         found: As in `forecast_terms`.

@@ -122,7 +122,7 @@ def with_parameters(
 
 
 def resting_on_the_table(found: Forecast, truth: SensorModel) -> list[str]:
-    """Say which parameters of a joint estimate rest on a table that is as good as stated."""
+    """List the parameters of a joint estimate that rely on the stated accuracy of the table."""
     if found.method not in JOINT or found.refusal:
         return []
     parameters = tuple(p for p in found.parameters if p.row < len(AXES))
