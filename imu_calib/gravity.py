@@ -19,8 +19,8 @@ _ANOMALY = 0.003
 """Largest plausible relative difference of a measured gravity from normal gravity: 10 km of height,
 above any laboratory, make 0.3 %, and gravity anomalies a tenth of that (EGM2008)."""
 VAGUE = 10 * DEG
-"""rad: standard deviation above which a latitude counts as not stated. Gravity varies by 0.5 % from
-the equator to the poles."""
+"""rad: standard deviation of a latitude that is not stated. It does not constrain gravity, which
+varies by 0.5 % from the equator to the poles."""
 
 
 def gravity_slope(model: SensorModel, parameters: Sequence[Parameter]) -> Floats:

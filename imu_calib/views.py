@@ -97,7 +97,7 @@ def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) 
 
 
 def draw(calibration: Calibration) -> Picture:
-    """Draw the parameters with bars of two standard deviations, grouped by unit.
+    """Draw the parameters with bars of two standard deviations, grouped by unit of measure.
 
     Raises:
         InputError: matplotlib is not installed.

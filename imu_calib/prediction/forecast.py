@@ -122,7 +122,7 @@ def with_parameters(
 
 
 def resting_on_the_table(found: Forecast, truth: SensorModel) -> list[str]:
-    """List the parameters of a joint estimate that rely on the stated accuracy of the table."""
+    """List the parameters of a joint estimate that rely on table errors below `FINEST`."""
     if found.method not in JOINT or found.refusal:
         return []
     parameters = tuple(p for p in found.parameters if p.row < len(AXES))
