@@ -1,4 +1,4 @@
-"""The calibration that a compensator applies: of a file that may change, or of a topic."""
+"""The calibration that a compensator applies: from a file that may change, or from a topic."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from .diagnostics import Diagnostics, Level
 
 
 class AppliedCalibration:
-    """Takes calibrations in, refuses those of other units, and says which one is applied.
+    """Receives calibrations, refuses those of other units, and reports which one is applied.
 
     Args:
         file: Loaded again when it changes; None where calibrations come from the topic alone.
-        topic: On which calibrations come.
-        follows: Whether those of the topic are applied. A file that is named is a choice: a message
-            from elsewhere must not replace it.
+        topic: Topic that publishes calibrations.
+        follows: Whether calibrations of the topic are applied. A file that the user names must not
+            be replaced by a message.
         serial_number: Of the unit; empty where it is not stated.
-        diagnostics: Told what is applied, and what was offered and is not.
+        diagnostics: Receives reports on the applied and the refused calibrations.
 
     Attributes:
         compensator: None until there is a calibration.
@@ -59,7 +59,7 @@ class AppliedCalibration:
         self._made_at = 0.0
 
     def begin(self) -> None:
-        """Take the calibration that is there now, whatever was applied before."""
+        """Apply the calibration that is available now, whatever was applied before."""
         self._version, self.compensator, self._source = None, None, ''
         self.read_file()
         if self._offered is not None:
@@ -67,12 +67,12 @@ class AppliedCalibration:
         self.report()
 
     def renew(self) -> None:
-        """Compensate anew, as if nothing had come before."""
+        """Restart the compensator."""
         if self.compensator is not None:
             self.compensator = Compensator(self.compensator.calibration)
 
     def take(self, message: Any) -> None:
-        """Apply a calibration of the topic that is good."""
+        """Apply a calibration of the topic if it is valid."""
         self._offered = message
         if message.status == messages.ImuCalibration.INCOMPLETE:
             text = (
@@ -85,7 +85,7 @@ class AppliedCalibration:
         stamp = message.header.stamp
         try:
             calibration = by_temperature(calibration_of(message), self._topic)
-            # A message must state the serial number that this node, or what it applies, states.
+            # The message must state the serial number of this node or of the applied calibration.
             self._check_serial(calibration, self._topic, stated=True)
             if self.compensator is not None:
                 applied = self.compensator.calibration
@@ -95,13 +95,13 @@ class AppliedCalibration:
             self._diagnostics.report('calibration offered', Level.WARN, str(error))
 
     def read_file(self) -> None:
-        """Read the file where it is new or has changed."""
+        """Read the file if it is new or has changed."""
         if self._file is None:
             return
         try:
             found = self._file.stat()
         except OSError:
-            # It may be in the middle of being written.
+            # Another process may still be writing it.
             self._version = None
             return
         version = found.st_mtime_ns, found.st_size
@@ -117,7 +117,7 @@ class AppliedCalibration:
             self._diagnostics.report('calibration offered', Level.ERROR, str(error))
 
     def report(self) -> None:
-        """Say which calibration is applied, or from where one is awaited."""
+        """Report which calibration is applied, or from where one is expected."""
         if self.compensator is None:
             sources = [str(self._file)] if self._file is not None else []
             where = ' or '.join([*sources, self._topic] if self.follows else sources)
@@ -143,7 +143,7 @@ class AppliedCalibration:
         )
 
     def _check_serial(self, calibration: AnyCalibration, name: str, *, stated: bool) -> None:
-        """Refuse the calibration of another unit than the one that is being compensated."""
+        """Refuse the calibration of another unit."""
         expected, who = self._serial, 'the parameter serial_number says'
         if not expected and self.compensator is not None:
             expected = first_of(self.compensator.calibration).serial_number

@@ -1,4 +1,4 @@
-"""ascii_table_node: a turntable whose controller speaks ASCII lines; see docs/tables.md."""
+"""ascii_table_node: driver of a turntable with an ASCII line protocol; see docs/tables.md."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from .diagnostics import Diagnostics, Level
 from .entry import entry_point
 
 _PERIOD = 0.005
-"""s: half the period of a table that answers at 100 Hz, so that no answer waits for another."""
+"""s: half the period of a table that answers at 100 Hz, so that no answer waits for the next
+poll."""
 _REPORT_PERIOD = 0.25
-"""s: diagnostics change four times a second at most; faster is not read."""
+"""s: diagnostics are published at most four times a second."""
 _PATIENCE = 3.0
 """s to wait for the answer to STOP when the node ends: several times that of a slow line; a
 choice."""
@@ -27,8 +28,8 @@ choice."""
 class AsciiTableNode(Node):
     """Follows turntable/setpoint and publishes turntable/joint_states.
 
-    The controller is talked to in a thread of its own. Publishing waits for subscribers that lag;
-    while it does no setpoint is heard, and that thread stops the table.
+    A thread communicates with the controller. Publishing waits for slow subscribers; no setpoint is
+    read during that time, and the thread stops the table.
     """
 
     def __init__(self) -> None:
@@ -76,7 +77,7 @@ class AsciiTableNode(Node):
         self._control.start()
 
     def stop(self) -> Sequence[Any]:
-        """Stop the table; nothing that is published then matters any more."""
+        """Stop the table; nothing is published afterwards that must be delivered."""
         if not self._control.stop(_PATIENCE):
             self.get_logger().fatal(
                 f'The controller on {self._port} does not answer the last stop; '

@@ -1,4 +1,4 @@
-"""What a live session feeds: the calibrator, once it is known whether there is a skewed gyro."""
+"""Feed a live session's calibrator once the presence of a skewed gyro is known."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from ..stream import Block
 from .intake import TopicIntake
 
 _SKEW_AWAITED = 10.0
-"""How much the IMU may say while a skewed gyro says nothing: s by its stamps and by the clock."""
+"""Longest time for which IMU samples come without the skewed gyro: s, by stamps and by the
+clock."""
 
 
 class CalibratorFeed:
-    """Holds blocks back until the calibrator can be made, and feeds it from then on.
+    """Holds blocks back until the calibrator can be created, then feeds it.
 
     Args:
         setup: What is calibrated, and how.
-        topics: Full topic names by what they carry; a skewed gyro is awaited where its topic is
-            among them.
+        topics: Full topic names by content; a skewed gyro is expected if its topic is among them.
 
     Attributes:
-        calibrator: None while it is awaited whether there is a skewed gyro.
-        without_skew: Whether the session goes on without one.
+        calibrator: None while the presence of a skewed gyro is unknown.
+        without_skew: Whether the session continues without a skewed gyro.
 
     Raises:
         InputError: The method cannot solve the plan.
@@ -39,16 +39,16 @@ class CalibratorFeed:
         self._began = time.monotonic()
         self._held: list[Block] = []
         self.without_skew = False
-        # A plan that its method cannot solve is refused now, whenever it is begun with.
+        # Refuse a plan that the method cannot solve now, before the calibrator is created.
         calibrator_of(setup)
         self.calibrator: Calibrator | HandCalibrator | None = None
         if setup.imu.skewed is None or Kind.SKEW not in topics:
             self.begin(with_skew=False)
 
     def feed(self, block: Block, intakes: Mapping[Kind, TopicIntake]) -> str:
-        """Feed a block, or hold it back; what is returned is as of `begin`.
+        """Feed a block, or hold it back; return as `begin`.
 
-        Whether there is a skewed gyro is decided as reprocessing will: by what has come of it.
+        The received samples decide on the skewed gyro, as in reprocessing.
         """
         if self.calibrator is not None:
             self.calibrator.feed(block)
@@ -64,10 +64,10 @@ class CalibratorFeed:
         return ''
 
     def begin(self, *, with_skew: bool) -> str:
-        """Make the calibrator, and feed it with what has come in before.
+        """Create the calibrator, and feed it with the blocks received before.
 
         Returns:
-            Why this is in vain, in sentences; empty where it is not.
+            Why the session cannot succeed, in sentences; else empty.
 
         """
         self.without_skew = not with_skew

@@ -1,4 +1,4 @@
-"""calibrator_node: listens, journals, and publishes the 24 parameters as they become known."""
+"""calibrator_node: records a journal and publishes the 24 parameters as they are determined."""
 
 from __future__ import annotations
 
@@ -27,29 +27,29 @@ from .turntable_state import TurntableStateIntake
 from .unit_results import UnitResults
 
 _TICK = 0.02
-"""s: twenty samples at 1 kHz; a queue of the middleware holds many times that. What a round costs
-whatever has come is paid for every unit: eight at 1 kHz cost the sessions 14 % of a core, and 43 %
-with rounds of 5 ms."""
+"""s: twenty samples at 1 kHz; a queue of the middleware holds many times that. The fixed cost of a
+round is paid for every unit: for eight units at 1 kHz 14 % of a core, and 43 % with rounds of
+5 ms."""
 _SECOND = 1.0
-"""s between two looks at what changes slowly: publishers, the disk, the words said."""
+"""s between checks of what changes slowly: publishers, disk, report texts."""
 _LAST_TAKE = 1.0
-"""s for what waits when the node is stopped. A judgement: who pressed Ctrl-C waits no longer, and a
-launcher kills five seconds after it, when the journal has to be closed."""
+"""s to process pending data when the node is stopped. A judgement: a person waits no longer after
+Ctrl-C, and a launcher kills the process five seconds later, before which the journal must close."""
 _GLANCE = 0.25
-"""s between two reviews of a session in the hand: a person who holds still waits for the answer."""
+"""s between two reviews of a session in the hand: a person who holds still waits for the result."""
 
 
 class CalibratorNode(ros.Node):
-    """Feeds the `Calibrator` that `imu-calib calibrate` feeds, and says what it finds.
+    """Feeds the same `Calibrator` as `imu-calib calibrate`, and publishes its results.
 
-    Several units on one table have a session each, and a namespace for what is theirs; what is
-    said without one is then of all of them.
+    Each of several units on one table has a session and a namespace; topics without a namespace
+    concern all units.
     """
 
     def __init__(self) -> None:
         super().__init__('calibrator_node')
         self._units, description = declared_units(self)
-        # Plan, table and site are the same for all.
+        # Plan, table and site are common to all units.
         self._setup = self._units[0].setup
         self._several = bool(self._units[0].name)
         table, plan = self._setup.table, self._setup.plan
@@ -94,14 +94,14 @@ class CalibratorNode(ros.Node):
         self.create_timer(_TICK, self._on_tick, clock=steady)
         self.create_timer(_SECOND, self._on_second, clock=steady)
         if self._setup.table is None:
-            # A person looks at what it says while holding still.
+            # A person reads the advice while holding still.
             self.create_timer(_GLANCE, self._on_glance, clock=steady)
 
     def stop(self) -> list[Any]:
-        """Leave the journal such that the next start goes on with it."""
+        """Close the journal so that the next start can resume it."""
         end = time.monotonic() + _LAST_TAKE
         while self._take_all() and time.monotonic() < end:
-            # A round takes so many of a topic, and no more.
+            # A round takes a limited number of messages from each topic.
             pass
         self._sessions.close()
         self._publish_progress()
@@ -109,14 +109,14 @@ class CalibratorNode(ros.Node):
         return heard if self._of_all is None else [*heard, *self._of_all]
 
     def _file_of(self, unit: StatedUnit) -> Path:
-        """Return the file that takes a unit's result."""
+        """Return the file of a unit's result."""
         if not self._several:
             return self._output
-        # As bringup.launch.py asks for it.
+        # As bringup.launch.py expects it.
         return self._output / f'{unit.setup.serial_number}.yaml'
 
     def _open_what_is_said_of_all(self) -> tuple[Any, Any]:
-        """Open the topics without a namespace, and the services that leave a unit out."""
+        """Open the topics without a namespace, and the services that exclude a unit."""
         try:
             self._output.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -134,7 +134,7 @@ class CalibratorNode(ros.Node):
         )
 
     def _new_sessions(self) -> Sessions:
-        """Begin a session, or go on with the one that the journal holds."""
+        """Begin a session, or resume the one in the journal."""
         of_units = [hearing.topics for hearing in self._heard]
         sessions = self._factory.begin(self._hearing.topics, of_units)
         for hearing, results in zip(self._heard, self._results, strict=True):
@@ -177,10 +177,10 @@ class CalibratorNode(ros.Node):
         return self._latest
 
     def _take_all(self) -> bool:
-        """Take in what has come, so many of a topic; return whether there was anything."""
+        """Take a limited number of new messages per topic; return whether there were any."""
         now = self._read_clock()
         if now == 0:
-            # A log time before the clock began would make a recording of decades.
+            # A log time before the clock starts would make the recording decades long.
             return False
         self._turntable.record(self._sessions, now)
         came = False
@@ -192,7 +192,7 @@ class CalibratorNode(ros.Node):
         return came
 
     def _take_of(self, place: int, hearing: Hearing, now: int) -> bool:
-        """Take in what a unit has said; return whether it has said anything."""
+        """Take new messages of a unit; return whether there were any."""
         session, came = self._sessions.all[place], False
         for kind, payloads in hearing.take():
             came = True
@@ -240,7 +240,7 @@ class CalibratorNode(ros.Node):
                 self._publish(place)
 
     def _publish(self, place: int) -> None:
-        """Publish a unit's calibration where there is news of it, and the progress."""
+        """Publish a unit's calibration if it changed, and its progress."""
         last = self._results[place].publish(self._sessions.all[place])
         if last is not None and self._of_all is not None:
             _, results = self._of_all
@@ -266,14 +266,14 @@ class CalibratorNode(ros.Node):
                 results.report(self._sessions.all[place], self._imu_timeout)
 
     def _on_solve(self, _: Any, response: Any) -> Any:
-        """End the session with what is here."""
+        """End the session with the data received so far."""
         sessions = self._sessions
         first = sessions.all[0]
         response.success = not sessions.over
         response.message = self._sentence()
         review = first.review
         if self._setup.table is None and review is not None and review.result is None:
-            # In the hand there is always another hold to be made.
+            # In the hand another hold is always possible.
             response.success, response.message = False, review.refusal
         if response.success:
             sessions.end()
@@ -284,7 +284,7 @@ class CalibratorNode(ros.Node):
         return response
 
     def _sentence(self) -> str:
-        """Say how far the session has come, or what is wrong with it."""
+        """Return a sentence on the progress of the session or its fault."""
         said = [session_sentence(session) for session in self._sessions.all]
         if not self._several:
             return said[0]
@@ -292,7 +292,7 @@ class CalibratorNode(ros.Node):
         return ' '.join(f'{name}: {words}' for name, words in zip(names, said, strict=True))
 
     def _on_leave_out(self, place: int, _: Any, response: Any) -> Any:
-        """Go on without a unit: it is silent, say, and the others are not to wait for it."""
+        """Continue without a unit, for instance a silent one that delays the others."""
         sessions, serial = self._sessions, self._units[place].setup.serial_number
         alone = sessions.open == [sessions.all[place]]
         if place in sessions.left_out:
@@ -308,12 +308,12 @@ class CalibratorNode(ros.Node):
         return response
 
     def _on_reset(self, _: Any, response: Any) -> Any:
-        """Begin a new session, with a journal of its own."""
+        """Begin a new session with a new journal."""
         before = self._sessions
         try:
             self._sessions = self._new_sessions()
         except InputError as error:
-            # The one that runs goes on.
+            # The running session continues.
             response.success, response.message = False, str(error)
         else:
             before.close()
@@ -323,7 +323,7 @@ class CalibratorNode(ros.Node):
         return response
 
     def _on_save(self, _: Any, response: Any) -> Any:
-        """Write what is determined so far."""
+        """Write the parameters determined so far."""
         problems = [
             f'{unit.setup.serial_number}: {problem}' if self._several else problem
             for unit, results, session in zip(

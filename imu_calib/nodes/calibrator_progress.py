@@ -1,4 +1,4 @@
-"""What the calibrator says of the session, as the node that leads the table takes it."""
+"""Progress of the calibrator, as received by the node that runs the plan."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _NS = 1_000_000_000
 
 
 class CalibratorProgress:
-    """Takes progress in: the calibrator is there, cannot go on, or asks for steps again.
+    """Receives progress: the calibrator is ready, has a fault, or requests steps again.
 
     Args:
-        sequencer: Leads the table.
-        diagnostics: Where faults are reported.
+        sequencer: Runs the plan.
+        diagnostics: Receives reports of faults.
         timeout: Longest silence of the calibrator on the steady clock, s.
-        is_alone: Tells whether one node alone publishes progress, by the steady clock, s.
+        is_alone: Returns whether one node alone publishes progress; argument: steady clock, s.
 
     """
 
@@ -38,18 +38,18 @@ class CalibratorProgress:
         self._heard_at = -math.inf
 
     def look(self, now: float) -> None:
-        """Hold the calibrator to the steady clock, s."""
+        """Check for silence of the calibrator at a time of the steady clock, s."""
         self._sequencer.set_calibrator_present(
             now - self._heard_at <= self._timeout,
             f'The calibrator is silent for {self._timeout:g} s.',
         )
 
     def take(self, progress: Any, now: float) -> bool:
-        """Take imu_calib_msgs/CalibrationProgress; return whether it is of this plan."""
+        """Take imu_calib_msgs/CalibrationProgress; return whether it concerns this plan."""
         sequencer = self._sequencer
         fault = _fault_of(progress)
         failed = progress.state == progress.FAILED
-        # What keeps the table from moving is believed of everybody.
+        # A fault stops the table, whichever node publishes it.
         if failed and sequencer.running:
             sequencer.fail(fault)
         of_this_plan = bool(progress.plan == sequencer.plan.name)
@@ -76,7 +76,7 @@ class CalibratorProgress:
         self._heard_at = now
         if not self._is_alone(now):
             return
-        # rclpy's Time refuses what lies before 1970, where simulated time may begin.
+        # rclpy's Time refuses times before 1970, where simulated time may begin.
         stamp = progress.header.stamp.sec * _NS + progress.header.stamp.nanosec
         repeat_steps = [int(step) for step in progress.repeat_steps]
         self._sequencer.review(stamp, repeat_steps)
@@ -85,17 +85,17 @@ class CalibratorProgress:
 
 
 def _fault_of(progress: Any) -> str:
-    """Return what keeps the calibrator from taking a session in; empty where nothing does."""
+    """Return the fault that prevents a session; empty without one."""
     if progress.state == progress.FAILED:
         return f'The calibrator has failed: {progress.text}'
     if progress.state == progress.FINISHED:
         return 'The calibrator has finished its session: call ~/reset of calibrator_node first.'
     if _lacks_units(progress):
-        # One that is not heard would have every step to be run again.
+        # Every step would have to be repeated for a unit that sends no samples.
         return f'Some units send no samples: {progress.text}'
     return ''
 
 
 def _lacks_units(progress: Any) -> bool:
-    """Say whether the calibrator of several units does not hear them all."""
+    """Return whether samples of some units are missing."""
     return bool(progress.state == progress.WAITING and progress.serial_numbers)

@@ -1,4 +1,4 @@
-"""The setpoints that a table's driver follows: one source's, within reach of a heartbeat."""
+"""The setpoints that a table's driver follows: from one source, while a heartbeat is received."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .publishers import names_of
 
 
 class Commands:
-    """Takes setpoints off their topic, and gives on what the table is to follow.
+    """Receives setpoints and passes on those that the table must follow.
 
     Args:
         node: The driver.
@@ -36,7 +36,7 @@ class Commands:
         )
 
     def give(self, follow: Callable[[Setpoint], None]) -> None:
-        """Give on what has come, and HOLD where the heartbeat is lost; to be called often."""
+        """Pass on new setpoints, and HOLD if the heartbeat is lost; to be called often."""
         stop = self._gate.forbid(self._heartbeat.words)
         if stop is not None:
             follow(stop)
@@ -47,7 +47,7 @@ class Commands:
                     follow(self._gate.admit(setpoint, source or self._known(), now))
 
     def report(self, diagnostics: Diagnostics) -> None:
-        """Say whose setpoints are followed, or why none are."""
+        """Report whose setpoints are followed, or why none are."""
         publishers = names_of(self._listed())
         diagnostics.judge(
             'source',
@@ -62,9 +62,9 @@ class Commands:
         return list(self._node.get_publishers_info_by_topic(self._drain.topic_name))
 
     def _known(self) -> bytes:
-        """Tell a source by who is listed, where the middleware does not tell it by message.
+        """Return the listed publisher as source, where the middleware gives none per message.
 
-        Of several it is unknown which one it is: each message then counts as another's.
+        With several publishers the source is unknown: each message then counts as from another.
         """
         listed = self._listed()
         if len(listed) == 1:

@@ -1,4 +1,4 @@
-"""compensator_node: raw samples in, rates and specific forces in SI units out."""
+"""compensator_node: converts raw samples to rates and specific forces in SI units."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from .diagnostics import Diagnostics, Level
 from .entry import entry_point
 
 _SECOND = 1.0
-"""s between two looks at what changes slowly."""
+"""s between checks of what changes slowly."""
 _GHOST = 15.0
-"""s: a publisher that was killed is seen until its lease ends, ten seconds with Cyclone DDS."""
+"""s: a killed publisher is listed until its lease ends, ten seconds with Cyclone DDS."""
 
 
 class CompensatorNode(ros.ManagedNode):
-    """Publishes imu/data_raw from imu/pulses, by the calibration of a file or of a topic."""
+    """Publishes imu/data_raw from imu/pulses, with the calibration of a file or of a topic."""
 
     def __init__(self) -> None:
         super().__init__('compensator_node')
@@ -101,11 +101,11 @@ class CompensatorNode(ros.ManagedNode):
         self.begin(autostart=autostart)
 
     def configure(self) -> None:
-        """Take the calibration that is there; samples that come in are left."""
+        """Take the available calibration; samples are ignored."""
         self._applied.begin()
 
     def activate(self) -> None:
-        """Compensate what comes in from now on."""
+        """Compensate samples from now on."""
         self._decoder = ImuDecoder()
         self._reports.begin_counts()
         self._applied.renew()
@@ -113,13 +113,13 @@ class CompensatorNode(ros.ManagedNode):
         self._diagnostics.report('lifecycle', Level.OK, 'Active: samples are compensated.')
 
     def deactivate(self) -> None:
-        """Give out what waits; then nothing."""
+        """Publish pending samples, then stop."""
         self.stop()
         self._active = False
         self._diagnostics.report('lifecycle', Level.WARN, 'Not active: nothing is published.')
 
     def stop(self) -> list[Any]:
-        """Give out what waits for others to tell the sample interval."""
+        """Publish the samples that wait for the sample interval to be known."""
         if self._active and self._applied.compensator is not None:
             self._publish(self._applied.compensator.finish())
         return [self._publisher]
@@ -135,7 +135,7 @@ class CompensatorNode(ros.ManagedNode):
             self._on_pulses,
             qos.stream(reliable=reliable),
             event_callbacks=ros.SubscriptionEventCallbacks(incompatible_qos=incompatible),
-            # The second subscription is not to be made reliable by what the first took.
+            # Messages of the first subscription must not make the second one reliable.
             qos_overriding_options=qos.overridable() if reliable else None,
         )
 
@@ -195,7 +195,7 @@ class CompensatorNode(ros.ManagedNode):
         self._reports.report(self._applied.compensator, now, mixed=self._mixed)
 
     def _count_publishers(self) -> None:
-        """Give nothing while two devices publish; one that was killed is seen for a while more."""
+        """Publish nothing while two devices publish; a killed one counts until its lease ends."""
         if self.count_publishers(self.resolve_topic_name('imu/pulses')) < 2:
             self._two_since, self._mixed = None, False
         elif self._two_since is None:
@@ -204,7 +204,7 @@ class CompensatorNode(ros.ManagedNode):
             self._mixed = True
 
     def _subscribe_anew(self) -> None:
-        """Take what a publisher offers that does not send again what is lost, and say so."""
+        """Subscribe best effort to a best-effort publisher, and report it."""
         self.destroy_subscription(self._pulses)
         self._pulses = self._subscribe(reliable=False)
         self._unreliable = False

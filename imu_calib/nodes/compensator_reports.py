@@ -1,4 +1,4 @@
-"""What compensator_node says of its stream, of the calibration's range and of the temperature."""
+"""Reports of compensator_node on its stream, the calibration's range and the temperature."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _WORDS = {
 
 @dataclass
 class _Second:
-    """What happened since the last report."""
+    """Events since the last report."""
 
     since: float = field(default_factory=time.monotonic)
     taken: int = 0
@@ -37,16 +37,16 @@ class _Second:
 
 
 class CompensatorReports:
-    """Counts what comes in and goes out between two reports.
+    """Counts incoming and outgoing samples between two reports.
 
     Args:
-        diagnostics: Told once a second.
+        diagnostics: Receives a report once a second.
         pulses: Topic of the samples.
         temperature: Topic of the temperatures.
 
     Attributes:
         malformed: Messages that could not be read.
-        unused: Samples that came while there was no calibration, or two publishers.
+        unused: Samples received without a calibration, or with two publishers.
 
     """
 
@@ -61,31 +61,31 @@ class CompensatorReports:
         self._second = _Second()
 
     def begin_counts(self) -> None:
-        """Count marks anew, as a new compensator does."""
+        """Reset the counts of marks, as a new compensator does."""
         self._counted = dict.fromkeys(Mark, 0)
 
     def take(self, count: int) -> None:
-        """Count samples that came in."""
+        """Count incoming samples."""
         self._second.taken += count
 
     def give(self, count: int, newest: int) -> None:
-        """Count samples that went out, the latest stamped so (ns)."""
+        """Count outgoing samples; `newest` is the latest stamp, ns."""
         self._second.given += count
         self._second.newest = newest
 
     def worked(self, seconds: float) -> None:
-        """Take how long samples were in the node."""
+        """Record how long samples were in the node."""
         self._second.work.append(seconds)
 
     def hear_temperature(self) -> None:
-        """Take that a temperature has come."""
+        """Record that a temperature was received."""
         self._heard_temperature = time.monotonic()
 
     def report(self, compensator: Compensator | None, now: int, *, mixed: bool) -> None:
-        """Say what happened since the last report.
+        """Report what happened since the last report.
 
         Args:
-            compensator: None where there is no calibration.
+            compensator: None without a calibration.
             now: By the node's clock, ns.
             mixed: Whether two publishers send samples.
 
@@ -130,7 +130,7 @@ class CompensatorReports:
         self._diagnostics.report('stream', level, text, **figures)
 
     def _report_range(self, compensator: Compensator) -> None:
-        """Say what was marked in the last second, and how much of it there was in all."""
+        """Report the marks of the last second and their total."""
         counts = compensator.counts
         fresh = [m for m in Mark if counts[m] > self._counted[m]]
         self._counted = {mark: counts[mark] for mark in Mark}

@@ -13,22 +13,22 @@ from .convert import trajectory_message
 from .diagnostics import Diagnostics
 
 _ANSWER_TIMEOUT = 0.5
-"""s for the controller to accept a goal: as long as joint states may be silent, and shorter than
-the second by which a table is said to stall."""
+"""s for the controller to accept a goal: the longest accepted silence of joint states, and shorter
+than the second after which a table counts as stalled."""
 
 
 class Controller:
-    """Sends pieces of trajectories, each a goal that replaces the one before.
+    """Sends pieces of trajectories, each a goal that replaces the previous one.
 
-    What the controller does not follow (a goal that it rejects, aborts, or cancels for somebody
-    else's, a goal that it does not answer) is a fault; a goal that is replaced is none. A stop
-    that it does not follow makes it cancel its goal: it then holds the table by itself.
+    A goal that the controller rejects, aborts, does not answer, or cancels without a request is a
+    fault; a replaced goal is not. If the controller does not follow a stop, its goal is cancelled:
+    it then holds the table by itself.
 
     Args:
         node: turntable_node.
-        name: Of the action control_msgs/FollowJointTrajectory.
-        sequencer: Leads the table; hears of faults.
-        hold: Sends what the sequencer has to say now.
+        name: Of the action, control_msgs/FollowJointTrajectory.
+        sequencer: Runs the plan; receives faults.
+        hold: Sends the sequencer's setpoint at once.
 
     """
 
@@ -55,7 +55,7 @@ class Controller:
         """Send the piece of trajectory that is due with a setpoint.
 
         Args:
-            setpoint: As it is sent.
+            setpoint: The published setpoint.
             now: Steady time, s.
 
         """
@@ -79,11 +79,11 @@ class Controller:
         answer.add_done_callback(partial(self._on_answer, self._number))
 
     def look(self, now: float, diagnostics: Diagnostics) -> None:
-        """Notice a controller that is not there, or does not answer; say how it is.
+        """Detect a controller that is missing or does not answer; report its state.
 
         Args:
             now: Steady time, s.
-            diagnostics: Where.
+            diagnostics: Receives the report.
 
         """
         missing = ''
@@ -118,7 +118,7 @@ class Controller:
             kind.PATH_TOLERANCE_VIOLATED: 'the path tolerance is violated',
             kind.GOAL_TOLERANCE_VIOLATED: 'the goal tolerance is violated',
         }.get(result.error_code)
-        # A goal that was replaced ends as it may; a table that was off its way was off.
+        # A replaced goal may end in any way; a violated tolerance is a fault in any case.
         if violated is None and number != self._number:
             return
         cancelled = answer.status == GoalStatus.CANCELED
@@ -129,7 +129,7 @@ class Controller:
     def _fail(self, what: str) -> None:
         self._fault = f'The controller of {self._name} {what}'.rstrip('.') + '.'
         if self._stops and self._handle is not None:
-            # It holds the table where it is once it has no goal.
+            # Without a goal the controller holds the table.
             self._handle.cancel_goal_async()
         self._sequencer.fail(self._fault)
         self._hold()

@@ -1,4 +1,4 @@
-"""Values of the core as messages."""
+"""Convert values of the core to messages and back."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
     message.method = str(where['method'])
     message.gravity = float(where['gravity'])
     message.latitude = math.radians(float(where['latitude_deg']))
-    # What was not estimated has no deviation, and is no number.
+    # Parameters that were not estimated are NaN.
     known = np.isfinite(calibration.std[: len(PARAMETER_NAMES)])
     vector = np.where(known, calibration.model.vector(), math.nan)
     for name, value in zip(PARAMETER_NAMES, vector.tolist(), strict=True):
@@ -105,10 +105,10 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
 
 
 def calibration_of(message: Any) -> Calibration:
-    """Return what imu_calib_msgs/ImuCalibration holds, as far as compensation needs it.
+    """Return the content of imu_calib_msgs/ImuCalibration that compensation needs.
 
     Raises:
-        InputError: The message is REFUSED, contradicts itself, or holds what no strapdown IMU has.
+        InputError: The message is REFUSED, inconsistent, or impossible for a strapdown IMU.
 
     """
     if message.status == messages.ImuCalibration.REFUSED:
@@ -155,13 +155,13 @@ def calibration_of(message: Any) -> Calibration:
 
 
 def _in_no_field(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
-    """Return the parameters that the message has no fields of their own for."""
+    """Return the parameters for which the message has no named fields."""
     terms = [term for term in terms_of(parameters) if term is not G_SENSITIVITY]
     return tuple(p for term in terms for p in term.parameters)
 
 
 def _parameters(message: Any) -> tuple[Parameter, ...]:
-    """Return the parameters of a calibration by what the message says that it has."""
+    """Return the parameters of a calibration that the message lists."""
     try:
         further = by_name(message.term_parameters)
     except KeyError as error:
@@ -187,7 +187,7 @@ def _parameters(message: Any) -> tuple[Parameter, ...]:
 
 
 def final_status(calibration: Calibration) -> int:
-    """Return the status of a session's last word: INCOMPLETE where positions are missing."""
+    """Return the status of a final result: INCOMPLETE if positions are missing."""
     kinds = messages.ImuCalibration
     return int(kinds.INCOMPLETE if _missing(calibration) else kinds.VALID)
 
@@ -197,7 +197,7 @@ def _missing(calibration: Calibration) -> list[str]:
 
 
 def _provenance(message: Any) -> dict[str, Any]:
-    """Return the entries that compensation looks at, as the file has them."""
+    """Return the entries that compensation uses, named as in the file."""
     temperature = {
         'mean': float(message.reference_temperature),
         'lowest': float(message.lowest_temperature),
@@ -214,7 +214,7 @@ def _provenance(message: Any) -> dict[str, Any]:
 
 
 def _add_changes(message: Any, changes: Changes | None) -> None:
-    """State how parameters changed during the session."""
+    """Write how parameters changed during the session."""
     if changes is None:
         return
     message.change_terms = [one.course.value for one in changes.changes]
@@ -227,7 +227,7 @@ def _add_changes(message: Any, changes: Changes | None) -> None:
 
 
 def _changes(message: Any) -> Changes | None:
-    """Return how parameters changed during the session; None where the message states nothing."""
+    """Return how parameters changed during the session; None if the message does not state it."""
     if not message.change_terms:
         return None
     name = f'The calibration of {message.imu_id or "no name"}'
@@ -282,12 +282,12 @@ def _known(value: float) -> float | None:
 
 
 def _limit(value: float) -> float:
-    """Return a range; a publisher that knows none may leave zero."""
+    """Return a range; a publisher without one may leave zero."""
     return float(value) if value > 0 else math.inf
 
 
 def refusal_message(imu: ImuSpec, plan: str, text: str, frame_id: str, stamp: Any) -> Any:
-    """Return imu_calib_msgs/ImuCalibration that holds no number, and says why."""
+    """Return imu_calib_msgs/ImuCalibration with the reason and without numbers."""
     message = _empty(imu, messages.ImuCalibration.REFUSED, text, frame_id, stamp)
     message.plan = plan
     for name in PARAMETER_NAMES:

@@ -1,4 +1,4 @@
-"""Parameters of a node: declared, described and checked in one call."""
+"""Declare, describe and check parameters of a node in one call."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ def declare(
     """Declare a parameter and return its value.
 
     Args:
-        node: Whose.
+        node: Declares the parameter.
         name: Of the parameter.
-        default: Its value where none is given; its type is the parameter's.
+        default: Value if none is given; its type is the parameter's.
         description: One line with the unit, as `ros2 param describe` shows it.
-        lower: Smallest value that is accepted, None for any.
-        upper: Largest value that is accepted, None for any.
-        read_only: Whether it stays as it was at the start.
+        lower: Smallest accepted value, None for no limit.
+        upper: Largest accepted value, None for no limit.
+        read_only: Whether it cannot change after the start.
 
     Raises:
-        InputError: The value that was given has another type or lies outside the range.
+        InputError: The given value has another type or lies outside the range.
 
     """
     described = ParameterDescriptor(description=description, read_only=read_only)
@@ -47,5 +47,5 @@ def declare(
     try:
         return node.declare_parameter(name, default, described).value
     except Exception as error:
-        # The two runtimes raise alike for a wrong type, and differently for a wrong range.
+        # The two runtimes raise the same error for a wrong type, different ones for a wrong range.
         raise InputError(f'Parameter {name}: {error}') from error

@@ -1,4 +1,4 @@
-"""What a node says of itself on /diagnostics and in the log."""
+"""Reports of a node on /diagnostics and in the log."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import IntEnum
 from ..middleware import Clock, ClockType, Node, messages
 
 _PERIOD = 1.0
-"""s: what REP 107 asks of diagnostics."""
+"""s: the period that REP 107 requires of diagnostics."""
 
 
 class Level(IntEnum):
@@ -29,11 +29,11 @@ class _Report:
 
 
 class Diagnostics:
-    """Publishes the last report of each part of a node every second, and at once what changes.
+    """Publishes the last report of each part of a node every second, and changes at once.
 
     Args:
-        node: Whose.
-        hardware_id: What it deals with, for instance the IMU's id.
+        node: The node that reports.
+        hardware_id: Of the device, for instance the IMU's id.
 
     """
 
@@ -42,29 +42,29 @@ class Diagnostics:
         self.hardware_id = hardware_id
         self._reports: dict[str, _Report] = {}
         self._publisher = node.create_publisher(messages.DiagnosticArray, '/diagnostics', 10)
-        # On the steady clock: a simulation that stands still is worth a word.
+        # On the steady clock: reports must also come while simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(_PERIOD, self.publish, clock=steady)
 
     def report(self, part: str, level: Level, text: str, **figures: str) -> None:
-        """Replace what is said of a part of the node.
+        """Replace the report on a part of the node.
 
         Args:
             part: For instance 'stream' or 'table'.
-            level: How bad it is.
-            text: One sentence for a person, from which the figures may be missing.
+            level: Severity.
+            text: One sentence for a person; it need not contain the figures.
             **figures: Values with their units, by name.
 
         """
         self.report_of('', part, level, text, figures)
 
     def judge(self, part: str, fault: str, otherwise: str, **figures: str) -> None:
-        """Replace what is said of a part: an error where something is wrong; see `report`.
+        """Replace the report on a part: an error if there is a fault; see `report`.
 
         Args:
             part: As of `report`.
-            fault: What is wrong, a sentence; empty where nothing is.
-            otherwise: What is said then.
+            fault: The fault, a sentence; empty without one.
+            otherwise: Text without a fault.
             **figures: As of `report`.
 
         """
@@ -74,14 +74,14 @@ class Diagnostics:
     def report_of(
         self, hardware_id: str, part: str, level: Level, text: str, figures: dict[str, str]
     ) -> None:
-        """Replace what is said of a part that deals with hardware of its own; see `report`."""
+        """Replace the report on a part with its own hardware id; see `report`."""
         text = text if text.endswith('.') else f'{text}.'
         before = self._reports.get(part)
         self._reports[part] = _Report(level, text, figures, hardware_id)
         if before is not None and (before.level, before.text) == (level, text):
             return
         logger = self._node.get_logger()
-        # One line of code each: ROS fixes the severity of a line at its first call.
+        # One source line for each level: ROS fixes the severity of a line at its first call.
         if level >= Level.ERROR:
             logger.error(text)
         elif level == Level.WARN:
@@ -110,12 +110,12 @@ class Diagnostics:
 
     @property
     def publisher(self) -> object:
-        """The publisher, for those who wait until the last word was heard."""
+        """The publisher, to wait until its last message is acknowledged."""
         return self._publisher
 
 
 class PartOfDiagnostics:
-    """What a node says of one of several units: its parts have the unit's name before them.
+    """Reports on one of several units: its parts are prefixed with the unit's name.
 
     Args:
         diagnostics: Of the node.
@@ -130,6 +130,6 @@ class PartOfDiagnostics:
         self.hardware_id = hardware_id
 
     def report(self, part: str, level: Level, text: str, **figures: str) -> None:
-        """Replace what is said of a part of the unit; see `Diagnostics.report`."""
+        """Replace the report on a part of the unit; see `Diagnostics.report`."""
         named = f'{self._name}: {part}'
         self._diagnostics.report_of(self.hardware_id, named, level, text, figures)

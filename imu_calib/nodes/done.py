@@ -1,18 +1,18 @@
-"""Whether the table's leader may be believed that a plan is done."""
+"""Whether a reported DONE of a plan is credible."""
 
 from __future__ import annotations
 
 
 class DoneWord:
-    """Takes what turntable/state says, and believes DONE only where all speaks for it.
+    """Receives turntable/state, and accepts DONE only with independent evidence.
 
-    The state is one node's word, and any publisher on its topic could end a session with it.
-    So the calibrator has seen every step of the plan commanded, no other node publishes the state,
-    and it is said twice in a row: its leader repeats it twice a second, and would contradict.
+    Any publisher on the topic could end a session. Therefore the calibrator must have received
+    setpoints of every step, no other node may publish the state, and DONE must come twice in
+    succession: the node that runs the plan repeats its state twice a second and would contradict.
 
     Args:
         plan: Name of the plan that is calibrated.
-        steps: How many steps it has.
+        steps: Number of its steps.
 
     """
 
@@ -26,12 +26,12 @@ class DoneWord:
         self._said = 0
 
     def doubt(self, plan: str, steps: int, commanded: int, *, alone: bool) -> str:
-        """Take a state that is DONE; return why it is not believed, empty where it is.
+        """Take a state that is DONE; return why it is not accepted, else empty.
 
         Args:
-            plan: What it names.
-            steps: How many steps it says that the plan has.
-            commanded: How many steps of the plan have been commanded, by the setpoints.
+            plan: Name of the plan in the state.
+            steps: Number of steps in the state.
+            commanded: Number of steps commanded by setpoints.
             alone: Whether the state has one publisher.
 
         """
@@ -49,5 +49,5 @@ class DoneWord:
 
     @property
     def is_repeated(self) -> bool:
-        """Whether DONE was said more than once in a row."""
+        """Whether DONE was received more than once in succession."""
         return self._said > 1

@@ -1,4 +1,4 @@
-"""How every node's program begins and ends."""
+"""Start and end of every node's program."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ..lifetime import end_with_parent
 from ..middleware import run
 
 _M_ARENA_MAX = -8
-"""Of mallopt(3), glibc's malloc.h."""
+"""Constant of mallopt(3), glibc's malloc.h."""
 
 
 def entry_point(node: Callable[[], Any]) -> int:
     """Run a node until a signal ends it; return the exit code.
 
-    A person's mistake is reported in a sentence: 2 for wrong usage or unreadable input.
+    An error of the user is reported in a sentence: code 2 for wrong usage or unreadable input.
     """
     share_one_heap()
     end_with_parent()
@@ -32,10 +32,10 @@ def entry_point(node: Callable[[], Any]) -> int:
 
 
 def share_one_heap() -> None:
-    """Let the threads that are still to come take memory from one heap.
+    """Let future threads allocate from one heap.
 
-    glibc gives them heaps of their own, and what lies free in one is no other's: calibrator_node
-    took 1.2 MB more with each session (`benchmarks/soak.py`). Other C libraries have no such limit.
+    glibc gives each thread a heap, and threads cannot use each other's free memory: calibrator_node
+    grew by 1.2 MB with each session (`benchmarks/soak.py`). Other C libraries have no such setting.
     """
     with suppress(AttributeError, OSError):
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)

@@ -1,4 +1,4 @@
-"""Where the session before a crash ended, held against how this one begins."""
+"""Compare the end of the session before a crash with the start of this one."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _SET_BACK = 10_000_000_000
 
 
 class FormerSession:
-    """The last stamps of what a journal held, and what the first ones after it say.
+    """The last stamps of a journal, compared with the first ones after it.
 
     Args:
         journal: Its folder.
-        intakes: The topics after all of the journal was taken in.
+        intakes: The topics after the whole journal was read.
 
     """
 
@@ -31,10 +31,10 @@ class FormerSession:
         self._left = {k: newest for k, newest in timed.items() if newest is not None}
 
     def set_back(self, intake: TopicIntake, blocks: Sequence[Block]) -> str:
-        """Say that stamps begin so far before the journal's last that steps would be lost.
+        """Return a warning if stamps begin so far before the journal's last that steps are lost.
 
-        Samples older than those before them are left out, one by one and until the old time is
-        reached: of a simulation that began anew that may be the whole session.
+        Samples older than the preceding ones are dropped until the old time is reached: after a
+        restart of a simulation that may be the whole session.
         """
         timed = [b for b in blocks if isinstance(b, ImuBlock | JointBlock) and len(b)]
         last = self._left.pop(intake.kind, None) if timed else None
@@ -48,10 +48,10 @@ class FormerSession:
         )
 
     def gap(self, first: int) -> str:
-        """Say how long the session was interrupted, where the stream alone does not tell.
+        """Return how long the session was interrupted, where the stream alone does not show it.
 
         Args:
-            first: Stamp of the first sample of the IMU after it, ns; later ones say nothing.
+            first: Stamp of the first IMU sample after it, ns; later ones are ignored.
 
         """
         last, self._imu_left_at = self._imu_left_at, None

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from ..errors import InputError
 
 _STUCK = 20.0
-"""s in which a reader took nothing: it is gone, and its bytes with it; a choice."""
+"""s without reading after which a reader counts as gone and its bytes are dropped; a choice."""
 _LOOK = 0.01
-"""s between two looks for a reader: one that connects waits no longer, and each look is a call of
-the kernel."""
+"""s between two checks for a reader: a new one waits no longer, and each check is a call of the
+kernel."""
 _BUFFER = 1 << 16
-"""Bytes held for a reader that is slow for a moment."""
+"""Bytes held for a reader that is briefly slow."""
 
 
 class FrameServer:
@@ -28,7 +28,7 @@ class FrameServer:
             self._server = socket.create_server(('127.0.0.1', port))
         except OSError as error:
             raise InputError(f'Parameter port: {port} cannot be used ({error.strerror}).') from None
-        # A small buffer: a reader that lags is to hold simulated time back soon.
+        # A small buffer, so that a slow reader soon slows simulated time.
         self._server.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
         self._server.setblocking(False)
         self._reader: socket.socket | None = None
@@ -38,7 +38,7 @@ class FrameServer:
 
     @property
     def connected(self) -> bool:
-        """Whether somebody reads."""
+        """Whether a client is connected."""
         return self._reader is not None
 
     @property
@@ -47,7 +47,7 @@ class FrameServer:
         return not self._left
 
     def tend(self) -> None:
-        """Accept a reader, and send on what the last one has not taken."""
+        """Accept a reader, and send on the bytes that wait."""
         now = time.monotonic()
         if now >= self._look_at:
             self._look_at = now + _LOOK
@@ -61,7 +61,7 @@ class FrameServer:
             self._drop()
 
     def send(self, line: bytes) -> None:
-        """Send bytes, or lose them without a client."""
+        """Send bytes; they are lost without a client."""
         if self._reader is None:
             self.dropped += len(line)
             return
@@ -69,7 +69,7 @@ class FrameServer:
         self._push()
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._drop()
         self._server.close()
 
@@ -95,14 +95,14 @@ class FrameServer:
 
 
 class Lines:
-    """The lines of all units, which go on together."""
+    """The lines of all units, in step with each other."""
 
     def __init__(self, servers: Sequence[FrameServer]) -> None:
         self._servers = servers
 
     @property
     def connected(self) -> bool:
-        """Whether somebody reads at all: a unit whose reader is gone does not hold up the rest."""
+        """Whether any client is connected: a unit without a reader does not delay the rest."""
         return any(server.connected for server in self._servers)
 
     @property
@@ -117,20 +117,20 @@ class Lines:
 
     @property
     def dropped(self) -> int:
-        """Bytes that met no reader."""
+        """Number of bytes lost without a reader."""
         return sum(server.dropped for server in self._servers)
 
     def tend(self) -> None:
-        """Accept readers, and send on what they have not taken."""
+        """Accept readers, and send on the bytes that wait."""
         for server in self._servers:
             server.tend()
 
     def send(self, lines: Sequence[bytes]) -> None:
-        """Send bytes on each, or lose them without a client."""
+        """Send bytes on each line; they are lost without a client."""
         for server, line in zip(self._servers, lines, strict=True):
             server.send(line)
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connections."""
         for server in self._servers:
             server.close()

@@ -1,7 +1,7 @@
-"""hand_node: a simulated IMU in a simulated hand, which does what the calibrator asks for.
+"""hand_node: a simulated IMU in a simulated hand that follows the calibrator's requests.
 
-The IMU sends frames over a TCP socket, as a device would. Simulated time goes as fast as they are
-read, and at the pace of the wall clock while the person waits for advice.
+The IMU sends frames over a TCP socket, as a device would. Simulated time advances as fast as they
+are read, and at the pace of the wall clock while the person waits for advice.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from .entry import entry_point
 from .frame_server import FrameServer
 
 _STEP = 0.1
-"""s of simulated time at once."""
+"""s of simulated time per step."""
 _REST = 0.0005
-"""s of sleep while a reader lags: short beside what a step takes to compute."""
+"""s of sleep while a reader is slow: short compared with the computation of a step."""
 _LONGEST_REST = 0.005
-"""s of sleep until the wall clock has come to the next step: advice that comes does not wait."""
+"""s of sleep until the wall clock reaches the next step, so that advice is followed at once."""
 _PATIENCE = 5.0
-"""s for the thread to end: a step takes milliseconds; one that hangs is left to the process."""
+"""s for the thread to end: a step takes milliseconds; a hanging thread ends with the process."""
 
 
 class HandNode(ros.Node):
-    """Publishes /clock, listens to calibration/progress, serves frames."""
+    """Publishes /clock, subscribes to calibration/progress, serves frames."""
 
     def __init__(self) -> None:
         super().__init__('hand_node')
@@ -106,7 +106,7 @@ class HandNode(ros.Node):
         self._hardware.advise(int(message.step), direction(best[0]) if best else None)
 
     def _live(self) -> None:
-        """Let simulated time pass until the node ends."""
+        """Advance simulated time until the node ends."""
         while not self._ending.is_set():
             self._line.tend()
             if rest := self._rest():
@@ -119,9 +119,9 @@ class HandNode(ros.Node):
                 return
 
     def _rest(self) -> float:
-        """Return how long to wait before the next step, s; 0: it is due.
+        """Return the wait before the next step, s; 0: it is due.
 
-        Who waits for advice, or for somebody who reads, waits by the wall clock.
+        While waiting for advice or for a reader, time follows the wall clock.
         """
         if not self._line.idle:
             return _REST
@@ -137,7 +137,7 @@ class HandNode(ros.Node):
         return min(max(0.0, due - wall), _LONGEST_REST)
 
     def _advance(self) -> None:
-        # The line before the clock: what a frame is stamped with is then never early.
+        # Send frames before the clock, so that a frame's stamp is never early.
         self._line.send(self._hardware.advance(_STEP))
         clock = messages.Clock()
         now = self._epoch + round(self._hardware.time * 1e9)

@@ -1,6 +1,6 @@
-"""What a calibrator listens to: one topic of each kind, by the quality of service it comes with.
+"""Subscriptions of a calibrator: one topic of each kind, with the offered quality of service.
 
-The table has its topics; each unit has its own, in its namespace where several are mounted.
+The table has its topics; each of several units has its own in its namespace.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from ..middleware import messages
 from . import qos
 
 _MOST = 4096
-"""Messages taken at once: one second at 4 kHz, so that other callbacks get their turn."""
+"""Messages taken per call: one second at 4 kHz, so that other callbacks can run."""
 _GHOST = 15.0
-"""s: a publisher that was killed is seen until its lease ends, ten seconds with Cyclone DDS."""
+"""s: a killed publisher is listed until its lease ends, ten seconds with Cyclone DDS."""
 _TOPICS = {
     Kind.SETPOINTS: ('turntable/setpoint', messages.TurntableSetpoint),
     Kind.JOINTS: ('turntable/joint_states', messages.JointState),
@@ -30,18 +30,18 @@ _OF_THE_TABLE = (Kind.SETPOINTS, Kind.JOINTS)
 
 
 def topics_of_table(setup: Setup) -> dict[Kind, str]:
-    """Return the names of the table's topics by what they carry: no table, no topics."""
+    """Return the names of the table's topics by content; empty without a table."""
     kinds = _OF_THE_TABLE if setup.table is not None else ()
     return {kind: _TOPICS[kind][0] for kind in kinds}
 
 
 def topics_of_unit(setup: Setup, namespace: str = '', imu_topic: str = '') -> dict[Kind, str]:
-    """Return the names of a unit's topics by what they carry.
+    """Return the names of a unit's topics by content.
 
     Args:
-        setup: Says whether it has a skewed gyro.
-        namespace: Of the unit; empty where it is alone.
-        imu_topic: Of its samples where that is another one; empty: imu/pulses.
+        setup: States whether the unit has a skewed gyro.
+        namespace: Of the unit; empty for a single one.
+        imu_topic: Topic of its samples; empty: imu/pulses.
 
     """
     kinds = [kind for kind in _TOPICS if kind not in _OF_THE_TABLE]
@@ -55,8 +55,8 @@ class Hearing:
     """Subscriptions that are drained.
 
     Args:
-        node: Whose.
-        topics: Names by what they carry.
+        node: The node that subscribes.
+        topics: Names by content.
 
     Attributes:
         topics: Their full names.
@@ -72,23 +72,23 @@ class Hearing:
         self._two_since: float | None = None
 
     def take(self) -> Iterator[tuple[Kind, list[bytes]]]:
-        """Yield the serialised messages that have come since, those of a kind together."""
+        """Yield the new serialised messages, grouped by kind."""
         for kind, subscription in self._drains.items():
             payloads = ros.drain(subscription, _MOST)
             if payloads:
                 yield kind, payloads
 
     def begin(self) -> None:
-        """Begin a session: who published before does not count."""
+        """Begin a session: earlier publishers do not count."""
         self._two_since = None
 
     @property
     def two_devices(self) -> bool:
-        """Whether more than one publisher of the IMU's topic is seen."""
+        """Whether the IMU's topic has more than one publisher."""
         return bool(self._node.count_publishers(self.topics[Kind.IMU]) > 1)
 
     def two_devices_stay(self) -> bool:
-        """Tell whether they are two for long: one that was killed is seen for ten seconds more."""
+        """Return whether there are two for long: a killed one stays listed for ten seconds."""
         if not self.two_devices:
             self._two_since = None
             return False
@@ -98,7 +98,7 @@ class Hearing:
         return now - self._two_since > _GHOST
 
     def subscribe_anew(self) -> list[str]:
-        """Take what a publisher offers that does not send again what is lost; return its topics."""
+        """Subscribe best effort to best-effort publishers; return their topics."""
         found = list(self._unreliable)
         for kind in found:
             self._node.destroy_subscription(self._drains[kind])
@@ -118,6 +118,6 @@ class Hearing:
             topic,
             qos.stream(reliable=reliable),
             event_callbacks=ros.SubscriptionEventCallbacks(incompatible_qos=incompatible),
-            # The second subscription of a topic is not to be made reliable by what the first took.
+            # Messages of the first subscription must not make the second one reliable.
             qos_overriding_options=qos.overridable() if reliable else None,
         )

@@ -1,4 +1,4 @@
-"""A heartbeat without which nothing starts, and whose silence is a stop."""
+"""A heartbeat that is required to start, and whose loss stops the table."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from .declared import declare
 
 
 class Heartbeat:
-    """Hears std_msgs/Bool on `heartbeat` where the parameter stop_required asks for it.
+    """Subscribes to std_msgs/Bool on `heartbeat` if the parameter stop_required is set.
 
-    True says that the table may move; false, and silence, that it may not. Heard best effort, so
-    that every publisher is heard; volatile, so that nothing counts that was said before.
+    The table may move after true; it must not after false, or without messages. The subscription is
+    best effort, to match every publisher, and volatile, so that earlier messages do not count.
 
     Args:
         node: Declares stop_required and heartbeat_timeout.
@@ -45,7 +45,7 @@ class Heartbeat:
 
     @property
     def words(self) -> str:
-        """Why nothing may move, in a sentence; empty where it may."""
+        """Why nothing may move, in a sentence; else empty."""
         if not self.required:
             return ''
         if self._steady.now().nanoseconds * 1e-9 - self._heard_at > self._timeout:

@@ -1,4 +1,4 @@
-"""imu_node: frames of a device in, pulses with the host's stamps out."""
+"""imu_node: reads frames of a device and publishes pulses with the host's stamps."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from .entry import entry_point
 _DRAIN_PERIOD = 0.004
 """s: four samples at 1 kHz; the line's own buffer holds a hundred times that."""
 _MOST_BYTES = 1 << 16
-"""Bytes read at once: more than a second of a line at half a megabaud."""
+"""Bytes per read: more than a second of a line at half a megabaud."""
 _MOST_WAITING = 64
-"""Chunks held while the time of the first is open; then the line's buffer holds the rest."""
+"""Chunks held while the time of the first is unknown; further bytes stay in the line's buffer."""
 _REPORT_PERIOD = 0.25
-"""s: diagnostics change four times a second at most; faster is not read."""
+"""s: diagnostics are published at most four times a second."""
 _NS = 1_000_000_000
 """Of a second."""
 
@@ -116,7 +116,7 @@ class ImuNode(ManagedNode):
         self._reported_at = 0.0
 
     def activate(self) -> None:
-        """Open the device; what was known of its clock and its stream is learnt anew."""
+        """Open the device; its clock and stream are estimated anew."""
         self.configure()
         if self._baud_words:
             self.get_logger().info(self._baud_words)
@@ -129,12 +129,12 @@ class ImuNode(ManagedNode):
         self._timer = self.create_timer(_DRAIN_PERIOD, self._work, clock=self._steady)
 
     def deactivate(self) -> None:
-        """Publish what has come, and close the device."""
+        """Publish pending samples, and close the device."""
         self.stop()
         self._diagnostics.report('lifecycle', Level.WARN, 'Not active: the device is not read.')
 
     def stop(self) -> Sequence[Any]:
-        """Let go of the device; return the publishers that must be heard."""
+        """Close the device; return the publishers whose messages must be acknowledged."""
         publishers = [self._pulses] if self._skews is None else [self._pulses, self._skews]
         if self._timer is None:
             return publishers
@@ -165,7 +165,7 @@ class ImuNode(ManagedNode):
         )
 
     def _work(self) -> None:
-        """Take what has come, publish it, and say how it goes."""
+        """Read, publish and report."""
         if not self._started:
             if self._now() == 0:
                 self._diagnostics.report('clock', Level.WARN, 'There is no message on /clock yet.')
@@ -183,10 +183,10 @@ class ImuNode(ManagedNode):
         self._report(now, steady)
 
     def _arrived(self) -> list[Chunk]:
-        """Return bytes with the host's time at which they had arrived for certain.
+        """Return bytes with the host's time before which they certainly arrived.
 
-        Simulated time comes in steps: bytes read at one step came before the next. While the
-        offset is open, only that next step is a time at which none of them is still to be made.
+        Simulated time advances in steps: bytes read at one step were sent before the next. While
+        the offset is unknown, only that next step is certain to be later than all of them.
         """
         if len(self._waiting) < _MOST_WAITING:
             self._waiting += self._source.take(_MOST_BYTES)
@@ -200,17 +200,17 @@ class ImuNode(ManagedNode):
         return self._first(ready)
 
     def _stands_since_opening(self, now: int) -> bool:
-        """Say whether simulated time has not moved since the line was opened.
+        """Return whether simulated time has not moved since the line was opened.
 
-        A simulation that is started anew may send before the first word of its clock is here: until
-        then `now` is the time of the one before.
+        A restarted simulation may send frames before its first /clock message: until then `now` is
+        the time of the previous simulation.
         """
         if self._source.opened != self._opened:
             self._opened, self._opened_at = self._source.opened, now
         return now == self._opened_at
 
     def _first(self, count: int) -> list[Chunk]:
-        """Return the first of the bytes that wait; in simulated time no other clock counts."""
+        """Return the first of the pending bytes; in simulated time no other clock counts."""
         if not count:
             return []
         chunks = self._waiting[:count]
@@ -221,13 +221,13 @@ class ImuNode(ManagedNode):
         return [Chunk(chunk.data, now, now) for chunk in chunks]
 
     def _take(self, chunks: list[Chunk], now: int, steady: float) -> None:
-        """Decode bytes; their samples wait until the clock's offset is known."""
+        """Decode bytes; samples wait until the clock's offset is known."""
         samples, elapsed = self._reception.take(chunks, now, steady)
         if len(samples):
             self._held.append((samples, elapsed + self._line.set_by))
 
     def _release(self) -> None:
-        """Publish the samples that wait, as soon as they can be stamped."""
+        """Publish the pending samples as soon as they can be stamped."""
         if self._line.offset is None:
             return
         for samples, elapsed in self._held:
@@ -259,7 +259,7 @@ class ImuNode(ManagedNode):
             self._temperatures.publish(payload)
 
     def _report(self, now: int, steady: float) -> None:
-        """Say how port, stream, clock and device are; at once when the stream falls silent."""
+        """Report the state of port, stream, clock and device; at once when the stream stops."""
         silent = self._is_silent(now, steady)
         if steady - self._reported_at < _REPORT_PERIOD and silent == self._silent:
             return

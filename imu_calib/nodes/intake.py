@@ -1,4 +1,4 @@
-"""One topic of a live session: what has come in on it, and when."""
+"""One topic of a live session: counts and stamps of its messages."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ class TopicIntake:
     """One topic of the session.
 
     Attributes:
-        kind: What it carries.
+        kind: Content of the topic.
         topic: Full name.
-        malformed: Messages that were left out.
-        count: Samples taken in, those of the journal included.
-        ignored: Joint states that lack a joint of the table, setpoints of another plan.
+        malformed: Number of messages that could not be read.
+        count: Number of samples, those of the journal included.
+        ignored: Number of joint states that lack a joint of the table, or setpoints of another
+            plan.
         oldest: Stamp of the first, ns; None before it.
         newest: Stamp of the newest, ns; None before the first.
-        heard: When it came, s of the steady clock.
+        heard: When the newest came, s of the steady clock.
 
     """
 
@@ -34,7 +35,7 @@ class TopicIntake:
     newest: int | None = None
 
     def note(self, block: Block, *, strange: bool) -> None:
-        """Count a block; one of strangers, joints of no table for instance, is ignored."""
+        """Count a block; a foreign one, for instance of other joints, is ignored."""
         if strange:
             self.ignored += len(block)
             return

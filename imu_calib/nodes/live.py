@@ -1,4 +1,4 @@
-"""A session that is being recorded and solved while it runs; knows nothing of the middleware."""
+"""A session that is recorded and solved while it runs; independent of the middleware."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from enum import IntEnum
 
-# The core loads these when it first solves something, and then a table would wait.
+# Loaded here, because loading at the first solution would make a table wait.
 import scipy.linalg
 import scipy.special  # noqa: F401
 
@@ -25,9 +25,10 @@ from .intake import TopicIntake
 from .shared import JournalPart, SolverPart
 
 _LATE = 500_000_000
-"""ns by which the last samples may be older than the table's last word: half a second of delay."""
+"""ns by which the last samples may be older than the table's last message: half a second of
+delay."""
 _PATIENCE = 2.0
-"""s that are waited for data older than the table's last word; what comes later is lost."""
+"""s to wait for data older than the table's last message; later data is lost."""
 
 
 class SessionPhase(IntEnum):
@@ -41,20 +42,20 @@ class SessionPhase(IntEnum):
 
 
 class LiveSession:
-    """Journals what comes in, feeds the calibrator, and solves in a thread of its own.
+    """Records messages in the journal, feeds the calibrator, and solves in a separate thread.
 
-    What it ends with is what `imu-calib calibrate` makes of the journal, bit for bit: the same
-    calibrator is fed with the same messages, and a snapshot of it is solved.
+    The final result equals that of `imu-calib calibrate` on the journal, bit for bit: the same
+    calibrator receives the same messages, and a snapshot of it is solved.
 
     Attributes:
         setup: What is calibrated, and how.
         journal: Its part of the recording.
-        intakes: The topics by what they carry.
-        phase: How far it has come.
+        intakes: The topics by content.
+        phase: Progress of the session.
         failure: Why it failed, else empty.
-        notes: What a person should know beyond the calibration's own findings.
-        review: What the last solving found; None before the first.
-        calibration: The result as far as it goes; None while it is not determined.
+        notes: Messages for the user besides the calibration's findings.
+        review: Result of the last solution; None before the first.
+        calibration: The result so far; None while it is not determined.
         worked_until: Stamp up to which the last review reaches, ns: of the joints, of the IMU
             where there is no table.
         frame_id: The IMU's frame.
@@ -63,11 +64,10 @@ class LiveSession:
     Args:
         setup: What is calibrated, and how.
         journal: Its part of the recording.
-        topics: Full topic names by what they carry; a skewed gyro is awaited where its topic is
-            among them.
-        solver: What solves.
-        solved: As what the session is solved: without the plan, of a unit whose axes are not as the
-            plan has them.
+        topics: Full topic names by content; a skewed gyro is expected if its topic is among them.
+        solver: Solves the session.
+        solved: The set-up used to solve: without the plan for a unit whose axes differ from the
+            plan's.
 
     Raises:
         InputError: The method cannot solve the plan.
@@ -104,44 +104,44 @@ class LiveSession:
 
     @property
     def trouble(self) -> str:
-        """What is wrong with the journal at the moment, else empty."""
+        """The present fault of the journal, else empty."""
         return self.journal.trouble
 
     @property
     def without_skew(self) -> bool:
-        """Whether the session goes on without a skewed gyro."""
+        """Whether the session continues without a skewed gyro."""
         return self._feed.without_skew
 
     @property
     def over(self) -> bool:
-        """Whether nothing is taken in any more."""
+        """Whether no more messages are accepted."""
         return self.phase in {SessionPhase.FINISHED, SessionPhase.FAILED}
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What the session's method estimates."""
+        """The parameters that the session's method estimates."""
         return self._solved.parameters
 
     @property
     def guidance(self) -> Guidance | None:
-        """What a person with the unit in hand should do next; None where a table turns it."""
+        """The next action for a person with the unit in hand; None on a table."""
         return self.review.guidance if isinstance(self.review, HandReview) else None
 
     @property
     def _leader(self) -> TopicIntake:
-        """The topic that says how far the session has come."""
+        """The topic that determines the progress of the session."""
         return self.intakes[Kind.JOINTS if Kind.JOINTS in self.intakes else Kind.IMU]
 
     @property
     def _closed(self) -> bool:
-        """Whether nothing more is taken in: the recording is to hold what the result rests on."""
+        """Whether no more data is accepted: the recording must hold the data of the result only."""
         return self.over or self._solver.concludes
 
     def take(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
-        """Take serialised messages of a topic in.
+        """Take serialised messages of a topic.
 
         Args:
-            kind: Of which topic.
+            kind: Content of the topic.
             payloads: At least one message.
             now: Host time, ns.
 
@@ -150,7 +150,7 @@ class LiveSession:
             return
         intake = self.intakes[kind]
         if kind is Kind.SKEW and self.without_skew:
-            # The recording is to hold what the result rests on.
+            # The recording must hold the data of the result only.
             return
         if kind is Kind.SETPOINTS:
             sound = [p for p in payloads if self._of_the_plan(p)]
@@ -172,21 +172,21 @@ class LiveSession:
             self._take_in(kind, block)
 
     def feed_former(self, kind: Kind, block: Block) -> None:
-        """Take in a block of what a session before a crash left."""
+        """Take a block from the session before a crash."""
         self._take_in(kind, block)
 
     def go_on(self, losses: Sequence[str]) -> None:
-        """Note that all of what was left has been taken in, and what of it could not be read."""
+        """Record that the old journal has been read, and which parts could not be."""
         self.notes += losses
         self._former = FormerSession(self.journal.path, self.intakes)
 
     def record(self, topic: str, type_name: str, payload: bytes, now: int) -> None:
-        """Keep a message that is not calibrated from."""
+        """Record a message that calibration does not use."""
         if not self._closed:
             self.journal.write(topic, type_name, Messages.join([payload]), now)
 
     def backwards(self, kind: Kind, payloads: Sequence[bytes]) -> bool:
-        """Tell whether messages are older than what came in before: a second publisher's."""
+        """Return whether messages are older than earlier ones, thus from a second publisher."""
         newest = self.intakes[kind].newest
         blocks = kind.decode(Messages.join(payloads), Malformed())
         return newest is not None and any(
@@ -194,21 +194,21 @@ class LiveSession:
         )
 
     def flush(self) -> None:
-        """Secure what came in, and try again what a full disk refused."""
+        """Secure the received data, and retry what a full disk refused."""
         if not self.over and not self.journal.flush():
             self.fail(f'{self.trouble} The buffer in memory is full, too.')
 
     def table_done(self, stamp: int) -> None:
-        """Note that the table ran its plan to the end, at a stamp in ns."""
+        """Record that the table completed its plan, at a stamp in ns."""
         if self._done_at is None:
             self._done_at, self._done_heard = stamp, time.monotonic()
 
     def table_running(self) -> None:
-        """Note that the table runs."""
+        """Record that the table runs."""
         self._done_at = None
 
     def end(self) -> None:
-        """Solve for good with what is here."""
+        """Solve the received data for the final result."""
         if not self.over:
             self._ending = True
             if self._feed.calibrator is None:
@@ -216,14 +216,14 @@ class LiveSession:
             self.solve()
 
     def solve(self) -> None:
-        """Begin to solve with what is here, unless it is being done already."""
+        """Begin to solve the received data, unless a solution is running."""
         calibrator = self._feed.calibrator
         if not (self._solver.busy or self.over or calibrator is None):
             until = self._leader.newest or 0
             self._solver.begin(calibrator, until, final=self._ending)
 
     def poll(self) -> bool:
-        """Look for what the solver found, and for the end; return whether there is news."""
+        """Check for results of the solver and for the end; return whether there is news."""
         if self._done_at is not None and not self._ending and self._all_here(self._done_at):
             self.end()
         solved = self._solver.poll()
@@ -243,8 +243,7 @@ class LiveSession:
 
         Args:
             reason: Why.
-            finished: Whether the journal is kept to be looked into alone; else it can be gone on
-                with.
+            finished: Whether the journal is kept for inspection only; else it can be resumed.
 
         """
         self.phase = SessionPhase.FAILED
@@ -253,13 +252,13 @@ class LiveSession:
         self.journal.close(finished=finished)
 
     def close(self) -> None:
-        """Leave the journal such that it can be gone on with."""
+        """Close the journal so that it can be resumed."""
         self._solver.close()
         if not self.over:
             self.journal.close(finished=False)
 
     def _all_here(self, done_at: int) -> bool:
-        """Say whether all data up to the table's last word has come in."""
+        """Return whether all data up to the table's last message has been received."""
         awaited = {Kind.IMU: _LATE, Kind.JOINTS: 0}
         if Kind.SKEW in self.intakes and not self.without_skew:
             awaited[Kind.SKEW] = _LATE
@@ -273,7 +272,7 @@ class LiveSession:
         if final:
             self._finish(review)
         elif self._ending:
-            # It was begun before the last data came in.
+            # This solution began before the last data came.
             self.solve()
         elif result is not None and not self.trouble:
             self.phase = SessionPhase.DETERMINED
@@ -300,7 +299,7 @@ class LiveSession:
 
     def _take_in(self, kind: Kind, block: Block) -> None:
         if isinstance(block, SetpointBlock):
-            # A table that is held is on its way to no step.
+            # A held table does not approach a step.
             name = self.setup.plan.name
             steps = [s.step for s in block.setpoints if s.plan == name and s.mode is not Mode.HOLD]
             self.steps_seen = max([self.steps_seen, *(step + 1 for step in steps)])
@@ -313,13 +312,13 @@ class LiveSession:
             self.fail(reason)
 
     def _of_the_plan(self, payload: bytes) -> bool:
-        """Say whether a setpoint may be the leader's: those of another plan are a stranger's."""
+        """Return whether a setpoint belongs to the plan; those of other plans are foreign."""
         blocks = Kind.SETPOINTS.decode(Messages.join([payload]), Malformed())
         named = {s.plan for b in blocks if isinstance(b, SetpointBlock) for s in b.setpoints}
         return not named or self.setup.plan.name in named
 
     def _of_the_table(self, block: JointBlock) -> bool:
-        """Say whether joint states are the table's: other joints may share its topic."""
+        """Return whether joint states are the table's: other joints may share its topic."""
         table = self.setup.table
         return table is None or block.of(table.names) is not None
 

@@ -1,4 +1,4 @@
-"""The topics that are one node's alone: what it publishes, and who else does."""
+"""Topics that only one node may publish: check for other publishers."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from . import qos
 from .publishers import OnePublisher
 
 _REMEMBERED = 256
-"""So many messages may be on their way back to the node that sent them."""
+"""Most messages that may be on their way back to the node that sent them."""
 
 
 class OwnTopics:
-    """Watches that topics have one publisher, and tells own messages from those of others.
+    """Checks that topics have one publisher, and separates own messages from foreign ones.
 
     Args:
-        node: The one whose topics they are.
+        node: The node that owns the topics.
         own: Message types by the names of the topics that the node publishes.
-        others: Names of those that one other node publishes.
-        on_foreign: Called with name and bytes of a message on an own topic that another sent.
+        others: Names of topics that one other node publishes.
+        on_foreign: Called with name and bytes of a foreign message on an own topic.
 
     """
 
@@ -43,20 +43,20 @@ class OwnTopics:
         }
 
     def publish(self, publisher: Any, payload: bytes) -> None:
-        """Publish on an own topic, and know the message again."""
+        """Publish on an own topic, and remember the message."""
         self._sent.append(_content(payload))
         publisher.publish(payload)
 
     def look(self, now: float) -> dict[str, str]:
-        """Return what is wrong by topic, in sentences, at a time of the steady clock, s."""
+        """Return the fault of each topic, in sentences, at a time of the steady clock, s."""
         return {name: watched.look(now) for name, watched in self._watched.items()}
 
     def heard_two(self, name: str, now: float) -> None:
-        """Take it that a topic has a second publisher, whatever is seen of it."""
+        """Record that messages on a topic show a second publisher."""
         self._watched[name].heard_two(now)
 
     def is_alone(self, name: str, now: float) -> bool:
-        """Tell whether a topic has had one publisher for a while."""
+        """Return whether a topic has had one publisher for some time."""
         return self._watched[name].is_alone(now)
 
     def _hear(self, name: str, payload: bytes) -> None:

@@ -1,4 +1,4 @@
-"""When a setpoint is due; knows nothing of the middleware."""
+"""When a setpoint is due; independent of the middleware."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ _NS = 1_000_000_000
 
 
 class Pacing:
-    """Keeps a rate by the stamps of the joint states, and by the steady clock when none come.
+    """Keeps a rate by the stamps of joint states, and by the steady clock without them.
 
     Args:
-        rate: How often, Hz.
+        rate: Of setpoints, Hz.
 
     Attributes:
         seconds: Between two setpoints.
@@ -27,7 +27,7 @@ class Pacing:
         self._due = -math.inf
 
     def is_due(self, table_time: int | None, now: float, revision: int) -> bool:
-        """Tell whether to send.
+        """Return whether a setpoint is due.
 
         Args:
             table_time: Stamp of the last joint state, ns; None before the first.
@@ -36,15 +36,16 @@ class Pacing:
 
         """
         if table_time is not None and self._due_stamp > table_time + 2 * self._period:
-            # The table's time began anew.
+            # The table's time restarted.
             self._due_stamp = table_time
         by_table = table_time is not None and table_time >= self._due_stamp
         return by_table or now >= self._due or revision != self._revision
 
     def sent(self, table_time: int | None, now: float, revision: int) -> None:
-        """Take it that a setpoint was sent; arguments as of `is_due`."""
+        """Record that a setpoint was sent; arguments as of `is_due`."""
         if table_time is not None and table_time >= self._due_stamp:
-            # From when it was due: late by a joint state each time would be too slow on average.
+            # Count from the due time: a delay by one joint state each time would lower the mean
+            # rate.
             late = table_time - self._due_stamp
             self._due_stamp = table_time + self._period - (late if late < self._period else 0)
         self._due = now + self.seconds

@@ -1,4 +1,4 @@
-"""The nodes' programs, as `ros2 run` starts them: a sentence where one cannot be loaded."""
+"""The nodes' programs, as `ros2 run` starts them; loading errors are reported in a sentence."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from ..errors import ImuCalibError
 def start(node: str) -> int:
     """Load a node and run it; return the exit code.
 
-    The runtime is chosen, and its messages are looked for, while the node's module loads. Its class
-    is called as the program is: turntable_node is TurntableNode.
+    Loading the node's module selects the runtime and its messages. The class is named after the
+    program: turntable_node is TurntableNode.
     """
     try:
         from .entry import entry_point

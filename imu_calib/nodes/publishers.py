@@ -1,4 +1,4 @@
-"""Who publishes on a topic that is one node's alone."""
+"""Who publishes on a topic that only one node may publish."""
 
 from __future__ import annotations
 
@@ -6,31 +6,31 @@ import math
 from typing import Any
 
 GHOST = 25.0
-"""How long a publisher that was killed may be listed, s: until its lease ends, 10 s with Cyclone
-DDS, 20 s with Fast DDS, and some more for a machine that is busy."""
+"""How long a killed publisher may be listed, s: until its lease ends, 10 s with Cyclone DDS, 20 s
+with Fast DDS, plus a margin for a busy machine."""
 
 _NAMELESS = 2.0
-"""A node's name comes a little later than its publishers, s."""
+"""s by which a node's name may appear later than its publishers."""
 
 _FRESH = 3.0
-"""For so long a second publisher counts that has left again, s: what it said may still come."""
+"""s for which a second publisher counts after it left: its messages may still arrive."""
 
 _HELD = 'The table is held, and nothing starts while this lasts.'
 _UNKNOWN = ('_NODE_NAME_UNKNOWN_', '_CREATED_BY_BARE_DDS_APP_')
 _PARTICIPANT = 12
-"""So many bytes of an endpoint's GUID are its participant's prefix (RTPS 2.5, 9.3.1)."""
+"""Length of the participant's prefix in an endpoint's GUID, bytes (RTPS 2.5, 9.3.1)."""
 
 
 class OnePublisher:
-    """Says whether more than one publisher is on a topic.
+    """Detects more than one publisher on a topic.
 
-    Of two nodes with different names both live, and so do two publishers of one participant. Of
-    two that bear the same name, in different participants, one may be the process that was killed
-    before the other was started anew: they count as two when both are heard (`heard_two`), and
-    else when they are listed for longer than the killed one's lease.
+    Two nodes with different names are both alive, and so are two publishers of one participant. If
+    two have the same name in different participants, one may be a killed process that was
+    restarted: they count as two when messages of both arrive (`heard_two`), or when both are listed
+    for longer than the killed one's lease.
 
     Args:
-        node: Asks the graph.
+        node: Queries the graph.
         topic: Full name.
 
     """
@@ -42,15 +42,15 @@ class OnePublisher:
         self._heard_two_at = self._two_at = -math.inf
 
     def heard_two(self, now: float) -> None:
-        """Note that what comes shows two sources, at a time of the steady clock, s."""
+        """Record that messages of two sources arrived, at a time of the steady clock, s."""
         self._heard_two_at = now
 
     def is_alone(self, now: float) -> bool:
-        """Say whether what comes is one node's word: for some seconds there was no other."""
+        """Return whether messages come from one node: for some seconds there was one publisher."""
         return not self.look(now) and now - self._two_at > _FRESH
 
     def look(self, now: float) -> str:
-        """Return what is wrong, in sentences with the nodes' names; empty where one publishes.
+        """Return the fault, in sentences with the nodes' names; empty with one publisher.
 
         Args:
             now: Of the steady clock, s.
@@ -85,7 +85,7 @@ class OnePublisher:
 
 
 def names_of(listed: list[Any]) -> list[str]:
-    """Return the names of the nodes that publishers are of, in order."""
+    """Return the names of the publishers' nodes, in order."""
     return sorted(_name(publisher) for publisher in listed)
 
 

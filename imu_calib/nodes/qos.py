@@ -1,4 +1,4 @@
-"""The quality of service of the suite's topics; each call makes a profile of its own."""
+"""The quality of service of the suite's topics; each call returns a new profile."""
 
 from __future__ import annotations
 
@@ -19,44 +19,44 @@ def stream(*, reliable: bool = True) -> QoSProfile:
 
 
 def sensor_data() -> QoSProfile:
-    """Return ROS's profile of sensor data; its own object would keep what parameters override."""
+    """Return ROS's profile of sensor data as a new object: overrides must not change ROS's own."""
     return QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def overridable() -> QoSOverridingOptions:
     """Return what parameters may change in a sample stream: history, depth, reliability.
 
-    Commands and latched states have no such parameters: that setpoints are volatile and states
-    latched is what the stand's safety rests on.
+    Commands and latched states have no such parameters: the stand's safety requires volatile
+    setpoints and latched states.
     """
     return QoSOverridingOptions.with_default_policies()
 
 
 def command() -> QoSProfile:
-    """Return the profile of setpoints: the last counts, and a table that starts late gets none."""
+    """Return the profile of setpoints: only the last counts, and late subscribers receive none."""
     return QoSProfile(depth=1)
 
 
 def latched(depth: int = 1) -> QoSProfile:
-    """Return the profile of states and results: late subscribers get the last ones."""
+    """Return the profile of states and results: late subscribers receive the last ones."""
     return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def results() -> QoSProfile:
-    """Return the profile of who hears the last words on several units, which come all at once."""
+    """Return the profile for the final results of several units, which come all at once."""
     return latched(MOST_UNITS)
 
 
 def as_offered(offered: QoSProfile) -> QoSProfile:
-    """Return the profile that hears all that a publisher offers, its latched words too."""
+    """Return the profile that receives all that a publisher offers, latched messages included."""
     return QoSProfile(depth=10, reliability=offered.reliability, durability=offered.durability)
 
 
 def own_topic() -> QoSProfile:
-    """Return the profile by which a node hears who else publishes what it alone should."""
+    """Return the profile for detecting other publishers on a node's own topics."""
     return QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def glimpse(depth: int) -> QoSProfile:
-    """Return the profile of an observer: no publisher waits for it, what it misses is lost."""
+    """Return the profile of an observer: publishers do not wait for it, it may miss messages."""
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)

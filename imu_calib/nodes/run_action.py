@@ -1,4 +1,4 @@
-"""The action ~/run_calibration of turntable_node: start to calibration, with a way to stop it."""
+"""The action ~/run_calibration of turntable_node: from start to calibration, with cancelling."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ from . import qos
 from .words import sentence
 
 _FEEDBACK_PERIOD = 0.5
-"""s between two feedbacks that say the same: as often as turntable/state."""
+"""s between two equal feedbacks: the period of turntable/state."""
 _RESULT_TIMEOUT = 600.0
-"""s for the calibrator to solve a session; as long as the plan waits for its word on repeats."""
+"""s for the calibrator to solve a session; equal to the plan's wait for requested repeats."""
 _STOP_TIMEOUT = 10.0
-"""s that a cancelled goal waits for the table to stand: from 90 deg/s, 10 deg/s^2 brake in 9 s."""
+"""s that a cancelled goal waits for the table to stop: braking from 90 deg/s at 10 deg/s^2 takes
+9 s."""
 _FINAL = frozenset({messages.ImuCalibration.VALID, messages.ImuCalibration.INCOMPLETE})
 
 
 class RunAction:
     """Runs the plan for a client of the action.
 
-    A goal ends with the calibrator's final result; it is aborted by whatever stops the plan but a
-    pause that somebody asked for.
+    A goal ends with the calibrator's final result; it is aborted by anything that stops the plan
+    except a requested pause.
 
     Args:
         node: turntable_node.
-        sequencer: Leads the table.
-        start: Starts the plan, and returns what that means, in words.
-        hold: Sends what the sequencer has to say now.
+        sequencer: Runs the plan.
+        start: Starts the plan, and returns the effect as text.
+        hold: Sends the sequencer's setpoint at once.
 
     """
 
@@ -69,7 +70,7 @@ class RunAction:
         self._progress = progress
 
     def look(self, now: float) -> None:
-        """Tell how far it has come, and end it where it has ended.
+        """Publish feedback, and end the goal when the plan has ended.
 
         Args:
             now: Steady time, s.
@@ -85,7 +86,7 @@ class RunAction:
             self._follow(now)
 
     def end(self, reason: str) -> bool:
-        """End the goal that is run, because the node ends; return whether there was one."""
+        """End the running goal because the node ends; return whether there was one."""
         if self._goal is None:
             return False
         self._end(GoalStatus.ABORTED, reason)
@@ -95,7 +96,7 @@ class RunAction:
         self._calibrations[message.serial_number] = message
 
     def _accept(self, goal: Any) -> bool:  # noqa: ARG002
-        """Reject a second goal: the first one goes on."""
+        """Reject a second goal: the first one continues."""
         if self._goal is not None:
             self._node.get_logger().warning(
                 'A second goal for run_calibration is rejected: the first one is still running. '
@@ -104,7 +105,7 @@ class RunAction:
         return self._goal is None
 
     def _begin(self, goal: Any) -> None:
-        """Start; a refusal is a result, because a rejection carries no text."""
+        """Start; a refusal is sent as a result, because a rejection carries no text."""
         self._goal, self._since, self._refused = goal, math.nan, ''
         self._calibrations.clear()
         try:
@@ -133,7 +134,7 @@ class RunAction:
         self._since = math.nan
         at = self._sequencer.feedback
         self._cancelled_at = 0 if at is None else at.stamp
-        # Refused where it does not run: nothing is to be stopped.
+        # Refuse if the plan does not run: there is nothing to stop.
         with suppress(InputError):
             self._sequencer.abort('Cancelled by the client of run_calibration.')
         self._hold()
@@ -142,7 +143,7 @@ class RunAction:
     def _finish_cancel(self, now: float) -> None:
         self._since = now if math.isnan(self._since) else self._since
         at = self._sequencer.feedback
-        # What was still before the stop says nothing of a table that had just been set in motion.
+        # Standstill before the stop is no evidence: the table may just have begun to move.
         stands = at is None or (at.still and at.stamp - self._cancelled_at >= SETS_OUT * 1e9)
         if stands or now - self._since > _STOP_TIMEOUT:
             where = 'stands' if stands else 'does not stand yet'
@@ -160,7 +161,7 @@ class RunAction:
             self._end(GoalStatus.ABORTED, state.reason or 'The plan was not started.')
 
     def _await_result(self, now: float) -> None:
-        """Wait for the calibrator's last word once the plan is done."""
+        """Wait for the calibrator's final result once the plan is done."""
         self._since = now if math.isnan(self._since) else self._since
         progress = self._progress
         if not self._sequencer.rules.supervised:
@@ -177,13 +178,13 @@ class RunAction:
 
     @property
     def _has_result(self) -> bool:
-        """Whether every unit has had its last word, and one of them a calibration."""
+        """Whether every unit has a final result, and at least one a calibration."""
         several = set() if self._progress is None else set(self._progress.serial_numbers)
         return bool(self._found) and several <= set(self._calibrations)
 
     @property
     def _found(self) -> list[Any]:
-        """The calibrations that there are, in the order of the units."""
+        """Return the available calibrations in the order of the units."""
         order = [] if self._progress is None else list(self._progress.serial_numbers)
         found = [c for c in self._calibrations.values() if c.status in _FINAL]
         return sorted(

@@ -1,4 +1,4 @@
-"""How the sessions of a calibrator begin: each time with a journal of their own."""
+"""Create the sessions of a calibrator, each time with a new journal."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from .turntable_state import STATE_TYPE
 
 
 class SessionFactory:
-    """Opens one journal after the other, and the sessions of all units with it.
+    """Opens journals, one after the other, and the sessions of all units with each.
 
     Args:
         units: What is calibrated.
-        description: Set-up that every journal carries.
-        journal: Folder of the first; those after it have a number at the end of their names.
+        description: Set-up that every journal contains.
+        journal: Folder of the first; later ones have a number at the end of their names.
         state: Full name of turntable/state; None without a table.
 
     """
@@ -38,10 +38,10 @@ class SessionFactory:
         self._count = 0
 
     def begin(self, common: Mapping[Kind, str], of_units: Sequence[Mapping[Kind, str]]) -> Sessions:
-        """Begin sessions, or go on with those that the journal holds.
+        """Begin sessions, or resume those in the journal.
 
         Args:
-            common: Full topic names of the table by what they carry.
+            common: Full names of the table's topics by content.
             of_units: The same of each unit.
 
         Raises:
@@ -59,7 +59,7 @@ class SessionFactory:
         return Sessions(self._units, of_units, journal, common)
 
     def _described(self, of_units: Sequence[Mapping[Kind, str]]) -> dict[str, str]:
-        """Return the set-up, with that of each unit where there are several."""
+        """Return the set-up, with that of each of several units."""
         description = dict(self._description)
         for unit, topics in zip(self._units, of_units, strict=True):
             if unit.name:

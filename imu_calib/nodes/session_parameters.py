@@ -1,4 +1,4 @@
-"""What a session is made of, as the parameters of a node state it."""
+"""Declare the set-up of a session as parameters of a node."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from .declared import declare
 
 @dataclass(frozen=True, eq=False)
 class StatedUnit:
-    """A unit that a node is to listen to.
+    """A unit whose samples a node receives.
 
     Attributes:
         setup: What is calibrated, and how.
-        name: Of its namespace; empty for a unit that is alone on the table.
+        name: Of its namespace; empty for a single unit.
         imu: Name or file of its type.
-        topic: Of its samples; empty: imu/pulses in its namespace.
-        mount: (3, 3) its axes in those that the plan has, where they are others; else None.
+        topic: Topic of its samples; empty: imu/pulses in its namespace.
+        mount: (3, 3) rotation of its axes against those of the plan; None if they are equal.
 
     """
 
@@ -42,20 +42,20 @@ class StatedUnit:
 
     @property
     def solved(self) -> Setup:
-        """As what its session is solved.
+        """The set-up used to solve its session.
 
-        One whose axes are not as the plan has them is solved by the attitudes that joint states
-        give, without the plan.
+        A unit whose axes differ from the plan's is solved without the plan, from the attitudes of
+        the joint states.
         """
         return self.setup if self.mount is None else replace(self.setup, plan=UNPLANNED)
 
 
 def declared_units(node: Node) -> tuple[tuple[StatedUnit, ...], dict[str, str]]:
-    """Declare what a session is made of, with one unit or several, and read it.
+    """Declare and read the set-up of a session with one unit or several.
 
     Returns:
-        The units, those left out by a person not among them, and a recording's own entries that
-        describe what they share; of a unit that is alone, it too.
+        The units without the excluded ones, and recording entries that describe what they share; of
+        a single unit, the unit too.
 
     Raises:
         InputError: As `declared_setup`; the units' file is broken, or leaves no unit.
@@ -82,10 +82,10 @@ def declared_units(node: Node) -> tuple[tuple[StatedUnit, ...], dict[str, str]]:
 
 
 def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
-    """Declare what a session is made of, and read it.
+    """Declare and read the set-up of a session.
 
     Returns:
-        The set-up, and a recording's own entries that describe it.
+        The set-up, and recording entries that describe it.
 
     Raises:
         InputError: A file is missing or broken, or the latitude is not stated.

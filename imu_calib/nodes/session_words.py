@@ -1,4 +1,4 @@
-"""What a calibrator says of its session: in a sentence, as progress, and on /diagnostics."""
+"""Texts of a calibrator on its session: a sentence, progress, and /diagnostics."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from .diagnostics import Diagnostics, Level, PartOfDiagnostics
 from .live import LiveSession, SessionPhase
 
 _SILENCE_BY_HAND = 2.0
-"""s: a driver that pauses so long is gone, where no table says that time goes on; a choice."""
+"""s of silence after which a driver counts as gone, without a table as reference; a choice."""
 
 _APART = 60.0
-"""s between the newest stamps of IMU and table from which on they are of two clocks. A judgement:
-no queue holds samples back for so long, be it at twenty times real time."""
+"""s between the newest stamps of IMU and table that show two different clocks. A judgement: no
+queue delays samples that long, even at twenty times real time."""
 
 
 def session_sentence(session: LiveSession) -> str:
-    """Say how far a session has come, or what is wrong with it."""
+    """Return a sentence on the progress of a session or its fault."""
     if session.failure or session.trouble:
         return session.failure or session.trouble
     known = 0 if session.review is None else int((session.review.std > 0).sum())
@@ -44,13 +44,13 @@ def session_sentence(session: LiveSession) -> str:
 def progress_message(
     session: LiveSession, steps: int, seconds_left: float, file: Path
 ) -> messages.CalibrationProgress:
-    """Return how far a session has come.
+    """Return the progress of a session as a message.
 
     Args:
-        session: Which one.
-        steps: Of its plan, or holds.
-        seconds_left: As the table's leader says, s; NaN where it does not.
-        file: Where the result is written.
+        session: The session.
+        steps: Number of steps of its plan, or of holds.
+        seconds_left: As the node that runs the plan states, s; else NaN.
+        file: File of the result.
 
     """
     review = session.review
@@ -63,7 +63,7 @@ def progress_message(
         plan=session.setup.plan.name,
         step=session.steps_seen if guidance is None else guidance.holds,
         steps=steps,
-        # A full disk stops the table: what it would do now could not be kept.
+        # A full disk stops the table: further data could not be recorded.
         state=int(SessionPhase.FAILED if session.trouble else session.phase),
         text=session_sentence(session),
         parameter_names=names,
@@ -85,13 +85,13 @@ def report(
     imu_timeout: float,
     stand: Diagnostics | None = None,
 ) -> None:
-    """Say on /diagnostics how the streams and the calibration are.
+    """Report the state of streams and calibration on /diagnostics.
 
     Args:
-        session: Of which one.
-        diagnostics: Where.
+        session: The session.
+        diagnostics: Receives the report.
         imu_timeout: Longest silence of the IMU against the table, s.
-        stand: Where it is said of what a unit shares with others; None where it is alone.
+        stand: Receives the report on shared topics; None for a single unit.
 
     """
     shared = stand or diagnostics
@@ -117,10 +117,10 @@ def report(
 
 
 def is_fed(session: LiveSession, imu_timeout: float) -> bool:
-    """Say whether samples come in: some have, and they keep up with the table.
+    """Return whether samples come, and keep up with the table.
 
     Args:
-        session: Of which one; a table turns the unit.
+        session: The session; a table turns the unit.
         imu_timeout: Longest silence of the IMU against the table, s.
 
     """
@@ -163,7 +163,7 @@ def _report_imu(
 def _report_joint_states(
     session: LiveSession, diagnostics: Diagnostics | PartOfDiagnostics
 ) -> None:
-    """Say whether the table, where there is one, is heard."""
+    """Report whether joint states of the table, if there is one, are received."""
     joints = session.intakes.get(Kind.JOINTS)
     if joints is None:
         return
@@ -184,7 +184,7 @@ def _report_joint_states(
 
 
 def _report_skew(session: LiveSession, diagnostics: Diagnostics | PartOfDiagnostics) -> None:
-    """Say whether a skewed gyro, where the IMU's file names one, is heard."""
+    """Report whether the skewed gyro, if the IMU's file names one, is received."""
     skew = session.intakes.get(Kind.SKEW)
     if skew is None:
         return
@@ -203,7 +203,7 @@ def _report_skew(session: LiveSession, diagnostics: Diagnostics | PartOfDiagnost
 
 
 def journal_words(path: Path) -> str:
-    """Say where a session is recorded."""
+    """Return a sentence on where a session is recorded."""
     return f'The journal is written to {path}.'
 
 

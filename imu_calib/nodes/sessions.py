@@ -1,4 +1,4 @@
-"""The sessions of all units on one table: they begin, are fed, and end together."""
+"""The sessions of all units on one table: they begin, receive data, and end together."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ _LEFT_OUT = 'The unit was left out of the session.'
 
 
 class Sessions:
-    """A `LiveSession` for each unit, with one journal between them.
+    """A `LiveSession` for each unit, with a common journal.
 
     Attributes:
         all: One for each unit, in their order.
-        left_out: Places of the units that a person has left out.
+        left_out: Places of the units that the user has excluded.
 
     Args:
         units: At least one.
-        topics: Of each, its own, full names, by what they carry.
-        journal: Open; what it holds from before a crash is taken in first, in one pass.
-        common: Topics of the table, full names, by what they carry.
+        topics: Full names of each unit's topics by content.
+        journal: Open; data from before a crash is read first, in one pass.
+        common: Full names of the table's topics by content.
 
     Raises:
-        InputError: The journal holds what does not go with the set-up.
+        InputError: The journal does not match the set-up.
 
     """
 
@@ -60,7 +60,7 @@ class Sessions:
             self._go_on()
 
     def _go_on(self) -> None:
-        """Feed what the journal holds from before a crash to the sessions that it is of."""
+        """Feed the sessions with the journal's data from before a crash."""
         fed: dict[str, list[tuple[LiveSession, Kind]]] = {}
         for session in self.all:
             for kind, intake in session.intakes.items():
@@ -75,36 +75,36 @@ class Sessions:
 
     @property
     def over(self) -> bool:
-        """Whether nothing is taken in any more."""
+        """Whether no more messages are accepted."""
         return all(session.over for session in self.all)
 
     @property
     def open(self) -> list[LiveSession]:
-        """Those of the units that were not left out."""
+        """The sessions of the units that were not excluded."""
         return [s for k, s in enumerate(self.all) if k not in self.left_out]
 
     @property
     def rested(self) -> bool:
-        """Whether as much time has gone by since the last round of reviews as that took."""
+        """Whether the pause since the last round of reviews is as long as that round."""
         return self._solver.rested
 
     def take_common(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
-        """Take messages of the table in; see `LiveSession.take`."""
+        """Take messages of the table; see `LiveSession.take`."""
         for session in self.all:
             if not session.over:
                 session.take(kind, payloads, now)
 
     def record(self, topic: str, type_name: str, payload: bytes, now: int) -> None:
-        """Keep a message that nothing is calibrated from."""
+        """Record a message that calibration does not use."""
         for session in self.all:
             if not session.over:
                 session.record(topic, type_name, payload, now)
                 return
 
     def leave_out(self, place: int) -> None:
-        """Go on without a unit: its session ends without a result, and its topic is not recorded.
+        """Continue without a unit: its session ends without a result, its topic is not recorded.
 
-        The recording says so, in order that reprocessing leaves it out, too.
+        The recording states this, so that reprocessing excludes it too.
         """
         self.left_out.add(place)
         names = ','.join(self._names[k] for k in sorted(self.left_out))
@@ -112,7 +112,7 @@ class Sessions:
         self.all[place].fail(_LEFT_OUT)
 
     def poll(self) -> list[int]:
-        """Look for what the solver found, and for the end; return the units with news."""
+        """Check for results of the solver and for the end; return the units with news."""
         news = [place for place, session in enumerate(self.all) if session.poll()]
         parts = [p for p, s in zip(self._parts, self.all, strict=True) if not s.over]
         if parts and all(part.ready for part in parts):
@@ -120,38 +120,38 @@ class Sessions:
         return news
 
     def solve(self) -> None:
-        """Begin a round of reviews, one of each session, where the last one is long enough ago."""
+        """Begin a round of reviews, one of each session, if the last one is long enough ago."""
         if self.rested:
             for session in self.all:
                 session.solve()
 
     def end(self) -> None:
-        """Solve for good with what is here."""
+        """Solve the received data for the final results."""
         for session in self.all:
             session.end()
 
     def flush(self) -> None:
-        """Secure what came in, and try again what a full disk refused."""
+        """Secure the received data, and retry what a full disk refused."""
         for session in self.all:
             session.flush()
 
     def close(self) -> None:
-        """Leave the journal such that it can be gone on with."""
+        """Close the journal so that it can be resumed."""
         self._solver.threads.shutdown(wait=False, cancel_futures=True)
         for session in self.all:
             session.close()
 
     @property
     def held(self) -> int:
-        """How many messages have been taken in, those of the journal included."""
+        """Number of messages taken, those of the journal included."""
         counts = {i.topic: i.count for session in self.all for i in session.intakes.values()}
         return sum(counts.values())
 
     @property
     def phase(self) -> SessionPhase:
-        """How far they have come: the least of those that are open; the worst once one failed.
+        """The least advanced phase of the open sessions; the worst once one failed.
 
-        With several units it ends in FINISHED as soon as one of them has a result.
+        With several units it is FINISHED as soon as one of them has a result.
         """
         phases = [session.phase for session in self.open]
         if phases and all(session.over for session in self.open):
@@ -164,20 +164,20 @@ class Sessions:
 def concluded(
     calibrators: Sequence[AnyCalibrator], serials: Sequence[str]
 ) -> list[Review | ImuCalibError]:
-    """Conclude sessions: each by itself, and then what they share of the table from all of them.
+    """Conclude sessions: each by itself, then their common table errors from all of them.
 
     Args:
-        calibrators: With all that came in.
+        calibrators: With all data.
         serials: Serial numbers of the units.
 
     Returns:
-        A review of each, or why there is none.
+        A review of each, or the error that prevented it.
 
     """
     each = [_concluded(calibrator) for calibrator in calibrators]
     if len(each) == 1:
         return each
-    # By their names: sums of floating-point numbers depend on the order, and so would the bits.
+    # In the order of names: floating-point sums depend on the order.
     order = sorted(range(len(each)), key=lambda k: namespace(serials[k]))
     results = [one.result if isinstance(one, Review) else None for one in each]
     shared = together([results[k] for k in order], [serials[k] for k in order]).results

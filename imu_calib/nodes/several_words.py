@@ -1,4 +1,4 @@
-"""What a calibrator says of several units at once: how far the least of them is."""
+"""Reports of a calibrator on several units: the least advanced counts."""
 
 from __future__ import annotations
 
@@ -18,17 +18,16 @@ _ENDS = frozenset({SessionPhase.FINISHED, SessionPhase.FAILED})
 def progress_of_all(
     sessions: Sessions, each: Sequence[Any], imu_timeout: float, folder: Path
 ) -> messages.CalibrationProgress:
-    """Return how far the sessions have come together; the table's leader goes by it.
+    """Return the common progress of the sessions; the node that runs the plan uses it.
 
-    A parameter counts as well known as it is in the unit that knows it least. Steps are wanted
-    again where they left too little to any unit whose session goes on. Units that were left out
-    do not count.
+    The standard deviation of a parameter is that of the unit with the largest. Steps are repeated
+    if any unit whose session continues lacks their data. Excluded units do not count.
 
     Args:
         sessions: Of all units.
         each: imu_calib_msgs/CalibrationProgress of each, in their order.
         imu_timeout: Longest silence of a unit against the table, s.
-        folder: Takes the results.
+        folder: Folder of the results.
 
     """
     open_ = [(s, m) for s, m in zip(sessions.all, each, strict=True) if s in sessions.open]
@@ -37,7 +36,7 @@ def progress_of_all(
     for _, message in running:
         pairs = zip(message.parameter_names, message.standard_deviations, strict=True)
         for name, value in pairs:
-            # A NaN is worse than any number, and stays.
+            # A NaN is worse than any number, and is kept.
             least = std.get(name, 0.0)
             std[name] = math.nan if math.isnan(value + least) else max(least, float(value))
     state, text = _state(sessions, imu_timeout)
@@ -62,10 +61,10 @@ def progress_of_all(
 
 
 def _state(sessions: Sessions, imu_timeout: float) -> tuple[SessionPhase, str]:
-    """Return how far they are, and a sentence on it."""
+    """Return the common phase, and a sentence on it."""
     trouble = next((s.trouble for s in sessions.open if s.trouble), '')
     if trouble:
-        # A full disk stops the table: what it would do now could not be kept.
+        # A full disk stops the table: further data could not be recorded.
         return SessionPhase.FAILED, trouble
     phase = sessions.phase
     failed = [s for s in sessions.open if s.phase is SessionPhase.FAILED]

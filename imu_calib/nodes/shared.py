@@ -1,4 +1,4 @@
-"""What the sessions of several units share: one journal, and one thread that solves."""
+"""What the sessions of several units share: one journal, and one solver thread."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Concluding = Callable[[Sequence[AnyCalibrator], Sequence[str]], Sequence[Review 
 
 
 class SharedJournal:
-    """One recording of several sessions: what they have in common is written once.
+    """One recording of several sessions: common data is written once.
 
     Args:
         journal: Open.
-        common: Topics that every session is fed with: those of the table.
+        common: Topics of the table, which feed every session.
 
     """
 
@@ -34,21 +34,21 @@ class SharedJournal:
         self._refused: InputError | None = None
 
     def part(self) -> JournalPart:
-        """Return the journal as one further session sees it."""
+        """Return the journal as seen by one more session."""
         self._parts.append(JournalPart(self))
         return self._parts[-1]
 
     def writes(self, part: JournalPart, topic: str) -> bool:
-        """Say whether a session is the one that writes a topic: the first that is still open."""
+        """Return whether a session writes a topic: the first open one does."""
         if topic not in self._common:
             return True
         return next((one for one in self._parts if one.open), part) is part
 
     def flush(self, part: JournalPart) -> None:
-        """Flush once for all sessions that ask in turn.
+        """Flush once for all sessions that request it in turn.
 
         Raises:
-            InputError: The disk takes no more.
+            InputError: The disk accepts no more data.
 
         """
         if not self._flushed or part in self._flushed:
@@ -63,10 +63,10 @@ class SharedJournal:
             raise self._refused
 
     def settle(self) -> None:
-        """Close the recording with its last session; secure what the others have until then.
+        """Close the recording with its last session; secure the data of the others until then.
 
         Raises:
-            InputError: The disk takes no more.
+            InputError: The disk accepts no more data.
 
         """
         if any(part.open for part in self._parts):
@@ -76,12 +76,12 @@ class SharedJournal:
 
 
 class JournalPart:
-    """The journal as one session sees it; what a full disk refuses is held and tried again.
+    """The journal as one session sees it; data refused by a full disk is held and retried.
 
     Attributes:
         open: Whether the session still writes.
         finished: Whether it came to its end.
-        trouble: Why the disk does not take what it is given, else empty.
+        trouble: Why the disk refuses data, else empty.
 
     """
 
@@ -97,16 +97,16 @@ class JournalPart:
         return self._shared.journal.path
 
     def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
-        """Keep messages that came in at `now`, host time in ns, unless another session does."""
+        """Record messages received at `now`, host time in ns, unless another session does."""
         if self._shared.writes(self, topic):
             try:
                 self._shared.journal.write(topic, type_name, messages, now)
             except InputError as error:
-                # Held in memory, and written with the next flush that succeeds.
+                # Held in memory, and written with the next successful flush.
                 self.trouble = str(error)
 
     def flush(self) -> bool:
-        """Secure what came in; return whether the memory still takes what the disk does not."""
+        """Secure the received data; return whether the memory can hold what the disk refuses."""
         self.trouble = ''
         try:
             self._shared.flush(self)
@@ -118,7 +118,7 @@ class JournalPart:
         """End this session's part, and the recording with the last; return whether it is saved.
 
         Args:
-            finished: Whether it is kept to be looked into alone; else it can be gone on with.
+            finished: Whether it is kept for inspection only; else it can be resumed.
 
         """
         self.open, self.finished = False, finished
@@ -132,12 +132,12 @@ class JournalPart:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A review: one that is being made, or has come to its end.
+    """A running or completed review.
 
     Attributes:
-        future: What it found, or the error that it raised.
+        future: Its result or error.
         final: Whether it was the session's last.
-        until: Stamp up to which it reaches, ns.
+        until: Stamp of the last data used, ns.
 
     """
 
@@ -147,15 +147,14 @@ class Solved:
 
 
 class SharedSolver:
-    """One thread for all sessions: reviews one after the other, the last one of all together.
+    """One thread for all sessions: reviews in turn, the final ones together.
 
-    What the units have in common, the table, is estimated from all of them at the end; so nothing
-    is concluded before every session that is still open wants it, and all are concluded from the
-    same moment on.
+    The table errors that the units share are estimated from all of them at the end. Therefore
+    sessions are concluded when all open ones are ready, and together.
 
     Args:
-        concluded: Concludes the sessions of units with these serial numbers: a review or an error
-            for each.
+        concluded: Concludes the sessions of units with these serial numbers: returns a review or an
+            error for each.
 
     """
 
@@ -167,21 +166,21 @@ class SharedSolver:
 
     @property
     def rested(self) -> bool:
-        """Whether as much time has gone by since the last round of reviews as that took.
+        """Whether the pause since the last round of reviews is as long as that round.
 
-        A round has one review of each session; what comes in must be journaled meanwhile.
+        A round has one review of each session; the pause leaves time to record incoming data.
         """
         return not self._reviews and time.monotonic() >= self._rested_at
 
     def review(self, calibrator: AnyCalibrator) -> Future[Review]:
-        """Begin to review what a calibrator has taken in."""
+        """Begin to review the data of a calibrator."""
         if not self._reviews:
             self._since = time.monotonic()
         self._reviews += 1
         return self.threads.submit(calibrator.snapshot().review)
 
     def reviewed(self) -> None:
-        """Note that a review has come to its end."""
+        """Record that a review has ended."""
         self._reviews -= 1
         now = time.monotonic()
         self._rested_at = now + (now - self._since)
@@ -213,10 +212,10 @@ class SharedSolver:
 
 
 class SolverPart:
-    """The solver as one session sees it: it solves snapshots of a calibrator, which goes on.
+    """The solver as one session sees it: it solves snapshots of a calibrator that continues.
 
     Args:
-        shared: Of all.
+        shared: Solver of all sessions.
         serial_number: Of the session's unit.
 
     """
@@ -229,7 +228,7 @@ class SolverPart:
 
     @property
     def ready(self) -> bool:
-        """Whether it waits for the others to conclude with them."""
+        """Whether it waits for the other sessions to be ready."""
         return self._last is not None
 
     @property
@@ -239,11 +238,11 @@ class SolverPart:
 
     @property
     def concludes(self) -> bool:
-        """Whether it solves for the last time."""
+        """Whether it solves the final result."""
         return self._work is not None and self._work.final
 
     def begin(self, calibrator: AnyCalibrator, until: int, *, final: bool) -> None:
-        """Begin to solve what a calibrator has taken in, up to a stamp in ns; not while busy."""
+        """Begin to solve the data of a calibrator up to a stamp in ns; not while busy."""
         assert not self.busy, 'one at a time'
         if final:
             self._last = calibrator, until
@@ -251,7 +250,7 @@ class SolverPart:
             self._work = Solved(self._shared.review(calibrator), final, until)
 
     def take_up(self) -> tuple[AnyCalibrator, Future[Review]]:
-        """Return what is to be concluded, as it is now, and the future that takes the review."""
+        """Return the calibrator to conclude in its present state, and the future of its review."""
         assert self._last is not None, 'it is not ready'
         (calibrator, until), self._last = self._last, None
         future: Future[Review] = Future()
@@ -259,7 +258,7 @@ class SolverPart:
         return calibrator.snapshot(), future
 
     def poll(self) -> Solved | None:
-        """Return what came to its end since; None where nothing did."""
+        """Return a review that has ended since the last call, else None."""
         work = self._work
         if work is None or not work.future.done():
             return None
@@ -269,5 +268,5 @@ class SolverPart:
         return work
 
     def close(self) -> None:
-        """Begin nothing more for this session."""
+        """Begin no more reviews for this session."""
         self._last = None

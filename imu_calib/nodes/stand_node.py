@@ -1,8 +1,8 @@
-"""stand_node: a simulated table and IMU, at the level of hardware, paced by those who use them.
+"""stand_node: a simulated table and IMU at hardware level, paced by the connected nodes.
 
-The table takes setpoints and answers joint states; the IMU sends frames over a TCP socket, as a
-device would. Simulated time goes as fast as turntable_node sends setpoints and the socket takes
-frames, and at the pace of the wall clock while the table is not led.
+The table receives setpoints and publishes joint states; the IMU sends frames over a TCP socket, as
+a device would. Simulated time advances as fast as turntable_node sends setpoints and the socket
+takes frames, and at the pace of the wall clock without setpoints.
 """
 
 from __future__ import annotations
@@ -39,23 +39,23 @@ from .entry import entry_point
 from .frame_server import FrameServer, Lines
 
 _STEP = 0.1
-"""s of simulated time at once."""
+"""s of simulated time per step."""
 _STEP_AT_REST = 0.2
-"""s at once while the table is at rest and led: what a step costs all nodes is paid half as often.
-With `_AHEAD` it is less than the age at which the table refuses a setpoint."""
+"""s per step while the table is at rest under setpoints: longer, to halve the cost of steps for all
+nodes. With `_AHEAD` it is less than the age at which the table refuses a setpoint."""
 _AHEAD = 0.25
-"""s that the simulation may be ahead of its leader's last setpoint."""
+"""s that the simulation may be ahead of the last setpoint."""
 _ALIVE = 2.0
-"""s without a setpoint after which the table counts as not led, and time goes on by itself."""
+"""s without a setpoint after which time follows the wall clock."""
 _SILENCE = 0.5
-"""s of the wall clock without a setpoint after which another source may lead the table."""
+"""s of the wall clock without a setpoint after which another source may command the table."""
 _REST = 0.0005
-"""s of sleep while the next setpoint is waited for: short beside what a step takes to compute."""
+"""s of sleep while waiting for the next setpoint: short compared with the computation of a step."""
 _LONGEST_REST = 0.02
-"""s of sleep until the wall clock has come to the next step: a fifth of a step of real time, so
-that setpoints of a leader that begins do not wait."""
+"""s of sleep until the wall clock reaches the next step: a fifth of a step of real time, so that
+the first setpoints do not wait."""
 _PATIENCE = 5.0
-"""s for the thread to end: a step takes milliseconds; one that hangs is left to the process."""
+"""s for the thread to end: a step takes milliseconds; a hanging thread ends with the process."""
 
 
 class StandNode(ros.Node):
@@ -97,12 +97,12 @@ class StandNode(ros.Node):
         )
         self.create_timer(0.1, self._report, clock=ros.Clock(clock_type=ros.ClockType.STEADY_TIME))
         self._ending = threading.Event()
-        # In a thread of its own: publishing waits for subscribers that lag.
+        # In a separate thread: publishing waits for slow subscribers.
         self._life = threading.Thread(target=self._live, name='hardware', daemon=True)
         self._life.start()
 
     def stop(self) -> list[Any]:
-        """Switch off, but not before the table stands: it brakes without setpoints."""
+        """Switch off after the table has stopped: it brakes without setpoints."""
         self._ending.set()
         self._life.join(timeout=_PATIENCE)
         self._lines.close()
@@ -138,7 +138,7 @@ class StandNode(ros.Node):
         start = declare(self, 'start', 0.0, 'when the simulated time begins, s', lower=0.0)
         options = StandOptions(
             azimuth=azimuth * DEG,
-            # A uniform error of this half width has the standard deviation that the table states.
+            # A uniform error of this half width has the table's stated standard deviation.
             positioning_error=math.sqrt(3) * table.positioning,
             bias_instability=drifting,
             clock_offset=offset,
@@ -172,7 +172,7 @@ class StandNode(ros.Node):
         return SimulatedHardware(table, units, site, options, switched_on(seed, start))
 
     def _live(self) -> None:
-        """Let simulated time pass until the node ends."""
+        """Advance simulated time until the node ends."""
         while not (self._ending.is_set() and self._hardware.state.at_rest):
             self._take_commands()
             self._lines.tend()
@@ -188,7 +188,7 @@ class StandNode(ros.Node):
                     return
 
     def _rest(self) -> float:
-        """Return how long to wait before it is looked again whether to go on, s; 0 to go on."""
+        """Return the wait before the next check, s; 0 to continue at once."""
         lines = self._lines
         if not lines.idle:
             return _REST
@@ -214,7 +214,7 @@ class StandNode(ros.Node):
     def _advance(self) -> None:
         at_rest = self._pace.led and self._hardware.at_rest
         output = self._hardware.advance(_STEP_AT_REST if at_rest else _STEP)
-        # The line before the clock: what a frame is stamped with is then never early.
+        # Send frames before the clock, so that a frame's stamp is never early.
         self._lines.send(output.lines)
         now = self._epoch + round(self._hardware.time * 1e9)
         clock = messages.Clock()
@@ -250,7 +250,7 @@ def _truth(name: str) -> SensorModel:
 
 
 def _seeded(file: str, seed: int, without: str) -> list[tuple[MountedUnit, int]]:
-    """Return the units that are there with their seeds, which depend on none that is left out."""
+    """Return the present units with their seeds, which do not depend on excluded ones."""
     units = load_units(file)
     left = remaining(units, without)
     pairs = zip(units, spread_seeds(units, seed), strict=True)
@@ -258,7 +258,7 @@ def _seeded(file: str, seed: int, without: str) -> list[tuple[MountedUnit, int]]
 
 
 class _Pace:
-    """How fast simulated time may go."""
+    """Limits how fast simulated time advances."""
 
     def __init__(self, speed: float) -> None:
         self._speed = speed
@@ -267,23 +267,23 @@ class _Pace:
         self._anchor: tuple[float, float, float] | None = None
 
     def lead(self, stamp: float) -> None:
-        """Note a setpoint with a stamp in s of simulated time."""
+        """Record a setpoint with a stamp in s of simulated time."""
         self._newest, self._heard = stamp, time.monotonic()
 
     def follow_the_wall(self) -> None:
-        """Go on at the pace of the wall clock: the table is held."""
+        """Continue at the pace of the wall clock: the table is held."""
         self._heard = -math.inf
 
     @property
     def led(self) -> bool:
-        """Whether setpoints lead the table."""
+        """Whether setpoints command the table."""
         return time.monotonic() - self._heard < _ALIVE
 
     def rest(self, now: float, connected: bool) -> float:
-        """Return how long to wait before the next step at a simulated time, s; 0: it is due.
+        """Return the wait before the next step at a simulated time, s; 0: it is due.
 
-        Led by setpoints, time keeps close to the newest of them: who leads has then seen all
-        that happened before. Else it keeps to the wall clock.
+        Under setpoints, time stays close to the newest of them: their publisher has then received
+        everything before. Else it follows the wall clock.
         """
         wall = time.monotonic()
         led = connected and self.led

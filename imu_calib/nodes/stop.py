@@ -1,4 +1,4 @@
-"""The emergency stop: heard from every kind of publisher, kept across restarts."""
+"""The emergency stop: received from every kind of publisher, kept across restarts."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from . import qos
 class StopRecord:
     """A file that exists while a stop is pressed.
 
-    Whatever cannot be looked at counts as pressed, and so does a folder in which a stop could not
-    be kept: a table that could not be kept stopped is not started.
+    An unreadable file counts as pressed, and so does a folder in which a stop could not be saved: a
+    table whose stop cannot be saved must not start.
 
     Args:
-        folder: Takes the file; made where it is missing.
-        key: Of the stand, for instance domain and full name of the node that leads it.
+        folder: Folder of the file; created if missing.
+        key: Of the stand, for instance domain and full name of the node that runs the plan.
 
     """
 
@@ -37,11 +37,11 @@ class StopRecord:
 
     @property
     def trouble(self) -> str:
-        """Why the stop cannot be kept, in a sentence; empty where it can."""
+        """Why the stop cannot be saved, in a sentence; empty if it can."""
         return self._trouble
 
     def press(self, why: str) -> None:
-        """Keep that the stop is pressed; where that fails it stays pressed in this process."""
+        """Save that the stop is pressed; if that fails, it stays pressed in this process."""
         if self.pressed and not self._trouble:
             return
         self.pressed = True
@@ -49,10 +49,10 @@ class StopRecord:
         self._try(lambda: _write(self.path, f'pressed {when}: {why}\n'))
 
     def release(self) -> None:
-        """Forget the stop.
+        """Delete the saved stop.
 
         Raises:
-            InputError: The file cannot be removed, or a stop could not be kept again.
+            InputError: The file cannot be removed, or a stop could not be saved again.
 
         """
         self._try(self._remove)
@@ -80,7 +80,7 @@ class StopRecord:
         _sync(self.path.parent)
 
     def _probe(self) -> None:
-        """Make sure that a file can be written here; a full or read-only disk raises OSError."""
+        """Check that a file can be written here; a full or read-only disk raises OSError."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         probe = self.path.with_name(f'{self.path.name}.{os.getpid()}.probe')
         try:
@@ -103,7 +103,7 @@ class StopRecord:
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a file such that it outlives a power cut."""
+    """Write a file so that it survives a power failure."""
     with path.open('w', encoding='utf-8') as file:
         file.write(text)
         file.flush()
@@ -120,17 +120,17 @@ def _sync(folder: Path) -> None:
 
 
 def state_folder(given: str) -> Path:
-    """Return where stops are kept: as given, else where the XDG base directories put state.
+    """Return the folder of stops: as given, else the state folder of the XDG base directories.
 
     Raises:
-        InputError: The home folder of the user is not known.
+        InputError: The home folder of the user is unknown.
 
     """
     base = os.environ.get('XDG_STATE_HOME', '')
     try:
         if given:
             return user_path(given)
-        # The specification has relative paths ignored.
+        # The specification says that relative paths are ignored.
         root = Path(base) if base.startswith('/') else user_path('~/.local/state')
     except InputError:
         raise InputError(
@@ -141,11 +141,11 @@ def state_folder(given: str) -> Path:
 
 
 class StopTopic:
-    """Hears a std_msgs/Bool topic whatever its publishers offer.
+    """Subscribes to a std_msgs/Bool topic with any quality of service.
 
-    A reliable subscription does not match best-effort publishers, and a volatile one does not get
-    what a latched publisher said before. So beside the one that matches all there is one for every
-    kind of publisher that comes; hearing a message twice does no harm.
+    A reliable subscription does not match best-effort publishers, and a volatile one does not
+    receive earlier messages of a latched publisher. Therefore there is one subscription that
+    matches all, and one for each kind of publisher found; duplicate messages do no harm.
 
     Attributes:
         topic: Full name.
@@ -161,7 +161,7 @@ class StopTopic:
         self._listen(qos.sensor_data())
 
     def look(self) -> None:
-        """Subscribe to what publishers offer that is not subscribed to yet."""
+        """Subscribe with each newly offered quality of service."""
         for publisher in self._node.get_publishers_info_by_topic(self.topic):
             self._listen(qos.as_offered(publisher.qos_profile))
 
@@ -170,7 +170,7 @@ class StopTopic:
         if kind in self._offered:
             return
         self._offered.add(kind)
-        # A subscription that does not match a publisher is not the one that is meant for it.
+        # A subscription that does not match a publisher is meant for another one.
         events = ros.SubscriptionEventCallbacks(incompatible_qos=lambda _: None)
         self._node.create_subscription(
             messages.Bool, self.topic, self._hear, profile, event_callbacks=events
@@ -178,25 +178,25 @@ class StopTopic:
 
     @property
     def says_stop(self) -> bool:
-        """Whether a publisher that is there said stop, and did not take it back since."""
+        """Whether a present publisher sent stop and has not cancelled it since."""
         return self._says_stop and self._node.count_publishers(self.topic) > 0
 
     def _hear(self, message: Any) -> None:
         if message.data:
             self._says_stop = True
         elif self._node.count_publishers(self.topic) < 2:
-            # Of two publishers it is unknown which of them said so.
+            # With two publishers the sender is unknown.
             self._says_stop = False
         self._callback(bool(message.data))
 
 
 class EmergencyStop:
-    """The emergency stop of a node: pressed by a message, released by `release` alone.
+    """The emergency stop of a node: pressed by a message, released only by `release`.
 
     Args:
-        node: Whose; its domain and full name say which stand it is.
-        folder: Keeps a pressed stop.
-        on_press: Called before the disk is waited for, whenever somebody says stop.
+        node: Its domain and full name identify the stand.
+        folder: Folder of saved stops.
+        on_press: Called at every stop message, before the disk is written.
 
     """
 
@@ -213,28 +213,29 @@ class EmergencyStop:
 
     @property
     def obstacle(self) -> str:
-        """What a start is answered while the stop is pressed."""
+        """The answer to a start while the stop is pressed."""
         return self._record.trouble or self._pressed
 
     @property
     def words(self) -> str:
-        """Why nothing may move, and what to do; empty where the stop is not pressed."""
+        """Why nothing may move, and what to do; empty if the stop is not pressed."""
         return self.obstacle if self._record.pressed else ''
 
     @property
     def kept_in(self) -> str:
-        """The file that keeps it."""
+        """The file of the saved stop."""
         return str(self._record.path)
 
     def look(self) -> None:
-        """See who may say stop."""
+        """Subscribe to new publishers of a stop."""
         self._topic.look()
 
     def release(self) -> str:
-        """Take the stop back; return what that means, in words.
+        """Release the stop; return the effect as text.
 
         Raises:
-            InputError: It is not pressed, somebody still says stop, or the file stays.
+            InputError: It is not pressed, a publisher still sends stop, or the file cannot be
+                deleted.
 
         """
         if not self._record.pressed:

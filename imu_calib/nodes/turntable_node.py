@@ -1,4 +1,4 @@
-"""turntable_node: leads the table through a plan, and stops it whatever happens."""
+"""turntable_node: runs a plan on a table, and stops the table on any fault."""
 
 from __future__ import annotations
 
@@ -39,23 +39,23 @@ from .stop import EmergencyStop, state_folder
 from .words import figures, sentence
 
 _PERIOD = 0.01
-"""s between two looks at the clocks, where no joint state comes: a tenth of a setpoint's period."""
+"""s between checks of the clocks without joint states: a tenth of a setpoint's period."""
 _STATE_PERIOD = 0.5
-"""s between two states that say the same."""
+"""s between two equal states."""
 _LOOK_PERIOD = 0.1
-"""How often it is looked who publishes, s: at 90 deg/s a table turns by 9 deg meanwhile. A
-judgement; a foreign setpoint is answered at once, without looking."""
+"""s between checks of the publishers: at 90 deg/s a table turns by 9 deg meanwhile. A judgement;
+the answer to a foreign setpoint does not wait for the check."""
 _LAST_HOLDS = 3
-"""HOLDs sent as the node ends: one that is lost on the way has two more."""
+"""HOLDs sent as the node ends: two may be lost."""
 _LAST_ROUNDS = 20
-"""Rounds of the executor for the result of a goal to leave as the node ends; it takes three."""
+"""Rounds of the executor to send the result of a goal as the node ends; it takes three."""
 
 
 class TurntableNode(Node):
-    """Runs a plan on a table: see `sequencing.Sequencer` for what it does when.
+    """Runs a plan on a table: see `sequencing.Sequencer` for the sequence.
 
-    Time of the table is that of its joint states: setpoints keep pace with their stamps, and with
-    the steady clock when none come.
+    The table's time is that of its joint states: setpoints follow their stamps, and the steady
+    clock without them.
     """
 
     def __init__(self) -> None:
@@ -151,7 +151,7 @@ class TurntableNode(Node):
         self._look_around()
 
     def stop(self) -> Sequence[Any]:
-        """Hold the table, as the last word; return the publishers that must be heard."""
+        """Send HOLD as the last message; return the publishers to be acknowledged."""
         if self._sequencer.running:
             self._sequencer.abort('The turntable node ends.')
         for _ in range(_LAST_HOLDS):
@@ -161,7 +161,7 @@ class TurntableNode(Node):
         return [self._setpoints, self._states]
 
     def _answer_the_last(self) -> None:
-        """Let open goals end: the client's, and the controller's, which is the stop."""
+        """End open goals: the client's, and the controller's, which is the stop."""
         waits = self._action.end('The turntable node ends.')
         if self._controller is not None:
             waits |= not self._controller.answered
@@ -169,7 +169,7 @@ class TurntableNode(Node):
             self._sequencer.forbid('end', 'The turntable node ends.')
         for _ in range(_LAST_ROUNDS if waits else 0):
             spin_once(self, timeout_sec=0.0)
-        # Timers run meanwhile: it gives up on one that does not answer.
+        # Timers run meanwhile; they detect a controller that does not answer.
         while self._controller is not None and not self._controller.answered:
             spin_once(self, timeout_sec=_PERIOD)
 
@@ -195,7 +195,7 @@ class TurntableNode(Node):
         return Controller(self, action, self._sequencer, self._at_once)
 
     def _on_joints(self, payloads: list[bytes]) -> None:
-        """Take what the table says of itself, and answer it at once."""
+        """Take joint states, and answer them at once."""
         now = self._steady.now().nanoseconds * 1e-9
         for block in decode_joints(Messages.join(payloads), self._malformed):
             if self._sequencer.take(block):
@@ -203,11 +203,11 @@ class TurntableNode(Node):
         self._go_on()
 
     def _go_on(self) -> None:
-        """Look at the clocks, go on, and send what is due."""
+        """Check the clocks, advance, and send setpoints that are due."""
         now = self._steady.now().nanoseconds * 1e-9
         self._watch(now)
         if self._sequencer.fault:
-            # What went wrong is for a person to look at, before anything moves.
+            # After a fault a person must look before anything moves.
             self._autostart = False
         if self._autostart:
             self._start_by_itself()
@@ -216,7 +216,7 @@ class TurntableNode(Node):
         self._action.look(now)
 
     def _watch(self, now: float) -> None:
-        """Hold table and calibrator to the steady clock: stamps may stand still."""
+        """Check table and calibrator by the steady clock: stamps may stop."""
         silence = now - self._fed_at
         if silence > self._watchdog and self._sequencer.feedback is not None:
             self._sequencer.lose_feedback(
@@ -225,7 +225,7 @@ class TurntableNode(Node):
         self._calibrator.look(now)
 
     def _of_others(self) -> str:
-        """Say which joint states do come, where none of them are the table's."""
+        """Return which joint states come, if none of them are the table's."""
         count, names = self._sequencer.ignored
         if not count:
             return ''
@@ -255,20 +255,20 @@ class TurntableNode(Node):
         self._send(setpoint)
 
     def _stamp(self) -> int:
-        """Return ROS time, but no time before the newest joint state: /clock may lag behind."""
+        """Return ROS time, but at least the newest joint state's: /clock may be delayed."""
         now = int(self.get_clock().now().nanoseconds)
         feedback = self._sequencer.feedback
         return now if feedback is None else max(now, feedback.stamp)
 
     def _send(self, setpoint: Setpoint) -> None:
-        """Publish a setpoint; the calibrator reads it where a trajectory moves the table, too."""
+        """Publish a setpoint; the calibrator also reads it if a trajectory moves the table."""
         (payload,) = encode_setpoints(SetpointBlock((setpoint,))).payloads()
         self._own.publish(self._setpoints, bytes(payload))
         if self._controller is not None:
             self._controller.follow(setpoint, self._steady.now().nanoseconds * 1e-9)
 
     def _tell(self) -> None:
-        """Publish the state when it changes, and now and then."""
+        """Publish the state when it changes, and periodically."""
         now = self._steady.now().nanoseconds * 1e-9
         sequencer = self._sequencer
         due = now - self._published_at >= _STATE_PERIOD
@@ -309,7 +309,7 @@ class TurntableNode(Node):
         )
 
     def _look_around(self) -> None:
-        """Hear who says stop; hold the table while what is one node's has two publishers."""
+        """Subscribe to stop publishers; hold the table if a one-node topic has two publishers."""
         self._estop.look()
         now = self._steady.now().nanoseconds * 1e-9
         if self._controller is not None:
@@ -330,11 +330,11 @@ class TurntableNode(Node):
         self._diagnostics.judge('heartbeat', words, 'The heartbeat is received.')
 
     def _on_foreign(self, name: str, payload: bytes) -> None:
-        """Take a message of this node's own topics that another has sent."""
+        """Take a foreign message on this node's own topics."""
         self._own.heard_two(name, self._steady.now().nanoseconds * 1e-9)
         self._look_around()
         if name == 'turntable/setpoint' and not _holds(payload):
-            # At once, whatever has been sent already: it may have set the table in motion.
+            # At once, whatever was sent before: it may have started a motion.
             self._send(self._sequencer.hold(self._stamp()))
 
     def _on_progress(self, message: Any) -> None:
@@ -342,7 +342,7 @@ class TurntableNode(Node):
             self._action.hear(message)
 
     def _on_estop(self) -> None:
-        """Hold the table until `~/release`, and do not start by itself any more."""
+        """Hold the table until `~/release`, and cancel an automatic start."""
         self._autostart = False
         self._sequencer.emergency(True, self._estop.obstacle)
         self._send_what_is_due(self._steady.now().nanoseconds * 1e-9)
@@ -352,7 +352,7 @@ class TurntableNode(Node):
         self._diagnostics.judge('stop', self._estop.words, fine, kept_in=self._estop.kept_in)
 
     def _release(self) -> str:
-        """Take the emergency stop back: the one way to do so."""
+        """Release the emergency stop; no other call does."""
         said = self._estop.release()
         self._sequencer.emergency(False)
         return said
@@ -371,11 +371,11 @@ class TurntableNode(Node):
 
     @property
     def _call_off(self) -> Callable[[], str] | None:
-        """What pause and abort mean while the plan is yet to start by itself."""
+        """Return the action of pause and abort while an automatic start is pending."""
         return (lambda: 'The plan does not start by itself any more.') if self._autostart else None
 
     def _answer(self, response: Any, command: Callable[[], str | None]) -> Any:
-        """Carry out a command at once; a refusal is an answer too."""
+        """Execute a command at once; a refusal is an answer too."""
         try:
             response.message = command() or self._sequencer.state().reason
             response.success = True
@@ -391,13 +391,13 @@ class TurntableNode(Node):
         return said
 
     def _at_once(self) -> None:
-        """Send and tell what has changed, before anything else comes."""
+        """Send setpoint and state now."""
         self._send_what_is_due(self._steady.now().nanoseconds * 1e-9)
         self._tell()
 
 
 def _holds(payload: bytes) -> bool:
-    """Say whether a serialised setpoint is HOLD, which needs no answer."""
+    """Return whether a serialised setpoint is HOLD, which needs no answer."""
     blocks = decode_setpoints(Messages.join([payload]), Malformed())
     return all(setpoint.mode is Mode.HOLD for block in blocks for setpoint in block.setpoints)
 

@@ -1,4 +1,4 @@
-"""What the node that leads the table says, as the calibrator takes it: turntable/state."""
+"""turntable/state of the node that runs the plan, as the calibrator receives it."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
 
 
 class TurntableStateIntake:
-    """Tells sessions whether the table runs, is done, or runs another plan; records what it says.
+    """Passes to sessions whether the table runs, is done, or runs another plan; records the state.
 
     Args:
-        node: Whose topic it is.
-        plan: The one that is calibrated.
-        steps: How many steps it has.
-        diagnostics: Where it is reported why a DONE ends nothing.
+        node: The node that subscribes.
+        plan: Name of the plan that is calibrated.
+        steps: Number of its steps.
+        diagnostics: Receives the reason why a DONE is not accepted.
 
     Attributes:
         topic: Full name.
-        seconds_left: That the table says the plan takes, s; NaN before it says anything.
+        seconds_left: Remaining time of the plan as the table states, s; else NaN.
 
     """
 
@@ -40,25 +40,25 @@ class TurntableStateIntake:
         self._unrecorded: list[bytes] = []
 
     def hear(self, payload: bytes) -> None:
-        """Keep a serialised message to be recorded."""
+        """Keep a serialised message for recording."""
         self._unrecorded.append(payload)
 
     def record(self, sessions: Sessions, now: int) -> None:
-        """Record what was heard since, at `now`, host time in ns."""
+        """Record the messages received since the last call, at `now`, host time in ns."""
         for payload in self._unrecorded:
             sessions.record(self.topic, STATE_TYPE, payload, now)
         self._unrecorded.clear()
 
     def look(self, now: float) -> None:
-        """Look who publishes it, at a time of the steady clock, s."""
+        """Check its publishers at a time of the steady clock, s."""
         self._publisher.look(now)
 
     def take(self, state: Any, sessions: Sessions, now: float) -> bool:
-        """Take a message after all that came before it; return whether it ended the sessions.
+        """Take a message after all earlier data; return whether it ended the sessions.
 
         Args:
             state: imu_calib_msgs/TurntableState.
-            sessions: Those that it is of.
+            sessions: The sessions it concerns.
             now: Of the steady clock, s.
 
         """

@@ -1,4 +1,4 @@
-"""What a calibrator publishes and writes of one unit."""
+"""What a calibrator publishes and writes for one unit."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class UnitResults:
     """The topics calibration and calibration/progress of a unit, its file, and its diagnostics.
 
     Args:
-        node: Whose.
+        node: The node that publishes.
         setup: Of the unit.
-        namespace: Of its topics; empty where it is alone.
-        output: File that takes the result.
+        namespace: Of its topics; empty for a single unit.
+        output: File of the result.
         diagnostics: Of the node.
 
     """
@@ -61,14 +61,14 @@ class UnitResults:
         self._shown = None
 
     def publish(self, session: LiveSession) -> Any:
-        """Publish the calibration where there is news of it; return a last word, else None."""
+        """Publish the calibration if it changed; return a final message, else None."""
         now = self._node.get_clock().now().to_msg()
         if session.phase is SessionPhase.FAILED:
             message = refusal_message(
                 self._setup.imu, self._setup.plan.name, session.failure, session.frame_id, now
             )
             if self._stand is not None:
-                # It distinguishes several units.
+                # The serial number distinguishes several units.
                 message.serial_number = self._setup.serial_number
             self.result.publish(message)
             return message
@@ -94,21 +94,21 @@ class UnitResults:
         )
 
     def publish_progress(self, session: LiveSession, steps: int, seconds_left: float) -> Any:
-        """Publish how far the session has come; return the message."""
+        """Publish the progress of the session; return the message."""
         message = progress_message(session, steps, seconds_left, self.output)
         self.progress.publish(message)
         return message
 
     def report(self, session: LiveSession, imu_timeout: float) -> None:
-        """Say on /diagnostics how its streams and its calibration are."""
+        """Report the state of its streams and calibration on /diagnostics."""
         report(session, self._diagnostics, imu_timeout, self._stand)
 
     def tell(self, part: str, level: Level, text: str) -> None:
-        """Say something of the unit on /diagnostics."""
+        """Report on a part of the unit on /diagnostics."""
         self._diagnostics.report(part, level, text)
 
     def save(self, session: LiveSession) -> str:
-        """Write the result; return why not, or nothing."""
+        """Write the result; return why that failed, else empty."""
         if session.calibration is None:
             return session_sentence(session)
         try:

@@ -1,4 +1,4 @@
-"""What is said of each of several units, heard for a board."""
+"""Subscriptions to the topics of each of several units, for a board."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def listen_to_each(node: ros.Node, board: UnitsBoard) -> None:
     """Subscribe to calibration and calibration/progress of every unit.
 
     Args:
-        node: Whose the subscriptions are.
-        board: Takes what comes.
+        node: The node that subscribes.
+        board: Receives the messages.
 
     """
     for name, own in board.each.items():

@@ -1,6 +1,6 @@
-"""web_node: shows a running stand in the browser; lets who has the token start and stop it.
+"""web_node: shows a running stand in the browser; the holder of the token can start and stop it.
 
-It listens to what the other nodes say, best effort where samples come: none of them waits for it.
+It subscribes to the other nodes' topics, best effort for samples: none of them waits for it.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ from .session_parameters import StatedUnit, declared_units
 from .unit_topics import listen_to_each
 
 TOKEN = 'IMU_CALIB_WEB_TOKEN'
-"""Environment variable with the token; without it the node makes one, and prints it."""
+"""Environment variable with the token; without it the node creates one, and prints it."""
 _DRAIN = 0.05
-"""s between two looks at what has come."""
+"""s between two checks for new messages."""
 _GROWTH = 5.0
-"""s between two looks at a dwell that goes on."""
+"""s between two checks of a running dwell."""
 _DEEP = 16384
-"""Samples that wait for a look: four seconds at 4 kHz. What does not fit is missing on the page
-alone."""
+"""Samples that wait for a check: four seconds at 4 kHz. Only the page misses the samples beyond
+that."""
 _MOST = 8192
-"""Samples taken at one look."""
+"""Samples taken per check."""
 _DEEP_WORDS = 100
-"""Messages of /diagnostics that wait for a look: a node sends one or two a second."""
+"""Messages of /diagnostics that wait for a check: a node sends one or two a second."""
 _ANSWER = 10.0
-"""s for an answer of turntable_node."""
+"""s to wait for an answer of turntable_node."""
 _WRITTEN = {0, 3}
-"""Exit codes of a report that is there: 3 where the unit is outside its specification."""
+"""Exit codes with a report: 3 if the unit is outside its specification."""
 _RESULTS = {Outcome.DONE, Outcome.INCOMPLETE}
 _REPORTS = 'Each unit has a file of results; imu-calib report makes a page of it.'
 _COMMANDS = ('start', 'pause', 'abort')
@@ -65,7 +65,7 @@ class WebNode(ros.Node):
     def __init__(self) -> None:
         super().__init__('web_node')
         require('nicegui', 'A page in the browser', 'web')
-        # NiceGUI takes longer to load than what the session may have wrong to be said.
+        # Imported here: NiceGUI loads slowly.
         from ..web import page, server
 
         units, _ = declared_units(self)
@@ -126,11 +126,11 @@ class WebNode(ros.Node):
         text = f'Open {where} in a browser. {exposed}'.rstrip()
         self._diagnostics.report('page', Level.WARN if exposed else Level.OK, text)
         if secret and not given:
-            # On the screen of who started it; the log goes onto the network (/rosout).
+            # On the terminal only: the log is published on the network (/rosout).
             print(f'web_node: token for the buttons: {secret}', flush=True)  # noqa: T201
 
     def stop(self) -> list[Any]:
-        """End the page."""
+        """Close the page."""
         self._server.stop()
         if self._reporter is not None and self._reporter.poll() is None:
             self._reporter.kill()
@@ -194,11 +194,11 @@ class WebNode(ros.Node):
 
     @property
     def _whole(self) -> Board:
-        """What is shown of all units."""
+        """The board of all units."""
         return self._board.whole if isinstance(self._board, UnitsBoard) else self._board
 
     def _look(self) -> None:
-        """Take what has come, carry out what viewers ask for, and show it."""
+        """Take new messages, execute commands of viewers, and update the page."""
         for name, dwells in self._dwells.items():
             self._look_at_unit(name, dwells)
         for block in self._decoded(Kind.JOINTS, self._joints):
@@ -210,7 +210,7 @@ class WebNode(ros.Node):
         self._show()
 
     def _look_at_unit(self, name: str, dwells: Dwells) -> None:
-        """Take what has come of a unit."""
+        """Take new messages of a unit."""
         board = self._board.each[name] if isinstance(self._board, UnitsBoard) else self._board
         for block in self._decoded(Kind.IMU, self._samples[name]):
             if isinstance(block, ImuBlock):
@@ -221,7 +221,7 @@ class WebNode(ros.Node):
         board.take_streams(dwells.streams)
 
     def _show(self) -> None:
-        """Let viewers see what is known now."""
+        """Update the viewers' pages."""
         board, now = self._board, time.monotonic()
         if isinstance(board, UnitsBoard):
             if board.whole.snapshot(now).outcome in _RESULTS:
@@ -240,7 +240,7 @@ class WebNode(ros.Node):
             dwells.grow()
 
     def _command(self) -> None:
-        """Pass commands on to turntable_node, and what it answers to the board."""
+        """Pass commands to turntable_node, and its answers to the board."""
         now = time.monotonic()
         while not self._commands.empty():
             name = self._commands.get()
@@ -265,7 +265,7 @@ class WebNode(ros.Node):
                 )
 
     def _write_report(self) -> None:
-        """Have the report written, by a process of its own: it solves the session once more."""
+        """Start a process that writes the report: it solves the session once more."""
         words = ['report', str(self._output), str(self._journal), '-o', str(self._report_file)]
         self._whole.take_report('', 'The report is being written.')
         self._reporter = subprocess.Popen(

@@ -1,4 +1,4 @@
-"""What turntable_node says of a sequencer's state on /diagnostics."""
+"""Texts of turntable_node on a sequencer's state for /diagnostics."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from ..units import DEG
 
 
 def sentence(state: SequencerState) -> str:
-    """Say in a sentence what goes on; it changes with step and phase alone."""
+    """Return a sentence on the state; it changes only with step and phase."""
     if state.waits_for:
         return f'Waits for {state.waits_for}.'
     if state.reason:
@@ -19,7 +19,7 @@ def sentence(state: SequencerState) -> str:
 
 
 def figures(state: SequencerState, joints: tuple[str, ...]) -> dict[str, str]:
-    """Return what a person wants to see of a state, with units."""
+    """Return figures of a state for a person, with units."""
     described = {
         'plan': state.plan,
         'phase': state.phase.name,
