@@ -9,12 +9,12 @@
 
     run(Talker)
 
-Which one it is, `RUNTIME` says; IMU_CALIB_MIDDLEWARE=rclpy|dds forces it. Beside rclpy's names
-there are `open_drain` and `drain` (all that has arrived as serialised bytes, in bulk),
+`RUNTIME` names the one in use; IMU_CALIB_MIDDLEWARE=rclpy|dds forces it. In addition to rclpy's
+names there are `open_drain` and `drain` (all that has arrived as serialised bytes, in bulk),
 `open_stream` (the same as soon as it arrives), `publish_all`, `acknowledged`, `GoalServer` (an
-action whose goals the node ends when it wants) `ManagedNode` (a lifecycle node that begins by
-itself) and `run`. What rclpy offers and the subset does not is said in `dds.node.Node`; services
-over DDS do not reach peers on rmw_fastrtps.
+action whose goals the node ends), `ManagedNode` (a lifecycle node that can start by itself) and
+`run`. `dds.node.Node` lists what the subset lacks; services over DDS do not reach peers on
+rmw_fastrtps.
 """
 
 from .chosen import *  # noqa: F403

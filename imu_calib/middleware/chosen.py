@@ -1,4 +1,4 @@
-"""The runtime that is chosen, checked, and its names."""
+"""The selected runtime, checked, and its names."""
 
 from typing import TYPE_CHECKING
 

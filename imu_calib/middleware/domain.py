@@ -1,4 +1,4 @@
-"""The DDS domain: its number and its reach, from ROS 2's environment variables."""
+"""The DDS domain: its number and its range, from ROS 2's environment variables."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _HERE = 'localhost'
 
 
 def domain_id() -> int:
-    """Return the domain that ROS_DOMAIN_ID says, 0 where it says nothing.
+    """Return the domain in ROS_DOMAIN_ID, 0 if it is not set.
 
     Raises:
-        InputError: It is no number, or out of range.
+        InputError: It is not a number, or out of range.
 
     """
     text = os.environ.get('ROS_DOMAIN_ID', '').strip()
@@ -32,13 +32,13 @@ def domain_id() -> int:
 
 
 def configuration() -> str:
-    """Return Cyclone DDS's configuration: ROS's reach and peers, then CYCLONEDDS_URI.
+    """Return Cyclone DDS's configuration: ROS's range and peers, then CYCLONEDDS_URI.
 
     The loopback interface is used unless CYCLONEDDS_URI names others: this runtime has no security
-    plug-ins, so who can send can lead the table.
+    plug-ins, so any sender can command the table.
 
     Raises:
-        InputError: ROS_AUTOMATIC_DISCOVERY_RANGE is none of its four words, or asks for more than
+        InputError: ROS_AUTOMATIC_DISCOVERY_RANGE is none of its four values, or requests more than
             the loopback interface while no other is named.
 
     """
@@ -70,7 +70,7 @@ def _of_reach(reach: str) -> str:
     )
     if not general and not peers:
         return ''
-    # Without multicast a peer is found by its port: few participants, each with an index.
+    # Without multicast peers are found by port: few participants, each with an index.
     listed = ''.join(f'<Peer address="{p.strip()}"/>' for p in peers)
     return (
         f'<CycloneDDS><Domain>{general}<Discovery><ParticipantIndex>auto</ParticipantIndex>'

@@ -1,4 +1,4 @@
-"""What a goal of an action is in both runtimes."""
+"""States of an action's goal in both runtimes."""
 
 from __future__ import annotations
 
@@ -18,4 +18,4 @@ class GoalStatus(IntEnum):
 
 
 ENDS = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})
-"""In which a goal ends."""
+"""Final states of a goal."""

@@ -1,4 +1,4 @@
-"""rclpy under the names that the nodes use, and the few things it lacks."""
+"""rclpy under the names that the nodes use, and the functions that it lacks."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ __all__ = [
 ]
 
 _AT_ONCE = 4096
-"""Messages taken at once, so that other callbacks get their turn."""
+"""Messages taken per call, so that other callbacks can run."""
 
 RCLError = rclpy_implementation.RCLError
 UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
@@ -117,7 +117,7 @@ def init(**options: Any) -> None:
         **options: Arguments of rclpy.init.
 
     Raises:
-        InputError: ROS_DOMAIN_ID is out of range, or --ros-args cannot be understood.
+        InputError: ROS_DOMAIN_ID is out of range, or --ros-args is invalid.
 
     """
     checked_domain()
@@ -129,7 +129,7 @@ def init(**options: Any) -> None:
 
 
 class _Never(CallbackGroup):  # type: ignore[misc]
-    """Keeps the executor away from subscriptions that are drained."""
+    """Excludes drained subscriptions from the executor."""
 
     def can_execute(self, entity: Any) -> bool:  # noqa: ARG002
         return False
@@ -166,7 +166,7 @@ def open_stream(
     subscription: Any = None
 
     def take(payload: bytes) -> None:
-        # The executor has taken the oldest; what came in meanwhile costs no further round of it.
+        # The executor has taken the oldest; take newer ones without another round of it.
         callback([payload, *drain(subscription, _AT_ONCE)])
 
     subscription = node.create_subscription(msg_type, topic, take, qos_profile, raw=True, **options)
@@ -199,7 +199,7 @@ def drain_sources(subscription: Any) -> list[tuple[bytes, bytes]]:
 
 
 def publish_all(publisher: Any, payloads: Iterable[bytes]) -> None:
-    """Publish serialised messages, losing none; see `dds.drains.publish_all`."""
+    """Publish serialised messages without losses; see `dds.drains.publish_all`."""
     for payload in payloads:
         until = time.monotonic() + _LONGEST_LEASE
         while True:

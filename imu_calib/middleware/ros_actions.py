@@ -1,4 +1,4 @@
-"""rclpy's action server, with goals that end when the node says so; see `dds.action`."""
+"""rclpy's action server, with goals that the node ends; see `dds.action`."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ class ServerGoal:
 
     @property
     def is_cancel_requested(self) -> bool:
-        """Whether somebody has asked to cancel it, and was promised that it will be."""
+        """Whether a client has requested to cancel it, and the request was accepted."""
         return bool(self._handle.is_cancel_requested)
 
     def publish_feedback(self, feedback: Any) -> None:
-        """Tell how far it has come."""
+        """Publish the progress of the goal."""
         self._handle.publish_feedback(feedback)
 
     def end(self, status: GoalStatus, result: Any) -> None:
-        """End it; clients get its result once the node is spun."""
+        """End it; clients receive its result when the node is spun."""
 
         def ended(handle: Any) -> Any:
             {
@@ -43,18 +43,18 @@ class ServerGoal:
 
 
 class _Server(ActionServer):  # type: ignore[misc,unused-ignore]
-    """Executes no callback of its own: one that waits would keep rclpy's executor busy."""
+    """Runs no execute callback: one that waits would block rclpy's executor."""
 
     def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
-        """Leave a goal that begins alone."""
+        """Do nothing with a goal that begins."""
         if execute_callback is not None:
             super().notify_execute(goal_handle, execute_callback)
 
     def schedule(self, handle: Any, ended: Callable[[Any], Any]) -> None:
-        """Have the executor end a goal."""
+        """Let the executor end a goal."""
         node = self._node
         if node.executor is None:
-            # A node that ends is not spun by its executor; who ends it spins it.
+            # The executor does not spin a node that ends; its owner spins it.
             get_global_executor().add_node(node)
         self.notify_execute(handle, ended)
 

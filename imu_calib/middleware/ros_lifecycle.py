@@ -1,4 +1,4 @@
-"""A managed node: rclpy's, which may begin by itself."""
+"""A managed node: rclpy's, which may start by itself."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from ..errors import ImuCalibError
 class ManagedNode(LifecycleNode):  # type: ignore[misc,unused-ignore]
     """A node with the states of ROS 2 (design.ros2.org/articles/node_lifecycle.html).
 
-    What it does is in four steps without arguments: `configure`, `activate`, `deactivate` and
-    `cleanup`. A step that raises ImuCalibError fails, and the node stays in the state it was in.
+    Subclasses implement four steps without arguments: `configure`, `activate`, `deactivate` and
+    `cleanup`. If a step raises ImuCalibError, it fails and the node keeps its state.
     """
 
     def __init__(self, node_name: str) -> None:
         super().__init__(node_name)
         self._wrong: ImuCalibError | None = None
         self._begins = False
-        # rclpy lets a request for a transition that the state does not have end the process.
+        # rclpy ends the process at a request for a transition that the state does not have.
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
 
@@ -35,16 +35,16 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc,unused-ignore]
             return response
 
     def configure(self) -> None:
-        """Read what is needed; nothing is opened, and nothing goes out."""
+        """Read what is needed; open and publish nothing."""
 
     def activate(self) -> None:
-        """Begin to work."""
+        """Start working."""
 
     def deactivate(self) -> None:
         """Stop working."""
 
     def cleanup(self) -> None:
-        """Forget what was read."""
+        """Discard what was read."""
 
     def begin(self, *, autostart: bool) -> None:
         """Configure and activate, unless a lifecycle manager does so.
@@ -62,25 +62,25 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc,unused-ignore]
         self._begins = False
 
     def on_configure(self, state: Any) -> Any:  # noqa: ARG002
-        """Take rclpy's call."""
+        """Run `configure` for rclpy."""
         return self._try(self.configure)
 
     def on_activate(self, state: Any) -> Any:
-        """Take rclpy's call."""
+        """Run `activate` for rclpy."""
         super().on_activate(state)
         return self._try(self.activate)
 
     def on_deactivate(self, state: Any) -> Any:
-        """Take rclpy's call."""
+        """Run `deactivate` for rclpy."""
         super().on_deactivate(state)
         return self._try(self.deactivate)
 
     def on_cleanup(self, state: Any) -> Any:  # noqa: ARG002
-        """Take rclpy's call."""
+        """Run `cleanup` for rclpy."""
         return self._try(self.cleanup)
 
     def on_shutdown(self, state: Any) -> Any:
-        """Take rclpy's call: nothing is left working."""
+        """Stop all work for rclpy."""
         if state.label == 'active':
             self.deactivate()
         return TransitionCallbackReturn.SUCCESS

@@ -1,8 +1,8 @@
-"""Which publisher a message is of, under rclpy: rcl knows, rclpy of Jazzy does not hand it on.
+"""The publisher of a message under rclpy: rcl has it, rclpy of Jazzy does not pass it on.
 
-The struct is rmw_message_info_t of rmw/types.h, as it is from Galactic on: two times, two sequence
-numbers, then the publisher's identifier. That it is so is checked on every message by the name of
-the middleware that stands in front of the identifier.
+The struct is rmw_message_info_t of rmw/types.h, unchanged since Galactic: two times, two sequence
+numbers, then the publisher's identifier. Every message is checked for this by the middleware's name
+in front of the identifier.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ def _libraries() -> tuple[Any, Any]:
 
 
 def take(handle: Any) -> tuple[bytes, bytes] | None:
-    """Take a message off a subscription.
+    """Take a message from a subscription.
 
     Args:
         handle: Of the subscription, entered.
 
     Returns:
-        Its serialised bytes, and what tells its publisher from others: empty where this
-        middleware does not say. None where nothing waits.
+        Its serialised bytes, and the identifier of its publisher: empty if this middleware does not
+        provide it. None if no message waits.
 
     """
     rcl, rcutils = _libraries()

@@ -1,4 +1,4 @@
-"""A node's life from init to shutdown, with a last word when a signal ends it."""
+"""A node's life from init to shutdown, with last messages when a signal ends it."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ if TYPE_CHECKING:
 
 
 class Stoppable(Protocol):
-    """A node with a last word."""
+    """A node with last messages."""
 
     def stop(self) -> Sequence[Any]:
-        """Publish the last messages; return the publishers whose peers must have them."""
+        """Publish the last messages; return the publishers whose peers must receive them."""
 
 
 class _Flag:
     """Whether a signal has come.
 
-    No threading.Event: a second signal that comes while the first one's handler holds the lock of
-    the event would wait for it for ever.
+    Not a threading.Event: a second signal during the first one's handler, which holds the event's
+    lock, would wait forever.
     """
 
     def __init__(self) -> None:
         self.is_set = False
 
     def set(self, *_: Any) -> None:
-        """Take a signal."""
+        """Record a signal."""
         self.is_set = True
 
 
 _TICK = 0.05
-"""s that a node waits for events before it looks whether it is to end."""
+"""s that a node waits for events between two checks for its end."""
 _LAST_WORD = 2.0
 """s for readers to acknowledge the last messages as a node ends; a choice."""
 _LOOK_AROUND = 2.0
-"""s between two looks at whether the network is still there."""
+"""s between two checks that the network is still there."""
 
 
 def run(
@@ -60,16 +60,16 @@ def run(
 ) -> bool:
     """Spin a node until SIGINT, SIGTERM, shutdown, or until it is done.
 
-    The signal's handler sets a flag only. Then `node.stop()`, where the node has it, publishes its
-    last messages and returns their publishers; these are waited for until their subscriptions have
-    acknowledged, and only then is the node destroyed and the middleware shut down.
+    The signal's handler only sets a flag. Then `node.stop()`, if the node has it, publishes its
+    last messages and returns their publishers. When their subscriptions have acknowledged, the node
+    is destroyed and the middleware shut down.
 
     Args:
-        node_factory: Makes the node, after init.
-        args: Command line with --ros-args; none for that of the process.
-        done: Asked with the node after each round; true ends the run.
-        ends: Whether the process ends with the run: it is then not cut short by a signal that comes
-            later, SIGTERM after SIGINT, where the end takes a launcher too long.
+        node_factory: Creates the node, after init.
+        args: Command line with --ros-args; None for that of the process.
+        done: Called with the node after each round; true ends the run.
+        ends: Whether the process ends with the run: a later signal does not interrupt it, for
+            instance SIGTERM after SIGINT from an impatient launcher.
 
     Returns:
         Whether every last message was acknowledged.
@@ -101,14 +101,14 @@ def run(
 
 
 def _handle(handler: Callable[..., None]) -> dict[signal.Signals, Any]:
-    """Install a handler; return the former ones. Signals come to the main thread only."""
+    """Install a handler; return the former ones. Only the main thread receives signals."""
     if threading.current_thread() is not threading.main_thread():
         return {}
     return {n: signal.signal(n, handler) for n in (signal.SIGINT, signal.SIGTERM)}
 
 
 def _warn_of_namesakes(node: Any) -> None:
-    """Say so where another node has the same name: both would answer to the same services."""
+    """Warn if another node has the same name: both would answer to the same services."""
     own = node.get_name(), node.get_namespace()
     same = [n for n in node.get_node_names_and_namespaces() if n == own]
     if len(same) > 1:

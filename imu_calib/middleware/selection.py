@@ -1,4 +1,4 @@
-"""Which runtime the nodes have: rclpy wherever it is, else Cyclone DDS."""
+"""Selection of the nodes' runtime: rclpy if available, else Cyclone DDS."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ RUNTIMES = ('rclpy', 'dds')
 
 
 def runtime() -> str:
-    """Return 'rclpy' where a module of that name exists, else 'dds'.
+    """Return 'rclpy' if a module of that name exists, else 'dds'.
 
     The environment variable IMU_CALIB_MIDDLEWARE forces one of the two.
 
     Raises:
-        ImuCalibError: The variable holds another word.
+        ImuCalibError: The variable has another value.
 
     """
     forced = os.environ.get(VARIABLE, '')
@@ -36,7 +36,7 @@ def require(chosen: str) -> None:
         chosen: 'rclpy' or 'dds'.
 
     Raises:
-        ImuCalibError: It does not; the text says what to do.
+        ImuCalibError: It does not; the text states the remedy.
 
     """
     if chosen == 'rclpy':

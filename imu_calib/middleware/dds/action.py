@@ -1,4 +1,4 @@
-"""Actions as ROS 2 has them: three services and two topics below the action's name.
+"""Actions of ROS 2: three services and two topics below the action's name.
 
 https://design.ros2.org/articles/actions.html
 """
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from .node import Node
 
 _REMEMBERED = 16
-"""Goals that have ended, whose results may still be asked for."""
+"""Number of ended goals whose results may still be requested."""
 _NONE, _REJECTED, _UNKNOWN, _TERMINATED = range(4)
 """Return codes of action_msgs/srv/CancelGoal."""
 
@@ -59,18 +59,18 @@ class ServerGoal:
 
     @property
     def is_cancel_requested(self) -> bool:
-        """Whether somebody has asked to cancel it, and was promised that it will be."""
+        """Whether a client has requested to cancel it, and the request was accepted."""
         return self.status is GoalStatus.CANCELING
 
     def publish_feedback(self, feedback: Any) -> None:
-        """Tell how far it has come."""
+        """Publish the progress of the goal."""
         self._server.publish_feedback(self, feedback)
 
     def end(self, status: GoalStatus, result: Any) -> None:
-        """End it; clients get its result.
+        """End it; clients receive its result.
 
         Args:
-            status: One of `goals.ENDS`; CANCELED only where that was asked for, as in ROS.
+            status: One of `goals.ENDS`; CANCELED only after a request to cancel, as in ROS.
             result: Of the action's type.
 
         """
@@ -81,12 +81,12 @@ class GoalServer:
     """Serves an action; a goal is executed from its acceptance until its `end` is called.
 
     Args:
-        node: Whose.
+        node: The node that serves.
         kind: The action's type.
         name: Of the action; relative, absolute or private.
-        accept: Asked whether a goal is accepted.
-        begin: Called with the `ServerGoal` that was accepted.
-        cancel: Asked whether a goal will be cancelled.
+        accept: Returns whether a goal is accepted.
+        begin: Called with the accepted `ServerGoal`.
+        cancel: Returns whether a goal will be cancelled.
 
     """
 
@@ -114,7 +114,7 @@ class GoalServer:
         node.create_service(impl.GetResultService, f'{below}/get_result', self._on_result)
 
     def publish_feedback(self, goal: ServerGoal, feedback: Any) -> None:
-        """Tell how far a goal has come."""
+        """Publish the progress of a goal."""
         message = self._kind.Impl.FeedbackMessage(feedback=feedback)
         message.goal_id.uuid = list(goal.identity)
         self._feedback.publish(message)
@@ -157,7 +157,7 @@ class GoalServer:
         return response
 
     def _asked(self, info: Any) -> list[ServerGoal]:
-        """Return the goals that a request to cancel means, as action_msgs/srv/CancelGoal says."""
+        """Return the goals that a cancel request selects, as action_msgs/srv/CancelGoal defines."""
         identity, until = bytes(info.goal_id.uuid), _seconds(info.stamp)
         if not any(identity) and until == (0, 0):
             return list(self._goals.values())
@@ -168,7 +168,7 @@ class GoalServer:
         ]
 
     def _on_result(self, request: Any, response: Any) -> Any:
-        """Answer with the result, now or when there is one; of no goal, with status UNKNOWN."""
+        """Answer with the result, now or later; for an unknown goal with status UNKNOWN."""
         goal = self._goals.get(bytes(request.goal_id.uuid))
         return response if goal is None else goal.answer
 
@@ -184,7 +184,7 @@ class GoalServer:
 
 
 class ClientGoalHandle:
-    """rclpy's: a goal that a server has accepted or rejected."""
+    """rclpy's class: a goal that a server has accepted or rejected."""
 
     def __init__(self, client: ActionClient, identity: bytes, response: Any) -> None:
         self._client = client
@@ -193,16 +193,16 @@ class ClientGoalHandle:
         self.stamp = response.stamp
 
     def get_result_async(self) -> Future:
-        """Ask for the result; the future has its `status` and `result` when the goal has ended."""
+        """Request the result; the future holds `status` and `result` when the goal has ended."""
         return self._client.ask_for_result(self.identity)
 
     def cancel_goal_async(self) -> Future:
-        """Ask to cancel it; the future has the answer of the server."""
+        """Request to cancel it; the future holds the answer of the server."""
         return self._client.ask_to_cancel(self.identity)
 
 
 class ActionClient:
-    """rclpy's, without feedback: sends goals to a server."""
+    """rclpy's class without feedback: sends goals to a server."""
 
     def __init__(self, node: Node, kind: Any, name: str) -> None:
         self._kind = kind
@@ -212,12 +212,12 @@ class ActionClient:
         self._cancel = node.create_client(impl.CancelGoalService, f'{below}/cancel_goal')
 
     def server_is_ready(self) -> bool:
-        """Tell whether somebody serves the action."""
+        """Return whether the action has a server."""
         clients = (self._send, self._result, self._cancel)
         return all(client.service_is_ready() for client in clients)
 
     def send_goal_async(self, goal: Any) -> Future:
-        """Send a goal; the future has its `ClientGoalHandle` when the server has answered."""
+        """Send a goal; the future holds its `ClientGoalHandle` when the server has answered."""
         identity = secrets.token_bytes(16)
         request = self._kind.Impl.SendGoalService.Request(goal=goal)
         request.goal_id.uuid = list(identity)
@@ -228,13 +228,13 @@ class ActionClient:
         return handle
 
     def ask_for_result(self, identity: bytes) -> Future:
-        """Ask for the result of a goal."""
+        """Request the result of a goal."""
         request = self._kind.Impl.GetResultService.Request()
         request.goal_id.uuid = list(identity)
         return self._result.call_async(request)
 
     def ask_to_cancel(self, identity: bytes) -> Future:
-        """Ask to cancel a goal."""
+        """Request to cancel a goal."""
         request = self._kind.Impl.CancelGoalService.Request()
         request.goal_info.goal_id.uuid = list(identity)
         return self._cancel.call_async(request)

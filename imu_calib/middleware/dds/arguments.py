@@ -23,7 +23,7 @@ _TAKES_VALUE = {
     '--remap': 'remap',
     '--log-level': 'level',
 }
-# Accepted for the sake of launch files; the DDS side has nothing to switch.
+# Accepted for launch files; they have no effect on DDS.
 _SWITCHES = re.compile(r'--(enable|disable)-(rosout-logs|stdout-logs|external-lib-logs)')
 
 
@@ -40,11 +40,11 @@ _Loader.add_implicit_resolver(
 
 @dataclass(frozen=True)
 class Arguments:
-    """What stands between --ros-args and its end.
+    """The arguments between --ros-args and its end.
 
     Attributes:
         parameters: (pattern of nodes, name, value), later ones win.
-        remaps: Rules in their order, the first that fits wins.
+        remaps: Rules in their order, the first match wins.
         levels: (logger, level), the empty logger for all.
         others: The arguments that are not ROS's.
 
@@ -63,7 +63,7 @@ class Arguments:
         return None
 
     def parameters_of(self, full_name: str) -> dict[str, Any]:
-        """Return the parameters that are meant for a node."""
+        """Return the parameters for a node."""
         return {n: v for pattern, n, v in self.parameters if _fits(pattern, full_name)}
 
 
@@ -71,7 +71,7 @@ def parse(args: Sequence[str]) -> Arguments:
     """Parse a command line.
 
     Args:
-        args: All arguments; those outside of --ros-args ... -- are left alone.
+        args: All arguments; those outside of --ros-args ... -- are ignored.
 
     Raises:
         InputError: An argument inside cannot be understood.
@@ -155,7 +155,7 @@ def _file(path: Path) -> list[tuple[str, str, Any]]:
 
 
 def _nodes(path: Path, prefix: str, content: Any) -> Iterator[tuple[str, str, Any]]:
-    """Yield the parameters of every node of a file."""
+    """Yield the parameters of every node in a file."""
     if not isinstance(content, dict):
         raise InputError(f'{path}: {prefix or "the file"} is not a mapping of nodes.')
     for key, value in content.items():
@@ -179,7 +179,7 @@ def _leaves(prefix: str, content: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _fits(pattern: str, full_name: str) -> bool:
-    """Tell whether a pattern with * (one part) and ** (any) means a node."""
+    """Return whether a pattern with * (one part) and ** (any) matches a node."""
     absolute = pattern if pattern.startswith('/') else f'/{pattern}'
     parts = {'**': '(/[^/]+)*', '*': '/[^/]+'}
     expression = ''.join(parts.get(p) or f'/{re.escape(p)}' for p in absolute.split('/')[1:])

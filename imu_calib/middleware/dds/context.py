@@ -1,4 +1,4 @@
-"""What a process shares: the DDS participant, the arguments, the state of the graph."""
+"""State of a process: the DDS participant, the arguments, the graph."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class Context:
         self.nodes: list[Any] = []
 
     def ok(self) -> bool:
-        """Tell whether it stands between init and shutdown."""
+        """Return whether the context is between init and shutdown."""
         return self.participant is not None
 
     def init(self, args: Sequence[str] | None = None) -> None:
         """Join the domain.
 
         Raises:
-            ImuCalibError: Joined before; a wrong argument; a domain that is out of range;
+            ImuCalibError: It has joined before; an argument is wrong; the domain is out of range;
                 Cyclone DDS cannot join.
 
         """
@@ -51,7 +51,7 @@ class Context:
         """Return the participant.
 
         Raises:
-            ImuCalibError: It is not yet, or no longer, in the domain.
+            ImuCalibError: It is not, or no longer, in the domain.
 
         """
         if self.participant is None:
@@ -59,17 +59,17 @@ class Context:
         return self.participant
 
     def announce(self) -> None:
-        """Tell the other participants which nodes and endpoints are in this one."""
+        """Announce the nodes and endpoints of this participant to the others."""
         self.graph.announce(self.nodes)
 
     def shutdown(self) -> None:
-        """Destroy the nodes and leave the domain; nothing where that is done."""
+        """Destroy the nodes and leave the domain; do nothing after that."""
         if self.participant is None:
             return
         for node in list(self.nodes):
             node.destroy_node()
         self.graph.close()
-        # Who spins in another thread sees ok() turn false first.
+        # ok() must turn false first for a thread that spins.
         left, self.participant = self.participant, None
         left.leave()
 
@@ -83,7 +83,7 @@ def _severity(text: str) -> logging.LoggingSeverity:
 
 
 CONTEXT = Context()
-"""That of this process."""
+"""The context of this process."""
 
 
 def init(*, args: Sequence[str] | None = None) -> None:
@@ -92,7 +92,7 @@ def init(*, args: Sequence[str] | None = None) -> None:
 
 
 def ok() -> bool:
-    """Tell whether the process stands between init and shutdown."""
+    """Return whether the process is between init and shutdown."""
     return CONTEXT.ok()
 
 
@@ -100,7 +100,7 @@ def shutdown() -> None:
     """Destroy all nodes and leave the domain.
 
     Raises:
-        ImuCalibError: init was not called, or shutdown before.
+        ImuCalibError: init was not called, or shutdown was.
 
     """
     if not CONTEXT.ok():
@@ -109,5 +109,5 @@ def shutdown() -> None:
 
 
 def try_shutdown() -> None:
-    """Shut down where that is not done yet."""
+    """Shut down unless that is done."""
     CONTEXT.shutdown()

@@ -1,4 +1,4 @@
-"""The fast path: bytes in bulk, all that has arrived in one call, none lost on the way out."""
+"""The fast path: serialised messages in bulk, in one call, without losses at the publisher."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def open_drain(
         node: Node that subscribes.
         msg_type: Class of the messages.
         topic: Name of the topic.
-        qos_profile: Keep all, here and at the publisher, loses nothing.
+        qos_profile: Keep all on both ends loses nothing.
         **options: Further arguments of create_subscription.
 
     """
@@ -38,15 +38,15 @@ def open_stream(
 ) -> Subscription:
     """Subscribe with a callback that takes all that has arrived, serialised, oldest first.
 
-    It is called as soon as something is there, so that one message waits for no timer, and many
-    are taken at once.
+    The callback is called as soon as messages arrive: a single message does not wait for a timer,
+    and many are taken together.
 
     Args:
         node: Node that subscribes.
         msg_type: Class of the messages.
         topic: Name of the topic.
         callback: Takes at least one message.
-        qos_profile: Keep all, here and at the publisher, loses nothing.
+        qos_profile: Keep all on both ends loses nothing.
         **options: Further arguments of create_subscription.
 
     """
@@ -62,20 +62,20 @@ def drain(subscription: Subscription, most: int | None = None) -> list[bytes]:
 
     Args:
         subscription: One of `open_drain`.
-        most: Take no more than that; a few thousand fit the processor's cache and decode fastest.
+        most: Largest number to take; a few thousand fit the processor's cache and decode fastest.
 
     """
     return subscription.reader.drain(most)
 
 
 def drain_sources(subscription: Subscription) -> list[tuple[bytes, bytes]]:
-    """Return what has arrived, serialised, each with what tells its publisher from all others.
+    """Return what has arrived, serialised, each with the identifier of its publisher.
 
     Args:
         subscription: One of `open_drain`.
 
     Returns:
-        Oldest first; the second is empty where the publisher is unknown (not on this runtime).
+        Oldest first; the identifier is empty if the publisher is unknown (not on this runtime).
 
     """
     return subscription.reader.drain_sources()
@@ -84,11 +84,11 @@ def drain_sources(subscription: Subscription) -> list[tuple[bytes, bytes]]:
 def publish_all(publisher: Publisher, payloads: Iterable[bytes]) -> None:
     """Publish serialised messages, losing none.
 
-    With keep all on both ends this waits for a subscription that lags, and for one whose process
-    was killed until its lease ends: 10 s with Cyclone DDS, 20 s with Fast DDS.
+    With keep all on both ends this waits for slow subscriptions, and for a killed one until its
+    lease ends: 10 s with Cyclone DDS, 20 s with Fast DDS.
 
     Args:
-        publisher: Keeps all.
+        publisher: Publisher that keeps all.
         payloads: Messages.
 
     Raises:

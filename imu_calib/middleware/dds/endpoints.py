@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 
 _AT_ONCE = 4096
-"""Messages taken at once, so that other callbacks get their turn."""
+"""Messages taken per call, so that other callbacks can run."""
 
 
 class _TopicEnd:
-    """What a publisher and a subscription have in common."""
+    """Common part of publishers and subscriptions."""
 
     MISMATCH: ClassVar[str]
 
@@ -44,7 +44,7 @@ class _TopicEnd:
         self._tell = None if events is None else events.incompatible_qos
 
     def tend(self) -> None:
-        """Report what does not match: to the callback, else in the log."""
+        """Report mismatches of quality of service: to the callback, else in the log."""
         info = self._end.incompatible()
         if info is None:
             return
@@ -84,11 +84,11 @@ class Publisher(_TopicEnd):
     def publish(self, msg: Message | bytes) -> None:
         """Send a message, or the bytes of a serialised one.
 
-        With KEEP ALL on both ends this waits for a subscription that lags; for one whose process
-        died, until its lease of ten seconds ends (the same under rclpy).
+        With KEEP ALL on both ends this waits for slow subscriptions; for a killed one until its
+        lease of ten seconds ends (the same under rclpy).
 
         Raises:
-            TypeError: It is of another type than the topic.
+            TypeError: The message has another type than the topic.
             ImuCalibError: The middleware refuses it.
 
         """
@@ -100,7 +100,7 @@ class Publisher(_TopicEnd):
             raise TypeError(f'Expected {self.msg_type}, got {type(msg)}')
 
     def get_subscription_count(self) -> int:
-        """Return how many subscriptions match."""
+        """Return the number of matching subscriptions."""
         return self.writer.matched()
 
 
@@ -130,11 +130,11 @@ class Subscription(_TopicEnd):
         super().__init__(logger, msg_type, topic, qos, events, self.reader)
 
     def get_publisher_count(self) -> int:
-        """Return how many publishers match."""
+        """Return the number of matching publishers."""
         return self.reader.matched()
 
     def execute(self, most: int) -> bool:
-        """Hand messages that have arrived to the callback; return whether there were any."""
+        """Pass arrived messages to the callback; return whether there were any."""
         if self.callback is None:
             return False
         if self.in_bulk:

@@ -1,4 +1,4 @@
-"""Waits for messages and timers and calls back, in the thread that spins."""
+"""Waits for messages and timers and runs callbacks, in the thread that spins."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
     _Awaited = Subscription | Service | Client
 
 _SLICE = 50_000_000
-"""Longest wait, ns: a signal's handler runs, and a cancelled spin ends, no later than that."""
+"""Longest wait, ns: the latest time for a signal's handler to run or a cancelled spin to end."""
 
 _PER_ROUND = 64
-"""Messages of one subscription before the others and the timers have their turn."""
+"""Messages of one subscription per turn; then the others and the timers follow."""
 
 
 class ExternalShutdownException(Exception):
-    """The context was shut down while somebody spun."""
+    """The context was shut down during a spin."""
 
 
 class SingleThreadedExecutor:
     """Runs the callbacks of its nodes one after the other.
 
-    `spin_once` runs all that is ready rather than one callback, as rclpy does.
+    `spin_once` runs everything that is ready; rclpy runs one callback.
     """
 
     def __init__(self) -> None:
@@ -43,28 +43,28 @@ class SingleThreadedExecutor:
         self._shut = False
 
     def add_node(self, node: Node) -> bool:
-        """Add a node; return whether it is new here."""
+        """Add a node; return whether it is new."""
         if node in self._nodes:
             return False
         self._nodes.append(node)
         return True
 
     def remove_node(self, node: Node) -> None:
-        """Leave a node alone from now on."""
+        """Stop serving a node."""
         if node in self._nodes:
             self._nodes.remove(node)
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:  # noqa: ARG002 (rclpy's)
-        """Stop for good."""
+        """Stop permanently."""
         self._shut = True
         self._forget()
         return True
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Run what is ready, waiting for it if need be.
+        """Run what is ready, after waiting for it if needed.
 
         Args:
-            timeout_sec: Longest wait, none or a negative one for ever.
+            timeout_sec: Longest wait, s; None or negative: unlimited.
 
         Raises:
             ExternalShutdownException: The context is shut down.
@@ -81,10 +81,10 @@ class SingleThreadedExecutor:
                 return
 
     def _run(self, ready: list[_Awaited]) -> bool:
-        """Call back for what is ready and for timers that are due; return whether any was."""
+        """Run callbacks of ready endpoints and of due timers; return whether there were any."""
         ran = False
         for one in ready:
-            # A callback may have destroyed the next.
+            # A callback may have destroyed the next one.
             if not one.destroyed:
                 ran |= one.execute(_PER_ROUND)
         for node in list(self._nodes):
@@ -93,13 +93,13 @@ class SingleThreadedExecutor:
         return ran
 
     def _wait(self, nanoseconds: int) -> list[_Awaited]:
-        """Wait for messages, at most until the next timer; return what has some."""
+        """Wait for messages, at most until the next timer; return the endpoints with messages."""
         from cyclonedds.core import DDSException
 
         for node in self._nodes:
             for timer in node.timers_:
                 left = timer.time_until_next_call()
-                # Simulated time goes on by a message; what is due is due on any clock.
+                # Simulated time advances by a message; a timer that is due is due on any clock.
                 if left is not None and (left <= 0 or not timer.clock.ros_time_is_active):
                     nanoseconds = min(nanoseconds, left)
         try:
@@ -107,14 +107,14 @@ class SingleThreadedExecutor:
             ready = waitset.wait(max(0, nanoseconds))
             return [self._awaited[k] for k in ready]
         except DDSException:
-            # Another thread has shut down, or destroyed an endpoint, in the meantime.
+            # Another thread has shut down or destroyed an endpoint.
             self._forget()
             if CONTEXT.ok() and not self._shut:
                 raise
             return []
 
     def _attached(self) -> WaitSet:
-        """Return the wait set, made anew where the readers have changed."""
+        """Return the wait set; create a new one if the readers have changed."""
         participant = CONTEXT.participant
         if participant is None:
             raise ExternalShutdownException
@@ -160,7 +160,7 @@ def spin(node: Node) -> None:
 def spin_until_future_complete(
     node: Node, future: Future, *, timeout_sec: float | None = None
 ) -> None:
-    """Run the callbacks of one node until a future is done or the time is over."""
+    """Run the callbacks of one node until a future is done or the time has passed."""
     end = math.inf if timeout_sec is None else time.monotonic() + timeout_sec
     while not future.done() and (left := end - time.monotonic()) > 0:
         spin_once(node, timeout_sec=min(left, 0.05))

@@ -17,11 +17,11 @@ class Future:
         self._callbacks: list[Callable[[Future], Any]] = []
 
     def done(self) -> bool:
-        """Tell whether the result is there."""
+        """Return whether the result is available."""
         return self._done
 
     def result(self) -> Any:
-        """Return the result, None before it is there."""
+        """Return the result, None before it is available."""
         return self._result
 
     def set_result(self, result: Any) -> None:
@@ -32,7 +32,7 @@ class Future:
             callback(self)
 
     def add_done_callback(self, callback: Callable[[Future], Any]) -> None:
-        """Call back with this future once it is done, at once where it is."""
+        """Call back with this future when it is done, or now if it is."""
         if self._done:
             callback(self)
         else:

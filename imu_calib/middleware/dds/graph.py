@@ -1,4 +1,4 @@
-"""Which nodes exist: those of this process are announced, those of others are listed."""
+"""The nodes of the graph: own ones are announced, others are listed."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ if TYPE_CHECKING:
 _TOPIC = 'ros_discovery_info'
 _TYPE = 'rmw_dds_common/msg/ParticipantEntitiesInfo'
 _MOST = 256
-"""Changes that are taken at once; more are taken by the next turn of the loop. The wheel makes room
-for as many each time."""
+"""Changes taken per call; further ones follow in the next iteration. The wheel allocates room for
+this number each time."""
 _ALIVE = 16
 """DDS_ALIVE_INSTANCE_STATE."""
 
 UNKNOWN_NAME, UNKNOWN_NAMESPACE = '_NODE_NAME_UNKNOWN_', '_NODE_NAMESPACE_UNKNOWN_'
-"""What ROS calls the node of an endpoint before the node is announced."""
+"""ROS's name for the node of an endpoint before the node is announced."""
 
 
 @dataclass(frozen=True)
 class TopicEndpointInfo:
-    """One publisher or subscription of a topic, as rclpy's class of that name has it.
+    """One publisher or subscription of a topic, as in rclpy's class of that name.
 
     Attributes:
-        node_name: Of its node.
-        node_namespace: Of its node.
+        node_name: Name of its node.
+        node_namespace: Namespace of its node.
         topic_type: For instance std_msgs/msg/Bool.
         endpoint_gid: 16 bytes; the first twelve are those of its participant.
-        qos_profile: What it offers or requests: reliability and durability.
+        qos_profile: Offered or requested reliability and durability.
 
     """
 
@@ -72,7 +72,7 @@ class Graph:
         self._listed_of = 0, 0
 
     def announce(self, own: Iterable[Any]) -> None:
-        """Tell the other participants which nodes, with their endpoints, are in this one."""
+        """Announce the nodes and endpoints of this participant to the others."""
         gid = message_class('rmw_dds_common/msg/Gid')
         node_info = message_class('rmw_dds_common/msg/NodeEntitiesInfo')
         nodes = [
@@ -89,7 +89,7 @@ class Graph:
         self._writer.write(serialize_message(info))
 
     def nodes(self) -> list[tuple[str, str]]:
-        """Return (name, namespace) of every node that is there, those of this process too."""
+        """Return (name, namespace) of every present node, own ones included."""
         self._hear()
         alive = {e.participant_key.bytes for e in self._publications.alive()}
         return [
@@ -100,10 +100,10 @@ class Graph:
         ]
 
     def writers(self, topic: str) -> list[TopicEndpointInfo]:
-        """Return the writers of a DDS topic, those of this process too."""
+        """Return the writers of a DDS topic, own ones included."""
         endpoints = self._publications.alive()
         self._hear()
-        # Nodes ask ten times a second, and seldom has anything changed.
+        # Nodes ask ten times a second, but changes are rare.
         changes = self._publications.changes, self._heard
         if changes != self._listed_of:
             self._listed_of = changes
@@ -131,11 +131,11 @@ class Graph:
         ]
 
     def count_writers(self, topic: str) -> int:
-        """Return how many writers a DDS topic has."""
+        """Return the number of writers of a DDS topic."""
         return sum(e.topic_name == topic for e in self._publications.alive())
 
     def count_readers(self, topic: str) -> int:
-        """Return how many readers a DDS topic has."""
+        """Return the number of readers of a DDS topic."""
         return sum(e.topic_name == topic for e in self._subscriptions.alive())
 
     def close(self) -> None:
@@ -146,7 +146,7 @@ class Graph:
         self._subscriptions.close()
 
     def _hear(self) -> None:
-        """Take in what the participants tell of their nodes."""
+        """Read the nodes that participants have announced."""
         for payload in self._reader.drain():
             info = deserialize_message(payload, message_class(_TYPE))
             self._participants[bytes(info.gid.data)] = list(info.node_entities_info_seq)
@@ -154,10 +154,10 @@ class Graph:
 
 
 class _Endpoints:
-    """All writers, or all readers, of a domain: only what has changed is read anew.
+    """All writers, or all readers, of a domain: only changes are read.
 
     Attributes:
-        changes: How many there were so far.
+        changes: Number of changes so far.
 
     """
 
@@ -170,7 +170,7 @@ class _Endpoints:
         self.changes = 0
 
     def alive(self) -> list[Any]:
-        """Return those that are there."""
+        """Return the endpoints that are alive."""
         while changes := self._reader.take(N=_MOST, condition=self._condition):
             self.changes += len(changes)
             for endpoint in changes:
@@ -181,11 +181,11 @@ class _Endpoints:
         return list(self._known.values())
 
     def close(self) -> None:
-        """Do not look any more."""
+        """Stop reading."""
         delete(self._condition)
         delete(self._reader)
 
 
 def _ros_type(name: str) -> str:
-    """Return a type as ROS writes it: std_msgs::msg::dds_::Bool_ is std_msgs/msg/Bool."""
+    """Return a type in ROS notation: std_msgs::msg::dds_::Bool_ is std_msgs/msg/Bool."""
     return name.replace('::dds_::', '::').removesuffix('_').replace('::', '/')

@@ -1,4 +1,4 @@
-"""Log lines as ROS writes them to the console; nothing goes to /rosout."""
+"""Log lines in ROS's console format; nothing is published on /rosout."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _levels = {'': LoggingSeverity.INFO}
 
 
 def set_logger_level(name: str, level: LoggingSeverity) -> None:
-    """Set the lowest level that a logger writes; that without a name is for all."""
+    """Set the lowest level that a logger writes; the empty name sets it for all."""
     _levels[name] = level
 
 
@@ -33,7 +33,7 @@ class Logger:
         self.name = name
 
     def _level(self) -> LoggingSeverity:
-        """Return the level of this logger or of the nearest above it."""
+        """Return the level of this logger or of its nearest ancestor with one."""
         name = self.name
         while name and name not in _levels:
             name = name.rpartition('.')[0]

@@ -1,4 +1,4 @@
-"""A managed node where there is no ROS 2: it begins by itself, as no lifecycle manager could."""
+"""A managed node without ROS 2: it starts by itself, because there is no lifecycle manager."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from .node import Node
 
 
 class ManagedNode(Node):
-    """A node that works from its start to its end; see `ros_lifecycle.ManagedNode`."""
+    """A node that is active from start to end; see `ros_lifecycle.ManagedNode`."""
 
     def configure(self) -> None:
-        """Read what is needed; nothing is opened, and nothing goes out."""
+        """Read what is needed; open and publish nothing."""
 
     def activate(self) -> None:
-        """Begin to work."""
+        """Start working."""
 
     def begin(self, *, autostart: bool) -> None:
         """Configure and activate.
 
         Raises:
-            InputError: It is not to begin by itself.
+            InputError: It must not start by itself.
 
         """
         if not autostart:

@@ -1,4 +1,4 @@
-"""Message classes out of message definitions, checked on every assignment."""
+"""Message classes from message definitions, with types checked at every assignment."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from .interfaces import interface
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# get_fields_and_field_types speaks IDL.
+# get_fields_and_field_types returns IDL.
 _IDL = {'float64': 'double', 'float32': 'float', 'bool': 'boolean', 'byte': 'octet'}
 _KINDS = {'float64': float, 'float32': float, 'bool': bool, 'string': str}
-"""What the scalars are in Python; others are int."""
+"""Python types of the scalars; others are int."""
 
 
 class _Octet(bytes):
-    """One byte, which is written as the number that it is."""
+    """One byte, serialised as a number."""
 
     __slots__ = ()
 
     def __index__(self) -> int:
-        # The sign of struct's code for it.
+        # Signed, as struct's code for it.
         return int.from_bytes(self, 'little', signed=True)
 
 
 class _Numbers(array.array):  # type: ignore[type-arg]
-    """A sequence of numbers as rclpy has it, which is written like an array of numpy."""
+    """A sequence of numbers as in rclpy, serialised like an array of numpy."""
 
     __slots__ = ()
 
@@ -46,13 +46,13 @@ class _Numbers(array.array):  # type: ignore[type-arg]
 
 @dataclass(frozen=True)
 class Field:
-    """How one field is kept.
+    """Storage of one field.
 
     Attributes:
         spelled: Its type in IDL.
-        default: Makes the value of a new message.
-        check: Returns what is kept of a value; AssertionError where that is of another type.
-        read: Returns what is kept of what was read from bytes; None for the same.
+        default: Returns the value in a new message.
+        check: Returns the stored form of a value; raises AssertionError for another type.
+        read: Returns the stored form of a value read from bytes; None for the same.
 
     """
 
@@ -63,11 +63,11 @@ class Field:
 
 
 class Message:
-    """A message as rclpy has it: keywords make it, defaults are zeros, wrong types are refused.
+    """A message as in rclpy: created by keywords, with defaults of zero; wrong types are refused.
 
     As in ROS with ROS_PYTHON_CHECK_FIELDS=1, a wrong type raises AssertionError with the field's
     name. Fixed arrays of numbers are numpy arrays, sequences of numbers are `array.array`. Arrays
-    of bool and of byte, which no message here has, are not offered.
+    of bool and of byte are not supported; no message here has them.
     """
 
     TYPE_NAME: ClassVar[str]
@@ -110,7 +110,7 @@ class Message:
         return {name: field.spelled for name, field in cls.FIELDS.items()}
 
     def wrong(self) -> str:
-        """Return which field holds what no assignment has checked, empty where all are right."""
+        """Return the field with a wrong value that no assignment has checked, else empty."""
         for name, field in self.FIELDS.items():
             value = getattr(self, name)
             try:
@@ -149,7 +149,7 @@ def message_class(name: str) -> Any:
 
 
 def _reader(made: Any) -> Callable[..., Any]:
-    """Return what makes a message of values that were read: they are of the right types."""
+    """Return a constructor for values read from bytes: their types are right."""
     keep = [(getattr(made, n).__set__, field.read) for n, field in made.FIELDS.items()]
 
     def read(*values: Any) -> Any:
@@ -194,7 +194,7 @@ def _scalar(base: str, bound: int, default: str) -> Field:
 
 
 def _many(inner: Any, size: int, *, fixed: bool) -> Field:
-    """Return how an array of so many elements is kept, or a sequence of at most so many."""
+    """Return the storage of an array of `size` elements, or of a sequence with at most `size`."""
     one = _field(inner)
     bound = f', {size}' if size else ''
     spelled = f'{one.spelled}[{size}]' if fixed else f'sequence<{one.spelled}{bound}>'
@@ -222,7 +222,7 @@ def _check_many(
         raise AssertionError(
             f"The '{name}' field must have {most}{size} elements, not {len(values)}"
         )
-    # Elements are looked at one by one, numpy's too, as in ROS.
+    # Elements are checked one by one, numpy's too, as in ROS.
     for value in values:
         one.check(name, value)
     return values if isinstance(values, list) and make is list else make(values)
@@ -232,7 +232,7 @@ def _check(
     kind: type, expected: str = '', fits: Callable[[Any], bool] | None = None
 ) -> Callable[[str, Any], Any]:
     def check(name: str, value: Any) -> Any:
-        # A numpy float64 is a float too; plain floats are stored as rclpy stores them.
+        # A numpy float64 is a float too; plain floats are stored, as in rclpy.
         if not isinstance(value, kind) or (fits is not None and not fits(value)):
             article = expected or f'of type {kind.__name__!r}'
             raise AssertionError(f"The '{name}' field must be {article}, not {value!r}")

@@ -1,4 +1,4 @@
-"""Names of nodes, topics and services: their form, namespaces, remap rules."""
+"""Names of nodes, topics and services: validity, namespaces, remap rules."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _TOPIC = re.compile(r'(~(?=/|$)|/)?([A-Za-z_]\w*)?(/[A-Za-z_]\w*)*', re.ASCII)
 
 @dataclass(frozen=True)
 class Remap:
-    """One rule of -r: from a name to another, for one node or for all."""
+    """One rule of -r: from one name to another, for one node or for all."""
 
     node: str
     source: str
@@ -21,10 +21,10 @@ class Remap:
 
 
 def check_node_name(name: str) -> str:
-    """Return a node's name if it is one.
+    """Return a valid node name.
 
     Raises:
-        InputError: It holds other characters than letters, digits and underscores.
+        InputError: It has other characters than letters, digits and underscores.
 
     """
     if not _NODE.fullmatch(name):
@@ -36,7 +36,7 @@ def check_node_name(name: str) -> str:
 
 
 def namespace_of(text: str) -> str:
-    """Return a namespace with its leading and without a trailing slash.
+    """Return a namespace with a leading and without a trailing slash.
 
     Raises:
         InputError: It is not a valid namespace.
@@ -49,7 +49,7 @@ def namespace_of(text: str) -> str:
 
 
 def fully_qualified(namespace: str, name: str) -> str:
-    """Return namespace and name in one."""
+    """Return namespace and name joined."""
     return f'{namespace.rstrip("/")}/{name}'
 
 
@@ -62,7 +62,7 @@ def expand(name: str, namespace: str, node: str) -> str:
         node: Name of the node.
 
     Raises:
-        InputError: It is no topic name.
+        InputError: It is not a valid topic name.
 
     """
     if not name or not _TOPIC.fullmatch(name):
@@ -75,7 +75,7 @@ def expand(name: str, namespace: str, node: str) -> str:
 
 
 def remapped(name: str, namespace: str, node: str, rules: tuple[Remap, ...]) -> str:
-    """Return the absolute name after the first rule that fits."""
+    """Return the absolute name after the first matching rule."""
     absolute = expand(name, namespace, node)
     for rule in rules:
         if rule.source.startswith('__') or rule.node not in {'', node}:

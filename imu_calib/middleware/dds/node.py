@@ -1,4 +1,4 @@
-"""Node: rclpy's, as far as the suite's nodes use it."""
+"""Node: the part of rclpy's class that the suite's nodes use."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from .qos import QoSOverridingOptions, SubscriptionEventCallbacks
 
 _TEND_PERIOD = 0.5
-"""Seconds between two looks at peers whose quality of service does not match: each asks every
-endpoint, which took a fifth of what a node at rest does when it was ten times a second."""
+"""Seconds between two checks for peers with mismatched quality of service: each check reads every
+endpoint, which at ten per second took a fifth of an idle node's time."""
 
 
 class Node:
     """A node with publishers, subscriptions, timers, services and parameters.
 
-    Not offered: lifecycle, callback groups, parameter services (`ros2 param`), /rosout,
+    Not supported: lifecycle, callback groups, parameter services (`ros2 param`), /rosout,
     /parameter_events, content filters, serialised services, QoS beyond `QoSProfile`.
     """
 
@@ -95,7 +95,7 @@ class Node:
         *,
         qos_overriding_options: QoSOverridingOptions | None = None,
     ) -> Publisher:
-        """Publish a type on a topic; its publish takes messages and serialised bytes."""
+        """Create a publisher; its publish takes messages and serialised bytes."""
         name = self.resolve_topic_name(topic)
         prefix = f'qos_overrides.{name}.publisher'
         qos = self._overridden(qos_profile, qos_overriding_options, prefix)
@@ -115,7 +115,7 @@ class Node:
         qos_overriding_options: QoSOverridingOptions | None = None,
         raw: bool = False,
     ) -> Subscription:
-        """Subscribe to a topic; without a callback the messages wait for `drain`."""
+        """Create a subscription; without a callback the messages wait for `drain`."""
         name = self.resolve_topic_name(topic)
         prefix = f'qos_overrides.{name}.subscription'
         qos = self._overridden(qos_profile, qos_overriding_options, prefix)
@@ -142,7 +142,7 @@ class Node:
         callback_group: None = None,  # noqa: ARG002 (rclpy's third argument)
         clock: Clock | None = None,
     ) -> Timer:
-        """Call back periodically, on ROS time unless another clock is given."""
+        """Create a timer, on ROS time unless another clock is given."""
         timer = Timer(int(timer_period_sec * 1e9), callback, clock or self._clock)
         self.timers_.append(timer)
         return timer
@@ -150,14 +150,14 @@ class Node:
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any]
     ) -> Service:
-        """Serve; peers on rmw_fastrtps cannot call it."""
+        """Create a service; peers on rmw_fastrtps cannot call it."""
         service = Service(CONTEXT.joined(), srv_type, self.resolve_service_name(srv_name), callback)
         self.services_.append(service)
         CONTEXT.announce()
         return service
 
     def create_client(self, srv_type: Any, srv_name: str) -> Client:
-        """Ask a service; one on rmw_fastrtps never answers."""
+        """Create a client; a service on rmw_fastrtps never answers."""
         client = Client(CONTEXT.joined(), srv_type, self.resolve_service_name(srv_name))
         self.services_.append(client)
         CONTEXT.announce()
@@ -170,7 +170,7 @@ class Node:
         return self._parameters.declare(name, value, descriptor)
 
     def has_parameter(self, name: str) -> bool:
-        """Tell whether a parameter is declared."""
+        """Return whether a parameter is declared."""
         return self._parameters.has(name)
 
     def get_parameter(self, name: str) -> Parameter:
@@ -178,26 +178,26 @@ class Node:
         return self._parameters.get(name)
 
     def count_publishers(self, topic_name: str) -> int:
-        """Return how many publishers a topic has, here and elsewhere; names are not remapped."""
+        """Return the number of publishers of a topic in the domain; names are not remapped."""
         name = self.resolve_topic_name(topic_name, only_expand=True)
         return CONTEXT.graph.count_writers(f'rt{name}')
 
     def count_subscribers(self, topic_name: str) -> int:
-        """Return how many subscriptions a topic has, here and elsewhere; names are not remapped."""
+        """Return the number of subscriptions of a topic in the domain; names are not remapped."""
         name = self.resolve_topic_name(topic_name, only_expand=True)
         return CONTEXT.graph.count_readers(f'rt{name}')
 
     def get_publishers_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
-        """Return the publishers of a topic, here and elsewhere; names are not remapped."""
+        """Return the publishers of a topic in the domain; names are not remapped."""
         name = self.resolve_topic_name(topic_name, only_expand=True)
         return CONTEXT.graph.writers(f'rt{name}')
 
     def get_node_names(self) -> list[str]:
-        """Return the names of all nodes that are there."""
+        """Return the names of all present nodes."""
         return [name for name, _ in self.get_node_names_and_namespaces()]
 
     def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
-        """Return (name, namespace) of all nodes that are there."""
+        """Return (name, namespace) of all present nodes."""
         return CONTEXT.graph.nodes()
 
     def destroy_publisher(self, publisher: Publisher) -> bool:
@@ -229,7 +229,7 @@ class Node:
         return True
 
     def destroy_node(self) -> None:
-        """Remove the node and all that it has."""
+        """Remove the node with all its entities."""
         if self not in CONTEXT.nodes:
             return
         CONTEXT.nodes.remove(self)
@@ -250,11 +250,11 @@ class Node:
         yield from (entity.writer for entity in (*self.publishers_, *self.services_))
 
     def awaited(self) -> list[Subscription | Service | Client]:
-        """Return what an executor waits for: what calls back when messages have come."""
+        """Return the endpoints for an executor to wait on."""
         return [*(s for s in self.subscriptions_ if s.callback is not None), *self.services_]
 
     def run_timers(self) -> bool:
-        """Run the callbacks of timers that are due; return whether there were any."""
+        """Run the callbacks of due timers; return whether there were any."""
         self._tend()
         ran = False
         for timer in list(self.timers_):
@@ -271,7 +271,7 @@ class Node:
             endpoint.tend()
 
     def _follow_clock(self) -> None:
-        """Listen to /clock where use_sim_time says so."""
+        """Subscribe to /clock if use_sim_time is set."""
         if self.declare_parameter('use_sim_time', False).value:
             self._clock.simulated = 0
             qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)

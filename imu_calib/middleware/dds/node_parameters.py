@@ -1,6 +1,6 @@
-"""Parameters of a node: typed, described, and checked when they are declared.
+"""Parameters of a node: typed, described, and checked when declared.
 
-Without parameter services they stay as files and arguments gave them.
+Without parameter services they keep the values of files and arguments.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ _KINDS = {bool: 'BOOL', int: 'INTEGER', float: 'DOUBLE', str: 'STRING'}
 
 
 class ParameterException(Exception):
-    """Root of what goes wrong with parameters."""
+    """Base of all errors of parameters."""
 
 
 class ParameterAlreadyDeclaredException(ParameterException):
@@ -20,7 +20,7 @@ class ParameterAlreadyDeclaredException(ParameterException):
 
 
 class ParameterNotDeclaredException(ParameterException):
-    """It was never declared."""
+    """It was not declared."""
 
 
 class InvalidParameterTypeException(ParameterException):
@@ -33,7 +33,7 @@ class InvalidParameterValueException(ParameterException):
 
 @dataclass
 class FloatingPointRange:
-    """From and to which value a float parameter may go; the step is not enforced."""
+    """Range of a float parameter; the step is not enforced."""
 
     from_value: float = 0.0
     to_value: float = 0.0
@@ -41,12 +41,12 @@ class FloatingPointRange:
 
 
 class IntegerRange(FloatingPointRange):
-    """The same of an integer parameter."""
+    """Range of an integer parameter."""
 
 
 @dataclass
 class ParameterDescriptor:
-    """What a parameter is: as far as it counts here, rcl_interfaces/ParameterDescriptor."""
+    """Description of a parameter: the used part of rcl_interfaces/ParameterDescriptor."""
 
     description: str = ''
     read_only: bool = False
@@ -73,12 +73,12 @@ class Parameters:
     def declare(
         self, name: str, value: Any, descriptor: ParameterDescriptor | None = None
     ) -> Parameter:
-        """Declare a parameter; the value of a file or an argument replaces the default.
+        """Declare a parameter; a value from a file or an argument replaces the default.
 
         Args:
             name: Name.
             value: Default; its type is the parameter's.
-            descriptor: What it is.
+            descriptor: Its description.
 
         Raises:
             ParameterException: Declared before, or of the wrong type, or out of range.
@@ -89,7 +89,7 @@ class Parameters:
             raise ParameterAlreadyDeclaredException(f'{where} is declared twice.')
         found = self._overrides.get(name, value)
         kind = _kind(value)
-        # An empty list is a list of anything.
+        # An empty list matches a list of any type.
         if _kind(found) != kind and not (found == [] and isinstance(value, list)):
             raise InvalidParameterTypeException(
                 f'{where}: found {found!r} ({_kind(found)}), expected {kind}.'
@@ -117,12 +117,12 @@ class Parameters:
         return self._values[name]
 
     def has(self, name: str) -> bool:
-        """Tell whether a parameter is declared."""
+        """Return whether a parameter is declared."""
         return name in self._values
 
 
 def _kind(value: Any) -> str:
-    """Return what ROS calls the type of a value, or Python where no parameter has such a one."""
+    """Return ROS's name for the type of a value, or Python's if ROS has no such parameter."""
     if isinstance(value, list):
         kinds = {_kind(one) for one in value}
         return f'{kinds.pop()}_ARRAY' if len(kinds) == 1 else 'list of several types'

@@ -9,7 +9,7 @@ from ..domain import configuration
 
 
 def delete(entity: Any) -> None:
-    """Delete an entity of the wheel now rather than with its last reference."""
+    """Delete an entity of the wheel now, without waiting for its last reference to end."""
     entity.__del__()
 
 
@@ -45,14 +45,14 @@ class Participant:
         self._domain = domain
 
     def ok(self) -> bool:
-        """Tell whether it is still in the domain."""
+        """Return whether it is still in the domain."""
         return not self._left
 
     def topic(self, name: str, idl: Any) -> Any:
-        """Return the DDS topic of a name, made once.
+        """Return the DDS topic of a name; it is created once.
 
         Raises:
-            ImuCalibError: It has another type already, or cannot be made.
+            ImuCalibError: It has another type already, or cannot be created.
 
         """
         from cyclonedds.core import DDSException

@@ -1,4 +1,4 @@
-"""Quality of service: rclpy's names, and what they are in DDS."""
+"""Quality of service: rclpy's names, and their equivalents in DDS."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 INFINITE = 2**63 - 1
-"""Longest duration, ns: the runtime's own infinity."""
+"""Longest duration, ns: DDS's infinity."""
 
 
 class ReliabilityPolicy(IntEnum):
-    """Whether what is lost is sent again."""
+    """Whether lost messages are sent again."""
 
     RELIABLE = 1
     BEST_EFFORT = 2
 
 
 class DurabilityPolicy(IntEnum):
-    """Whether a late joiner gets what was sent before."""
+    """Whether late subscribers receive earlier messages."""
 
     TRANSIENT_LOCAL = 1
     VOLATILE = 2
 
 
 class HistoryPolicy(IntEnum):
-    """How much waits for a reader that lags."""
+    """How many messages wait for a slow reader."""
 
     KEEP_LAST = 1
     KEEP_ALL = 2
@@ -46,7 +46,7 @@ class QoSProfile:
     durability: DurabilityPolicy = DurabilityPolicy.VOLATILE
 
     def __post_init__(self) -> None:
-        """Refuse what rclpy refuses: a history without a length."""
+        """Refuse a history without a length, as rclpy does."""
         if self.history == HistoryPolicy.KEEP_LAST and self.depth < 1:
             raise InputError(
                 f'A QoSProfile has the depth {self.depth}, expected 1 or more, or KEEP_ALL.'
@@ -57,7 +57,7 @@ qos_profile_sensor_data = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST
 
 
 class QoSPolicyKind(IntEnum):
-    """Policies that a parameter may override, and the names of incompatible ones."""
+    """Policies that a parameter may override, and names of incompatible ones."""
 
     DURABILITY = 1 << 1
     RELIABILITY = 1 << 4
@@ -67,7 +67,7 @@ class QoSPolicyKind(IntEnum):
 
 @dataclass(frozen=True)
 class QoSOverridingOptions:
-    """Which policies of an endpoint parameters may override.
+    """Policies of an endpoint that parameters may override.
 
     The parameters are `qos_overrides.<topic>.<publisher|subscription>.<policy>`, as in ROS.
     """
@@ -76,13 +76,13 @@ class QoSOverridingOptions:
 
     @classmethod
     def with_default_policies(cls) -> QoSOverridingOptions:
-        """Let history, depth and reliability be overridden."""
+        """Allow history, depth and reliability to be overridden."""
         return cls((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY))
 
 
 @dataclass(frozen=True)
 class QoSIncompatibleInfo:
-    """How many peers do not match, and the policy of the last of them."""
+    """Number of mismatched peers, and the policy of the last one."""
 
     total_count: int
     total_count_change: int
@@ -91,7 +91,7 @@ class QoSIncompatibleInfo:
 
 @dataclass
 class SubscriptionEventCallbacks:
-    """What a subscription calls when a publisher offers less than it requests."""
+    """Callbacks of a subscription for a publisher that offers less than it requests."""
 
     incompatible_qos: Callable[[QoSIncompatibleInfo], None] | None = None
 
@@ -117,13 +117,13 @@ def overridden(
     """Apply the parameters that override a profile.
 
     Args:
-        qos: Profile of the code.
+        qos: Profile in the code.
         options: What may be overridden; None for nothing.
         prefix: Start of the parameters' names.
         declare: Declares a read-only parameter with its default and returns its value.
 
     Raises:
-        InputError: A value is none of the policy's.
+        InputError: A value is not valid for its policy.
 
     """
     if options is None:
@@ -148,7 +148,7 @@ def to_dds(qos: QoSProfile, user_data: str) -> Any:
 
     Args:
         qos: Profile.
-        user_data: What discovery tells the peers, the type hash above all.
+        user_data: Text that discovery sends to peers, mainly the type hash.
 
     """
     from cyclonedds.qos import Policy, Qos
@@ -157,7 +157,7 @@ def to_dds(qos: QoSProfile, user_data: str) -> Any:
     history = Policy.History.KeepAll if keep_all else Policy.History.KeepLast(qos.depth)
     policies = [
         history,
-        # A reliable writer waits for a lagging reader for as long as it takes, as in ROS.
+        # A reliable writer waits for a slow reader without limit, as in ROS.
         Policy.Reliability.Reliable(max_blocking_time=INFINITE)
         if qos.reliability == ReliabilityPolicy.RELIABLE
         else Policy.Reliability.BestEffort,
@@ -167,7 +167,7 @@ def to_dds(qos: QoSProfile, user_data: str) -> Any:
         Policy.Userdata(user_data.encode()),
     ]
     if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
-        # What a late joiner gets is the history of the durability service, not that above.
+        # The history for late subscribers is that of the durability service, not the one above.
         policies += [
             Policy.Durability.TransientLocal,
             Policy.DurabilityService(0, history, -1, -1, -1),
@@ -178,7 +178,7 @@ def to_dds(qos: QoSProfile, user_data: str) -> Any:
 
 
 def from_dds(qos: Any) -> QoSProfile:
-    """Return what discovery tells of an endpoint: reliability and durability."""
+    """Return reliability and durability of an endpoint as discovery reports them."""
     from cyclonedds.qos import Policy
 
     best_effort = Policy.Reliability.BestEffort in qos

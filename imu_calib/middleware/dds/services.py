@@ -1,4 +1,4 @@
-"""Services (std_srvs/Trigger and its like) as rmw_cyclonedds speaks them."""
+"""Services (std_srvs/Trigger and similar) with the protocol of rmw_cyclonedds."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _identity(gid: bytes, role: str) -> str:
 def _ends(
     participant: Participant, srv_type: Any, name: str, serves: bool, gid: bytes
 ) -> tuple[Reader, Writer]:
-    """Make the two DDS endpoints of one side of a service."""
+    """Create the two DDS endpoints of one side of a service."""
     identity = _identity(gid, 'service' if serves else 'client')
     request, reply = f'rq{name}Request', f'rr{name}Reply'
     qos = QoSProfile(depth=10)
@@ -72,7 +72,7 @@ class Service:
         )
 
     def execute(self, most: int) -> bool:
-        """Answer what has been asked; return whether there was anything."""
+        """Answer pending requests; return whether there were any."""
         payloads = self.reader.drain(most)
         for payload in payloads:
             request = deserialize_message(payload, self.srv_type.Request, skip=16)
@@ -109,7 +109,7 @@ def _request_id(payload: bytes) -> bytes:
 
 
 class Client:
-    """Asks a service; the answer is a future."""
+    """Calls a service; the answer is a future."""
 
     def __init__(self, participant: Participant, srv_type: Any, srv_name: str) -> None:
         self.srv_type = srv_type
@@ -122,11 +122,11 @@ class Client:
         self.reader, self.writer = _ends(participant, srv_type, srv_name, False, gid)
 
     def service_is_ready(self) -> bool:
-        """Tell whether somebody serves."""
+        """Return whether the service has a server."""
         return self.writer.matched() > 0 and self.reader.matched() > 0
 
     def wait_for_service(self, timeout_sec: float | None = None) -> bool:
-        """Wait until somebody serves; return whether it came to that."""
+        """Wait for a server; return whether there is one."""
         end = None if timeout_sec is None else time.monotonic() + timeout_sec
         while not self.service_is_ready():
             if end is not None and time.monotonic() >= end:
@@ -135,7 +135,7 @@ class Client:
         return True
 
     def call_async(self, request: Any) -> Future:
-        """Ask; the future is done when the answer has come and the node is spun."""
+        """Send a request; the future is done when the answer has come and the node is spun."""
         if not isinstance(request, self.srv_type.Request):
             raise TypeError(f'Expected {self.srv_type.Request}, got {type(request)}')
         self._sequence += 1
@@ -145,7 +145,7 @@ class Client:
         return future
 
     def execute(self, most: int) -> bool:
-        """Take the answers that have come; return whether there was one."""
+        """Take arrived answers; return whether there were any."""
         found = False
         for payload in self.reader.drain(most):
             guid, sequence = _REQUEST_ID.unpack(_request_id(payload))

@@ -1,4 +1,4 @@
-"""The message classes of the suite by their short names, each made when it is first asked for."""
+"""The message classes of the suite by their short names, each created at first use."""
 
 from __future__ import annotations
 

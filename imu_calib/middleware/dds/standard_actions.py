@@ -1,4 +1,4 @@
-"""The actions of the suite by their short names, each made when it is first asked for."""
+"""The actions of the suite by their short names, each created at first use."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class Timer:
-    """Calls back every period of its clock; late calls are left out, not made up for."""
+    """Calls back once per period of its clock; missed calls are skipped."""
 
     def __init__(self, period_ns: int, callback: Callable[[], Any], clock: Clock) -> None:
         self.timer_period_ns = period_ns
@@ -22,24 +22,24 @@ class Timer:
         self._next = self._last + period_ns
 
     def cancel(self) -> None:
-        """Stop calling back."""
+        """Stop the timer."""
         self._cancelled = True
 
     def reset(self) -> None:
-        """Start anew: the next call is one period from now."""
+        """Restart: the next call is one period from now."""
         self._cancelled = False
         self._last = self.clock.nanoseconds()
         self._next = self._last + self.timer_period_ns
 
     def time_until_next_call(self) -> int | None:
-        """Return nanoseconds, None where it is stopped."""
+        """Return nanoseconds, None if it is stopped."""
         return None if self._cancelled else self._next - self.clock.nanoseconds()
 
     def execute(self) -> bool:
-        """Call back if it is time; return whether it was."""
+        """Call back if it is due; return whether it was."""
         now = self.clock.nanoseconds()
         if now < self._last:
-            # The clock jumped back: simulated time began again.
+            # The clock jumped back: simulated time restarted.
             self._next = now + self.timer_period_ns
         self._last = now
         if self._cancelled or now < self._next:

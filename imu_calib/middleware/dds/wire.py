@@ -1,4 +1,4 @@
-"""Topics, readers and writers of the cyclonedds wheel, on ROS 2's wire; the bytes are ours."""
+"""Topics, readers and writers of the cyclonedds wheel on ROS 2's wire, for serialised messages."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from .participant import Participant, delete
 from .qos import QoSIncompatibleInfo, QoSProfile, to_dds
 
 _ANY = 3 | 12 | 112
-"""Samples read or not, of new or known writers, alive or not."""
+"""State mask: samples read or not, of new or known writers, alive or not."""
 
-# Numbers of DDS policies that profiles have, and rclpy's numbers for them.
+# DDS numbers of the policies in profiles, and rclpy's numbers for them.
 _POLICIES = {2: 2, 11: 16, 13: 32}
 _BULK = 4096
-"""Messages taken at once."""
+"""Messages taken per call."""
 
 
 @cache
 def idl_type(name: str, prefix: str = '') -> Any:
-    """Return the wheel's type of a message, as ROS 2 names it on the wire.
+    """Return the wheel's type of a message, with ROS 2's name on the wire.
 
     Args:
         name: Full name, for instance sensor_msgs/msg/Imu.
@@ -44,7 +44,7 @@ def idl_type(name: str, prefix: str = '') -> Any:
 
 
 def _idl_field(kind: int, details: Any) -> Any:
-    """Return the wheel's type of a field, as rosbags describes it."""
+    """Return the wheel's type of a field described by rosbags."""
     from cyclonedds.idl import types
 
     if kind == Nodetype.NAME:
@@ -80,7 +80,7 @@ class Endpoint:
 
     @property
     def gid(self) -> bytes:
-        """The 16 bytes that tell this endpoint from all others."""
+        """The 16 bytes that identify this endpoint."""
         return bytes(self.entity.get_guid().bytes)
 
     def delete(self) -> None:
@@ -98,8 +98,8 @@ class Writer(Endpoint):
 
         super().__init__(*args, **options)
         library = DDS._dll_handle
-        # Messages then wait for a flush, and many leave in one packet. The wheel's profiles cannot
-        # ask for it; a writer keeps what was said when it was made.
+        # Messages then wait for a flush, and many are sent in one packet. The wheel's profiles lack
+        # this setting; a writer keeps its value from creation.
         library.dds_write_set_batch(c_bool(True))
         try:
             self.entity = DataWriter(self.participant.entity, self.topic, qos=self._qos)
@@ -118,7 +118,7 @@ class Writer(Endpoint):
         self.write_all([payload])
 
     def write_all(self, payloads: Iterable[bytes]) -> None:
-        """Send messages, as many at once as a packet holds: each packet costs both ends a call.
+        """Send messages, as many per packet as fit: each packet costs both ends a call.
 
         Raises:
             ImuCalibError: The middleware refuses one; those before it are sent.
@@ -137,17 +137,17 @@ class Writer(Endpoint):
             raise ImuCalibError(f'{self.name}: Cyclone DDS refuses to send ({code}){gone}.')
 
     def acknowledged(self, timeout_ns: int) -> bool:
-        """Wait until every reliable reader has everything; return whether it came to that."""
-        # The wheel's own wait_for_acks fails when the time is over.
+        """Wait until every reliable reader has everything; return whether that is so."""
+        # The wheel's own wait_for_acks raises an error at the timeout.
         code = int(self.entity._wait_for_acks(self.entity._ref, timeout_ns))
         return code == 0
 
     def matched(self) -> int:
-        """Return the number of readers."""
+        """Return the number of matching readers."""
         return len(self.entity.get_matched_subscriptions())
 
     def incompatible(self) -> QoSIncompatibleInfo | None:
-        """Return what does not match since the last call, None for nothing."""
+        """Return mismatches since the last call, None without any."""
         return _incompatible(self.entity.get_offered_incompatible_qos_status())
 
 
@@ -165,27 +165,27 @@ class Reader(Endpoint):
         self._take = ddspy_take
 
     def drain(self, most: int | None = None) -> list[bytes]:
-        """Return all that has arrived, or the oldest so many messages.
+        """Return all arrived messages, or at most `most` of the oldest.
 
         Raises:
-            ImuCalibError: The middleware cannot take.
+            ImuCalibError: The middleware cannot read.
 
         """
         payloads: list[bytes] = []
         while most is None or len(payloads) < most:
             room = _BULK if most is None else min(_BULK, most - len(payloads))
             taken = self._taken(room)
-            # A sample without data reports a writer that leaves.
+            # A sample without data reports that a writer has left.
             payloads += [payload for payload, info in taken if info.valid_data]
             if len(taken) < room:
                 break
         return payloads
 
     def drain_sources(self) -> list[tuple[bytes, bytes]]:
-        """Return what has arrived, each with the number of its writer, 8 bytes.
+        """Return arrived messages, each with the number of its writer, 8 bytes.
 
         Raises:
-            ImuCalibError: The middleware cannot take.
+            ImuCalibError: The middleware cannot read.
 
         """
         return [
@@ -201,11 +201,11 @@ class Reader(Endpoint):
         return list(taken)
 
     def matched(self) -> int:
-        """Return the number of writers."""
+        """Return the number of matching writers."""
         return len(self.entity.get_matched_publications())
 
     def incompatible(self) -> QoSIncompatibleInfo | None:
-        """Return what does not match since the last call, None for nothing."""
+        """Return mismatches since the last call, None without any."""
         return _incompatible(self.entity.get_requested_incompatible_qos_status())
 
     def delete(self) -> None:
@@ -215,12 +215,12 @@ class Reader(Endpoint):
 
 
 class WaitSet:
-    """Waits until one of some readers has messages, and says which have.
+    """Waits until any reader has messages, and returns which.
 
-    The wheel's own says only that there are some: to ask each reader costs more than most messages.
+    The wheel's own reports only that some have: asking each reader costs more than most messages.
 
     Args:
-        participant: Whose readers they are.
+        participant: Participant of the readers.
         readers: To wait for.
 
     """
@@ -238,10 +238,10 @@ class WaitSet:
             _check(attach(self._entity._ref, condition._ref, k))
 
     def wait(self, nanoseconds: int) -> list[int]:
-        """Return which readers have messages, by their places in the order given, ascending.
+        """Return which readers have messages, as ascending indices.
 
         Raises:
-            DDSException: The wait set is gone, or what it waits for.
+            DDSException: The wait set or a reader has been deleted.
 
         """
         found = self._found
@@ -249,7 +249,7 @@ class WaitSet:
         return sorted(found[: _check(count)])
 
     def delete(self) -> None:
-        """Wait for nothing any more."""
+        """Delete the wait set."""
         delete(self._entity)
         delete(self._never)
 
