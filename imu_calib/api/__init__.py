@@ -1,1 +1,1 @@
-"""The suite from Python: what every command does, as a function. `imu_calib` exports them."""
+"""The Python interface: one function per command. `imu_calib` exports them."""

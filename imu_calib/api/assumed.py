@@ -1,4 +1,4 @@
-"""What is assumed of a recording that does not say: SI by REP 145, and turned by hand."""
+"""Assumptions on a recording that does not state them: SI units by REP 145, and turned by hand."""
 
 from __future__ import annotations
 
@@ -17,20 +17,22 @@ from ..stream import Floats, ImuBlock
 from ..units import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
-    # Costs more to load than most commands need.
+    # Loads slowly; most commands do not need it.
     from ..segmentation.segmented import Segmented
 
 _SI, _BY_HAND = 'si', 'free_positions'
 _BLOCKS = 200
-"""Blocks that are looked at: some minutes of most recordings, and of none more than can be kept."""
+"""Blocks that are examined: some minutes of most recordings, and never more than fit into
+memory."""
 _NEAR_GRAVITY = 0.25
-"""Relative: an accelerometer with 3 % of scale and 0.15 g of bias, beyond the data sheets of the
-cheapest (MPU-9150), in the hand: the median of its lengths is nearer to gravity than that, while g
-(1), mg (1000) and counts are not."""
+"""Relative: an accelerometer in the hand with 3 % of scale factor error and 0.15 g of bias, beyond
+the data sheets of the cheapest (MPU-9150). The median length is nearer to gravity than that; g (1),
+mg (1000) and counts are not."""
 _FASTEST = 35.0
 """rad/s: 2000 deg/s, the widest range of MEMS gyros in use (MPU-9250, BMI088, ICM-20948)."""
 _LONGEST_HOLD = 15.0
-"""s: longer than a hand holds still; a table, or a unit that was laid down, does. A judgement."""
+"""s: longer than a hand holds still, shorter than dwells on a table or of a unit that lies. A
+judgement."""
 
 SAID_SI = (
     'The units of the IMU are not stated: rad/s and m/s^2 (REP 145) are assumed; the measured '
@@ -43,7 +45,7 @@ SAID_BY_HAND = (
 
 
 def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
-    """Return the description of an IMU in SI, where the samples bear that out.
+    """Return the description of an IMU in SI units if the samples agree with it.
 
     Raises:
         NotStated: They do not, and their units are not stated.
@@ -62,7 +64,7 @@ def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
 
 
 def against_si(force: Floats, rate: Floats) -> str:
-    """Say what of (n, 3) forces and rates is not in SI; empty where nothing is."""
+    """Return which of (n, 3) forces and rates are not in SI units; else empty."""
     lengths = np.linalg.norm(force, axis=1)
     lengths = lengths[np.isfinite(lengths)]
     length = float(np.median(lengths)) if len(lengths) else float('nan')
@@ -77,18 +79,18 @@ def against_si(force: Floats, rate: Floats) -> str:
 
 
 def plan_by_hand() -> Plan:
-    """Return the plan that needs no table and no order."""
+    """Return the plan without table and order."""
     return load_plan(_BY_HAND)
 
 
 def was_in_the_hand(session: Segmented) -> bool:
-    """Say whether the static dwells of a session are as short as a hand's."""
+    """Return whether the static dwells of a session are as short as in a hand."""
     seconds = [s.statistics.duration for s in session.segments]
     return not seconds or float(np.median(seconds)) < _LONGEST_HOLD
 
 
 def ask_for_plan(path: object) -> str:
-    """Ask which plan was run."""
+    """Return the request to state the plan."""
     return (
         f'{path} does not say which plan was run: give `plan` ({shipped("plans")}). '
         'None is needed where joint states of a table give the attitudes; here are none.'

@@ -1,4 +1,4 @@
-"""A recording in, a calibration out."""
+"""Calibrate from a recording."""
 
 from __future__ import annotations
 
@@ -32,38 +32,38 @@ def calibrate(
 ) -> Result:
     """Calibrate from a recording.
 
-    What is not stated is taken from the recording, as far as it says; names are those of files that
-    ship (`imu-calib plans` lists plans), paths those of your own.
+    Values that are not stated are taken from the recording if it has them. Names are those of
+    supplied files (`imu-calib plans` lists plans), paths those of your own.
 
     Args:
         bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
-        plan: That was run; 'none' where none was.
-        imu: What the IMU's numbers mean.
+        plan: The plan that was run; 'none' without one.
+        imu: Units and noise of the IMU's samples.
         table: The turntable.
         azimuth: Heading of the table's zero against north, counter-clockwise, deg.
         latitude: Of the site, deg, negative in the south.
         latitude_std: Its standard deviation, deg.
-        height: Above the ellipsoid, m; says what gravity is where none is stated.
+        height: Above the ellipsoid, m; determines gravity if that is not stated.
         height_std: Its standard deviation, m.
-        gravity: As measured, m/s^2.
+        gravity: Measured gravity, m/s^2.
         gravity_std: Its standard deviation, m/s^2.
-        method: The estimator; None for the joint estimate where it applies, else the plan's own.
-        terms: What the joint estimate adds to the 24 parameters, names with commas between: 'auto'
-            (those that the session shows, as None), 'none', or terms by name.
+        method: The estimator; None for the joint estimate if it applies, else the plan's own.
+        terms: Terms that the joint estimate adds to the 24 parameters, names separated by commas:
+            'auto' (those that the session shows, as None), 'none', or terms by name.
         serial: Serial number of the unit.
-        imu_topic: Of sensor_msgs/Imu, where there are several.
+        imu_topic: Of sensor_msgs/Imu, if there are several.
         joint_topic: Of sensor_msgs/JointState, likewise.
         setpoint_topic: Of imu_calib_msgs/TurntableSetpoint, likewise.
-        imu_only: Use the IMU and the order of the plan alone.
-        progress: Shows how far it is; nothing by default.
-        **stated: The keywords from `plan` on, each of which may be left out.
+        imu_only: Use only the IMU and the order of the plan.
+        progress: Shows the progress; nothing by default.
+        **stated: The keywords from `plan` on, all optional.
 
     Returns:
-        The calibration with all that led to it.
+        The calibration with its session.
 
     Raises:
-        InputError: Something is missing, ambiguous, unreadable, or not what it is said to be.
-        NotObservable: The data cannot give all parameters; says which and why.
+        InputError: Something is missing, ambiguous, unreadable, or differs from what is stated.
+        NotObservable: The data does not determine all parameters; the text states which and why.
 
     """
     return calibrated(bag, Stated(**stated), progress)
@@ -77,13 +77,13 @@ def calibrated(
     *,
     to_be_judged: bool = False,
 ) -> Result:
-    """Calibrate from a recording, with what is stated of it as one value; as `calibrate`.
+    """Calibrate from a recording, with the statements as one value; as `calibrate`.
 
     Args:
         bag: As for `calibrate`.
-        stated: What is known of the session.
-        progress: Shows how far it is.
-        to_be_judged: Refuse a unit without a specification before anything is computed.
+        stated: Known facts of the session.
+        progress: Shows the progress.
+        to_be_judged: Refuse a unit without a specification before the computation.
 
     """
     opened = open_session(bag, stated)
@@ -94,11 +94,11 @@ def calibrated(
 
 
 def solve(opened: Opened, progress: Progress = silent) -> Result:
-    """Run an opened recording through the calibrator.
+    """Process an opened recording with the calibrator.
 
     Raises:
-        InputError: Unreadable, or not what it is said to be.
-        NotObservable: The data cannot give all parameters.
+        InputError: Unreadable, or different from what is stated.
+        NotObservable: The data does not determine all parameters.
 
     """
     calibrator = calibrator_of(opened.setup)
@@ -111,8 +111,8 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
     """End a session whose recording was fed to a calibrator.
 
     Raises:
-        InputError: It is not what it is said to be.
-        NotObservable: The data cannot give all parameters.
+        InputError: It differs from what is stated.
+        NotObservable: The data does not determine all parameters.
 
     """
     lost = tuple(opened.recording.losses)
@@ -130,7 +130,7 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
 
 
 def documented(opened: Opened, result: Result) -> Result:
-    """Return a result with the recording that it is from."""
+    """Return a result with a reference to its recording."""
     calibration = result.calibration
     rate = interpolated_from(opened.recording.custom_data, opened.streams.imu)
     interpolated = {} if rate is None else {'accel_interpolated_from_hz': rate}
@@ -156,6 +156,6 @@ def _interpolated(rate: float) -> str:
 
 
 def _check_that_it_was(opened: Opened, session: Segmented) -> None:
-    """Refuse to take a session for one in the hand that was none."""
+    """Refuse a session that was assumed to be in the hand and was not."""
     if not was_in_the_hand(session):
         raise NotStated(ask_for_plan(opened.recording.path))

@@ -1,4 +1,4 @@
-"""A recording of several units in, a calibration of each out, in one pass over the file."""
+"""Calibrate several units from one recording, in one pass over the file."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class UnitResult:
-    """What came of one of several units.
+    """Result of one of several units.
 
     Attributes:
-        serial_number: Which unit.
-        topic: Of its samples.
-        place: Where it sits on the fixture; empty where not stated.
-        result: Its calibration with all that led to it; None where it failed.
-        error: Why it failed; None where it did not.
-        imu: Its type; as it is stated where that cannot be read, empty where not stated.
+        serial_number: Of the unit.
+        topic: Topic of its samples.
+        place: Its place on the fixture; empty if not stated.
+        result: Its calibration with its session; None if it failed.
+        error: Why it failed; else None.
+        imu: Its type; as stated if it cannot be read, empty if not stated.
 
     """
 
@@ -53,13 +53,13 @@ class UnitResult:
 
 @dataclass(frozen=True, eq=False)
 class UnitResults:
-    """What came of several units on one table.
+    """Results of several units on one table.
 
     Attributes:
-        units: In the order of their file, or of their topics.
-        table: What they found of the table together; None where each is by itself.
-        shared: Serial numbers of those from which that is.
-        left_out: Why others are by themselves, by serial number.
+        units: In the order of their file or of their topics.
+        table: Common table errors estimated from them; None if each is calibrated separately.
+        shared: Serial numbers of the units used for `table`.
+        left_out: Reasons why other units are calibrated separately, by serial number.
 
     """
 
@@ -72,7 +72,7 @@ class UnitResults:
         """Return the result of a unit.
 
         Raises:
-            ImuCalibError: Why there is none.
+            ImuCalibError: The reason why there is no result.
             KeyError: There is no such unit.
 
         """
@@ -116,20 +116,20 @@ def calibrate_units(
 ) -> UnitResults:
     """Calibrate all units of a recording in one pass over it.
 
-    What they share, the table's azimuth, tilts and errors, is estimated once from all of them. A
-    unit that fails takes no other with it: its result is the reason why.
+    The shared unknowns, the table's azimuth, tilts and errors, are estimated once from all units.
+    If a unit fails, the others do not: its result is the reason.
 
     Args:
         bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
-        imus: File of the units (docs/files/units.md), or the units; None where the recording says
-            of its topics which units they are.
+        imus: File of the units (docs/files/units.md), or the units; None if the recording states
+            the units of its topics.
         separate: Calibrate each by itself, as `calibrate` does: nothing is shared.
-        progress: Shows how far it is.
-        **stated: The session, by the keywords of `calibrate` that do not speak of one unit.
+        progress: Shows the progress.
+        **stated: The session, by the keywords of `calibrate` that do not concern one unit.
 
     Raises:
-        InputError: The recording or the file of the units is unreadable, or the units
-            are not stated.
+        InputError: The recording or the file of the units is unreadable, or the units are not
+            stated.
 
     """
     with recording_at(bag) as recording:
@@ -145,7 +145,7 @@ def units_of_recording(
     *,
     separate: bool = False,
 ) -> UnitResults:
-    """Calibrate several units from a recording that is open; the caller closes it.
+    """Calibrate several units from an open recording; the caller closes it.
 
     Raises:
         InputError: As `calibrate_units`.
@@ -163,7 +163,7 @@ def units_of_recording(
 
 
 def _documented(parts: Sequence[_Part], found: Together) -> UnitResults:
-    """Return the results with the recording that they are from."""
+    """Return the results with a reference to their recording."""
     units = []
     for part, result in zip(parts, found.results, strict=True):
         unit, whole = part.unit, None
@@ -183,7 +183,7 @@ def _documented(parts: Sequence[_Part], found: Together) -> UnitResults:
 
 
 def holds_several(bag: str | AnyPath) -> bool:
-    """Say whether a recording says of several topics which units they are.
+    """Return whether a recording states the units of several topics.
 
     Raises:
         InputError: There is no recording, or it is unreadable.
@@ -205,7 +205,7 @@ def serials_in(recording: Recording, imus: Named | None) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Unit:
-    """A unit as it is looked for: by its file, or by the recording."""
+    """A unit as stated by its file or by the recording."""
 
     serial_number: str
     topic: str
@@ -232,7 +232,7 @@ def _listed(recording: Recording, imus: Named | Sequence[MountedUnit] | None) ->
 
 @dataclass(eq=False)
 class _Part:
-    """A unit on its way through the recording."""
+    """A unit during the pass through the recording."""
 
     unit: _Unit
     opened: Opened | None = None
@@ -240,7 +240,7 @@ class _Part:
     error: ImuCalibError | None = None
 
     def finished(self) -> Result | None:
-        """End the unit's session; None where it fails, and the error says why."""
+        """End the unit's session; None if it fails, with the reason in `error`."""
         if self.opened is None or self.calibrator is None:
             return None
         try:
@@ -251,7 +251,7 @@ class _Part:
 
 
 def _part(recording: Recording, stated: Stated, unit: _Unit) -> _Part:
-    """Set a unit's calibrator up; what is wrong with it is wrong with no other."""
+    """Create a unit's calibrator; its errors do not affect other units."""
     mine = replace(
         stated,
         imu=unit.imu,
@@ -267,7 +267,7 @@ def _part(recording: Recording, stated: Stated, unit: _Unit) -> _Part:
 
 
 def _read(recording: Recording, parts: Sequence[_Part], progress: Progress) -> None:
-    """Feed each unit what is its own, and all of them what is the table's, in one pass."""
+    """Feed each unit its own data, and all of them the table's, in one pass."""
     kinds: dict[str, Any] = {}
     takers: defaultdict[str, list[_Part]] = defaultdict(list)
     for part in parts:

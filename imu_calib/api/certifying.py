@@ -1,4 +1,4 @@
-"""A calibration to a certificate: HTML and PDF for people, DCC for machines."""
+"""Certificates of a calibration: HTML and PDF for people, DCC for machines."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..calibrator import Result
 
 FORMATS = ('.html', '.pdf', '.xml')
-"""What is written, by how a file's name ends."""
+"""Formats by file ending."""
 
 
 def certificate(
@@ -37,19 +37,19 @@ def certificate(
     """Write a calibration certificate by ISO/IEC 17025:2017, 7.8 (docs/certificate.md).
 
     Args:
-        calibration: calibration.yaml with an uncertainty budget, or what `calibrate` returned.
-        fields: What the laboratory states, a YAML file (docs/files/certificate.md).
-        output: Files to write, by how their names end: .html for A4, .pdf (needs WeasyPrint or
-            Chromium), .xml for PTB's Digital Calibration Certificate 3.1.2.
+        calibration: calibration.yaml with an uncertainty budget, or a result of `calibrate`.
+        fields: Statements of the laboratory, a YAML file (docs/files/certificate.md).
+        output: Files to write; the ending selects the format: .html for A4, .pdf (needs WeasyPrint
+            or Chromium), .xml for PTB's Digital Calibration Certificate 3.1.2.
         imu: The unit's file with its specification, for statements of conformity.
-        draft: Leave open what is missing, and mark the certificate as a draft on every page.
+        draft: Allow missing fields, and mark every page of the certificate as a draft.
 
     Returns:
-        What was written.
+        The written files.
 
     Raises:
-        InputError: Something that the standard asks for is missing (all of it is named), the
-            fields contradict the calibration, or a file cannot be read or written.
+        InputError: Something that the standard requires is missing (everything missing is named),
+            the fields contradict the calibration, or a file cannot be read or written.
 
     """
     named = [output] if isinstance(output, str | Path) else output

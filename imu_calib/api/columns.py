@@ -46,10 +46,10 @@ class Columns:
 
     Attributes:
         topic: Its name.
-        type: Its message type.
+        type: Type of its messages.
         stamp: (n,) header stamps, ns.
         columns: (n,) values of each field, by its name in the message.
-        units: Of each field that has one.
+        units: Unit of each field that has one.
         losses: Sentences about what could not be read.
 
     """
@@ -68,7 +68,7 @@ class Columns:
         """Return a column by its name.
 
         Raises:
-            InputError: There is none of that name; those that are there are listed.
+            InputError: There is none of that name; the available ones are listed.
 
         """
         if name not in self.columns:
@@ -93,9 +93,9 @@ class Columns:
         return frame
 
     def plot(self) -> Figure:
-        """Draw the fields over time, those of a quantity together; return the matplotlib Figure.
+        """Draw the fields over time, grouped by quantity; return the matplotlib Figure.
 
-        Of many samples means over equal numbers of them are drawn.
+        Many samples are drawn as means over equal numbers of samples.
 
         Raises:
             InputError: matplotlib is not installed.
@@ -114,15 +114,14 @@ def read(bag: str | AnyPath, topic: str | None = None) -> Columns | dict[str, Co
 
     Args:
         bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
-        topic: The one that is wanted; None for all that the suite understands: sensor_msgs/Imu,
-            JointState and Temperature, imu_calib_msgs/TurntableSetpoint.
+        topic: The topic to read; None for all supported types: sensor_msgs/Imu, JointState and
+            Temperature, imu_calib_msgs/TurntableSetpoint.
 
     Returns:
         The topic's columns; without a topic those of each, by name.
 
     Raises:
-        InputError: Nothing of it can be read, or there is no such topic; those that are there are
-            listed.
+        InputError: Nothing can be read, or there is no such topic; the available ones are listed.
 
     """
     with open_recording(bag) as recording:
@@ -157,7 +156,7 @@ def _columns(recording: Recording, topic: Topic) -> Columns:
 
 
 def _or_missing(part: Mapping[str, NDArray[Any]], name: str, count: int) -> NDArray[Any]:
-    """Return a column of a block; NaN where messages there have no such joint."""
+    """Return a column of a block; NaN for messages without this joint."""
     return part[name] if name in part else np.full(count, np.nan)
 
 
@@ -168,7 +167,7 @@ def _stamps(block: Block) -> Stamps:
 
 
 def _fields(block: Block) -> dict[str, NDArray[Any]]:
-    """Return the columns of a block by the names that the fields have in the message."""
+    """Return the columns of a block by the names of the fields in the message."""
     if isinstance(block, ImuBlock):
         pairs = (('angular_velocity', block.gyro), ('linear_acceleration', block.accel))
         return {f'{name}.{a}': v[:, k] for name, v in pairs for k, a in enumerate('xyz')}
@@ -204,7 +203,7 @@ def _of_setpoints(setpoints: tuple[Setpoint, ...]) -> dict[str, NDArray[Any]]:
 
 
 def _unit(name: str, recording: Recording, topic: Topic) -> str:
-    """Return the unit of a column; empty where it has none."""
+    """Return the unit of a column, or empty."""
     field = name.partition('.')[0]
     if topic.type == Kind.IMU.type_name:
         text = described_imu(recording.custom_data, topic.name)

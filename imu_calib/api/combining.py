@@ -1,4 +1,4 @@
-"""Calibrations of one unit at several temperatures to one."""
+"""Combine calibrations of one unit at several temperatures."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ def combine(
     """Combine calibrations of one unit at several temperatures.
 
     Args:
-        calibrations: Two or more, in any order: files, calibrations, or what `calibrate` returned.
-        output: File to write; None writes none.
-        order: Of a polynomial in temperature; None for straight lines between neighbours.
+        calibrations: Two or more, in any order: files, calibrations, or results of `calibrate`.
+        output: File to write, or None.
+        order: Degree of a polynomial in temperature; None for straight lines between neighbours.
 
     Returns:
-        What `compensate` and compensator_node apply: `at(celsius)` is the calibration at a
+        The calibration for `compensate` and compensator_node: `at(celsius)` is the calibration at a
         temperature.
 
     Raises:
-        InputError: They are not of one unit, a temperature is missing or comes twice, they are too
-            few for the order, or a file cannot be read or written.
+        InputError: They are not of one unit, a temperature is missing or repeated, they are too few
+            for the order, or a file cannot be read or written.
 
     """
     names = [name_of(one, f'calibration {k + 1}') for k, one in enumerate(calibrations)]

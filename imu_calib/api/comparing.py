@@ -26,17 +26,17 @@ if TYPE_CHECKING:
     from ..calibrator import Result
 
 _FEWEST = 2
-"""Calibrations that make a comparison."""
+"""Smallest number of calibrations to compare."""
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Calibrations as they read with the nominal scale factors of the first.
+    """Calibrations converted to the nominal scale factors of the first.
 
     Attributes:
-        names: What they are called: the names of their files, or of the units.
-        beside: The calibrations, their common parameters, and how far they agree.
-        findings: What a person should know, in sentences.
+        names: The names of their files, or of the units.
+        beside: The calibrations, their common parameters, and their agreement.
+        findings: Messages for the user, in sentences.
 
     """
 
@@ -46,12 +46,12 @@ class Compared:
 
     @property
     def calibrations(self) -> tuple[Calibration, ...]:
-        """Return them, k, with the nominal scale factors of the first."""
+        """Return the k calibrations with the nominal scale factors of the first."""
         return self.beside.calibrations
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return those that all of them have, n."""
+        """Return the n parameters that all of them have."""
         return self.beside.parameters
 
     @property
@@ -61,37 +61,37 @@ class Compared:
 
     @property
     def only(self) -> tuple[tuple[str, ...], ...]:
-        """Return for each the names of parameters that it has, and not all others."""
+        """Return for each the names of its parameters that others lack."""
         return self.beside.only
 
     @property
     def std(self) -> Floats:
         """Standard deviations of the differences from the first, (k - 1, n) SI; (n,) of two.
 
-        Sessions are taken to be independent but for the gravity of one place.
+        Sessions are assumed independent except for the gravity of a common site.
         """
         std = self.beside.std
         return std[0] if len(self.names) == _FEWEST else std
 
     @property
     def values(self) -> Floats:
-        """Of each, (k, n) in the order of `parameters`, SI units."""
+        """Values, (k, n) in the order of `parameters`, SI units."""
         return np.array([c.model.values(self.parameters) for c in self.calibrations])
 
     @property
     def difference(self) -> Floats:
-        """First less each other, (k - 1, n) SI units; (n,) of two."""
+        """First minus each other, (k - 1, n) SI units; (n,) for two."""
         values = self.values
         return np.asarray((values[0] - values[1:]).reshape(self.std.shape))
 
     @property
     def normalised(self) -> Floats:
-        """Difference over its standard deviation, of its shape; NaN where both are exact."""
+        """Difference over its standard deviation, same shape; NaN if both are exact."""
         unknown = np.full(self.std.shape, np.nan)
         return np.asarray(np.divide(self.difference, self.std, out=unknown, where=self.std > 0))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values, SI units, by the keys of docs/files/output.md."""
+        """Return it as plain values, SI units, with the keys of docs/files/output.md."""
         found, values = self.agreement, self.values.tolist()
         stds = [
             dict(zip((p.name for p in c.parameters), c.std.tolist(), strict=True))
@@ -125,7 +125,7 @@ class Compared:
         }
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the values and the unit by parameter; of two difference, std and their ratio too.
+        """Return values and unit by parameter; for two also difference, std and their ratio.
 
         Raises:
             InputError: pandas is not installed.
@@ -154,16 +154,16 @@ class Compared:
 def compare(
     *calibrations: Result | AnyCalibration | Named, names: Sequence[str] | None = None
 ) -> Compared:
-    """Set calibrations side by side: of one unit, or one and the truth of a simulation.
+    """Compare calibrations of one unit, or one and the truth of a simulation.
 
     Args:
-        calibrations: Two or more: calibration.yaml, what was read from one, or what `calibrate`
-            returned.
-        names: What to call them; None: as their files are called, else first, second and so on.
+        calibrations: Two or more: calibration.yaml, a loaded calibration, or a result of
+            `calibrate`.
+        names: Their names; None: the names of their files, else first, second and so on.
 
     Raises:
         InputError: There are fewer than two, a file cannot be read or is of several temperatures,
-            or the streams are not of the same units.
+            or the streams have different units.
 
     """
     if len(calibrations) < _FEWEST:
@@ -201,7 +201,7 @@ _PLACES = ('first', 'second', 'third')
 
 
 def _names(calibrations: Sequence[Result | AnyCalibration | Named]) -> tuple[str, ...]:
-    """Return what to call them: short names of files where these tell them apart."""
+    """Return names: short names of files if these are distinct."""
     paths = [Path(one) if isinstance(one, str | Path) else None for one in calibrations]
     stems = [path.stem for path in paths if path is not None]
     alone = len(set(stems)) == len(stems)

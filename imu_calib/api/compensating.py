@@ -1,4 +1,4 @@
-"""A recording's raw IMU stream to rates and forces; the rest as it was."""
+"""Compensate a recording's raw IMU stream to rates and forces; copy the rest."""
 
 from __future__ import annotations
 
@@ -48,17 +48,17 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Compensated:
-    """What became of a recording's raw stream.
+    """Result of compensating a recording's raw stream.
 
     Attributes:
-        path: The recording that was written.
+        path: The written recording.
         topic: The raw stream.
-        target: The stream that was computed from it.
-        beside: Topics whose values were used too: temperature, a skewed gyro.
-        taken: Samples of the raw stream.
-        given: Samples written.
-        marked: How many samples are what, for instance beyond the range.
-        findings: What a person should know, in sentences.
+        target: The compensated stream.
+        beside: Further topics that were used: temperature, a skewed gyro.
+        taken: Number of samples of the raw stream.
+        given: Number of samples written.
+        marked: Number of samples by mark, for instance beyond the range.
+        findings: Messages for the user, in sentences.
 
     """
 
@@ -86,20 +86,20 @@ def compensate(
     compression: str = '',
     progress: Progress = silent,
 ) -> Compensated:
-    """Write a recording again, its raw IMU stream as rates and forces in SI.
+    """Copy a recording with its raw IMU stream compensated to rates and forces in SI units.
 
     Args:
         bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
-        calibration: calibration.yaml, single or combined, or what was read from one.
-        output: Recording to write (mcap): a folder that does not exist.
-        imu: What the IMU's numbers mean; None: as the recording says, else the calibration.
+        calibration: calibration.yaml, single or combined, or a loaded calibration.
+        output: Recording to write (mcap): a new folder.
+        imu: Units of the IMU's samples; None: as in the recording, else in the calibration.
         serial: Serial number of the unit.
-        imu_topic: The raw stream, where there are several of sensor_msgs/Imu.
+        imu_topic: The raw stream, if there are several of sensor_msgs/Imu.
         output_topic: None: imu/data_raw for imu/pulses, imu/data_calibrated for imu/data_raw.
-        frame_id: Of the samples written; empty for their own.
-        keep: Write the raw stream, too.
+        frame_id: Of the written samples; empty for that of the raw ones.
+        keep: Write the raw stream too.
         compression: '', 'lz4' or 'zstd', of the output.
-        progress: Shows how far it is; nothing by default.
+        progress: Shows the progress; nothing by default.
 
     Raises:
         InputError: Unreadable, the calibration is not this unit's, or the output exists.
@@ -151,7 +151,7 @@ def compensate(
 
 
 class _Stream:
-    """The IMU's stream on its way from one recording to the other."""
+    """The IMU's stream between reading and writing."""
 
     def __init__(self, compensator: Compensator, target: str, frame_id: str) -> None:
         self.compensator = compensator
@@ -163,7 +163,7 @@ class _Stream:
         self._times: deque[Stamps] = deque()
 
     def write(self, writer: RecordingWriter, messages: Messages, log_time: Stamps) -> None:
-        """Compensate messages and write what can be written."""
+        """Compensate messages and write the samples that are ready."""
         before = self.malformed.count
         blocks = decode_imu(messages, self.malformed)
         if self.malformed.count > before:
@@ -181,11 +181,11 @@ class _Stream:
         self._put(writer, readings)
 
     def finish(self, writer: RecordingWriter) -> None:
-        """Write what waited for the end."""
+        """Write the samples that waited for the end."""
         self._put(writer, self.compensator.finish())
 
     def _put(self, writer: RecordingWriter, readings: list[Reading]) -> None:
-        # What is left out was the oldest that had not gone out.
+        # Dropped samples are the oldest that were not written.
         self._next_times(self.compensator.dropped - self._dropped)
         self._dropped = self.compensator.dropped
         for reading in readings:
@@ -198,7 +198,7 @@ class _Stream:
             writer.write(self._target, Kind.IMU.type_name, kept, times)
 
     def _next_times(self, count: int) -> Stamps:
-        """Take out the log times of the oldest samples."""
+        """Remove and return the log times of the oldest samples."""
         parts = [np.empty(0, np.int64)]
         while count:
             times = self._times.popleft()
@@ -210,7 +210,7 @@ class _Stream:
 
 
 def _sound(messages: Messages) -> list[bool]:
-    """Say of every message whether it can be decoded."""
+    """Return for every message whether it can be decoded."""
     return [
         bool(decode_imu(messages.select(slice(k, k + 1)), Malformed()))
         for k in range(len(messages))
@@ -220,26 +220,26 @@ def _sound(messages: Messages) -> list[bool]:
 def _check_unit(
     calibration: AnyCalibration, name: str, stated: Stated, recording: Recording, topic: Topic
 ) -> ImuSpec:
-    """Hold the calibration against what is said of the IMU, if anything is; return what is."""
+    """Compare the calibration with what is stated of the IMU; return that, if any."""
     serial = serial_of(stated, recording, topic.name)
     known = stated_imu(stated, recording, topic.name)
-    # Where the unit's type is not stated, it is the calibration's.
+    # If the unit's type is not stated, use that of the calibration.
     imu, where = (first_of(calibration).imu, str(recording.path)) if known is None else known
     check_unit(calibration, name, imu, where, serial)
     return imu
 
 
 def _topic(wanted: str | None, recording: Recording, serial: str) -> Topic:
-    """Return the topic of the raw stream; of several units that of the one with this number."""
+    """Return the topic of the raw stream; for several units that of this serial number."""
     name = imu_topic(wanted, recording, serial)
     return next(topic for topic in recording.topics if topic.name == name)
 
 
 def _renamed(topic: str) -> str:
-    """Return what a stream is called after compensation: what it is, and not what it was.
+    """Return the name of a stream after compensation.
 
-    REP 145 calls uncompensated and compensated rates data_raw alike: one that is called so already,
-    or imu/data, which has an orientation beside, gets another name.
+    REP 145 uses data_raw for both uncompensated and compensated rates: a topic with that name, or
+    imu/data, which has an orientation too, gets another name.
     """
     for ending in ('/data_raw', '/data'):
         if topic.endswith(ending):
@@ -248,7 +248,7 @@ def _renamed(topic: str) -> str:
 
 
 def _target(wanted: str | None, recording: Recording, topic: Topic) -> str:
-    """Return the topic to write, which must be a new one."""
+    """Return the topic to write, which must be new."""
     target = _renamed(topic.name) if wanted is None else wanted
     target = target if target.startswith('/') else f'/{target}'
     if any(other.name == target for other in recording.topics):
@@ -261,7 +261,7 @@ def _target(wanted: str | None, recording: Recording, topic: Topic) -> str:
 def _all_stamps(
     recording: Recording, topic: Topic, rate: float | None, progress: Progress
 ) -> WholeStream:
-    """Read the stamps of all samples, which tell when each of them was made."""
+    """Read the stamps of all samples, which determine when each was taken."""
     whole = WholeStream(rate)
     with progress('reading') as show:
         for _, block in recording.read({topic.name: Kind.IMU}, show):
@@ -273,7 +273,7 @@ def _all_stamps(
 def _take_aside(
     compensator: Compensator, recording: Recording, topic: Topic, progress: Progress
 ) -> list[str]:
-    """Take in what belongs to samples before the samples come; return the topics."""
+    """Read the data that belongs to samples before the samples; return its topics."""
     temperature = temperature_topic(recording)
     named = {} if temperature is None else {temperature: Kind.TEMPERATURES}
     calibration = compensator.calibration
@@ -293,7 +293,7 @@ def _take_aside(
 
 
 def _findings(stream: _Stream) -> list[str]:
-    """Say what a person should know of the samples."""
+    """Return messages for the user about the samples."""
     compensator = stream.compensator
     known = [
         f'{compensator.counts[m]} samples: {_WORDS[m]}.' for m in Mark if compensator.counts[m]

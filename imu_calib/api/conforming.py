@@ -1,4 +1,4 @@
-"""A calibration against the unit's specification: within, marginal or outside."""
+"""Compare a calibration with the unit's specification: within, marginal or outside."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from .named import Named, as_calibration, as_combined, as_imu
 
 @dataclass(frozen=True, eq=False)
 class Conformity:
-    """What a calibration says of the unit's limits.
+    """Conformity of a calibration with the unit's limits.
 
     Attributes:
-        assessed: Every parameter that was estimated, with its limit and verdict where it has one.
+        assessed: Every estimated parameter, with its limit and verdict if it has one.
 
     """
 
@@ -27,23 +27,23 @@ class Conformity:
 
     @property
     def verdict(self) -> Verdict | None:
-        """Return that of the worst parameter; None where there is no limit for any."""
+        """Return the worst verdict; None without any limit."""
         return worst(self.assessed)
 
     @property
     def outside(self) -> tuple[str, ...]:
-        """Names of the parameters that are beyond their limits, uncertainty and all."""
+        """Names of the parameters that exceed their limits by more than their uncertainty."""
         return tuple(a.parameter.name for a in self.assessed if a.verdict is Verdict.FAIL)
 
     def sentence(self) -> str:
-        """Say which parameters are outside; empty where none is."""
+        """Return which parameters are outside, in a sentence; else empty."""
         if not self.outside:
             return ''
         verb = 'are' if len(self.outside) > 1 else 'is'
         return f'The unit is outside its specification: {", ".join(self.outside)} {verb} beyond it.'
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values, SI units, by the keys of docs/files/output.md."""
+        """Return it as plain values, SI units, with the keys of docs/files/output.md."""
         return {
             'verdict': None if self.verdict is None else self.verdict.value,
             'coverage_factor': COVERAGE,
@@ -64,16 +64,15 @@ class Conformity:
 def conformity(
     calibration: Result | AnyCalibration | Named, imu: ImuSpec | Named | None = None
 ) -> Conformity:
-    """Hold a calibration against the specification of its unit.
+    """Compare a calibration with the specification of its unit.
 
-    Decision rule: a parameter is within where value and expanded uncertainty (coverage factor 2)
-    are within the limit, outside where both are beyond it, else marginal (ISO 14253-1).
+    Decision rule: a parameter is within if value and expanded uncertainty (coverage factor 2) are
+    within the limit, outside if both are beyond it, else marginal (ISO 14253-1).
 
     Args:
-        calibration: calibration.yaml, what was read from one, or what `calibrate` returned. Of one
-            that combines several temperatures, each parameter counts where it takes most of its
-            limit.
-        imu: The unit's file; None takes what was stated to `calibrate`.
+        calibration: calibration.yaml, a loaded calibration, or a result of `calibrate`. If it
+            combines several temperatures, each parameter counts where it uses most of its limit.
+        imu: The unit's file; None uses the one stated to `calibrate`.
 
     Raises:
         InputError: The unit's file states no specification.
@@ -90,7 +89,7 @@ def conformity(
 
 
 def _beyond(one: Assessed) -> float:
-    """Return how much of its limit a parameter takes, uncertainty and all; 0 without one."""
+    """Return the share of its limit that a parameter with uncertainty uses; 0 without a limit."""
     return (abs(one.value) + COVERAGE * one.std) / one.limit if one.limit else 0.0
 
 

@@ -1,4 +1,4 @@
-"""What every conversion writes: samples of an IMU, and what the recording says of it."""
+"""Common output of all conversions: samples of an IMU, and their description."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ RAW, SI, JOINTS, TEMPERATURE = (
 )
 RAW_UNITS = {'pulse': 1.0, 'count': 1.0}
 _BLOCK = 1 << 16
-"""Samples that are written at once; a choice between memory and calls."""
+"""Samples written per call; a choice between memory and calls."""
 
 
 @dataclass(frozen=True)
 class Converted:
-    """What was written.
+    """Result of a conversion.
 
     Attributes:
         path: The recording.
-        counts: Messages by topic.
-        findings: What a person should know, in sentences.
+        counts: Number of messages by topic.
+        findings: Messages for the user, in sentences.
 
     """
 
@@ -44,10 +44,10 @@ class Converted:
 
 
 def described(imu: Named | None, raw: set[str]) -> dict[str, str]:
-    """Return what the recording is to say of the IMU.
+    """Return the description of the IMU for the recording.
 
     Raises:
-        InputError: What pulses or counts mean is not stated, or other units are.
+        InputError: The meaning of pulses or counts is not stated, or other units are stated.
 
     """
     if imu is None and raw:

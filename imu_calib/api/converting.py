@@ -1,4 +1,4 @@
-"""Recordings that others made to recordings that every command reads."""
+"""Convert recordings of other software to recordings that every command reads."""
 
 from __future__ import annotations
 
@@ -36,33 +36,32 @@ def convert(
     imu: Named | None = None,
     progress: Progress = silent,
 ) -> Converted:
-    """Write a recording of rosbag2 (mcap) from what others recorded.
+    """Convert a recording of other software to rosbag2 (mcap).
 
-    The columns of a text file must be stated: 'NAME,NAME,NAME:UNIT', each NAME as in its
-    heading or a place counted from 1. A bag of ROS 1 needs nothing. Gyros and accelerometers that
-    come on topics of their own (`gyro_topic`, `accel_topic`), or in text files of their own
-    (`accel_file`), become one: the accelerometers are read at the stamps of the gyros, by straight
-    lines between their samples.
+    State the columns of a text file: 'NAME,NAME,NAME:UNIT', each NAME as in its heading or a place
+    counted from 1. A bag of ROS 1 needs no such options. Gyros and accelerometers on separate
+    topics (`gyro_topic`, `accel_topic`) or in separate text files (`accel_file`) are joined: the
+    accelerometers are interpolated linearly at the stamps of the gyros.
 
     Args:
         source: Text file, bag of ROS 1, recording of rosbag2, or a URL of one that fsspec reads.
         output: Folder to create.
-        stamp: Column of the time of each row, for instance 't:s' (s, ms, us, ns).
-        rate: Of the rows, where none holds their time: '200 Hz'; a number alone is in Hz.
+        stamp: Column of each row's time, for instance 't:s' (s, ms, us, ns).
+        rate: Of the rows, if there is no column of time: '200 Hz'; a number alone is in Hz.
         gyro: Three columns, for instance 'wx,wy,wz:deg/s'; units of rate, pulse, or count.
         accel: Three columns, for instance '5,6,7:g'; units of acceleration, pulse, or count.
-        joints: Columns named as the table's joints, for instance 'outer,inner:deg'.
+        joints: Columns with the names of the table's joints, for instance 'outer,inner:deg'.
         temperature: One column, 'NAME:degC'.
-        delimiter: Between fields; None finds it.
-        gyro_topic: sensor_msgs/Imu of which the angular velocity counts.
-        accel_topic: sensor_msgs/Imu of which the linear acceleration counts.
-        accel_file: Text file of the accelerometers, where `source` holds the gyros alone.
+        delimiter: Between fields; None detects it.
+        gyro_topic: sensor_msgs/Imu whose angular velocity is used.
+        accel_topic: sensor_msgs/Imu whose linear acceleration is used.
+        accel_file: Text file of the accelerometers, if `source` holds only the gyros.
         accel_stamp: Column of the time in `accel_file`; None: as `stamp`.
-        imu: What pulses or counts mean, written into the recording.
-        progress: Shows how far it is; nothing by default.
+        imu: Meaning of pulses or counts, written into the recording.
+        progress: Shows the progress; nothing by default.
 
     Raises:
-        InputError: Unreadable, the options do not fit the file, or the output exists.
+        InputError: Unreadable, the options do not match the file, or the output exists.
 
     """
     target = user_path(output)
@@ -111,7 +110,7 @@ def convert(
 
 
 def _from_ros1(path: AnyPath, target: Path) -> Converted:
-    """Write a bag of ROS 1 anew, with the messages that a calibration can use."""
+    """Convert a bag of ROS 1, with the messages that calibration uses."""
     require('rosbags', f'{path}: a bag of ROS 1', 'ros1')
     from rosbags.convert import ConverterError
     from rosbags.convert import convert as rewritten

@@ -1,4 +1,4 @@
-"""A calibration in the form that other software reads."""
+"""Export a calibration in the format of other software."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ def export(
     """Write a calibration for other software.
 
     Args:
-        calibration: calibration.yaml, single or combined, or what was read from one.
+        calibration: calibration.yaml, single or combined, or a loaded calibration.
         format: 'ros': parameters of compensator_node, which name the file; 'kalibr': imu.yaml;
             'imucal': JSON; 'c': a header (docs/exports.md).
-        output: File to write; None writes none.
+        output: File to write, or None.
         sample_rate: Of the stream, Hz: for kalibr, and for imucal of pulses.
         topic: Of the stream, for kalibr.
         imu: The data sheet, for kalibr: noise that was not measured, and the sample rate.
 
     Returns:
-        The text, and what it cannot carry.
+        The text, and what it cannot represent.
 
     Raises:
-        InputError: No such format, or it cannot carry this calibration; a file cannot be read or
-            written.
+        InputError: There is no such format, it cannot represent this calibration, or a file cannot
+            be read or written.
 
     """
     if format not in EXPORTS:

@@ -1,4 +1,4 @@
-"""Columns of a text file to a recording."""
+"""Convert columns of a text file to a recording."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _ANGLE: Mapping[str, float] = Dimension.ANGLE.value
 _STAMP = {'s': 1e9, 'ms': 1e6, 'us': 1e3, 'ns': 1.0}
 _CELSIUS = {'degC': 1.0}
 _LAST_SECOND = 2**31 - 1
-"""That builtin_interfaces/Time counts to."""
+"""Upper limit of builtin_interfaces/Time."""
 _BACKWARDS = 0.01
-"""Share of intervals between rows that may be zero or negative: a logger writes a row twice or sets
-its clock now and then; a column that is no time, or has lost digits, does so all along."""
+"""Largest share of intervals between rows that may be zero or negative: a logger may write a row
+twice or set its clock; a column that is not a time, or has lost digits, shows this throughout."""
 _SLOWEST, _FASTEST = 2.0, 40e3
-"""Rates of rows that an IMU may have, Hz. The fastest MEMS units give 32 kHz, phones and loggers of
-vehicles 10 to 500 Hz. A unit of time that is a thousand times too small makes 50 kHz of 50 Hz, one
-that is a thousand times too large 1 Hz of 1 kHz."""
+"""Rates of rows that an IMU may have, Hz. The fastest MEMS units have 32 kHz, phones and loggers of
+vehicles 10 to 500 Hz. A unit of time that is a thousand times too small turns 50 Hz into 50 kHz,
+one that is a thousand times too large 1 kHz into 1 Hz."""
 _RATES = f'{_SLOWEST:g} Hz to {_FASTEST / 1e3:g} kHz, the rates of IMUs'
 
 
@@ -49,12 +49,12 @@ def from_text(
     accel_text: Text | None = None,
     accel_stamp: str | None = None,
 ) -> Converted:
-    """Write a recording of the columns of a text file, as `convert` names them.
+    """Convert the columns of a text file to a recording; arguments as of `convert`.
 
-    Accelerometers that have a file of their own, `accel_text`, are read at the stamps of the gyros.
+    Accelerometers in a separate file, `accel_text`, are interpolated at the stamps of the gyros.
 
     Raises:
-        InputError: A column or a unit is not there, or what they hold is of no IMU.
+        InputError: A column or a unit is missing, or the values are not of an IMU.
 
     """
     stamps = _stamps(text, stamp, rate)
@@ -90,7 +90,7 @@ def from_text(
         )
     block = ImuBlock(times, rates, forces, 'imu_link')
     counts = {(RAW if raw else SI): len(block)}
-    # All columns are read before anything is written: a wrong name leaves no half of a recording.
+    # Read all columns before writing: a wrong name must not leave a partial recording.
     others: list[tuple[str, Kind, Messages, Stamps]] = []
     if joints is not None:
         names = tuple(_parted(joints)[0])
@@ -120,7 +120,7 @@ def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
 def _of_two(
     stamps: Stamps, rates: Floats, known: Stamps, forces: Floats, said: list[str], *, exactly: bool
 ) -> tuple[Stamps, Floats, Floats]:
-    """Return rates and forces of two files at the stamps of the rates, and say how in `said`."""
+    """Return rates and forces of two files at the stamps of the rates; describe it in `said`."""
     shared = np.isin(stamps, known)
     if exactly and not shared.all():
         raise InputError(
@@ -158,7 +158,7 @@ def _left_out(text: Text, rows: int) -> list[str]:
 def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
     """Return the time of each row, ns."""
     if rate is not None:
-        # A number alone is in Hz, as it is in `sample_rate`.
+        # A number alone is in Hz, as in `sample_rate`.
         hertz = parse(f'{rate} Hz' if _is_bare(rate) else rate, Dimension.FREQUENCY, '`rate`')
         if not _SLOWEST <= hertz <= _FASTEST:
             raise InputError(f'`rate` {rate}: expected {_RATES}.')
@@ -185,7 +185,7 @@ def _is_bare(rate: str) -> bool:
 
 
 def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
-    """Refuse stamps, ns, that do not grow, or not at the rate of an IMU."""
+    """Refuse stamps, ns, that do not increase, or not at the rate of an IMU."""
     intervals = np.diff(stamps)
     if not len(intervals):
         return
@@ -215,7 +215,7 @@ def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
 def _columns(
     text: Text, stated: str, option: str, units: Mapping[str, float], count: int
 ) -> tuple[Floats, str]:
-    """Return columns in SI (pulses and counts as they are), (n, count), and their unit."""
+    """Return columns in SI (pulses and counts unchanged), (n, count), and their unit."""
     parts, unit = _parted(stated)
     if unit not in units or len(parts) != count or not all(parts):
         form = ','.join(['NAME'] * count)
@@ -235,6 +235,6 @@ def _columns(
 
 
 def _parted(stated: str) -> tuple[list[str], str]:
-    """Part 'NAME,NAME:UNIT' into names and unit."""
+    """Split 'NAME,NAME:UNIT' into names and unit."""
     names, _, unit = stated.rpartition(':')
     return [name.strip() for name in names.split(',')], unit.strip()

@@ -1,4 +1,4 @@
-"""What the streams of a recording contain: dwells, turns, what contradicts what was stated."""
+"""Contents of a recording's streams: dwells, turns, and contradictions to the statements."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .opening import Opened
 from .progress import Progress
 
 _SAME_UP = 0.999
-"""Cosine of 2.6 deg: turns about axes that are closer are of the same position. A judgement: the
+"""Cosine of 2.6 deg: turns about closer axes belong to the same position. A judgement: the
 positions of a rate test are 90 deg apart."""
 
 _FREE = 'free_positions'
@@ -40,12 +40,12 @@ class Dwell:
 
     Attributes:
         at: s after the start of the recording.
-        seconds: How long it lasted.
-        missing: Samples that are missing in it.
-        up: Attitude in words.
-        heading: Of the unit about up by the table's angles, deg; None where unknown.
-        position: Of the plan, or what became of it; empty where there is no plan.
-        mean: (6,) what the sensors read, rad/s and m/s^2.
+        seconds: Duration.
+        missing: Number of missing samples.
+        up: Attitude as text.
+        heading: Of the unit about the vertical by the table's angles, deg; None if unknown.
+        position: Name in the plan, or why there is none; empty without a plan.
+        mean: (6,) mean outputs, rad/s and m/s^2.
 
     """
 
@@ -72,18 +72,18 @@ class Turned:
 
 @dataclass(frozen=True)
 class Inside:
-    """What the streams of a recording contain.
+    """Contents of a recording's streams.
 
     Attributes:
         dwells: Static dwells.
         turns: Whole turns.
-        plan: Name; empty without one.
-        missing: What of the plan is not there; None where no plan has to be kept to.
+        plan: Its name; empty without one.
+        missing: Missing positions of the plan; None if no plan must be followed.
         summary: Whether all parameters are determined, in a sentence.
-        latitude: Seen by the gyros, and its standard deviation, deg; None where they do not tell.
-        contradictions: What does not go with the latitude, the plan or the description of the IMU.
-        left_out: What is not used, and why.
-        lost: What was lost.
+        latitude: Estimated from the gyros, and its standard deviation, deg; else None.
+        contradictions: To the latitude, the plan or the description of the IMU.
+        left_out: Data that is not used, and why.
+        lost: Lost data.
 
     """
 
@@ -99,10 +99,10 @@ class Inside:
 
 
 def inside(opened: Opened, progress: Progress) -> Inside:
-    """Read the streams, and say what they contain.
+    """Read the streams, and return their contents.
 
     Raises:
-        InputError: Unreadable, or what is stated does not go with it.
+        InputError: Unreadable, or the statements do not match it.
 
     """
     setup = opened.setup
@@ -139,8 +139,8 @@ def inside(opened: Opened, progress: Progress) -> Inside:
 
 
 def _held(setup: Setup, blocks: Iterable[Block]) -> tuple[Segmented, str]:
-    """Return what the streams contain, and why no calibration comes of it; empty where one does."""
-    # Each calibrator is loaded for the sessions that it solves.
+    """Return the contents, and why no calibration is possible; else empty."""
+    # Load a calibrator only for its own kind of session.
     from ..calibrator import HandCalibrator
 
     calibrator = HandCalibrator(setup)
@@ -151,7 +151,7 @@ def _held(setup: Setup, blocks: Iterable[Block]) -> tuple[Segmented, str]:
 
 
 def _on_table(setup: Setup, blocks: Iterable[Block]) -> tuple[Segmented, str]:
-    """Return the same of a session on a table."""
+    """Return the same for a session on a table."""
     from ..calibrator import Calibrator
 
     calibrator = Calibrator(setup)
@@ -171,9 +171,9 @@ def _other_latitude(seen: tuple[float, float], found: tuple[float, float], setup
 
 
 def _zero(recording: Recording, session: Segmented) -> int:
-    """Return the instant that times count from, ns: the start of the recording.
+    """Return the origin of times, ns: the start of the recording.
 
-    Stamps of a clock that counts from something else have their own beginning.
+    Stamps of a clock with another origin have their own start.
     """
     first, start, end = session.start, recording.start_ns, recording.end_ns
     if first is None or start is None or end is None:
@@ -186,7 +186,7 @@ def _determined(setup: Setup) -> str:
 
 
 def _what_decides(session: Segmented, labelled: Labelled, setup: Setup, *, free: bool) -> str:
-    """Say whether a session that is refused determines all parameters, or what it lacks."""
+    """Return whether a refused session determines all parameters, or what it lacks."""
     if free:
         from ..methods.free_positions import ESTIMATES
 
@@ -207,7 +207,7 @@ def _what_decides(session: Segmented, labelled: Labelled, setup: Setup, *, free:
 def _dwells(
     session: Segmented, labelled: Labelled, plan: Plan, zero: int, *, free: bool
 ) -> list[Dwell]:
-    """List every static dwell: when, how long, how the unit stood, and what the plan calls it."""
+    """List every static dwell: start, duration, attitude, and position in the plan."""
     names = {s.start: str(s.position) for s in labelled.segments}
     known = {p.id for p in plan.positions}
     passing = {s.start for s in labelled.passing}
@@ -237,7 +237,7 @@ def _dwells(
 
 
 def _up(segment: Segment, *, free: bool) -> Any:
-    """Return where up is by the accelerometers, whose biases are not yet known."""
+    """Return the direction of up by the accelerometers, whose biases are not yet known."""
     if not free:
         return up_by_accelerometers(segment)
     force = segment.statistics.mean[3:]
@@ -245,7 +245,7 @@ def _up(segment: Segment, *, free: bool) -> Any:
 
 
 def _turns(labelled: Labelled, plan: Plan, zero: int) -> list[Turned]:
-    """List every measurement of whole turns: when, about what, how fast, how many."""
+    """List every measurement of whole turns: start, axis, rate, number of turns."""
     known = {p.id for p in plan.positions}
     return [
         Turned(

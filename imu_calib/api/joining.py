@@ -1,4 +1,4 @@
-"""Gyros and accelerometers on topics of their own to one topic."""
+"""Join gyros and accelerometers of separate topics to one topic."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .named import Named
 from .progress import Progress
 
 _SILENT = 2.5
-"""Sample intervals between two samples of the accelerometers over which none is read from a line: a
-lost sample makes two, and jitter of the stamps less than a half."""
+"""Longest gap between two accelerometer samples to interpolate, in sample intervals: a lost sample
+makes two, and jitter of the stamps adds less than a half."""
 
 
 def joined(
@@ -28,18 +28,18 @@ def joined(
     imu: Named | None,
     progress: Progress,
 ) -> Converted:
-    """Join two topics to one, and copy the other topics as they are.
+    """Join two topics to one, and copy the other topics unchanged.
 
     Args:
         path: The recording.
-        target: Folder to be made.
+        target: Folder to create.
         gyro_topic: Of the rates, rad/s.
-        accel_topic: Of the accelerations, m/s^2, at stamps of their own.
+        accel_topic: Of the accelerations, m/s^2, with other stamps.
         imu: Data sheet of the IMU.
-        progress: Shown with the share of the messages that were copied.
+        progress: Shows the share of copied messages.
 
     Raises:
-        InputError: The topics hold too few samples, or pulses; or the joined one is there already.
+        InputError: The topics hold too few samples, or pulses; or the joined topic exists.
 
     """
     said = described(imu, set())
@@ -85,10 +85,10 @@ def _refuse_taken(recording: Recording, taken: set[str]) -> None:
 
 
 def read_at(known: Stamps, values: Floats, wanted_at: Stamps) -> tuple[Stamps, Floats, Stamps]:
-    """Read values (n, 3) at other stamps, on straight lines between their own.
+    """Interpolate values (n, 3) linearly at other stamps.
 
     Returns:
-        Stamps that lie between two samples, the values there, and the indices of those stamps.
+        Stamps between two samples, the values there, and the indices of those stamps.
 
     """
     after = np.searchsorted(known, wanted_at, side='left')
@@ -99,7 +99,7 @@ def read_at(known: Stamps, values: Floats, wanted_at: Stamps) -> tuple[Stamps, F
     between = (after > 0) & (after < len(known)) & (apart <= _SILENT * usual)
     within = np.flatnonzero(exact | between)
     at = wanted_at[within]
-    # Stamps since 1970 are exact as integers alone.
+    # Stamps since 1970 are exact only as integers.
     since = (at - known[0]).astype(float), (known - known[0]).astype(float)
     interpolated = np.column_stack([np.interp(*since, v) for v in values.T])
     return at, interpolated, within
@@ -111,7 +111,7 @@ def rate_of(stamps: Stamps) -> float:
 
 
 def resampling(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
-    """Say from which rate to which the accelerometers were read."""
+    """Return the rates between which the accelerometers were interpolated, as text."""
     lost = len(gyro) - len(within)
     left = f'; {lost} samples of the gyros have no such line and are left out' if lost else ''
     return (

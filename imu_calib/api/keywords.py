@@ -1,4 +1,4 @@
-"""Keywords that functions have in common: what may be stated of a session, of which `Stated` is."""
+"""Keywords common to several functions: the statements on a session, which form `Stated`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Returned = TypeVar('Returned')
 
 
 class AtSite(TypedDict, total=False):
-    """Where it is, and how well that is known."""
+    """The site and its uncertainty."""
 
     latitude: float | None
     latitude_std: float | None
@@ -32,21 +32,21 @@ class AtSite(TypedDict, total=False):
 
 
 class OnTable(TypedDict, total=False):
-    """What turns the unit."""
+    """The table that turns the unit."""
 
     table: Table | Named | None
     azimuth: float | None
 
 
 class Solved(TypedDict, total=False):
-    """How the parameters are estimated."""
+    """The method of estimation."""
 
     method: str | None
     terms: str | None
 
 
 class OfUnit(TypedDict, total=False):
-    """What a unit is, and where its samples are."""
+    """The unit and the topics of its samples."""
 
     imu: ImuSpec | Named | None
     serial: str | None
@@ -55,11 +55,11 @@ class OfUnit(TypedDict, total=False):
 
 
 class Planned(AtSite, OnTable, Solved, total=False):
-    """A session that is predicted, or simulated."""
+    """A session that is predicted or simulated."""
 
 
 class Optimised(AtSite, OnTable, total=False):
-    """A session whose plan is sought."""
+    """A session whose plan is optimised."""
 
 
 class Stood(AtSite, Solved, total=False):
@@ -79,7 +79,7 @@ class Session(OfSeveral, OfUnit, total=False):
 
 
 class Verified(AtSite, OnTable, OfUnit, total=False):
-    """A recorded session that nothing is estimated from."""
+    """A recorded session for verification, without an estimate."""
 
     plan: Plan | Named | None
     joint_topic: str | None
@@ -89,9 +89,9 @@ class Verified(AtSite, OnTable, OfUnit, total=False):
 def with_keywords(
     kind: type[object],
 ) -> Callable[[Callable[Arguments, Returned]], Callable[Arguments, Returned]]:
-    """Show keywords of a kind one by one in the signature of a function that takes them by `**`.
+    """Show the keywords of a kind in the signature of a function that takes them by `**`.
 
-    Help, completion, documentation and the command line read them there.
+    Help, completion, documentation and the command line read them from the signature.
     """
 
     def of(function: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
@@ -112,7 +112,7 @@ def with_keywords(
 
         whole = own.replace(parameters=[*named, *more])
         called.__signature__ = whole  # type: ignore[attr-defined]
-        # What cannot be looked up (`Unpack` is for mypy) would keep the others from it.
+        # Names that cannot be resolved (`Unpack` is for mypy) would hide the others.
         called.__annotations__ = {
             n: a for n, a in function.__annotations__.items() if n != kept.name
         }

@@ -1,4 +1,4 @@
-"""What is in a recording, what it can calibrate, and what it contradicts."""
+"""Contents of a recording, what it can calibrate, and contradictions."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from .progress import Progress, silent
 from .stated import Stated
 
 if TYPE_CHECKING:
-    # Loaded where somebody says how the streams are to be read.
+    # Loaded only if it is stated how the streams are to be read.
     from .inside import Inside
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic: its messages, and how many there are a second (None where unknown)."""
+    """A topic: its messages, and their rate in 1/s (None if unknown)."""
 
     name: str
     type: str
@@ -31,17 +31,17 @@ class Topic:
 
 @dataclass(frozen=True)
 class Look:
-    """What is in a recording.
+    """Contents of a recording.
 
     Attributes:
-        path: Of the recording.
+        path: Path of the recording.
         seconds: From its first to its last message.
-        files: How many.
-        compensated: The calibration that it was compensated by; empty where it was not.
+        files: Number of files.
+        compensated: The calibration that compensated it; empty without one.
         topics: All of them.
-        lost: What is missing or broken, as far as the topics were looked at.
-        inside: What the streams contain; None where it is unknown how they are to be read.
-        not_said: What would have to be said for that, in a sentence.
+        lost: Missing or broken data, as far as the topics were examined.
+        inside: Contents of the streams; None if it is unknown how to read them.
+        not_said: What must be stated to read them, in a sentence.
 
     """
 
@@ -55,20 +55,20 @@ class Look:
     not_said: str = ''
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values, SI units but for headings and latitudes (deg)."""
+        """Return it as plain values, SI units except headings and latitudes (deg)."""
         return asdict(self)
 
 
 def look(bag: Named, stated: Stated | None = None, progress: Progress = silent) -> Look:
-    """Look at the topics of a recording, then into them as far as it is known what they mean.
+    """Examine the topics of a recording, then the streams if their meaning is known.
 
     Args:
         bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
-        stated: What is known of the session; None for what the recording says.
-        progress: Shows how far it is.
+        stated: Known facts of the session; None for those in the recording.
+        progress: Shows the progress.
 
     Raises:
-        InputError: Unreadable, or what is stated does not go with it.
+        InputError: Unreadable, or the statements do not match it.
 
     """
     outside = topics(bag, progress)
@@ -76,7 +76,7 @@ def look(bag: Named, stated: Stated | None = None, progress: Progress = silent) 
 
 
 def topics(bag: Named, progress: Progress = silent) -> Look:
-    """Look at the topics alone."""
+    """Examine only the topics."""
     with open_recording(bag) as recording:
         counts, seconds = _extent(recording, progress)
         rows = tuple(
@@ -94,7 +94,7 @@ def topics(bag: Named, progress: Progress = silent) -> Look:
 
 
 def look_inside(outside: Look, stated: Stated, progress: Progress = silent) -> Look:
-    """Add what the streams contain, where it is known what they mean."""
+    """Add the contents of the streams if their meaning is known."""
     try:
         opened = open_session(outside.path, stated)
     except NotStated as error:
@@ -106,10 +106,10 @@ def look_inside(outside: Look, stated: Stated, progress: Progress = silent) -> L
 
 
 def _extent(recording: Recording, progress: Progress) -> tuple[Counter[str], float]:
-    """Return how many messages each topic has, and s from the first message to the last.
+    """Return the number of messages of each topic, and s from the first message to the last.
 
-    A recording says both, but for what was cut off: its summary would have been written at the end.
-    Its messages are counted one by one.
+    A complete recording states both. The summary of a truncated one is missing: its messages are
+    counted.
     """
     counts = Counter({t.name: t.count for t in recording.topics if t.count is not None})
     first, last = recording.start_ns, recording.end_ns

@@ -1,4 +1,4 @@
-"""What a caller names, or gives as a value."""
+"""Arguments given by name, by path or as a value."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from ..share import named_file
 from ..turntable import Table, load_table
 
 if TYPE_CHECKING:
-    # Costs more to load than most commands need.
+    # Loads slowly; most commands do not need it.
     from ..calibrator import Result
 
 Named: TypeAlias = str | Path
-"""The name of a file that ships, or the path of one."""
+"""The name of a supplied file, or the path of one."""
 
 
 def as_plan(plan: Plan | Named) -> Plan:
-    """Return a plan that is named, or that already is one."""
+    """Return a plan given by name or value."""
     return plan if isinstance(plan, Plan) else load_plan(plan)
 
 
 def as_imu(imu: ImuSpec | Named) -> ImuSpec:
-    """Return an IMU that is named, or that already is one."""
+    """Return an IMU given by name or value."""
     return imu if isinstance(imu, ImuSpec) else load_imu(imu)
 
 
 def as_table(table: Table | Named) -> Table:
-    """Return a table that is named, or that already is one."""
+    """Return a table given by name or value."""
     return table if isinstance(table, Table) else load_table(table)
 
 
 def as_calibration(calibration: Result | Calibration | Named) -> Calibration:
-    """Return a calibration: the one that a file or a result holds, or that is given."""
+    """Return a calibration given by file, result or value."""
     if isinstance(calibration, str | Path):
         return Calibration.load(calibration)
     found = getattr(calibration, 'calibration', calibration)
@@ -56,7 +56,7 @@ def as_calibration(calibration: Result | Calibration | Named) -> Calibration:
 
 
 def as_combined(calibration: Result | AnyCalibration | Named) -> ThermalCalibration | None:
-    """Return the calibrations of a combined file; None for any other."""
+    """Return the calibrations of a combined file; else None."""
     if isinstance(calibration, str | Path):
         calibration = load_calibration(calibration)
     if isinstance(calibration, ThermalCalibration) and len(calibration.calibrations) > 1:
@@ -65,10 +65,10 @@ def as_combined(calibration: Result | AnyCalibration | Named) -> ThermalCalibrat
 
 
 def as_applied(calibration: Result | AnyCalibration | Named) -> tuple[AnyCalibration, str]:
-    """Return a calibration as it is applied (by temperature, where it follows it) and its name.
+    """Return a calibration for compensation (over temperature, if it has that) and its name.
 
     Raises:
-        InputError: A file cannot be read, or is no calibration.
+        InputError: A file cannot be read, or is not a calibration.
 
     """
     if isinstance(calibration, str | Path):
@@ -82,12 +82,12 @@ def as_applied(calibration: Result | AnyCalibration | Named) -> tuple[AnyCalibra
 
 
 def name_of(calibration: Result | Calibration | Named, otherwise: str) -> str:
-    """Return what to call a calibration: the file's name where there is one."""
+    """Return the name of a calibration: the file's if there is one."""
     return str(calibration) if isinstance(calibration, str | Path) else otherwise
 
 
 def as_truth(truth: Calibration | Named) -> Calibration:
-    """Return true parameters: a shipped name, a file, or what already are some."""
+    """Return true parameters given by supplied name, file or value."""
     if isinstance(truth, Calibration):
         return truth
     return Calibration.load(named_file('truths', truth))
@@ -97,7 +97,7 @@ def load_truth(truth: Calibration | Named, imu: ImuSpec) -> Calibration:
     """Return the true parameters of a simulated unit.
 
     Raises:
-        InputError: They tell nothing of the unit's skewed gyro.
+        InputError: They do not describe the unit's skewed gyro.
 
     """
     known = as_truth(truth)

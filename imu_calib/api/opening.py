@@ -1,4 +1,4 @@
-"""A recording, and what goes with it: all that a calibrator must know before its session."""
+"""A recording with everything that a calibrator needs before its session."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from .streams import Streams, streams_of
 
 @dataclass(frozen=True)
 class Opened:
-    """A recording with all that is needed to calibrate from it.
+    """A recording with everything that is needed to calibrate from it.
 
     Attributes:
         recording: Open for reading.
-        setup: What a calibrator must know of it.
+        setup: Set-up for the calibrator.
         streams: Its topics.
-        assumed: What was not stated and is assumed, in sentences.
+        assumed: Assumptions about what is not stated, in sentences.
 
     """
 
@@ -42,19 +42,19 @@ class Opened:
     assumed: tuple[str, ...] = ()
 
     def blocks(self, progress: Progress = silent) -> Iterator[Block]:
-        """Read the topics that count, in order."""
+        """Read the needed topics, in order."""
         with progress('reading') as show:
             for _, block in self.recording.read(self.streams.kinds(), show):
                 yield block
 
 
 def open_session(bag: str | AnyPath, stated: Stated, sha256: str | None = None) -> Opened:
-    """Open a recording, and find what goes with it.
+    """Open a recording, and find its set-up.
 
     Args:
-        bag: As for `calibrate`, or what is located already.
-        stated: What is known of the session.
-        sha256: Of its storage files, where that is known already.
+        bag: As for `calibrate`, or already located.
+        stated: Known facts of the session.
+        sha256: Of its storage files, if known already.
 
     Raises:
         InputError: Something is missing, ambiguous or unreadable.
@@ -67,8 +67,8 @@ def recording_at(bag: str | AnyPath, sha256: str | None = None) -> Recording:
     """Open a recording.
 
     Args:
-        bag: As for `calibrate`, or what is located already.
-        sha256: Of its storage files, where that is known already.
+        bag: As for `calibrate`, or already located.
+        sha256: Of its storage files, if known already.
 
     Raises:
         InputError: There is none, or it is unreadable.
@@ -80,7 +80,7 @@ def recording_at(bag: str | AnyPath, sha256: str | None = None) -> Recording:
 
 
 def session_of(recording: Recording, stated: Stated) -> Opened:
-    """Find what goes with the session of a recording.
+    """Find the set-up of a recording's session.
 
     Raises:
         InputError: Something is missing or ambiguous.
@@ -93,12 +93,12 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
     imu = taken_as_si(recording, streams.imu) if known is None else known[0]
     plan = plan_of(stated, recording, streams)
     if plan is not None and table is not described:
-        # Turned on the fixture it goes through other attitudes than those of the plan.
+        # A unit rotated on the fixture passes other attitudes than those of the plan.
         plan = UNPLANNED
     steps = plan_by_hand() if plan is None else plan
     said = (*([] if known else [SAID_SI]), *([] if plan else [SAID_BY_HAND]))
     if streams.skew is None:
-        # The calibrator must not wait for a gyro that the recording does not hold.
+        # The calibrator must not wait for a gyro that the recording lacks.
         imu = replace(imu, skewed=None)
     setup = Setup(
         imu,

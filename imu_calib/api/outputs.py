@@ -1,4 +1,4 @@
-"""What commands write: in folders that are there, and whole or not at all."""
+"""Outputs of commands: in existing folders, complete or not at all."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def output_path(output: Named) -> Path:
     """Return the path of a file to be written.
 
     Raises:
-        InputError: Its folder does not exist, or it is a folder itself.
+        InputError: Its folder does not exist, or it is itself a folder.
 
     """
     path = _below_a_folder(output)
@@ -26,10 +26,10 @@ def output_path(output: Named) -> Path:
 
 
 def new_folder(output: Named) -> Path:
-    """Return the path of a folder to be made.
+    """Return the path of a folder to create.
 
     Raises:
-        InputError: What it is to stand in does not exist, or it does already.
+        InputError: Its parent folder does not exist, or it exists already.
 
     """
     path = _below_a_folder(output)
@@ -39,11 +39,11 @@ def new_folder(output: Named) -> Path:
 
 
 def output_or_default(output: str | None, default: str) -> str:
-    """Return what -o names, or the default where it is not there yet.
+    """Return the path of -o, or the default if that does not exist yet.
 
     Raises:
-        InputError: Nothing was named, and what the default names exists: it may be all that is left
-            of another session.
+        InputError: No path is given and the default exists: it may be the only copy of another
+            session's result.
 
     """
     if output is None and user_path(default).exists():
@@ -62,7 +62,7 @@ def _below_a_folder(output: Named) -> Path:
 
 @contextmanager
 def whole_or_not_at_all(folder: Path) -> Iterator[None]:
-    """Remove a folder that was not there before where its writing ends early, by Ctrl-C too."""
+    """Remove a new folder if its writing ends early, by Ctrl-C too."""
     try:
         yield
     except BaseException:

@@ -1,4 +1,4 @@
-"""What a plan will give, before it is run."""
+"""Predict the results of a plan before it is run."""
 
 from __future__ import annotations
 
@@ -48,23 +48,23 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 _ANY_PLAN = 'twelve_position'
-"""What a search for a plan begins from: nothing of it counts."""
+"""Start of a search for a plan; its content has no effect."""
 
 _USUAL_RATE = 60.0
-"""deg/s; a choice: every shipped table turns as fast, in 6 s a turn."""
+"""deg/s; a choice: every supplied table turns as fast, in 6 s a turn."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a session would reach.
+    """Predicted results of a session.
 
     Attributes:
         setup: Plan, method, table, IMU and site.
-        forecast: Of the method: standard deviations, and the least that the session allows.
-        closed_form: Of the plan's closed form beside a joint estimate; None where there is none.
-        terms: What the session would tell of each term of the sensors, added alone.
-        changes: What it would tell of biases and scale factors that trend or warm up, or follow a
-            temperature that is stated, each kind alone.
+        forecast: Of the method: standard deviations, and the smallest that the session allows.
+        closed_form: Of the plan's closed form, in addition to a joint estimate; None without one.
+        terms: Information of the session on each term of the sensors, added alone.
+        changes: Information on biases and scale factors that trend, warm up or follow a stated
+            temperature, each kind alone.
 
     """
 
@@ -82,14 +82,14 @@ class Prediction:
 
     @property
     def duration(self) -> float:
-        """Of the session on its table, s; NaN for a plan that is run by hand."""
+        """Duration on the table, s; NaN for a plan that is run by hand."""
         table = self.setup.table
         if table is None:
             return math.nan
         return duration(self.setup.plan.steps(table), table)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return std, the least that the session allows (best) and unit, by parameter.
+        """Return std, the smallest that the session allows (best) and unit, by parameter.
 
         Raises:
             InputError: pandas is not installed.
@@ -113,17 +113,17 @@ def predict(
 
     Args:
         plan: Name, file or value.
-        imu: Likewise; its noise and the size of its pulses count.
-        truth: What the unit is thought to be: its counters run by it.
+        imu: Likewise; its noise and the size of its pulses matter.
+        truth: Assumed true parameters of the unit: its counters use them.
         bias_instability: Let the biases drift by the IMU's figure.
-        temperature_rise: Over the session, evenly and recorded, K: what is told of parameters that
-            follow it.
+        temperature_rise: Linear rise of a recorded temperature over the session, K: predicts the
+            parameters that follow it.
         **stated: The session, by keywords of `calibrate`; by default on the three-axis table, which
-            does not count where the plan is run by hand, and at Luoyang's latitude.
+            does not matter if the plan is run by hand, and at Luoyang's latitude.
 
     Raises:
-        InputError: A file is missing or broken, or they do not fit each other.
-        NotObservable: The plan cannot give its method the parameters, however it is run.
+        InputError: A file is missing or broken, or they do not match each other.
+        NotObservable: The plan cannot determine the parameters with its method.
 
     """
     session = Stated(plan=plan, imu=imu, **stated)
@@ -144,22 +144,23 @@ def optimise(
     progress: Progress = silent,
     **stated: Unpack[Optimised],
 ) -> Optimum:
-    """Find the plan that tells most in a time on a table.
+    """Find the plan with the most information in a given time on a table.
 
     Args:
-        imu: Name, file or value; its noise and the size of its pulses count.
+        imu: Name, file or value; its noise and the size of its pulses matter.
         minutes: Time on the table.
-        output: File to write the plan to, which is then named after it; None to write none.
-        truth: What the unit is thought to be: its counters run by it.
-        rate: Of the turns, deg/s; None for 60, or what the slowest joint of the table can.
-        progress: Called with how far it is.
+        output: File to write the plan to, which determines its name; or None.
+        truth: Assumed true parameters of the unit: its counters use them.
+        rate: Of the turns, deg/s; None for 60, or the limit of the table's slowest joint.
+        progress: Called with the progress.
 
     Returns:
         The plan, and its information on the 24 parameters.
 
     Raises:
-        InputError: A file is missing or broken, `output` is no name of a plan's file, the time is
-            too short for any plan, the table reaches too few attitudes, or cannot turn that fast.
+        InputError: A file is missing or broken, `output` is not a valid name of a plan's file, the
+            time is too short for any plan, the table reaches too few attitudes, or cannot turn that
+            fast.
 
     """
     target = None if output is None else plan_file(output)
@@ -175,10 +176,10 @@ def optimise(
 
 
 def plan_file(output: Named) -> Path:
-    """Return where to write a plan.
+    """Return the path of a plan's file.
 
     Raises:
-        InputError: Its name does not end as a plan's has to, or its folder does not exist.
+        InputError: Its ending is not that of a plan, or its folder does not exist.
 
     """
     path = output_path(output)
@@ -201,18 +202,19 @@ def reach(
 
     Args:
         plan: As for `predict`, as are all but `wanted`.
-        imu: Its noise and the size of its pulses count.
+        imu: Its noise and the size of its pulses matter.
         wanted: Standard deviations by the names of parameters: texts with a unit, for instance
             {'D_gx': '0.05 deg/h'}, or numbers in SI units.
-        truth: What the unit is thought to be.
-        scheduler: Address of a Dask scheduler, on a worker of which it is found; None for here.
+        truth: Assumed true parameters of the unit.
+        scheduler: Address of a Dask scheduler whose worker runs the search; None for this process.
 
     Returns:
-        The plan with these dwells, and what it will give.
+        The plan with these dwells, and its prediction.
 
     Raises:
-        InputError: No such parameter, no standard deviation, or a file is missing or broken.
-        NotObservable: No dwell reaches it; says what stands in the way.
+        InputError: There is no such parameter, it is not a standard deviation, or a file is missing
+            or broken.
+        NotObservable: No dwell reaches it; the text states the obstacle.
 
     """
     session = Stated(plan=plan, imu=imu, **stated)
@@ -220,11 +222,11 @@ def reach(
 
 
 def setup_of(stated: Stated) -> Setup:
-    """Return what a prediction is asked of, from what is stated.
+    """Return the set-up of a prediction from the statements.
 
     Raises:
-        InputError: A file is missing or broken, or terms are asked for that no plan has a say in.
-        NotObservable: The plan cannot give its method the parameters, however it is run.
+        InputError: A file is missing or broken, or terms are requested that a plan cannot estimate.
+        NotObservable: The plan cannot determine the parameters with its method.
 
     """
     assert stated.plan is not None, 'a prediction is of a plan'
@@ -246,10 +248,10 @@ def setup_of(stated: Stated) -> Setup:
 def predicted(
     setup: Setup, truth: SensorModel, *, drifting: bool, rise: float | None = None
 ) -> Prediction:
-    """Predict; as `predict`, of what was stated.
+    """Predict from a set-up; as `predict`.
 
     Raises:
-        InputError: A temperature that moves too little to tell what follows it.
+        InputError: The temperature changes too little to determine its effects.
 
     """
     if rise is not None and not LEAST_RISE <= abs(rise) < math.inf:
@@ -278,12 +280,12 @@ def shortest(
 
     Args:
         setup: As `setup_of` returns it.
-        truth: What the unit is thought to be.
+        truth: Assumed true parameters of the unit.
         wanted: By the name of a parameter: a number in SI units, or a text with its unit.
         scheduler: As of `reach`.
 
     Raises:
-        InputError: No such parameter, or no standard deviation; or what no dwell can reach.
+        InputError: No such parameter, no valid standard deviation, or one that no dwell can reach.
 
     """
     parameters = {p.name: p for p in listed(setup)}
@@ -295,7 +297,7 @@ def shortest(
 def _wanted(
     name: str, value: str | float, parameters: Mapping[str, Parameter]
 ) -> tuple[str, float]:
-    """Read a standard deviation of a parameter."""
+    """Parse a standard deviation of a parameter."""
     parameter = parameters.get(name.strip())
     if parameter is None or value == '':
         known = ', '.join(parameters)

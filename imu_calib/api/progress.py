@@ -1,4 +1,4 @@
-"""How long work tells how far it is."""
+"""How long work reports its progress."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Protocol, TypeAlias
 
 
 class Show(Protocol):
-    """Takes what is done, the total, and perhaps another text."""
+    """Takes the amount done, the total, and optionally another text."""
 
     def __call__(self, done: int, total: int, changed: str = ...) -> None:
         """Show it."""
 
 
 Progress: TypeAlias = Callable[[str], AbstractContextManager[Show]]
-"""Opened with what is done ('reading'); gives what is called as it is done."""
+"""Opened with the name of the work ('reading'); yields the function to call with its progress."""
 
 
 @contextmanager
@@ -23,6 +23,6 @@ def silent(_text: str) -> Iterator[Show]:
     """Show nothing."""
 
     def show(done: int, total: int, changed: str = '') -> None:
-        """Take it, and show nothing."""
+        """Do nothing."""
 
     yield show

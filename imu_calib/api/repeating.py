@@ -1,4 +1,4 @@
-"""A simulated session many times: what its method reaches, against what it states."""
+"""Repeat a simulated session: errors of its method against its stated deviations."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class Repeated:
 
     Attributes:
         setup: Plan, method, table, IMU and site.
-        outcome: Errors and standard deviations of every run, and what they come to.
-        findings: What a person should know, in sentences.
+        outcome: Errors and standard deviations of every run, and their statistics.
+        findings: Messages for the user, in sentences.
 
     """
 
@@ -44,11 +44,11 @@ class Repeated:
     findings: tuple[str, ...]
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return what the runs come to, by parameter, as a pandas.DataFrame.
+        """Return the statistics of the runs by parameter, as a pandas.DataFrame.
 
-        Its columns: mean error (bias), scatter of the errors (spread), standard deviation stated,
-        largest error (worst), root mean square of errors over the standard deviations stated with
-        them (normalised), unit.
+        Columns: mean error (bias), scatter of the errors (spread), stated standard deviation,
+        largest error (worst), root mean square of the errors over their stated standard deviations
+        (normalised), unit.
 
         Raises:
             InputError: pandas is not installed.
@@ -57,7 +57,7 @@ class Repeated:
         return repeated_frame(self.outcome)
 
     def plot(self) -> Figure:
-        """Draw the errors over the standard deviations stated; return the matplotlib Figure.
+        """Draw the errors over the stated standard deviations; return the matplotlib Figure.
 
         Raises:
             InputError: matplotlib is not installed.
@@ -88,24 +88,24 @@ def montecarlo(
     Args:
         plan: Name, file or value.
         imu: Likewise.
-        runs: How many sessions.
-        seed: Of the first; the outcome depends on the seeds alone.
-        jobs: Processes. More than one need a program whose work stands below
+        runs: Number of sessions.
+        seed: Of the first; the outcome depends only on the seeds.
+        jobs: Number of processes. More than one require a program whose code is below
             `if __name__ == '__main__':`, as multiprocessing does.
-        scheduler: Address of a Dask scheduler whose workers run them (tcp://host:8786); the extra
-            fleet.
+        scheduler: Address of a Dask scheduler whose workers run them (tcp://host:8786); requires
+            the extra fleet.
         truth: The unit's true parameters.
         bias_instability: Let the biases drift by the IMU's figure.
-        progress: Shows how far it is; nothing by default.
+        progress: Shows the progress; nothing by default.
         **stated: The session, by keywords of `calibrate`; by default on the three-axis table, at
             Luoyang's latitude. The true latitude and gravity are drawn by their standard
-            deviations. An azimuth is known to the calibrator; without one each run has another,
-            which is unknown.
+            deviations. A stated azimuth is known to the calibrator; without one each run has
+            another, unknown azimuth.
 
     Raises:
-        InputError: A file is missing or broken, they do not fit each other, the plan is run by
+        InputError: A file is missing or broken, they do not match each other, the plan is run by
             hand, or no scheduler answers.
-        NotObservable: No run gave an estimate; says why.
+        NotObservable: No run gave an estimate; the text states why.
 
     """
     for name, value, least in (('runs', runs, 1), ('jobs', jobs, 1), ('seed', seed, 0)):
@@ -127,17 +127,17 @@ def montecarlo(
 def _study(
     stated: Stated, plan: Plan, imu: ImuSpec, truth: Calibration | Named, *, drifting: bool
 ) -> Study:
-    """Return what is repeated."""
+    """Return the study to repeat."""
     table, site = stated.simulated_table(), stated.site(LUOYANG)
     terms, changes = stated.sensor_terms, stated.changes
     if stated.method is not None:
-        # It is refused before the first run, not by it.
+        # Refuse it before the first run, not in it.
         solver(stated.method, terms, changes)
     if plan.by_hand:
         raise InputError(f'Plan {plan.name} is run by hand: only a table can be simulated here.')
     plan.steps(table)
     stand = StandOptions(
-        # A uniform error of this half width has the standard deviation that the table states.
+        # A uniform error of this half width has the table's stated standard deviation.
         positioning_error=math.sqrt(3) * table.positioning,
         bias_instability=drifting,
     )

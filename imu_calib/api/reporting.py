@@ -1,4 +1,4 @@
-"""A calibration and its recording to one HTML file, for the screen and for A4."""
+"""Write a calibration and its recording to one HTML file, for the screen and for A4."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .progress import Progress, silent
 from .stated import NO_PLAN, Stated
 
 _ALIKE = 0.1
-"""Of a standard deviation: two results of one recording that are closer are the same. A judgement:
+"""In standard deviations: two results of one recording that are closer are the same. A judgement:
 versions of a library differ by rounding, 1e-6 of one; another plan or site by many."""
 
 
@@ -46,22 +46,21 @@ def report(
     """Write a report.
 
     Args:
-        calibration: What `calibrate` returned, which adds the course of the session, or a
-            calibration, or its file. What `combine` returned gives the parameters over
-            temperature.
+        calibration: A result of `calibrate`, which adds the course of the session, or a
+            calibration, or its file. A result of `combine` gives the parameters over temperature.
         output: HTML file to write.
-        bag: The recording that a calibration was made from: it is calibrated anew for the course.
-            One that does not say what it was calibrated with: pass what `calibrate` returned.
-        imu: The unit's file, for verdicts against its specification; a recording's own else.
+        bag: The recording of a calibration: it is calibrated again for the course of the session.
+            If it does not state its set-up, pass the result of `calibrate` instead.
+        imu: The unit's file, for verdicts against its specification; else that of the recording.
         compare: Further calibrations of the unit: adds repeatability and drift.
-        progress: Shows how far it is; nothing by default.
+        progress: Shows the progress; nothing by default.
 
     Returns:
         The file.
 
     Raises:
-        InputError: A file is missing or broken, the recording is another one, or does not give the
-            numbers of the calibration.
+        InputError: A file is missing or broken, the recording is another one, or does not reproduce
+            the calibration.
 
     """
     return written(calibration, output, bag, imu, compare, Stated(), progress)[0]
@@ -76,7 +75,7 @@ def written(
     stated: Stated,
     progress: Progress,
 ) -> tuple[Path, ImuSpec | None]:
-    """Write a report; return the file, and the unit's description as far as it is known."""
+    """Write a report; return the file, and the unit's description if it is known."""
     path = output_path(output)
     combined = as_combined(calibration)
     if combined is not None:
@@ -115,7 +114,7 @@ def _write(path: Path, text: str) -> None:
 def _refuse_with_combined(
     calibration: Result | AnyCalibration | Named, bag: Named | None, compare: Sequence[object]
 ) -> None:
-    """Refuse what a combined file cannot be reported with."""
+    """Refuse options that do not apply to a combined file."""
     name = calibration if isinstance(calibration, str | Path) else 'the calibration'
     if bag is not None:
         raise InputError(
@@ -130,7 +129,7 @@ def _refuse_with_combined(
 
 
 def _terms(calibration: Calibration) -> str:
-    """Return what --terms was for a calibration: what it did not find itself."""
+    """Return the value of --terms for a calibration: the terms that it did not find itself."""
     asked = calibration.provenance.get('terms') or []
     names = [term.name for term in terms_of(calibration.parameters)]
     names += [name for name in asked if name.partition(':')[0] in SESSION_TERMS]
@@ -144,7 +143,7 @@ def _terms(calibration: Calibration) -> str:
 def _recalibrate(
     bag: Named, stated: Stated, calibration: Calibration, name: str, progress: Progress
 ) -> Result:
-    """Run the recording through the calibrator again, as it was run for the calibration."""
+    """Calibrate the recording again, with the options of the calibration."""
     origin = calibration.provenance
     method = origin.get('method') if stated.method is None else stated.method
     terms = _terms(calibration) if stated.terms is None and method in JOINT else stated.terms
@@ -175,7 +174,7 @@ def _recalibrate(
 
 
 def _where_it_was(stated: Stated, origin: Mapping[str, Any]) -> Stated:
-    """Return what is stated with the site of the calibration, of a recording that tells none."""
+    """Return the statements with the site of the calibration, if the recording has none."""
     measured = origin.get('gravity_source') == MEASURED
     return replace(
         stated,
@@ -188,7 +187,7 @@ def _where_it_was(stated: Stated, origin: Mapping[str, Any]) -> Stated:
 
 
 def _far_apart(again: Calibration, calibration: Calibration) -> bool:
-    """Say whether two results differ by more than versions of a library explain."""
+    """Return whether two results differ by more than versions of a library explain."""
     known = np.isfinite(calibration.std)
     apart = np.abs(again.values - calibration.values)[known]
     return bool(np.any(apart > _ALIKE * calibration.std[known]))

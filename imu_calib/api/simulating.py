@@ -1,4 +1,4 @@
-"""A recording that a real stand, or a hand, could have written."""
+"""Simulate a recording of a stand or of a unit in the hand."""
 
 from __future__ import annotations
 
@@ -43,25 +43,25 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 TRUTH = 'truth.yaml'
-"""Beside a simulated recording: the true parameters of the unit."""
+"""File in a simulated recording: the true parameters of the unit."""
 
 _TABLE = 'three_axis'
 _COLDEST, _HOTTEST = -100.0, 200.0
-"""degC, beyond what any unit is made for (automotive parts: -40 to 125)."""
+"""degC, beyond the range of any unit (automotive parts: -40 to 125)."""
 _LAST_SECOND = 7_258_118_400
 """s: 2200, as in `calibrator.provenance`; nanoseconds of 64 bits end in 2262."""
 
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """A recording that was simulated.
+    """A simulated recording.
 
     Attributes:
         path: Its folder.
-        plan: What was run.
+        plan: The plan that was run.
         truth: The true parameters of the unit, also in the file `TRUTH` of the folder.
         duration: s.
-        true_table: The file of the table as it truly is; None where it is as described.
+        true_table: The file of the true table; None if it is as described.
 
     """
 
@@ -96,27 +96,27 @@ def simulate(
     Args:
         plan: Name or file.
         output: Folder to create.
-        imu: Name or file: what the numbers of the IMU mean, and its noise.
-        table: Name or file; None for the three-axis table, and for none where the plan is by hand.
+        imu: Name or file: units and noise of the IMU's samples.
+        table: Name or file; None for the three-axis table, and for none if the plan is by hand.
         truth: The unit's true parameters.
         azimuth: True heading of the table's zero against north, about up, deg.
         bias_instability: Let the biases drift by the IMU's figure.
-        imperfections: What is wrong with the stand: name or file.
+        imperfections: Faults of the stand: name or file.
         seed: The same seed gives the same bits.
         serial: Serial number of the unit.
-        start: Date of the first sample, ISO 8601, UTC where it states no zone; None for
+        start: Date of the first sample, ISO 8601, UTC if it states no zone; None for
             2023-11-14T22:13:20Z.
         temperature: Of the unit at the start, degC; None for 25, at which the true parameters hold.
-            What it does to them `imperfections` say; a plan by hand gets its topic by it.
+            `imperfections` state its effect on them; a plan by hand gets its topic by it.
         compression: '', 'lz4' or 'zstd', of the recording.
-        progress: Shows how far it is; nothing by default.
-        **site: `latitude` to `gravity_std` as of `calibrate`, which the recording is to state; None
+        progress: Shows the progress; nothing by default.
+        **site: `latitude` to `gravity_std` as of `calibrate`, to be stated in the recording; None
             for Luoyang's latitude.
 
     Raises:
-        InputError: A file is missing or broken, they do not fit each other, the folder exists, or
-            the one that it is to stand in does not.
-        NotObservable: The plan cannot give its method the parameters, however it is run.
+        InputError: A file is missing or broken, they do not match each other, the folder exists, or
+            its parent folder does not.
+        NotObservable: The plan cannot determine the parameters with its method.
 
     """
     if seed < 0:
@@ -124,7 +124,7 @@ def simulate(
     target = new_folder(output)
     place = Stated(**site).site(LUOYANG)
     spec = as_imu(imu)
-    # Errors are relative to nominal scale factors: they are those of this unit.
+    # Errors are relative to nominal scale factors: those of this unit.
     true = replace(load_truth(truth, spec), imu=spec)
     steps = load_plan(plan)
     check_plan(steps.method, steps, place)
@@ -170,12 +170,12 @@ def options_of(
     """Return how a simulated stand differs from its descriptions; arguments as for `simulate`.
 
     Raises:
-        InputError: The file is broken, or a date or a temperature is none.
+        InputError: The file is broken, or a date or a temperature is invalid.
 
     """
     options = StandOptions(
         azimuth=(azimuth or 0.0) * DEG,
-        # A uniform error of this half width has the standard deviation that the table states.
+        # A uniform error of this half width has the table's stated standard deviation.
         positioning_error=0.0 if table is None else math.sqrt(3) * table.positioning,
         bias_instability=bias_instability,
     )
@@ -190,7 +190,7 @@ def write_blocks(
     duration: float,
     progress: Progress,
 ) -> None:
-    """Write blocks of topics to a recording, and show how far it is of a duration, s."""
+    """Write blocks of topics to a recording, and show the progress over a duration, s."""
     with progress('simulating') as show:
         first = None
         for topic, block in blocks:
@@ -201,7 +201,7 @@ def write_blocks(
 
 
 def save_true_table(folder: Path, options: StandOptions, table: Table | None) -> Path | None:
-    """Write the table as it truly is, where it is not as described; return its file."""
+    """Write the true table if it differs from its description; return its file."""
     if table is None or options.true is None:
         return None
     path = folder / TRUE_TABLE
@@ -212,7 +212,7 @@ def save_true_table(folder: Path, options: StandOptions, table: Table | None) ->
 def _at(
     options: StandOptions, start: str | datetime | None, temperature: float | None
 ) -> StandOptions:
-    """Return options with the date and the temperature that are stated."""
+    """Return options with the stated date and temperature."""
     if start is not None:
         options = replace(options, start_time=_stamp_of(start))
     if temperature is not None:
@@ -242,14 +242,14 @@ def _stamp_of(start: str | datetime) -> int:
 
 
 def _iso(text: str) -> str:
-    """Return a date as Python 3.10 reads it: with the offset of UTC instead of its letter."""
+    """Return a date in the form that Python 3.10 reads: with the offset of UTC, not its letter."""
     return f'{text[:-1]}+00:00' if text[-1:] in {'Z', 'z'} else text
 
 
 def _in_the_hand(
     samples: Iterable[ImuBlock], options: StandOptions, *, thermometer: float | None
 ) -> Iterator[tuple[str, Block]]:
-    """Yield what is recorded of a unit in the hand: its thermometer only where it is stated."""
+    """Yield the recorded data of a unit in the hand: temperatures only if stated."""
     for block in samples:
         yield IMU_TOPIC, block
         if thermometer is not None and len(block):
@@ -259,7 +259,7 @@ def _in_the_hand(
 
 
 def _refuse_table(plan: Plan, table: Named | None, azimuth: float | None) -> None:
-    """Refuse options of a table for a plan that is run without one."""
+    """Refuse options of a table for a plan without one."""
     for name, found in (('table', table), ('azimuth', azimuth)):
         if found is not None:
             raise InputError(
@@ -269,7 +269,7 @@ def _refuse_table(plan: Plan, table: Named | None, azimuth: float | None) -> Non
 
 
 def serialised(block: Block) -> tuple[Kind, Messages, Stamps]:
-    """Serialise a block: what it is, its messages, and when each was recorded."""
+    """Serialise a block: return its kind, its messages, and when each was recorded."""
     if isinstance(block, ImuBlock):
         return Kind.IMU, encode_imu(block), block.stamp
     if isinstance(block, SkewBlock):

@@ -1,4 +1,4 @@
-"""A recording of several units on one table."""
+"""Simulate a recording of several units on one table."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _TRUTH = 'cao2022_table1'
 
 @dataclass(frozen=True, eq=False)
 class SimulatedUnits:
-    """A recording of several units that was simulated.
+    """A simulated recording of several units.
 
     Attributes:
         path: Its folder.
-        plan: What was run.
+        plan: The plan that was run.
         truths: The true parameters of each unit by serial number, also in the folder `TRUTHS`.
         duration: s.
-        true_table: The file of the table as it truly is; None where it is as described.
+        true_table: The file of the true table; None if it is as described.
 
     """
 
@@ -77,22 +77,22 @@ def simulate_units(
         output: Folder to create.
         imus: File of the units (docs/files/units.md), or the units.
         table: Name or file; None for the three-axis table.
-        truth: True parameters of the units that state none of their own.
+        truth: True parameters of the units that state none.
         azimuth: As for `simulate`, as are all that follow.
         bias_instability: Of every unit, by its own figure.
-        imperfections: The table's own are the same for all units.
-        seed: Of the table, and of the units that state none of their own.
+        imperfections: Those of the table are the same for all units.
+        seed: Of the table, and of the units that state none.
         start: Date of the first sample.
         temperature: degC.
         compression: '', 'lz4' or 'zstd'.
-        progress: Shows how far it is.
-        **site: `latitude` to `gravity_std` as of `calibrate`, which the recording is to state; None
+        progress: Shows the progress.
+        **site: `latitude` to `gravity_std` as of `calibrate`, to be stated in the recording; None
             for Luoyang's latitude.
 
     Raises:
-        InputError: A file is missing or broken, they do not fit each other, the folder exists, or
-            the one that it is to stand in does not.
-        NotObservable: The plan cannot give its method the parameters, however it is run.
+        InputError: A file is missing or broken, they do not match each other, the folder exists, or
+            its parent folder does not.
+        NotObservable: The plan cannot determine the parameters with its method.
 
     """
     if seed < 0:

@@ -1,4 +1,4 @@
-"""A stand that is run live, with simulated hardware, by the nodes that would run a real one."""
+"""Run a stand live, with simulated hardware and the nodes of a real one."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _ERRORS = {error.exit_code: error for error in (InputError, NotObservable)}
 
 @dataclass(frozen=True, eq=False)
 class Stood:
-    """A simulated stand that was run to its end.
+    """A completed session of a simulated stand.
 
     Attributes:
         path: Its folder.
-        recording: What was recorded, and calibrated from.
-        calibration: What came of it, as in calibration.yaml of the folder.
+        recording: The recording used for the calibration.
+        calibration: The result, as in calibration.yaml of the folder.
         truth: The unit's true parameters.
-        true_table: File of how the table truly is; None where it is as described.
+        true_table: File of the true table; None if it is as described.
 
     """
 
@@ -62,29 +62,29 @@ def stand(
     speed: float | None = None,
     **stated: Unpack[keywords.Stood],
 ) -> Stood:
-    """Run a plan on a simulated stand, live: nodes in processes of their own, which talk by DDS.
+    """Run a plan live on a simulated stand: nodes in separate processes, connected by DDS.
 
-    `simulate` and `calibrate` give the same much sooner. This tries the nodes, as they would run
-    a real stand; that one is the command's alone (`imu-calib stand --port`).
+    `simulate` and `calibrate` give the same result much faster. This tests the nodes as on a real
+    stand, which only the command can run (`imu-calib stand --port`).
 
     Args:
         plan: Name or file; so are `imu`, `table`, `truth` and `imperfections`.
         output: Folder to create.
-        imu: None for fog_medium, or mems_counts where the plan is run by hand.
+        imu: None for fog_medium, or mems_counts if the plan is run by hand.
         table: The turntable.
         truth: The unit's true parameters; None for those of the default IMU.
         azimuth: True heading of the table's zero, deg.
         serial: Serial number of the unit.
         sample_rate: Hz; None for the IMU's own.
-        imperfections: What is wrong with the stand; None for nothing.
+        imperfections: Faults of the stand; None for none.
         seed: Same seed, same errors.
-        speed: Times real time at most; None for as fast as the nodes follow.
+        speed: Times real time at most; None for as fast as the nodes can follow.
         **stated: `method`, `terms` and the site, as of `calibrate`; Luoyang's latitude by default.
 
     Raises:
-        InputError: A file is missing or broken, the folder exists already, they do not fit each
+        InputError: A file is missing or broken, the folder exists already, they do not match each
             other, or a node does not start.
-        NotObservable: The session gives no calibration; says why.
+        NotObservable: The session gives no calibration; the text states why.
         ImuCalibError: There is no middleware for the nodes.
 
     """
@@ -115,7 +115,7 @@ def stand(
 
 
 def _run(words: list[str]) -> None:
-    """Run a command line to its end, in a process that ends with this one."""
+    """Run a command line in a process that ends with this one."""
     process = subprocess.Popen(
         [sys.executable, '-m', 'imu_calib.lifetime', sys.executable, '-m', _COMMAND, *words],
         stdin=subprocess.DEVNULL,

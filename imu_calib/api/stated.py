@@ -1,4 +1,4 @@
-"""What a session is made of: as its caller states it, or else as the recording says of itself."""
+"""The set-up of a session: as its caller states it, else as the recording does."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ from ..units import DEG, point_for_comma
 from .named import Named, as_imu, as_plan, as_table
 
 if TYPE_CHECKING:
-    # Costs more to load than most commands need.
+    # Loads slowly; most commands do not need it.
     from ..bags import Recording
     from .streams import Streams
 
 NO_PLAN = 'none'
-"""What a caller states for a plan where none was run, or the recording's own is not to be used."""
+"""Value for a plan if none was run, or if the recording's own must not be used."""
 
 TRUE_TABLE = 'true_table.yaml'
-"""Beside a simulated recording: the table as it truly is, where it is not as described."""
+"""File in a simulated recording: the true table, if it differs from its description."""
 
 _TABLE = 'three_axis'
 _ANYWHERE = 0.0
-"""deg: taken for the latitude, known to `VAGUE`, where gravity alone is stated of a unit in the
-hand. The Earth rate about up is then at most 15 deg/h off, in either hemisphere: 0.008 deg in a
-turn of two seconds."""
+"""deg: assumed latitude, with the standard deviation `VAGUE`, if only gravity is stated for a unit
+in the hand. The error of the vertical Earth rate is then at most 15 deg/h in either hemisphere:
+0.008 deg in a turn of two seconds."""
 _NUMBERS = (
     *('azimuth', 'latitude', 'latitude_std', 'height', 'height_std', 'gravity', 'gravity_std'),
 )
@@ -54,27 +54,27 @@ _NUMBERS = (
 
 @dataclass(frozen=True)
 class Stated:
-    """What a caller states of a session; None leaves it to the recording, or to its default.
+    """Statements of a caller on a session; None uses the recording or a default.
 
     Attributes:
-        plan: That was run; `NO_PLAN` for none.
-        imu: What the IMU's numbers mean.
+        plan: The plan that was run; `NO_PLAN` for none.
+        imu: Units and noise of the IMU's samples.
         table: The turntable.
         azimuth: Heading of the table's zero against north, deg.
         imu_topic: Of sensor_msgs/Imu.
         joint_topic: Of sensor_msgs/JointState.
         setpoint_topic: Of imu_calib_msgs/TurntableSetpoint.
-        imu_only: Use the IMU and the order of the plan alone.
+        imu_only: Use only the IMU and the order of the plan.
         latitude: Degrees, negative in the south.
         latitude_std: Its standard deviation, deg.
         height: Above the ellipsoid, m.
         height_std: Its standard deviation, m.
-        gravity: As measured, m/s^2.
+        gravity: Measured gravity, m/s^2.
         gravity_std: Its standard deviation, m/s^2.
         method: Name of the estimator.
-        terms: What the joint estimate adds to the 24 parameters: names with commas between.
+        terms: Terms that the joint estimate adds to the 24 parameters: names separated by commas.
         serial: Serial number of the unit.
-        mount: (3, 3) its body axes in those that the table's description mounts.
+        mount: (3, 3) its body axes in those of the table's described mount.
 
     """
 
@@ -98,10 +98,10 @@ class Stated:
     mount: Floats | None = None
 
     def __post_init__(self) -> None:
-        """Refuse texts for numbers, as a notebook or a table of sessions may hold them.
+        """Refuse texts instead of numbers, which a notebook or a table of sessions may contain.
 
         Raises:
-            InputError: Names the keyword, what was found, and what to write.
+            InputError: Names the keyword, the value found, and what to write.
 
         """
         for name in _NUMBERS:
@@ -116,7 +116,7 @@ class Stated:
 
     @property
     def sensor_terms(self) -> tuple[Term, ...]:
-        """Terms of the sensors that are asked for by name.
+        """Terms of the sensors that are requested by name.
 
         Raises:
             InputError: No such term.
@@ -126,7 +126,7 @@ class Stated:
 
     @property
     def changes(self) -> tuple[Change, ...]:
-        """Coefficients of the session's terms that are asked for by name.
+        """Coefficients of the session's terms that are requested by name.
 
         Raises:
             InputError: No such term, or two that exclude each other.
@@ -136,14 +136,14 @@ class Stated:
 
     @property
     def search_terms(self) -> bool:
-        """Whether terms that the session shows are to be estimated too."""
+        """Whether terms that the session shows are also estimated."""
         return asks_for_search(self._terms)
 
     def site(self, otherwise: float) -> Site:
-        """Return the site as it is stated; its latitude is `otherwise`, deg, where it is not.
+        """Return the stated site; its latitude is `otherwise`, deg, if it is not stated.
 
         Raises:
-            InputError: No place on Earth is there.
+            InputError: There is no such place on Earth.
 
         """
         latitude = otherwise if self.latitude is None else self.latitude
@@ -157,14 +157,14 @@ class Stated:
         )
 
     def simulated_table(self) -> Table:
-        """Return the table that is stated, or the three-axis table, at the azimuth stated."""
+        """Return the stated table or the three-axis table, at the stated azimuth."""
         return self.at_azimuth(as_table(self.table or _TABLE))
 
     def at_azimuth(self, table: Table) -> Table:
-        """Return a table at the azimuth that is stated, if any.
+        """Return a table at the stated azimuth, if any.
 
         Raises:
-            InputError: It is no angle.
+            InputError: It is not an angle.
 
         """
         if self.azimuth is None:
@@ -175,10 +175,10 @@ class Stated:
 
 
 def plan_of(stated: Stated, recording: Recording, streams: Streams) -> Plan | None:
-    """Return the plan of a recording; none is needed where joint states tell the attitudes.
+    """Return the plan of a recording; none is needed if joint states give the attitudes.
 
     Returns:
-        None where there is neither: only a unit that was turned by hand needs no plan then.
+        None without plan and joint states: only a unit that was turned by hand needs no plan then.
 
     Raises:
         InputError: The file is broken.
@@ -190,7 +190,7 @@ def plan_of(stated: Stated, recording: Recording, streams: Streams) -> Plan | No
 
 
 def stated_plan(stated: Stated, recording: Recording) -> Plan | None:
-    """Return the plan that is stated, or the one that the recording carries; None without.
+    """Return the stated plan, or the one in the recording; None without.
 
     Raises:
         InputError: The file is broken.
@@ -206,10 +206,10 @@ def stated_plan(stated: Stated, recording: Recording) -> Plan | None:
 
 
 def stated_imu(stated: Stated, recording: Recording, topic: str) -> tuple[ImuSpec, str] | None:
-    """Return what is stated of the IMU behind a topic, and where that is from; None without it.
+    """Return the description of the IMU of a topic, and its origin; None without one.
 
     Raises:
-        InputError: The file is broken, or says other units than a stream that was computed has.
+        InputError: The file is broken, or states other units than those of a computed stream.
 
     """
     data = recording.custom_data
@@ -228,12 +228,12 @@ def stated_imu(stated: Stated, recording: Recording, topic: str) -> tuple[ImuSpe
 
 
 def serial_of(stated: Stated, recording: Recording, topic: str) -> str:
-    """Return the serial number that is stated, or that of the recording; empty without one.
+    """Return the stated serial number, or that of the recording; empty without one.
 
     Args:
-        stated: What is known.
+        stated: Known facts.
         recording: The recording.
-        topic: Of the unit's samples: where there are several units each has its own.
+        topic: Of the unit's samples: each of several units has its own.
 
     Raises:
         InputError: The two differ.
@@ -250,16 +250,16 @@ def serial_of(stated: Stated, recording: Recording, topic: str) -> str:
 
 
 def mounted_on(table: Table, stated: Stated, recording: Recording, topic: str) -> Table:
-    """Return a table that a unit is turned on, as it is stated or as the recording says.
+    """Return a table with the unit's mount, as stated or as in the recording.
 
     Args:
-        table: By its description.
-        stated: What is known.
+        table: As described.
+        stated: Known facts.
         recording: The recording.
         topic: Of the unit's samples.
 
     Raises:
-        InputError: What the recording says is broken.
+        InputError: The mount in the recording is invalid.
 
     """
     mount = stated.mount
@@ -269,7 +269,7 @@ def mounted_on(table: Table, stated: Stated, recording: Recording, topic: str) -
 
 
 def table_of(stated: Stated, recording: Recording) -> Table:
-    """Return the table that is stated, that of the recording, or the three-axis table."""
+    """Return the stated table, that of the recording, or the three-axis table."""
     text = recording.custom_data.get('imu_calib.table')
     if stated.table is not None or text is None:
         return stated.simulated_table()
@@ -277,17 +277,17 @@ def table_of(stated: Stated, recording: Recording) -> Table:
 
 
 def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> Site:
-    """Return the site that is stated, or the one that the recording carries.
+    """Return the stated site, or the one in the recording.
 
-    What is stated of height and gravity counts at the recording's latitude too.
+    Stated height and gravity also apply at the recording's latitude.
 
     Args:
-        stated: What is known.
+        stated: Known facts.
         recording: The recording.
-        by_hand: A measured gravity alone will do: the Earth rate is below what a hand shows.
+        by_hand: A measured gravity is sufficient: the Earth rate is below the resolution in a hand.
 
     Raises:
-        InputError: The site is not stated, or is no place on Earth.
+        InputError: The site is not stated, or is not on Earth.
 
     """
     if stated.latitude is not None:

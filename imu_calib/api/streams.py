@@ -1,4 +1,4 @@
-"""Which topics of a recording are read: those that are stated, or the only candidates."""
+"""The topics of a recording to read: the stated ones, or the only candidates."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..metadata import LEFT_OUT, serial_key
 from ..mounted import namespace
 
 if TYPE_CHECKING:
-    # Costs more to load than most commands need.
+    # Loads slowly; most commands do not need it.
     from ..bags import Recording, Topic
     from .stated import Stated
 
@@ -21,7 +21,7 @@ _TEMPERATURE = 'imu/temperature'
 
 @dataclass(frozen=True)
 class Streams:
-    """Names of the topics to read; None where the recording has none."""
+    """Names of the topics to read; None if the recording has none."""
 
     imu: str
     joints: str | None
@@ -30,7 +30,7 @@ class Streams:
     temperature: str | None = None
 
     def kinds(self) -> dict[str, Kind]:
-        """Return what each topic carries."""
+        """Return the content of each topic."""
         named = {
             self.imu: Kind.IMU,
             self.joints: Kind.JOINTS,
@@ -42,7 +42,7 @@ class Streams:
 
 
 def streams_of(stated: Stated, recording: Recording) -> Streams:
-    """Choose the topics: those that are stated, or the only candidate of each type.
+    """Choose the topics: the stated ones, or the only candidate of each type.
 
     Raises:
         InputError: No IMU topic, or several candidates; they are listed.
@@ -59,12 +59,12 @@ def streams_of(stated: Stated, recording: Recording) -> Streams:
 
 
 def imu_topic(wanted: str | None, recording: Recording, serial: str | None = None) -> str:
-    """Return the topic of the IMU: the one that is stated, or the only candidate.
+    """Return the topic of the IMU: the stated one, or the only candidate.
 
     Args:
-        wanted: As it is stated.
+        wanted: The stated topic.
         recording: The recording.
-        serial: Number of the unit: of several it chooses the one that the recording says has it.
+        serial: Serial number: selects the unit that has it in the recording.
 
     Raises:
         InputError: There is none, or several; they are listed.
@@ -81,7 +81,7 @@ def imu_topic(wanted: str | None, recording: Recording, serial: str | None = Non
 
 
 def _topic_of_unit(serial: str | None, recording: Recording) -> str | None:
-    """Return the topic of the unit with a serial number, if the recording says which it is."""
+    """Return the topic of the unit with a serial number, if the recording states it."""
     kind, data = Kind.IMU.type_name, recording.custom_data
     mine = [
         t.name
@@ -92,10 +92,9 @@ def _topic_of_unit(serial: str | None, recording: Recording) -> str | None:
 
 
 def units_of(recording: Recording) -> tuple[str, ...]:
-    """Return the topics of several units of which the recording says which they are.
+    """Return the topics whose units the recording states, if there are several.
 
-    None where there is one unit at most. Those that were left out of the session are not among
-    them.
+    Empty for at most one unit. Units that were excluded from the session are not listed.
     """
     kind, data = Kind.IMU.type_name, recording.custom_data
     topics = [t.name for t in recording.topics if t.type == kind and serial_key(t.name) in data]
@@ -118,7 +117,7 @@ def skew_topic(recording: Recording, imu: str) -> str | None:
 
 
 def temperature_topic(recording: Recording) -> str | None:
-    """Return the topic of the unit's thermometer: the only one, or the one that is called so."""
+    """Return the topic of the unit's thermometer: the only one, or the one with its name."""
     kind = Kind.TEMPERATURES.type_name
     filled = [t.name for t in recording.topics if t.type == kind and t.count != 0]
     if len(filled) > 1:

@@ -1,4 +1,4 @@
-"""Tables of numbers in text files: their columns, by the names of a heading or by their places."""
+"""Tables of numbers in text files: columns by the names of a heading or by their places."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _COMMENTS = ('#', '%', '//')
 _DELIMITERS = (';', '\t', ',')
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _LOOKED_AT = 100
-"""Lines, all over the file, that say how many fields a row has: what stands above a table, and
-lines that broke, are few beside them."""
+"""Number of lines, spread over the file, that determine how many fields a row has: lines above a
+table and broken lines are few in comparison."""
 
 
 @dataclass(frozen=True, eq=False)
 class Text:
-    """A table of numbers as a file has it.
+    """A table of numbers in a file.
 
     Attributes:
         path: The file.
-        names: Of the columns, as its heading has them; their places from '1' on without a heading.
-        values: (n, k); NaN where a field holds no number.
-        broken: Lines that have too few fields, or none that is a number; they are left out.
+        names: Of the columns, as in the heading; without a heading their places from '1' on.
+        values: (n, k); NaN if a field is not a number.
+        broken: Number of lines with too few fields or no number; they are skipped.
     """
 
     path: AnyPath
@@ -44,7 +44,7 @@ class Text:
         """Return a column by its name in the heading, or by its place, counted from 1.
 
         Raises:
-            InputError: There is none; the option that asks for it is named, and what is there.
+            InputError: There is none; the text names the option and the available columns.
 
         """
         if name in self.names:
@@ -57,15 +57,15 @@ class Text:
 
 
 def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
-    """Read a table of numbers: CSV, or columns with tabs, semicolons or blanks between.
+    """Read a table of numbers: CSV, or columns separated by tabs, semicolons or blanks.
 
-    Lines that begin with #, % or // and empty ones are passed over, and so is what a logger wrote
-    above the table. The last line above the rows is the heading, also behind a #, where it has a
-    name for each column. Where no commas part the fields, a comma is a decimal point.
+    Empty lines, lines that begin with #, % or //, and a logger's text above the table are skipped.
+    The last line above the rows is the heading, also behind a #, if it has a name for each column.
+    If commas do not separate fields, a comma is a decimal point.
 
     Args:
         path: The file.
-        delimiter: Between fields; None finds it.
+        delimiter: Between fields; None detects it.
 
     Raises:
         InputError: It cannot be read, or holds no numbers.
@@ -90,7 +90,7 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
     if names:
         above -= 1
     elif comment := _heading(written[: written.index(lines[first])], between):
-        # What stands behind a # is a heading only where it has a name of its own for each column.
+        # Text behind a # is a heading only if it has a distinct name for each column.
         names = comment if len(comment) == len(set(comment)) == count else []
     if len(set(names)) < len(names):
         twice = sorted({n for n in names if names.count(n) > 1})
@@ -128,7 +128,7 @@ def _decoded(path: AnyPath) -> str:
 
 
 def _heading(above: Sequence[str], delimiter: str | None) -> list[str]:
-    """Return the names in the last line above the rows; none where it is no heading."""
+    """Return the names in the last line above the rows; empty if it is not a heading."""
     names = _fields(above[-1].lstrip('#%/ '), delimiter) if above else []
     while names and not names[-1]:
         names.pop()
@@ -138,7 +138,7 @@ def _heading(above: Sequence[str], delimiter: str | None) -> list[str]:
 
 
 def _delimiter(line: str) -> str | None:
-    """Return what parts the fields of a line; None for blanks."""
+    """Return the delimiter of the fields in a line; None for blanks."""
     present = [d for d in _DELIMITERS if d in line]
     for found in (*present, None):
         if all(_is_number(field, found) for field in _fields(line, found) if field):
@@ -147,7 +147,7 @@ def _delimiter(line: str) -> str | None:
 
 
 def _usual_count(lines: Sequence[str], delimiter: str | None) -> int:
-    """Return how many fields lines usually have, an empty last one apart."""
+    """Return the usual number of fields in lines, without an empty last one."""
     some = lines[:: max(1, len(lines) // _LOOKED_AT)]
     counts = Counter(len(_fields(line.rstrip().rstrip(delimiter), delimiter)) for line in some)
     return counts.most_common(1)[0][0]
@@ -173,9 +173,9 @@ def _is_number(field: str, delimiter: str | None) -> bool:
 
 
 def _numbers(lines: Sequence[str], delimiter: str | None, count: int) -> tuple[Floats, int]:
-    """Return the rows, and how many lines are none.
+    """Return the rows, and the number of other lines.
 
-    Sound tables are read at once; in others each field is looked at.
+    Intact tables are converted at once; in others each field is checked.
     """
     try:
         with warnings.catch_warnings():

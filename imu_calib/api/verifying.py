@@ -1,4 +1,4 @@
-"""The acceptance test of a calibration, by a recording that did not make it."""
+"""Acceptance test of a calibration with an independent recording."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from ..calibrator import Result
 
 _OTHER_TEMPERATURE = 5.0
-"""K between two sessions from which on it is said. A judgement: MEMS biases move by a tenth of a
-degree per second in it, those of fibre-optic gyros within their stability."""
+"""K between two sessions from which the difference is reported. A judgement: MEMS biases move by a
+tenth of a degree per second in it, those of fibre-optic gyros within their stability."""
 
 _THE_SAME = (
     'The calibration was made from this recording: its parameters were fitted to it, and what is '
@@ -55,22 +55,22 @@ def verify(
     progress: Progress = silent,
     **stated: Unpack[Verified],
 ) -> Verification:
-    """Hold a calibration against a recording.
+    """Compare a calibration with a recording.
 
     Args:
-        calibration: calibration.yaml, single or combined, or what was read from one.
+        calibration: calibration.yaml, single or combined, or a loaded calibration.
         bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
-        another_unit: Compare where calibration and recording name different units, too.
-        progress: Shows how far it is; nothing by default.
+        another_unit: Compare even if calibration and recording name different units.
+        progress: Shows the progress.
         **stated: The session, by the keywords of `calibrate` but `method` and `terms`; by default
-            the IMU is as the calibration says.
+            the IMU is that of the calibration.
 
     Returns:
-        The verdict on gyros and accelerometers, and what it rests on.
+        The verdict on gyros and accelerometers, with its evidence.
 
     Raises:
         InputError: Something is missing or unreadable, or the recording is of another unit.
-        NotObservable: The recording holds nothing to compare with.
+        NotObservable: The recording contains nothing to compare with.
 
     """
     loaded, name = as_applied(calibration)
@@ -87,17 +87,17 @@ def _verify(
     progress: Progress,
 ) -> Verification:
     streams = streams_of(stated, recording)
-    # What is not stated is left out: a plan gives names, a table attitudes.
+    # Omit what is not stated: a plan gives names, a table attitudes.
     plan = stated_plan(stated, recording) or UNPLANNED
     known = stated_imu(stated, recording, streams.imu)
     imu, says = (_described(first_of(loaded)), str(recording.path)) if known is None else known
     if not another_unit:
         serial = serial_of(stated, recording, streams.imu)
         _check_identity(loaded, name, imu, says, serial)
-    # A skewed gyro is not verified: nothing must wait for it.
+    # A skewed gyro is not verified: do not wait for it.
     imu = replace(imu, skewed=None)
     try:
-        # Made in the hand, it has gyros that do not show where the Earth turns.
+        # The gyros of a calibration in the hand do not show the direction of the Earth rate.
         origin = first_of(loaded).provenance
         by_hand = streams.joints is None and origin.get('method') == FREE_POSITIONS
         site = site_of(stated, recording, by_hand=by_hand)
@@ -123,7 +123,7 @@ def _verify(
 def _check_identity(
     calibration: AnyCalibration, name: str, imu: ImuSpec, where: str, serial: str
 ) -> None:
-    """Refuse another unit's calibration than the recording's, where both say whose they are."""
+    """Refuse the calibration of another unit, if calibration and recording name their units."""
     try:
         check_identity(calibration, name, imu.id, where, serial)
     except InputError as error:
@@ -133,7 +133,7 @@ def _check_identity(
 
 
 def _described(calibration: Calibration) -> ImuSpec:
-    """Return what the calibration knows of its IMU, the noise that made it included."""
+    """Return the calibration's description of its IMU, with the noise used for it."""
     imu = calibration.imu
     walk = np.nan_to_num(np.array(calibration.provenance.get('random_walk', [0.0] * 6), float))
     gyro, accel = np.sqrt(np.mean(walk.reshape(2, 3) ** 2, axis=1))
@@ -145,7 +145,7 @@ def _described(calibration: Calibration) -> ImuSpec:
 
 
 def _at(loaded: AnyCalibration, seen: Temperature | None) -> tuple[Calibration, list[str]]:
-    """Return the calibration at the recording's temperature, and what is to be said of it."""
+    """Return the calibration at the recording's temperature, and messages about it."""
     if isinstance(loaded, ThermalCalibration):
         if seen is None:
             raise InputError(
