@@ -18,12 +18,12 @@ _WIDTH, _HEIGHT, _LEFT, _TOP = 372.0, 250.0, 56.0, 52.0
 _FRAME = 300.0
 """px wide."""
 _LEAST = 0.02
-"""Of a value: the bar of one that is not known at all ends there."""
+"""Share of a value at which the error bar of an undetermined one ends."""
 _CHANNELS = 'xyz'
 
 
 def noise_plots(seen: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
-    """Draw one panel per triad, with the random walk of the data sheet where it is known."""
+    """Draw one panel per triad, with the random walk of the data sheet if it is known."""
     shown = [t for t in TRIADS if any(c in seen for c in t.channels)]
     if not shown:
         return ''
@@ -81,7 +81,7 @@ def _panel(
 
 
 def _clipped(panel: Panel, line: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Cut a line of slope -1/2 where it leaves the frame above or below."""
+    """Clip a line of slope -1/2 to the frame."""
     (first, high), (last, low) = line
     if high > panel.y.high:
         first, high = first * (high / panel.y.high) ** 2, panel.y.high
@@ -91,7 +91,7 @@ def _clipped(panel: Panel, line: list[tuple[float, float]]) -> list[tuple[float,
 
 
 def noise_table(seen: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
-    """Return the coefficients of all channels beside those of the data sheet."""
+    """Return a table of the coefficients of all channels and those of the data sheet."""
     rows = []
     for units in TRIADS:
         spec = TriadSpec() if imu is None else _of(units, imu)
@@ -118,11 +118,11 @@ def _both(coefficient: Coefficient, stated: float, scale: float) -> tuple[str, s
 
 
 def noise_notes(seen: Mapping[str, ChannelNoise], accel_rate: float | None = None) -> str:
-    """Say how the curves came about.
+    """Return sentences on how the curves were computed.
 
     Args:
         seen: By name of the channel.
-        accel_rate: Hz, at which accelerometers were sampled that were interpolated; None: were not.
+        accel_rate: Sample rate of interpolated accelerometers, Hz; None without interpolation.
 
     """
     if not seen:

@@ -1,4 +1,4 @@
-"""The parameters against the unit's specification: numbers, error bars, verdicts."""
+"""The parameters compared with the unit's specification: numbers, error bars, verdicts."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ LIMITS = (
     'Pass and fail are given where the value and its error bar of two standard deviations lie '
     'wholly on one side of the limit (ISO 14253-1); between them it is marginal.'
 )
-"""What the verdicts go by, for a person."""
+"""The rule of the verdicts, for the reader."""
 
 _WIDTH, _HEIGHT = 150.0, 16.0
 """px; layout."""
 _SHOWN = 1.4
-"""Limits that a bar reaches to either side."""
+"""Half the width of a bar, in limits."""
 _PLAIN = 5
 """Columns of a table without limits."""
 _OF_TERMS = {term.kind for term in TERMS}
@@ -40,13 +40,13 @@ _GROUPS: tuple[tuple[str, str, Collection[ParameterKind]], ...] = (
 
 @dataclass(frozen=True)
 class Assessed:
-    """A parameter with what is known of it, in SI units.
+    """A parameter with its estimate and limit, in SI units.
 
     Attributes:
-        parameter: Which.
-        value: As estimated.
+        parameter: The parameter.
+        value: Its estimate.
         std: Its standard deviation.
-        limit: Largest amount that the specification allows; None where it says nothing.
+        limit: Largest amount that the specification allows; None if it states none.
 
     """
 
@@ -57,12 +57,12 @@ class Assessed:
 
     @property
     def verdict(self) -> Verdict | None:
-        """What the value says of the limit; None without one."""
+        """The verdict on the value by its limit; None without one."""
         return None if self.limit is None else judge(self.value, self.std, self.limit)
 
 
 def assess(calibration: Calibration, specification: Specification | None) -> list[Assessed]:
-    """Return all parameters that were estimated, in the order of the covariance."""
+    """Return all estimated parameters, in the order of the covariance."""
     limits = specification or Specification()
     return [
         Assessed(parameter, float(value), float(std), limits.limit(parameter))
@@ -74,7 +74,7 @@ def assess(calibration: Calibration, specification: Specification | None) -> lis
 
 
 def summary(assessed: Sequence[Assessed]) -> str:
-    """Return how many parameters pass, in words."""
+    """Return the number of parameters that pass, as text."""
     counts = Counter(a.verdict for a in assessed)
     if not sum(counts[v] for v in Verdict):
         return 'No specification was given: values without verdicts.'
@@ -88,7 +88,7 @@ def summary(assessed: Sequence[Assessed]) -> str:
 
 
 def worst(assessed: Sequence[Assessed]) -> Verdict | None:
-    """Return the verdict on the unit: that of its worst parameter; None without any limit."""
+    """Return the verdict on the unit: that of its worst parameter; None without limits."""
     found = {a.verdict for a in assessed}
     for verdict in (Verdict.FAIL, Verdict.MARGINAL, Verdict.PASS):
         if verdict in found:
@@ -105,7 +105,7 @@ def tables(assessed: Sequence[Assessed]) -> str:
         ]
         if rows:
             headings = ['', 'kind', 'value', f'\u00b1 {COVERAGE:g} std', 'unit', 'limit', '', '']
-            # Without a limit there is nothing to show beside the value.
+            # Without a limit a bar has no reference.
             columns = len(headings) if any(row[-1] for row in rows) else _PLAIN
             shown = [row[:columns] for row in rows]
             kind = 'parameters limits' if columns > _PLAIN else 'parameters plain'
@@ -156,12 +156,12 @@ def _row(assessed: Assessed) -> list[str]:
 
 
 def badge(verdict: Verdict | None) -> str:
-    """Return a verdict as a coloured word."""
+    """Return a verdict as a coloured label."""
     return '' if verdict is None else tag('span', verdict.value, class_=f'badge {verdict.value}')
 
 
 def _bar(assessed: Assessed) -> str:
-    """Draw the value with its error bar against the limits to either side of zero."""
+    """Draw the value with its error bar between the limits on both sides of zero."""
     limit, middle = assessed.limit or 1.0, _HEIGHT / 2
 
     def across(value: float) -> float:

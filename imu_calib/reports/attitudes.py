@@ -1,4 +1,4 @@
-"""Where the unit stood: a small cube for every position, seen from the south-west and above."""
+"""Attitudes of the unit: a small cube for every position, seen from the south-west and above."""
 
 from __future__ import annotations
 
@@ -21,15 +21,17 @@ from .svg import drawing, joined, label, tag
 _SIDE, _HALF = 104.0, 21.0
 """px: of a drawing, and half of the cube's edge."""
 _AZIMUTH, _ELEVATION = -32 * DEG, 26 * DEG
-"""Of the eye: from south towards west, above level. No two of the six directions coincide."""
+"""Direction of view: from south towards west, and above level. No two of the six directions
+coincide."""
 _REACH = 1.95
-"""Half edges from the middle to an axis's letter; its line ends before."""
+"""Half edges from the centre to an axis's letter; its line ends before."""
 _ROOM = 11.0
 """px between letters: their height."""
 _MOST = 60
-"""Cubes; the rest is counted."""
+"""Number of cubes drawn; further ones are only counted."""
 _ALIGNED = np.cos(1 * DEG)
-"""An axis that is nearer to a direction is said to point there; names are in whole degrees."""
+"""Cosine of the largest angle between an axis and the direction that its text names; texts are in
+whole degrees."""
 _AXES = 'XYZ'
 _CLASSES = ('of-x', 'of-y', 'of-z')
 _WHERE = ('east', 'north', 'up')
@@ -49,9 +51,9 @@ class Stand:
     """A position with all static dwells at it.
 
     Attributes:
-        name: Of the position.
+        name: Name of the position.
         attitude: (3, 3) R_nb in east, north, up.
-        known: Whether the heading is; else only which way is up.
+        known: Whether the heading is known; else only the direction of up.
         dwells: In order of time.
 
     """
@@ -63,7 +65,7 @@ class Stand:
 
     @property
     def words(self) -> str:
-        """Where its axes point."""
+        """Directions of its axes, as text."""
         if not self.known:
             return up_words(self.attitude[2])
         words = [_pointing(self.attitude[:, k]) for k in range(3)]
@@ -73,7 +75,7 @@ class Stand:
 
     @property
     def when(self) -> str:
-        """When the first dwell began, and how long all of them took."""
+        """Start of the first dwell, and the total duration."""
         first, count = utc(self.dwells[0].start), len(self.dwells)
         seconds = sum(s.end - s.start for s in self.dwells) * 1e-9
         parts = [] if first is None else [f'{first:%H:%M:%S}']
@@ -82,7 +84,7 @@ class Stand:
 
 
 def _pointing(axis: Floats) -> str | None:
-    """Return the direction of the horizon, or up or down, that an axis points to."""
+    """Return the compass direction, or up or down, of an axis."""
     k = int(np.abs(axis).argmax())
     if abs(axis[k]) < _ALIGNED:
         return None
@@ -90,7 +92,7 @@ def _pointing(axis: Floats) -> str | None:
 
 
 def stands(result: Result) -> list[Stand]:
-    """Return the positions of a session in the order in which they were first taken."""
+    """Return the positions of a session in the order of their first dwells."""
     found: dict[str, list[Segment]] = {}
     for segment in result.labelled.segments:
         found.setdefault(segment.position or '?', []).append(segment)
@@ -108,7 +110,7 @@ def _stand(name: str, dwells: tuple[Segment, ...]) -> Stand:
 
 
 def attitudes(found: Sequence[Stand]) -> str:
-    """Draw every position as a cube with its axes, and say when it was taken."""
+    """Draw every position as a cube with its axes, and its time."""
     if not found:
         return ''
     figures = [_figure(stand) for stand in found[:_MOST]]
@@ -129,11 +131,11 @@ def _figure(stand: Stand) -> str:
 
 
 def cube(attitude: Floats, title: str) -> str:
-    """Draw a cube whose axes point where those of a unit do.
+    """Draw a cube with the axes of a unit.
 
     Args:
         attitude: (3, 3) R_nb: columns are the body axes in east, north, up.
-        title: For those who cannot see it.
+        title: Alternative text.
 
     """
     toward = _toward_eye()
@@ -160,7 +162,7 @@ def _toward_eye() -> Floats:
 
 
 def _screen(point: Floats) -> tuple[float, float]:
-    """Return where a point (3,) in half edges, east, north, up, is seen, px."""
+    """Return the screen position of a point (3,) in half edges, east, north, up, px."""
     right = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
     above = np.cross(_toward_eye(), right)
     middle = _SIDE / 2
@@ -168,7 +170,7 @@ def _screen(point: Floats) -> tuple[float, float]:
 
 
 def _face(attitude: Floats, k: int, sign: int) -> str:
-    """Return the face that an axis leaves the cube by, or enters it by."""
+    """Return the face through which an axis leaves the cube, or enters it."""
     first, second = (attitude[:, (k + step) % 3] for step in (1, 2))
     middle = sign * attitude[:, k]
     corners = [middle + a * first + b * second for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
@@ -184,7 +186,7 @@ def _arrow(axis: Floats, k: int) -> str:
 
 
 def _letters(places: Sequence[tuple[bool, int, tuple[float, float]]]) -> list[str]:
-    """Return the names of the axes; one behind another moves away from it."""
+    """Return the names of the axes; overlapping ones are moved apart."""
     taken: list[tuple[float, float]] = []
     parts = []
     for _, k, (x, place) in sorted(places):

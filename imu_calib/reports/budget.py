@@ -1,4 +1,4 @@
-"""The uncertainty budget for people: tables for the screen, a picture for the report."""
+"""The uncertainty budget: tables for the terminal, a picture for the report."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from .parameter_table import decimals, engineering
 from .svg import drawing, label, tag
 
 _LEAST = 0.005
-"""A source below half a percent of every variance has no column: it would show as zero."""
+"""A source below half a percent of every variance has no column: it would be shown as zero."""
 
 _COLUMNS = 80
-"""Letters of a line on a terminal."""
+"""Characters of a line on a terminal."""
 _NAME = 9
-"""Letters of the longest name of a parameter."""
+"""Characters of the longest name of a parameter."""
 _WIDTH, _LEFT, _ROW, _BAR = 760.0, 58.0, 19.0, 15.0
 """px; layout."""
 _MARGIN = 24.0
 """px."""
 _LETTER = 6.6
-"""px: mean width of a letter."""
+"""px: mean width of a character."""
 _LEGEND_ROW = 18.0
 """px."""
 _MANY = 1000.0
-"""Degrees of freedom beyond which the coverage factor is that of a Gaussian."""
+"""Degrees of freedom above which the coverage factor is that of a Gaussian."""
 
 _COLOURS = {
     Source.NOISE: '#0072b2',
@@ -64,7 +64,7 @@ _COLOURS = {
     Source.TERMS: '#2f6f6f',
     Source.OTHER_UNITS: '#9db4c0',
 }
-"""Neighbours differ in lightness too, for readers that do not tell the hues apart."""
+"""Neighbours also differ in lightness, for colour-blind readers."""
 
 _OTHER_COLOUR = '#b8bcc2'
 _NONE = 'The method does not say where its uncertainty comes from: there is no budget.'
@@ -72,13 +72,13 @@ _NONE = 'The method does not say where its uncertainty comes from: there is no b
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """A budget as it is shown.
+    """The shown part of a budget.
 
     Attributes:
-        parameters: (p,) those that were estimated.
-        rows: (p,) their places in the calibration.
+        parameters: (p,) the estimated ones.
+        rows: (p,) their indices in the calibration.
         budget: Of all parameters.
-        wide: (k,) which sources have a column of their own.
+        wide: (k,) which sources have a separate column.
 
     """
 
@@ -136,12 +136,12 @@ _EXPANDED = ('parameter', 'std', 'dof', 'k', f'U {PROBABILITY:.0%}', 'unit')
 
 
 def freedom_words(value: float) -> str:
-    """Return degrees of freedom; where they are many, k does not depend on them any more."""
+    """Return degrees of freedom as text; if they are many, k does not depend on them."""
     return f'{value:.0f}' if value < _MANY else f'>{_MANY:.0f}' if np.isfinite(value) else 'inf'
 
 
 def _percent(fraction: float) -> str:
-    """Return a share in percent; below one percent with a digit behind the point.
+    """Return a share in percent; below one percent with one decimal.
 
     Examples:
         >>> _percent(0.996), _percent(0.004), _percent(1e-9), _percent(0.0)
@@ -155,9 +155,9 @@ def _percent(fraction: float) -> str:
 
 
 def budget_tables(calibration: Calibration) -> list[Table | str]:
-    """Return what a terminal of 80 columns shows of a budget: tables and lines of text.
+    """Return the tables and lines of a budget for a terminal of 80 columns.
 
-    Expanded uncertainties first, then the shares in the variances, then what the columns mean.
+    The expanded uncertainties, then the shares of the variances, then the meaning of the columns.
     """
     if calibration.budget is None:
         return [_NONE]
@@ -183,7 +183,7 @@ def budget_tables(calibration: Calibration) -> list[Table | str]:
 
 
 def _share_tables(shown: _Shown) -> list[Table | str]:
-    """Return the shares, in as many tables as 80 columns need."""
+    """Return the shares, in as many tables as 80 columns require."""
     headings, fractions = shown.headings, shown.fractions
     ends = np.cumsum([max(4, len(h)) + 2 for h in headings])
     found: list[Table | str] = []
@@ -199,14 +199,14 @@ def _share_tables(shown: _Shown) -> list[Table | str]:
 
 
 def _range(freedom: Floats, std: Floats) -> str:
-    """Return the degrees of freedom of a source where it contributes, from least to most."""
+    """Return the range of degrees of freedom of a source over its contributions."""
     counted = freedom[std > 0]
     low, high = freedom_words(float(counted.min())), freedom_words(float(counted.max()))
     return low if low == high else f'{low} to {high}'
 
 
 def budget_section(calibration: Calibration) -> list[str]:
-    """Return picture, note and tables of a budget for the report; empty without one."""
+    """Return picture, note and tables of a budget for the report; empty without a budget."""
     if calibration.budget is None:
         return []
     shown = _Shown.of(calibration, calibration.budget)
@@ -215,7 +215,7 @@ def budget_section(calibration: Calibration) -> list[str]:
 
 
 def budget_parts(calibration: Calibration, budget: Budget, words: str) -> list[str]:
-    """Return a note that begins with some words, the sources, and their shares in percent."""
+    """Return a note that begins with `words`, the sources, and their shares in percent."""
     shown = _Shown.of(calibration, budget)
     rows = [
         [
@@ -271,7 +271,7 @@ def _picture(shown: _Shown) -> str:
 
 
 def _legend(headings: list[str], colours: list[str]) -> tuple[list[str], float]:
-    """Return the names of the colours, in rows, and where they end."""
+    """Return the names of the colours, in rows, and the bottom of the rows."""
     parts, x, y = [], _LEFT, 4.0
     for heading, colour in zip(headings, colours, strict=True):
         width = 34 + _LETTER * len(heading)
@@ -311,7 +311,7 @@ def _bar(
 
 
 def _dark(colour: str) -> bool:
-    """Say whether white letters are read better on a colour than black ones.
+    """Return whether white text on a colour is easier to read than black text.
 
     Source: WCAG 2.1, relative luminance; at 0.179 the contrast with black and white is the same.
     """

@@ -1,4 +1,4 @@
-"""How the standard deviations of a running session fall, beside what its plan predicts."""
+"""Standard deviations of a running session over time, and the plan's prediction."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from ..specification import Specification, Verdict, judge
 from .parameter_table import engineering, three_digits
 
 _MOST_POINTS = 120
-"""Of a course: more than a drawing of 120 px can show."""
+"""Most points of a course: more than a drawing of 120 px can show."""
 _NEWS = 0.01
-"""Share by which a deviation changes before it is a point of its course. A judgement: a pixel."""
+"""Relative change of a deviation that adds a point to its course. A judgement: a pixel."""
 _THERE = 1.1
-"""Times the prediction at which it counts as reached. A judgement: 10 % of a standard deviation
-takes 50 degrees of freedom to be determined."""
+"""Ratio to the prediction at which it counts as reached. A judgement: a standard deviation is
+determined to 10 % with 50 degrees of freedom."""
 
 
 @dataclass(frozen=True)
 class Converging:
-    """One parameter of a session that runs; SI units.
+    """One parameter of a running session; SI units.
 
     Attributes:
-        parameter: Which.
-        value: As estimated so far; NaN while there is none.
+        parameter: The parameter.
+        value: Estimated so far; NaN before the first estimate.
         std: Reached so far; NaN while it is not determined.
-        predicted: What the plan will reach; NaN where nothing is predicted.
-        limit: Largest amount that the specification allows; None where it says nothing.
+        predicted: Prediction of the plan; NaN without one.
+        limit: Largest amount that the specification allows; None if it states none.
         course: Times (s since the session began) with the standard deviations reached then.
 
     """
@@ -47,34 +47,34 @@ class Converging:
 
     @property
     def there(self) -> bool:
-        """Whether it is as well known as the plan predicts."""
+        """Whether the predicted standard deviation is reached."""
         return self.std <= _THERE * self.predicted
 
     @property
     def verdict(self) -> Verdict | None:
-        """What the value so far says of the limit; None without either."""
+        """The verdict on the value so far by its limit; None without either."""
         if self.limit is None or math.isnan(self.value) or not self.determined:
             return None
         return judge(self.value, self.std, self.limit)
 
     @property
     def unit(self) -> str:
-        """The unit in which engineers write it."""
+        """The unit used by engineers."""
         return engineering(self.parameter).unit.replace('ug', '\u00b5g')
 
     def shown(self, amount: float) -> str:
-        """Return an amount in that unit with three digits; a dash for what is not known."""
+        """Return an amount in that unit with three digits; a dash if it is unknown."""
         if math.isnan(amount):
             return '\u2013'
         return three_digits(amount / engineering(self.parameter).scale)
 
 
 class Courses:
-    """Collects the standard deviations that a calibrator reports one after the other.
+    """Collects the standard deviations that a calibrator reports in succession.
 
     Args:
-        parameters: What the session's method estimates, by name.
-        predicted: Standard deviations by name, SI; NaN or absent where nothing is predicted.
+        parameters: Parameters that the session's method estimates.
+        predicted: Standard deviations by name, SI; NaN or absent without a prediction.
         specification: The limits of the unit; None without.
 
     """
@@ -93,7 +93,7 @@ class Courses:
         self._values: dict[str, float] = {}
 
     def note(self, time: float, names: Sequence[str], std: Sequence[float]) -> None:
-        """Take the deviations reached up to a time, s since the session began."""
+        """Add the deviations reached at a time, s since the session began."""
         for name, value in zip(names, std, strict=True):
             self._std[name] = value
             if not value > 0:
@@ -106,16 +106,16 @@ class Courses:
                 del points[1:-1:2]
 
     def value(self, name: str, value: float) -> None:
-        """Take the value of a parameter, SI."""
+        """Set the value of a parameter, SI."""
         self._values[name] = value
 
     def begin(self) -> None:
-        """Forget what was reached: another session begins."""
+        """Reset for another session."""
         for kept in (self._points, self._std, self._values):
             kept.clear()
 
     def rows(self) -> tuple[Converging, ...]:
-        """Return all parameters as they are now."""
+        """Return the present state of all parameters."""
         return tuple(
             Converging(
                 parameter,

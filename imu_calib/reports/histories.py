@@ -23,7 +23,7 @@ _HEADS = (*_SIZES, 'outside', 'outliers')
 
 
 def by_urgency(units: Sequence[UnitHistory]) -> list[UnitHistory]:
-    """Return units in the order in which they need attention: outside, due, then by date."""
+    """Return units by urgency: outside, due, then by date."""
 
     def key(unit: UnitHistory) -> tuple[bool, np.datetime64, bool, str, str]:
         due = unit.forecast.recalibrate

@@ -1,4 +1,4 @@
-"""The few elements of HTML that the report is made of, well-formed as XML too."""
+"""The HTML elements of the report, well-formed also as XML."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from html import escape
 from .svg import tag
 
 _STATIC = "default-src 'none'; style-src 'unsafe-inline'"
-"""What a page may load that is read only: nothing but the style in it."""
+"""Policy of a static page: only its own style."""
 
 
 def document(title: str, body: str, style: str, policy: str = _STATIC) -> str:
-    """Return a whole HTML file.
+    """Return a complete HTML file.
 
     Args:
         title: Plain text.
@@ -43,7 +43,7 @@ def table(
         headings: Plain texts.
         rows: Cells as HTML.
         kind: Class of the table.
-        numbers: For every column 'r' where it is aligned at the right, else 'l'.
+        numbers: For every column 'r' if it is right-aligned, else 'l'.
 
     """
     sides = numbers or 'l' * len(headings)
@@ -65,12 +65,12 @@ def table(
 
 
 def scrolling(content: str) -> str:
-    """Return what scrolls by itself where a screen is narrower, so that the page does not."""
+    """Return content that scrolls by itself on a narrow screen."""
     return tag('div', content, class_='wide')
 
 
 def named_rows(rows: Sequence[tuple[str, str]]) -> str:
-    """Return a table of plain texts, each behind its name."""
+    """Return a table of plain texts with their names."""
     body = ''.join(
         tag('tr', tag('th', escape(name), scope='row') + tag('td', escape(value) or '-'))
         for name, value in rows
@@ -79,7 +79,7 @@ def named_rows(rows: Sequence[tuple[str, str]]) -> str:
 
 
 def section(title: str, *content: str, kind: str = '') -> str:
-    """Return a section with a heading; empty where it has no content."""
+    """Return a section with a heading; empty without content."""
     inside = ''.join(content)
     if not inside:
         return ''
@@ -106,5 +106,5 @@ def facts(pairs: Sequence[tuple[str, str]]) -> str:
 
 
 def _sentence(text: str) -> str:
-    """Return plain text in which the names of keywords, `imu_topic`, are set as code."""
+    """Return plain text with the names of keywords, such as `imu_topic`, as code."""
     return re.sub('`([a-z_]+)`', r'<code>\1</code>', escape(text))

@@ -1,4 +1,4 @@
-"""The noise that a session showed, in the units of data sheets."""
+"""The noise of a session in the units of data sheets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .parameter_table import decimals, three_digits
 
 
 def noise_lines(calibration: Calibration) -> list[str]:
-    """Return a line per triad: what was seen beside what the IMU's file states."""
+    """Return a line per triad: measured noise, and that of the IMU's file."""
     seen = calibration.noise
     lines = []
     for units, spec in zip(TRIADS, (calibration.imu.gyro, calibration.imu.accel), strict=True):
@@ -36,7 +36,7 @@ def _listed(coefficients: Sequence[Coefficient], scale: float) -> str:
 
 
 def written(coefficient: Coefficient, scale: float) -> str:
-    """Return a coefficient with its deviation, or what it is below; in the unit of `scale`."""
+    """Return a coefficient with its deviation, or its upper limit, in the unit of `scale`."""
     if coefficient.value is not None and coefficient.std is not None:
         if coefficient.std == 0:
             return f'{coefficient.value / scale:.3g}'

@@ -1,4 +1,4 @@
-"""The report: one HTML file that needs nothing else, neither network nor script."""
+"""The report: one self-contained HTML file without network and script."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from .terms import terms_section
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """What a report is written from.
+    """Contents of a report.
 
     Attributes:
         calibration: The result.
         name: Of its file.
-        imu: The unit's description with its specification and data sheet; None where not given.
-        result: What the recording gives when it is calibrated anew; None without a recording.
-        others: Further calibrations of the unit by name, to compare with.
+        imu: The unit's description with its specification and data sheet; None if not given.
+        result: Result of calibrating the recording again; None without a recording.
+        others: Further calibrations of the unit by name, for comparison.
 
     """
 
@@ -42,7 +42,7 @@ class Contents:
 def page(contents: Contents) -> str:
     """Return the report as HTML.
 
-    The same contents give the same text: nothing in it depends on when or where it is written.
+    Equal contents give equal text, independent of time and place.
 
     Raises:
         InputError: The calibrations to compare are not of one unit.

@@ -1,4 +1,4 @@
-"""The parameters in the units that engineers write; every table of them is made here."""
+"""The parameters in engineering units; all tables of parameters are created here."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ _OF_TERMS = {term.kind for term in TERMS}
 
 @dataclass(frozen=True)
 class Shown:
-    """How a parameter is shown: its unit in words, and the unit's SI value."""
+    """Display of a parameter: its unit as text, and the unit's SI value."""
 
     unit: str
     scale: float
 
 
 def engineering(parameter: Parameter) -> Shown:
-    """Return the unit in which engineers write a parameter."""
+    """Return the unit that engineers use for a parameter."""
     return Shown(parameter.unit.shown, parameter.unit.scale)
 
 
 def decimals(deviation: float) -> int:
-    """Return how many decimals show a standard deviation with two significant digits."""
+    """Return the decimals that show a standard deviation with two significant digits."""
     if not np.isfinite(deviation) or deviation <= 0:
         return 4
     return int(np.clip(1 - np.floor(np.log10(deviation)), 0, 9))
 
 
 def three_digits(value: float) -> str:
-    """Return a number with three significant digits, large ones whole.
+    """Return a number with three significant digits, large ones as integers.
 
     Examples:
         >>> three_digits(0.012345), three_digits(2231.7)
@@ -47,7 +47,7 @@ def three_digits(value: float) -> str:
 
 
 def change_table(calibration: Calibration) -> Table | None:
-    """Return what terms of the session found; None where none were asked for."""
+    """Return the estimated terms of the session; None without requested terms."""
     if calibration.changes is None:
         return None
     table = plain_table(('term', 'of', 'value', 'std', 'unit'), 'llrrl')
@@ -58,7 +58,7 @@ def change_table(calibration: Calibration) -> Table | None:
 
 
 def change_note(calibration: Calibration) -> str:
-    """Say of which state the parameters are, and what becomes of the coefficients."""
+    """Return a sentence on the state of the parameters and the use of the coefficients."""
     changes = calibration.changes
     if changes is None:
         return ''
@@ -78,11 +78,11 @@ def change_note(calibration: Calibration) -> str:
 
 
 def parameter_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
-    """Return the parameters that were estimated: value, standard deviation, unit.
+    """Return the estimated parameters: value, standard deviation, unit.
 
     Args:
-        calibration: What to show.
-        truth: What a simulation was given; adds the error in standard deviations.
+        calibration: The calibration.
+        truth: True parameters of a simulation; adds the error in standard deviations.
 
     """
     table = _headed('parameter', against_truth=truth is not None)
@@ -110,7 +110,7 @@ def _headed(first: str, *, against_truth: bool) -> Table:
 
 
 def _cells(value: float, deviation: float, unit: str, true: float | None) -> list[str]:
-    """Return what follows the name in such a table, in shown units."""
+    """Return the cells after the name in such a table, in display units."""
     places = decimals(deviation)
     cells = [f'{value:.{places}f}', f'{deviation:.{places}f}', unit]
     if true is not None:
@@ -123,17 +123,17 @@ FREE_OF_FRAME = (
     'xy: 90 deg minus the angle between the input axes x and y. X: rotation of the gyro triad '
     "about X against the accelerometers. None of these depends on the table's frame."
 )
-"""What `angle_table` shows, for a person."""
+"""Explanation of `angle_table`."""
 
 
 def parameter_tables(
     calibration: Calibration, truth: Calibration | None = None
 ) -> list[Table | str]:
-    """Return what a terminal shows of a calibration: its parameters, and its angles.
+    """Return the tables of a calibration for a terminal: parameters and angles.
 
     Args:
-        calibration: What to show.
-        truth: What a simulation was given; adds the errors in standard deviations.
+        calibration: The calibration.
+        truth: True parameters of a simulation; adds the errors in standard deviations.
 
     """
     angles = angle_table(calibration, truth)
@@ -144,8 +144,8 @@ def angle_table(calibration: Calibration, truth: Calibration | None = None) -> T
     """Return the angles between input axes: value, standard deviation, unit.
 
     Args:
-        calibration: What to show.
-        truth: What a simulation was given; adds the error in standard deviations.
+        calibration: The calibration.
+        truth: True parameters of a simulation; adds the error in standard deviations.
 
     """
     table = _headed('free of frame', against_truth=truth is not None)
@@ -162,6 +162,6 @@ def angle_table(calibration: Calibration, truth: Calibration | None = None) -> T
 
 
 def section_of(parameter: Parameter) -> tuple[object, ...]:
-    """Return what parameters of one section of a table have in common."""
+    """Return the key that parameters of one section of a table have in common."""
     kind = parameter.kind if parameter.kind in _OF_TERMS else None
     return parameter.triad, parameter.row >= len(AXES), kind

@@ -1,4 +1,4 @@
-"""Where a calibration comes from, in words and in units that people write."""
+"""The origin of a calibration as text, in engineering units."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ Facts = Mapping[str, object]
 
 _APART = ' \u00b1 '
 _ELSEWHERE = frozenset({'noise', 'tests_of_terms'})
-"""Have sections of their own."""
+"""Entries that have separate sections."""
 _CHANNELS = ('gx', 'gy', 'gz', 'ax', 'ay', 'az')
 _PER_CHANNEL = (
     ('random_walk', 'random walk used', ('deg/\u221ah', DEG / 60), ('(m/s)/\u221ah', 1 / 60)),
     ('residual_rms', 'RMS of the residuals', ('deg/h', DEG_H), ('\u00b5g', MICRO_G)),
     ('bias_wander', 'bias drift allowed for', ('deg/h', DEG_H), ('\u00b5g', MICRO_G)),
 )
-"""Key, words, and the units of gyros and accelerometers."""
+"""Key, text, and the units of gyros and accelerometers."""
 
 
 def number(facts: Facts, key: str) -> float | None:
-    """Return a finite number; None where there is none."""
+    """Return a finite number, else None."""
     value = facts.get(key)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
         return None
@@ -41,7 +41,7 @@ def count(value: object) -> str:
 
 
 def date(facts: Facts, key: str = 'recorded') -> str:
-    """Return a date as people write it; what is no date as it stands."""
+    """Return a date as text; other entries unchanged."""
     text = facts.get(key)
     if text is None:
         return 'no date: the stamps do not count from 1970'
@@ -239,12 +239,12 @@ _GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ..
         ),
     ),
 )
-"""Heading, and rows: name, words, and the keys that they tell."""
+"""Heading, and rows: name, text, and the keys that they cover."""
 _TOLD = {key for _, rows in _GROUPS for _, _, keys in rows for key in keys}
 
 
 def provenance(calibration: Calibration) -> str:
-    """Return all that a file says of where its calibration comes from."""
+    """Return the complete provenance in a calibration."""
     facts = calibration.provenance
     if not facts:
         return ''
@@ -265,7 +265,7 @@ def provenance(calibration: Calibration) -> str:
 
 
 def _per_channel(facts: Facts) -> str:
-    """Return what there is one of for each channel as a table, in units of data sheets."""
+    """Return a table of the entries for each channel, in units of data sheets."""
     rows = []
     for key, words, *units in _PER_CHANNEL:
         values = facts.get(key)
@@ -286,7 +286,7 @@ def _scaled(value: object, scale: float) -> str:
 
 
 def _flat(tree: Facts, above: str = '') -> list[tuple[str, str]]:
-    """Return unknown entries as pairs: other software may write into a file."""
+    """Return unknown entries as pairs: other software may add entries to a file."""
     pairs: list[tuple[str, str]] = []
     for key, value in tree.items():
         name = f'{above}{key}'.replace('_', ' ')

@@ -1,4 +1,4 @@
-"""How long a session still takes by the clock on the wall, and the words for it."""
+"""Remaining time of a session by the wall clock, and its text."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from collections import deque
 from datetime import datetime, timedelta
 
 _SPAN = 20.0
-"""s of the wall clock over which the stand's time is compared with it: longer than a table takes
-from one position to the next, in which simulated time runs unevenly."""
+"""s of the wall clock over which the stand's time is compared with it: longer than the motion of a
+table between positions, during which simulated time advances unevenly."""
 _LEAST = 2.0
-"""s before the comparison counts."""
+"""s before the comparison is used."""
 _REAL = 0.1
-"""Share by which the stand's time may differ from the wall clock and be called the same: stamps
-come twice a second."""
+"""Relative difference up to which the stand's time and the wall clock count as equal: stamps come
+twice a second."""
 
 
 class Pace:
-    """Compares the stand's time with the clock on the wall."""
+    """Compares the stand's time with the wall clock."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, float]] = deque()
 
     def note(self, stamp: float, now: float) -> None:
-        """Take a stamp of the stand that came in at a time of the steady clock, both s."""
+        """Add a stamp of the stand, received at a time of the steady clock, both s."""
         if self._seen and (stamp < self._seen[-1][0] or now < self._seen[-1][1]):
             self._seen.clear()
         self._seen.append((stamp, now))
@@ -32,7 +32,7 @@ class Pace:
 
     @property
     def speed(self) -> float:
-        """Seconds of the stand in a second on the wall; 1 until more is known."""
+        """Seconds of the stand per second of the wall clock; 1 until it is known."""
         if len(self._seen) < 2:
             return 1.0
         (stamp, begun), (last, now) = self._seen[0], self._seen[-1]
@@ -43,7 +43,7 @@ class Pace:
 
 
 def in_words(seconds: float) -> str:
-    """Return a duration in two units at most.
+    """Return a duration in at most two units.
 
     Examples:
         >>> in_words(42.0), in_words(754.0), in_words(7260.0)
@@ -60,6 +60,6 @@ def in_words(seconds: float) -> str:
 
 
 def ends_at(seconds: float, now: datetime) -> str:
-    """Return when it is over: the time of day, with the date where that is another one."""
+    """Return the time of day of the end, with the date if that is another day."""
     end = now + timedelta(seconds=seconds)
     return f'{end:%H:%M}' if end.date() == now.date() else f'{end:%Y-%m-%d %H:%M}'

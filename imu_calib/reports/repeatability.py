@@ -1,4 +1,4 @@
-"""Several calibrations of one unit: do they repeat within what they state, and do they drift."""
+"""Compare calibrations of one unit: repeatability within the stated deviations, and drift."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from .small import panels, small
 from .svg import tag
 
 _SURPRISING = 0.001
-"""Probability of chance below which sessions scatter."""
+"""Probability of chance below which the scatter of sessions is significant."""
 _SIGNIFICANT = 3.0
-"""Standard deviations: a drift by chance in one of 370 parameters."""
+"""Standard deviations: exceeded by chance in one of 370 parameters."""
 _DAY = 86400.0
 """s."""
 _FEWEST_FOR_A_DRIFT = 3
-"""Dates: two always lie on a line."""
+"""Number of dates: two always lie on a line."""
 _ALIKE = 1e-6
-"""Relative: scale factors that differ by more make other parameters."""
+"""Relative: scale factors that differ by more define other parameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +37,11 @@ class RepeatedParameter:
     """One parameter in several calibrations, SI units.
 
     Attributes:
-        parameter: Which.
-        value: (n,) as estimated.
-        std: (n,) as stated.
-        days: (n,) when, days after the first; None where a calibration has no date.
-        first: Date of the first; None where a calibration has none.
+        parameter: The parameter.
+        value: (n,) estimates.
+        std: (n,) stated standard deviations.
+        days: (n,) days after the first; None if a calibration has no date.
+        first: Date of the first; None if a calibration has none.
 
     """
 
@@ -63,9 +63,9 @@ class RepeatedParameter:
 
     @property
     def chance(self) -> float:
-        """Probability of so large a spread if the stated deviations were all there is.
+        """Probability of at least this spread if only the stated deviations cause it.
 
-        Chi-squared about the weighted mean.
+        Chi-square about the weighted mean.
         """
         weights = 1 / np.maximum(self.std, 1e-300) ** 2
         mean = weights @ self.value / weights.sum()
@@ -75,8 +75,8 @@ class RepeatedParameter:
     def drift(self) -> tuple[float, float] | None:
         """Slope and its standard deviation, per day; None without three different dates.
 
-        Weighted least squares; the deviation is widened where the values scatter more about the
-        line than is stated.
+        Weighted least squares; the deviation is enlarged if the values scatter about the line by
+        more than is stated.
         """
         if self.days is None or len(set(self.days.tolist())) < _FEWEST_FOR_A_DRIFT:
             return None
@@ -90,10 +90,10 @@ class RepeatedParameter:
 
 
 def date_of(calibration: Calibration) -> datetime | None:
-    """Return when the recording of a calibration began; None where it does not say.
+    """Return when the recording of a calibration began; None if it is not stated.
 
     Raises:
-        InputError: What it says is no date.
+        InputError: The entry is not a date.
 
     """
     text = calibration.provenance.get('recorded')
@@ -108,7 +108,7 @@ def date_of(calibration: Calibration) -> datetime | None:
 
 
 def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[RepeatedParameter]:
-    """Line up the parameters that all calibrations have.
+    """Collect the parameters that all calibrations have.
 
     Args:
         calibrations: At least two, of one unit.
@@ -138,7 +138,7 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
     days = None
     if len(known) == len(dates):
         days = np.array([(d - min(known)).total_seconds() / _DAY for d in known])
-    # Calibrations of one place share the error of its gravity: it makes none of them differ.
+    # Calibrations at one site share the error of gravity: it does not contribute to differences.
     where = first.provenance
     shared = all(
         same_place(c, where.get('gravity'), where.get('latitude_deg')) for c in calibrations
@@ -163,7 +163,7 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
 
 
 def repeatability_table(rows: Sequence[RepeatedParameter]) -> str:
-    """Return spread against stated deviation, and the drift, of every parameter."""
+    """Return spread, stated deviation and drift of every parameter."""
     cells = []
     for row in rows:
         shown = engineering(row.parameter)
@@ -206,7 +206,7 @@ def _verdict(row: RepeatedParameter) -> str:
 
 
 def overlay(rows: Sequence[RepeatedParameter]) -> str:
-    """Draw every parameter over time, or over the order given where dates are missing."""
+    """Draw every parameter over time, or in the given order if dates are missing."""
     return panels([_over_time(row) for row in rows])
 
 
@@ -223,7 +223,7 @@ def _over_time(row: RepeatedParameter) -> str:
 
 
 def _ends(row: RepeatedParameter) -> tuple[str, str]:
-    """Return the first and the last date; of one day, the times."""
+    """Return the first and the last date; on one day, the times."""
     assert row.days is not None
     last = float(row.days.max())
     if row.first is None:
@@ -234,7 +234,7 @@ def _ends(row: RepeatedParameter) -> tuple[str, str]:
 
 
 def dates_table(calibrations: Sequence[Calibration], names: Sequence[str]) -> str:
-    """Return the files that are compared, with the dates of their recordings."""
+    """Return the compared files with the dates of their recordings."""
     return named_rows(
         [
             (name, 'no date' if date is None else f'recorded {date:%Y-%m-%d %H:%M} UTC')
@@ -244,7 +244,7 @@ def dates_table(calibrations: Sequence[Calibration], names: Sequence[str]) -> st
 
 
 def repeatability_notes(rows: Sequence[RepeatedParameter]) -> str:
-    """Say in words what the comparison shows."""
+    """Return sentences on the result of the comparison."""
     count = len(rows[0].value)
     drifting = [r.parameter.name for r in rows if 'drifts' in _verdict(r)]
     scattering = [r.parameter.name for r in rows if 'scatters' in _verdict(r)]

@@ -1,4 +1,4 @@
-"""What the model leaves unexplained of each static dwell, plain and in standard deviations."""
+"""Residuals of each static dwell, in units and in standard deviations."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from .svg import Axis, Panel, drawing, label, legend
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
 """px; layout."""
 _LABELS = 24
-"""That stand side by side."""
+"""Most names side by side below a plot."""
 _LETTER = 6.4
-"""px: mean width of a letter."""
+"""px: mean width of a character."""
 _EXPECTED = 3.0
-"""Standard deviations, drawn as lines: one residual of 370 lies beyond."""
+"""Standard deviations, drawn as lines: one residual of 370 is beyond."""
 _LEAST_RANGE = 3.5
-"""Standard deviations that a plot shows at least, so that its limits are seen."""
+"""Smallest range of a plot in standard deviations, so that its limits are visible."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Residuals:
 
     Attributes:
         positions: Name of every static dwell.
-        value: (s, 6) rad/s and m/s^2; NaN where a triad was not estimated.
+        value: (s, 6) rad/s and m/s^2; NaN if a triad was not estimated.
         std: (s, 6) standard deviation of each static dwell's own mean; None without the recording.
 
     """
@@ -44,7 +44,7 @@ class Residuals:
 
     @property
     def numbered(self) -> bool:
-        """Whether the names are too long to stand side by side below a plot."""
+        """Whether the names are too long to fit side by side below a plot."""
         room = (_WIDTH - _LEFT - 12) / min(max(len(self.positions), 1), _LABELS)
         return max(map(len, self.positions), default=0) * _LETTER > room
 
@@ -59,7 +59,7 @@ class Residuals:
 
 
 def residuals_of(calibration: Calibration, result: Result | None) -> Residuals:
-    """Return the residuals of a calibration, with their deviations where its recording is there."""
+    """Return the residuals of a calibration, with deviations if its recording is available."""
     rows = calibration.residuals
     value = np.array([[*r.gyro, *r.accel] for r in rows], dtype=float).reshape(-1, 6)
     std = None
@@ -69,7 +69,7 @@ def residuals_of(calibration: Calibration, result: Result | None) -> Residuals:
 
 
 def residual_plots(residuals: Residuals) -> str:
-    """Draw the residuals of both triads, and below them what they are in standard deviations."""
+    """Draw the residuals of both triads, and below them the same in standard deviations."""
     if not residuals.positions:
         return ''
     both = [
@@ -132,7 +132,7 @@ def _panel(
 
 
 def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
-    """Say how large the residuals are, and how many stand out."""
+    """Return sentences on the size of the residuals, and on outliers."""
     parts = []
     if residuals.numbered:
         named = '; '.join(f'{k + 1} {name}' for k, name in enumerate(residuals.positions))

@@ -1,4 +1,4 @@
-"""Calibrations of several units beside each other: a column for each unit."""
+"""Calibrations of several units side by side: a column for each unit."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from ..units import ARCSEC, DEG
 from .parameter_table import decimals, engineering
 
 _COARSE = 60 * ARCSEC
-"""Standard deviation from which on an angle is given in degrees."""
+"""Standard deviation from which an angle is shown in degrees."""
 _ANY = 90 * DEG
-"""Prior deviation of a heading that may be any."""
+"""Prior standard deviation of an unknown heading."""
 _AT_ONCE = 8
-"""Units of one table: their columns and the parameters' names are 110 letters, half a screen."""
+"""Units of one table: with the parameters' names they are 110 characters wide, half a screen."""
 
 
 def comparison_tables(units: Sequence[tuple[str, Calibration]]) -> Iterator[Table]:
-    """Yield tables of all parameters that any unit has, eight units in each.
+    """Yield tables of all parameters that any unit has, with eight units in each.
 
     Args:
         units: Serial numbers with calibrations.
@@ -37,7 +37,7 @@ def comparison_tables(units: Sequence[tuple[str, Calibration]]) -> Iterator[Tabl
 
 
 def seen_table(seen: TableSeen) -> Table:
-    """Return what several units found of their table, beside what was known beforehand."""
+    """Return the table errors estimated from several units, with their prior values."""
     table = plain_table(('unknown', 'value', 'std', 'beforehand', 'unit'), 'lrrrl')
     for name, value, std, prior in zip(seen.names, seen.values, seen.std, seen.prior, strict=True):
         unit, size = ('deg', DEG) if std > _COARSE else ('arcsec', ARCSEC)
@@ -65,7 +65,7 @@ def _table(units: Sequence[tuple[str, Calibration]], parameters: Sequence[Parame
 
 
 def _cell(parameter: Parameter, found: tuple[float, float] | None) -> str:
-    """Return value and standard deviation in engineers' units; nothing where it has none."""
+    """Return value and standard deviation in engineering units; empty without a value."""
     if found is None or not np.isfinite(found[1]):
         return ''
     value, std = (x / engineering(parameter).scale for x in found)

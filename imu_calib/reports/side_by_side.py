@@ -1,4 +1,4 @@
-"""Calibrations of one unit side by side, as Cao 2022's Table 1 prints them."""
+"""Calibrations of one unit side by side, in the form of Cao 2022's Table 1."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from .parameter_table import Shown, decimals, engineering, section_of
 
 @dataclass(frozen=True, eq=False)
 class SideBySide:
-    """Calibrations as they read with the nominal scale factors of the first.
+    """Calibrations converted to the nominal scale factors of the first.
 
     Attributes:
         calibrations: k of them.
-        parameters: n that all of them estimated.
-        only: For each the names of parameters that it has, and not all others.
+        parameters: The n that all of them estimated.
+        only: For each the names of its parameters that others lack.
         agreement: Which of `parameters` differ by more than the covariances explain.
         std: (k - 1, n) standard deviations of the differences from the first, SI units.
 
@@ -40,10 +40,10 @@ class SideBySide:
 
 
 def side_by_side(calibrations: Sequence[Calibration]) -> SideBySide:
-    """Set two or more calibrations side by side.
+    """Compare two or more calibrations.
 
     Raises:
-        InputError: Their streams are not of the same units.
+        InputError: Their streams have different units.
 
     """
     first = calibrations[0]
@@ -70,14 +70,14 @@ def comparison_table(beside: SideBySide, names: Sequence[str]) -> Table:
 
     Args:
         beside: The calibrations.
-        names: What to call them.
+        names: Their names.
 
     """
     calibrations, found, std = beside.calibrations, beside.agreement, beside.std
     two = len(calibrations) == 2
     numbers = (*names, *(('difference', 'in std') if two else ('chi-square',)))
     sides = f'll{"r" * len(numbers)}ll'
-    # What does not fit into a line goes on in the next: no number and no unit is cut.
+    # Columns that do not fit into a line continue in the next: no number and no unit is cut.
     table = plain_table(('Table 1', 'here', *numbers, 'unit', ''), sides, no_wrap=True)
     differ = dict(zip(found.parameters, found.differ, strict=True))
     last = None
@@ -105,7 +105,7 @@ def comparison_table(beside: SideBySide, names: Sequence[str]) -> Table:
 
 
 def _signed(value: float, places: int) -> str:
-    """Return a difference with its sign; one that rounds to zero with its first digit instead."""
+    """Return a difference with its sign; one that rounds to zero with its first digit."""
     text = f'{value:+.{places}f}'
     if float(text):
         return text
@@ -113,11 +113,11 @@ def _signed(value: float, places: int) -> str:
 
 
 def agreement_lines(found: Agreement, count: int) -> list[str]:
-    """Say what of some calibrations differs significantly, and by which rule.
+    """Return sentences on significant differences of calibrations, with the rule.
 
     Args:
         found: Their agreement.
-        count: How many there are.
+        count: Number of calibrations.
 
     """
     if not found.total_freedom:
@@ -137,13 +137,13 @@ def agreement_lines(found: Agreement, count: int) -> list[str]:
 
 
 def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
-    """Return a calibration as it reads with the nominal scale factors of another.
+    """Return a calibration converted to the nominal scale factors of another.
 
-    The same unit with twice the nominal scale factor answers twice as much: I + M, bias and the
+    With twice the nominal scale factor the same unit has twice the response: I + M, bias and the
     coefficients of terms double.
 
     Raises:
-        InputError: The streams are not of the same units.
+        InputError: The streams have different units.
 
     """
     mine, its = calibration.imu, other.imu
@@ -160,7 +160,7 @@ def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
         askew = (its.skewed or its.gyro).scale_factor / (mine.skewed or mine.gyro).scale_factor
     parameters = calibration.parameters
     factors = np.array([_factor_of(p, {'g': gyro, 'a': accel}, askew) for p in parameters])
-    # A scale-factor error is what a response has beyond one.
+    # A scale factor error is the response minus one.
     one = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in parameters])
     values = (one + calibration.values) * factors - one
     return replace(
@@ -173,9 +173,9 @@ def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
 
 
 def _factor_of(parameter: Parameter, triads: Mapping[str, float], askew: float) -> float:
-    """Return what a parameter is multiplied by where its triad's nominal scale factor changes.
+    """Return the factor of a parameter when its triad's nominal scale factor changes.
 
-    Places and delays are lengths and times, whatever the outputs are in.
+    Positions and delays are lengths and times, independent of the units of outputs.
     """
     if parameter.kind in OF_MOTION:
         return 1.0
@@ -183,7 +183,7 @@ def _factor_of(parameter: Parameter, triads: Mapping[str, float], askew: float) 
 
 
 def _table_name(parameter: Parameter) -> str:
-    """Return the name that Table 1 has for a parameter; it knows the 24 alone."""
+    """Return the name of a parameter in Table 1, which has only the 24."""
     if parameter not in PARAMETERS:
         return '-'
     name = parameter.name.upper()
@@ -193,7 +193,7 @@ def _table_name(parameter: Parameter) -> str:
 
 
 def _table_order(parameter: Parameter) -> tuple[bool, bool, int, str]:
-    """Return what sorts the 24 as Table 1 does, and leaves the others in their order behind."""
+    """Return a key that sorts the 24 as in Table 1, and then the others in their order."""
     if parameter not in PARAMETERS:
         return True, False, 0, ''
     kinds = [ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT, ParameterKind.BIAS]
@@ -203,7 +203,7 @@ def _table_order(parameter: Parameter) -> tuple[bool, bool, int, str]:
 def _as_table_1(
     parameter: Parameter, calibrations: Sequence[Calibration]
 ) -> tuple[Shown, list[float]]:
-    """Return how a parameter is shown, and its values; a deviation has the same scale."""
+    """Return the display of a parameter, and its values; a deviation has the same scale."""
     values = [float(c.model.values((parameter,))[0]) for c in calibrations]
     shown = engineering(parameter)
     if parameter not in PARAMETERS:
@@ -222,7 +222,7 @@ def _as_table_1(
 
 
 def _table_decimals(parameter: Parameter, shown: Shown, std: float) -> int:
-    """Return as many as a deviation says, and two more than the paper prints at least."""
+    """Return the decimals by the deviation, at least two more than in the paper."""
     if parameter not in PARAMETERS:
         return decimals(std / shown.scale)
     printed = {'arcsec/p': 3, '(m/s)/p': 4, 'ppm': 0, 'arcmin': 2, 'deg/h': 2, 'g': 4}

@@ -1,4 +1,4 @@
-"""Small drawings, one for each parameter: how it moves with time or with temperature."""
+"""Small drawings, one for each parameter: its course over time or temperature."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Line = Sequence[tuple[float, float]]
 
 
 def panels(drawings: Sequence[str]) -> str:
-    """Return small drawings side by side, as many as the page is wide."""
+    """Return small drawings side by side, as many as fit the page."""
     return tag('div', ''.join(drawings), class_='panels small')
 
 
@@ -31,15 +31,15 @@ def small(
     ends: tuple[str, str],
     line: Line = (),
 ) -> str:
-    """Draw a parameter less its mean, with bars of two standard deviations.
+    """Draw a parameter minus its mean, with bars of two standard deviations.
 
     Args:
-        parameter: Which.
-        across: (n,) where the values stand.
+        parameter: The parameter.
+        across: (n,) horizontal positions of the values.
         value: (n,) SI.
         std: (n,) SI.
-        ends: What is written below the first and the last.
-        line: Where it is taken to go between, SI.
+        ends: Text below the first and the last value.
+        line: Interpolated values, SI.
 
     """
     shown = engineering(parameter)

@@ -1,4 +1,4 @@
-"""How the report looks on a screen, light or dark, on a phone, and on A4 paper."""
+"""The style of the report on a screen, light or dark, on a phone, and on A4 paper."""
 
 _LIGHT = """
   --page: #e9ebee; --paper: #fff; --ink: #1a1a1a; --soft: #444; --faint: #555; --title: #1b3a5c;

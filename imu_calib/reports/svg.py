@@ -1,4 +1,4 @@
-"""Plots as inline SVG: a panel with axes, and what is drawn into it."""
+"""Plots as inline SVG: a panel with axes, and its contents."""
 
 from __future__ import annotations
 
@@ -8,26 +8,27 @@ from dataclasses import dataclass, field
 from html import escape
 
 COLOURS = ('#0072b2', '#d55e00', '#00805c')
-"""Of X, Y, Z: Okabe and Ito's, which colour-blind readers tell apart; the green is darkened."""
+"""Of X, Y, Z: colours of Okabe and Ito, distinct for colour-blind readers; the green is
+darkened."""
 
 _CLASSES = dict(zip(COLOURS, ('of-x', 'of-y', 'of-z'), strict=True))
-"""By which the page's style names them: on dark paper they are lighter."""
+"""Their names in the page's style, which makes them lighter in dark mode."""
 
 _FEWEST_TICKS = 4
-"""On an axis."""
+"""Fewest ticks on an axis."""
 _MOST_LABELS = 7
-"""On a logarithmic axis."""
+"""Most labels on a logarithmic axis."""
 _NARROW, _WIDE = 1e-3, 1e5
-"""Between which powers of ten are written out; others as 1eN."""
+"""Range of powers of ten that are written out; others as 1eN."""
 
 
 def number(value: float) -> str:
-    """Return a coordinate: hundredths of a pixel are enough."""
+    """Return a coordinate, rounded to hundredths of a pixel."""
     return f'{value:.2f}'.rstrip('0').rstrip('.')
 
 
 def tag(element: str, content: str = '', /, **attributes: object) -> str:
-    """Return an element; underscores in the names of attributes stand for hyphens."""
+    """Return an element; underscores in the names of attributes become hyphens."""
     written = ''.join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(_text(value))}"'
         for key, value in attributes.items()
@@ -41,18 +42,18 @@ def _text(value: object) -> str:
 
 
 def label(text: str, x: float, y: float, **attributes: object) -> str:
-    """Return a text at a place."""
+    """Return a text at a position."""
     return tag('text', escape(text), x=x, y=y, **attributes)
 
 
 @dataclass(frozen=True)
 class Axis:
-    """How values become positions.
+    """Conversion of values to positions.
 
     Attributes:
         low: Smallest value shown.
         high: Largest value shown.
-        logarithmic: By decades.
+        logarithmic: Whether it has decades.
 
     """
 
@@ -62,7 +63,7 @@ class Axis:
 
     @classmethod
     def around(cls, values: Sequence[float], margin: float = 0.08) -> Axis:
-        """Return a linear axis that shows all finite values, and zero where it is near."""
+        """Return a linear axis of all finite values, and of zero if it is near."""
         finite = [v for v in values if math.isfinite(v)] or [0.0]
         low, high = min(finite), max(finite)
         room = margin * (high - low) or abs(high) * margin or 1.0
@@ -70,21 +71,21 @@ class Axis:
 
     @classmethod
     def decades(cls, values: Sequence[float]) -> Axis:
-        """Return a logarithmic axis of whole decades about all positive values."""
+        """Return a logarithmic axis of whole decades around all positive values."""
         positive = [v for v in values if math.isfinite(v) and v > 0] or [1.0]
         low = 10.0 ** math.floor(math.log10(min(positive)) + 1e-9)
         high = 10.0 ** math.ceil(math.log10(max(positive)) - 1e-9)
         return cls(low, high if high > low else 10 * low, logarithmic=True)
 
     def share(self, value: float) -> float:
-        """Return where between low (0) and high (1) a value lies."""
+        """Return the position of a value between low (0) and high (1)."""
         if self.logarithmic:
             value = max(value, 1e-300)
             return math.log(value / self.low) / math.log(self.high / self.low)
         return (value - self.low) / (self.high - self.low)
 
     def ticks(self, fewest: int = _FEWEST_TICKS) -> list[tuple[float, str]]:
-        """Return where ticks stand, and what is written there."""
+        """Return positions and labels of ticks."""
         if self.logarithmic:
             first, last = round(math.log10(self.low)), round(math.log10(self.high))
             every = -(-(last - first) // _MOST_LABELS)
@@ -118,15 +119,15 @@ def _power(exponent: int) -> str:
 
 @dataclass
 class Panel:
-    """One pair of axes in a drawing, filled mark by mark.
+    """One pair of axes in a drawing; marks are added to it.
 
     Attributes:
         x: Horizontal axis.
         y: Vertical axis.
-        left: Where the frame begins, px.
-        top: Likewise.
+        left: Left edge of the frame, px.
+        top: Top edge of the frame, px.
         width: Of the frame, px.
-        height: Likewise.
+        height: Of the frame, px.
         parts: Elements so far.
 
     """
@@ -144,7 +145,7 @@ class Panel:
         return self.left + self.width * self.x.share(value)
 
     def down(self, value: float) -> float:
-        """Return the vertical position of a value, px; kept within the frame's surroundings."""
+        """Return the vertical position of a value, px, limited to a margin around the frame."""
         share = min(max(self.y.share(value), -0.02), 1.02)
         return self.top + self.height * (1 - share)
 
@@ -182,7 +183,7 @@ class Panel:
         return tag('line', x1=x1, y1=y1, x2=x2, y2=y2, class_=kind)
 
     def level(self, value: float, kind: str = 'level') -> None:
-        """Draw a horizontal line through the frame."""
+        """Draw a horizontal line across the frame."""
         y = self.down(value)
         self.parts.append(self._line(self.left, y, self.left + self.width, y, kind))
 
@@ -242,7 +243,7 @@ def marker(x: float, y: float, channel: int, size: float = 3.5) -> str:
 
 
 def joined(points: Sequence[tuple[float, float]]) -> str:
-    """Return points as the attribute of a polygon or a line."""
+    """Return points as the attribute of a polygon or a polyline."""
     return ' '.join(f'{number(a)},{number(b)}' for a, b in points)
 
 
@@ -255,13 +256,13 @@ def legend(names: Sequence[str], x: float, y: float) -> str:
 
 
 def drawing(parts: Sequence[str], width: float, height: float, title: str) -> str:
-    """Return a drawing of its own that scales with the page.
+    """Return a separate drawing that scales with the page.
 
     Args:
         parts: Its elements.
         width: px.
         height: px.
-        title: What it shows, for those who cannot see it.
+        title: Alternative text.
 
     """
     return tag(

@@ -1,4 +1,4 @@
-"""The terms of a calibration for the report: on, off, and how large one that is off may be."""
+"""The terms of a calibration for the report: on, off, and upper limits of those that are off."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NOTE = (
 
 
 def terms_section(calibration: Calibration) -> tuple[str, ...]:
-    """Return the section's contents; nothing for a calibration that says nothing of terms."""
+    """Return the section's contents; empty for a calibration without entries on terms."""
     tests = calibration.provenance.get('tests_of_terms')
     if not isinstance(tests, Mapping):
         return ()
@@ -55,7 +55,7 @@ def _chance(log10_p: object) -> str:
 def _smallest(
     parameters: tuple[Parameter, ...], changes: tuple[Change, ...], found_from: object
 ) -> str:
-    """Return the largest of the coefficients that would have been found."""
+    """Return the largest coefficient among the detection limits."""
     if changes and isinstance(found_from, list) and len(found_from) == len(changes):
         return escape(largest(changes, found_from)) or 'not shown'
     if not parameters or not isinstance(found_from, list):
@@ -66,7 +66,7 @@ def _smallest(
 
 
 def _moved(parameters: tuple[Parameter, ...], changes: tuple[Change, ...], moved: object) -> str:
-    """Return by how much the coefficient that matters most would move a parameter, per unit."""
+    """Return the effect of the most important coefficient on a parameter, per unit."""
     if not isinstance(moved, Mapping) or not moved:
         return '-'
     coefficient, entry = max(moved.items(), key=lambda pair: abs(pair[1]['by']))

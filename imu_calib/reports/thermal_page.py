@@ -18,9 +18,9 @@ from .style import STYLE
 from .svg import tag
 
 _SIDE_BY_SIDE = 4
-"""Temperatures of one table: as many as stand beside each other on A4."""
+"""Temperatures of one table: as many as fit side by side on A4."""
 _POINTS = 41
-"""Of a drawn curve."""
+"""Points of a drawn curve."""
 _NOTE = (
     'Each column is one session; the error is two standard deviations. Between the temperatures '
     'the parameters are interpolated (dashed): beyond the lowest and the highest the nearest holds.'
@@ -33,7 +33,7 @@ def thermal_page(combined: ThermalCalibration, name: str, imu: ImuSpec | None = 
     Args:
         combined: Calibrations at two or more temperatures.
         name: Of its file.
-        imu: The unit's description with its specification; None where not given.
+        imu: The unit's description with its specification; None if not given.
 
     """
     first = combined.calibrations[0]
@@ -91,7 +91,7 @@ def _celsius(combined: ThermalCalibration, k: int) -> str:
 
 
 def _values(combined: ThermalCalibration, each: Sequence[Sequence[Assessed]]) -> list[str]:
-    """Return the values at all temperatures, in as many tables as paper is wide."""
+    """Return the values at all temperatures, in as many tables as the paper requires."""
     found = []
     for first in range(0, len(each), _SIDE_BY_SIDE):
         some = range(first, min(first + _SIDE_BY_SIDE, len(each)))

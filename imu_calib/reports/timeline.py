@@ -1,4 +1,4 @@
-"""The course of a session: where the unit stood, where it turned, what was not used and why."""
+"""The course of a session: dwells, turns, and rejected data with reasons."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from .svg import Axis, Panel, drawing, label, tag
 _WIDTH, _ROW, _LEFT, _TOP = 760.0, 30.0, 84.0, 14.0
 """px; layout."""
 _LETTER = 6.4
-"""px: mean width of a letter."""
+"""px: mean width of a character."""
 _MINUTES = 300.0
-"""s: a longer session has minutes below its axis."""
+"""s: duration from which the axis is in minutes."""
 _MOST_ROWS = 40
-"""Of a table; the rest is counted."""
+"""Rows of a table; further ones are only counted."""
 _MOST_BLOCKS = 500
-"""On a lane: a screen has no more columns for them."""
+"""Intervals on a lane: a screen has no more columns for them."""
 
 
 class Lane(Enum):
-    """What happened in an interval; the value is the lane's name."""
+    """Kind of an interval; the value is the lane's name."""
 
     STATIC = 'at rest'
     TURN = 'turning'
@@ -40,11 +40,11 @@ class Interval:
     """An interval of the session, s from its first sample.
 
     Attributes:
-        lane: What happened.
+        lane: Its kind.
         start: s.
         end: s.
-        name: Position of the plan, or what is known of it.
-        reason: Why it was not used; empty for what was.
+        name: Position of the plan, or other description.
+        reason: Why it was not used; empty if it was.
 
     """
 
@@ -56,7 +56,7 @@ class Interval:
 
 
 def intervals(result: Result) -> list[Interval]:
-    """Return what a session consists of, in order of time."""
+    """Return the intervals of a session, in order of time."""
     labelled = result.labelled
     zero = result.session.start or 0
 
@@ -74,7 +74,7 @@ def intervals(result: Result) -> list[Interval]:
     ]
     rejected = labelled.rejected
     if result.calibration.provenance.get('method') == FREE_POSITIONS:
-        # In a hand every motion between two holds is a turn, used or lost.
+        # In a hand every motion between two holds is a turn, used or rejected.
         after = {s.end: f'{s.position} to' for s in labelled.segments}
         before = {s.start: s.position for s in labelled.segments}
         found += [
@@ -90,7 +90,7 @@ def intervals(result: Result) -> list[Interval]:
             replace(m, position=f'{after.get(m.start)} {before.get(m.end)}')
             for m in result.session.lost_moves
         )
-        # What a turn of its own was rejected for lies within one of these.
+        # A rejected turn lies within one of these.
         rejected = (*lost, *(r for r in rejected if not r.turn))
     found += [
         Interval(Lane.REJECTED, at(r.start), at(r.end), r.position or '?', r.reason)
@@ -113,14 +113,14 @@ def time_line(found: Sequence[Interval], duration: float) -> str:
         parts.append(tag('rect', x=_LEFT, y=y, width=width, height=_ROW - 3, class_='lane'))
         parts.append(label(lane.value, _LEFT - 8, y + 18, class_='axis', text_anchor='end'))
         own = [s for s in found if s.lane is lane and s.end > s.start]
-        # Of thousands of short ones, no screen shows more than the longest.
+        # Of thousands of short intervals only the longest are visible on a screen.
         longest = sorted(own, key=lambda s: s.start - s.end)[:_MOST_BLOCKS]
         blocks += [_block(panel, s, y, scale) for s in sorted(longest, key=lambda s: s.start)]
     for value, text in panel.x.ticks():
         x = panel.across(value)
         parts.append(tag('line', x1=x, y1=_TOP, x2=x, y2=bottom, class_='grid'))
         parts.append(label(text, x, bottom + 14, class_='tick', text_anchor='middle'))
-    # Names stand on the blocks, not below the lines of the grid.
+    # Names are drawn on the blocks, above the lines of the grid.
     parts += blocks
     unit = 'min' if minutes else 's'
     parts.append(
@@ -151,7 +151,7 @@ def _block(panel: Panel, interval: Interval, y: float, scale: float) -> str:
 
 
 def when(result: Result) -> str:
-    """Say from when to when the session went."""
+    """Return start and end of the session as text."""
     start, duration = result.session.start, result.session.duration
     first = utc(start)
     if first is None:
@@ -162,10 +162,10 @@ def when(result: Result) -> str:
 
 
 def rejected_table(found: Sequence[Interval], start: int | None) -> str:
-    """Return what was not used and why; empty when all was.
+    """Return the rejected intervals with reasons; empty without any.
 
     Args:
-        found: All of the session.
+        found: All intervals of the session.
         start: First stamp of the session, ns.
 
     """

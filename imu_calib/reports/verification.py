@@ -1,4 +1,4 @@
-"""A verification on the screen: dwells and turns by position, worst first, in engineers' units."""
+"""A verification for the terminal: dwells and turns, worst first, in engineering units."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _WORDS = {Verdict.PASS: 'pass', Verdict.MARGINAL: 'marginal', Verdict.FAIL: 'fai
 
 
 def verdict_line(verification: Verification) -> str:
-    """Return the outcome in one line."""
+    """Return the verdict in one line."""
     if verification.own_recording and verification.verdict is not Verdict.FAIL:
         return 'NOT TESTED: the calibration was made from this recording. Take a second one.'
     if verification.own_recording:
@@ -47,7 +47,7 @@ def verdict_line(verification: Verification) -> str:
 
 
 def triad_lines(verification: Verification) -> list[str]:
-    """Return what came of gyros and accelerometers, a line each."""
+    """Return the results of gyros and accelerometers, a line each."""
     return [
         f'{"gyros" if judged.gyros else "accelerometers"}: {_WORDS[judged.verdict]}, chi-square '
         f'{judged.chi_square:.1f} with {judged.freedom} degrees of freedom'
@@ -56,7 +56,7 @@ def triad_lines(verification: Verification) -> list[str]:
 
 
 def limits_line(verification: Verification) -> str:
-    """Say what the verdicts go by."""
+    """Return a sentence on the limits of the verdict."""
     doubt, rejection = verification.limits
     return (
         f'Warning limit {doubt:.1f} standard deviations, rejection limit {rejection:.1f} '
@@ -76,7 +76,7 @@ def turn_table(verification: Verification) -> Table | None:
 
 
 def moved_table(moved: Sequence[ShiftedParameter]) -> Table:
-    """Return the parameters that a session sees elsewhere, by how much they are."""
+    """Return the parameters that differ in a session, with their differences."""
     table = plain_table(('parameter', 'moved by', 'std', 'unit', 'in std'), 'lrrlr')
     for one in sorted(moved, key=lambda m: -abs(m.difference / m.std)):
         shown = engineering(one.parameter)
@@ -117,7 +117,7 @@ def _table(verification: Verification, quantities: Sequence[Quantity]) -> Table 
 
 
 def _rows(compared: Sequence[ComparedQuantity]) -> list[list[ComparedQuantity]]:
-    """Gather what belongs to one dwell or one turn; a quantity that comes again begins another."""
+    """Group the quantities of one dwell or one turn; a repeated quantity begins another group."""
     rows: dict[tuple[str, float, float, int], list[ComparedQuantity]] = {}
     seen: dict[tuple[str, float, float, Quantity], int] = {}
     for one in compared:

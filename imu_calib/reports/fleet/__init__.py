@@ -1,1 +1,1 @@
-"""The page on a catalogue: what needs a person, the types, and every unit."""
+"""The page on a catalogue: matters for attention, the types, and every unit."""

@@ -1,4 +1,4 @@
-"""What needs a person: a sentence with its numbers for each matter, and the first few cases."""
+"""Matters for attention: sentences with numbers for each, and the first cases."""
 
 from __future__ import annotations
 
@@ -19,22 +19,23 @@ from .contents import Flag, Fleet, Unit
 from .words import PLACE_OF, amount, count, day, unit_of
 
 MOST = 12
-"""Cases written out; the table of units has all. A judgement: six matters fit on two sheets."""
+"""Number of cases written out; the table of units has all. A judgement: six matters fit on two
+sheets."""
 
 Cases = Sequence[Sequence[str]]
 
 
 @dataclass(frozen=True)
 class Matter:
-    """Something that needs a person.
+    """A matter that needs attention.
 
     Attributes:
-        title: What.
-        kind: Class: how bad.
+        title: Its title.
+        kind: Its class, by severity.
         sentences: With their numbers.
         headings: Of the cases.
-        cases: Cells as HTML, what is most urgent first.
-        flag: By which the table of units finds them; None where they are no units.
+        cases: Cells as HTML, the most urgent first.
+        flag: Selects its units in the table of units; None for other cases.
 
     """
 
@@ -46,7 +47,7 @@ class Matter:
     flag: Flag | None = None
 
     def html(self) -> str:
-        """Return it with its first cases."""
+        """Return it with its first cases as HTML."""
         parts = [tag('h3', escape(self.title)), *(paragraph(s) for s in self.sentences)]
         if self.cases:
             parts.append(table(self.headings, self.cases[:MOST], 'plain cases'))
@@ -62,7 +63,7 @@ class Matter:
 
 
 def matters(fleet: Fleet) -> list[Matter]:
-    """Return all that needs a person, what is worst first."""
+    """Return all matters, the worst first."""
     found = (
         *_stands(fleet),
         *_outside(fleet),
@@ -77,12 +78,12 @@ def matters(fleet: Fleet) -> list[Matter]:
 
 
 def dated(date: np.datetime64) -> str:
-    """Return a date that is not broken over lines."""
+    """Return a date that is not broken across lines."""
     return tag('span', day(date), class_='day')
 
 
 def link(unit: Unit) -> str:
-    """Return a unit's name, which opens it."""
+    """Return a unit's name as a link that opens it."""
     return tag(
         'a',
         escape(unit.name),
@@ -218,7 +219,7 @@ def _failed(fleet: Fleet) -> Iterator[Matter]:
 
 
 def _age(dates: np.ndarray, one: tuple[int, object]) -> float:
-    """Order what is newest first, and what has no date last."""
+    """Return a key that sorts the newest first, and cases without a date last."""
     date = dates[one[0]]
     return np.inf if np.isnat(date) else -float(date.astype('M8[s]').astype(np.int64))
 
@@ -250,7 +251,7 @@ def _control(fleet: Fleet) -> Iterator[Matter]:
 
 
 def _signals(unit: Unit) -> list[Signal]:
-    """Return what charts signal at the newest session, what is furthest beyond first."""
+    """Return the signals of charts at the newest session, the largest excess first."""
     if unit.history is None:
         return []
     newest = len(unit.history.key) - 1
@@ -370,7 +371,7 @@ def _outliers(fleet: Fleet) -> Iterator[Matter]:
 
 
 def remarks(fleet: Fleet) -> str:
-    """Return what else is to be known of the whole."""
+    """Return further remarks on the whole catalogue."""
     said = {stand_sentence(shift) for shift in fleet.history.stands.shifts}
     rest = bullets([sentence for sentence in fleet.history.findings if sentence not in said])
     return tag('h3', 'On the catalogue') + rest if rest else ''

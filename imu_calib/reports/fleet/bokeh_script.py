@@ -1,4 +1,4 @@
-"""The library that draws: its script, as it comes in its wheel."""
+"""The script of Bokeh from its wheel."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from ...extras import require
 
 
 def bokeh_script() -> str:
-    """Return the script, which an HTML file can hold.
+    """Return the script in a form that an HTML file can contain.
 
     Raises:
         InputError: Bokeh is not installed.
@@ -15,7 +15,7 @@ def bokeh_script() -> str:
     require('bokeh', 'A page on a catalogue', 'fleet')
     from bokeh.resources import Resources
 
-    # The last of these sets what it says on the browser's console, and says so there.
+    # The last of these sets the log level, and reports it on the browser's console.
     library, plotting, *_ = Resources(mode='inline', components=['bokeh', 'bokeh-api']).js_raw
     script = f'{library}\n{plotting}\nBokeh.logger.set_level("error");'
     return script.replace('</script', r'<\/script')

@@ -1,4 +1,4 @@
-"""What the page's script is given: of units what the table shows, of sessions what is drawn."""
+"""Data for the page's script: units for the table, sessions for the drawings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NONE = np.full(_NUMBER, np.nan)
 
 
 def units_data(fleet: Fleet) -> str:
-    """Return what the table of units shows."""
+    """Return the data of the table of units."""
     units, rows = fleet.units, fleet.recordings
     newest = [_newest_row(fleet, unit) for unit in units]
     histories = [unit.history for unit in units]
@@ -67,7 +67,7 @@ def units_data(fleet: Fleet) -> str:
 
 
 def sessions_data(fleet: Fleet) -> str:
-    """Return what the details of units show: sessions unit by unit, failed recordings likewise."""
+    """Return the data of the units' details: sessions by unit, failed recordings likewise."""
     rows, units = fleet.recordings, fleet.units
     chosen = [k for unit in units for k in unit.rows]
     sessions = [k for unit in units for k in unit.sessions]
@@ -160,14 +160,14 @@ def _verdict(fleet: Fleet, unit: Unit) -> str:
 
 
 def _because(history: UnitHistory | None) -> int:
-    """Return the parameter by which a unit is due; -1 for none."""
+    """Return the parameter that determines a unit's due date; -1 without any."""
     return -1 if history is None else PLACE_OF.get(history.forecast.parameter, -1)
 
 
 def _of_sessions(
     units: Sequence[Unit], what: Callable[[UnitHistory], Floats], width: int = _NUMBER
 ) -> Floats:
-    """Return (n, width) of all sessions, unit by unit; nothing where a unit has no history."""
+    """Return (n, width) values of all sessions, by unit; none for a unit without history."""
     parts = [
         part
         for unit in units
@@ -180,12 +180,12 @@ def _of_sessions(
 
 
 def _sessions_in_history(unit: Unit) -> int:
-    """Return how many sessions the history of a unit has."""
+    """Return the number of sessions in the history of a unit."""
     return 0 if unit.history is None else len(unit.history.key)
 
 
 def _of_units(units: Sequence[Unit], what: Callable[[UnitHistory], Floats]) -> NDArray[np.float32]:
-    """Return (24, m) of all units."""
+    """Return (24, m) values of all units."""
     rows = [_NONE if u.history is None else what(u.history) for u in units]
     return packed.short(np.reshape(np.array(rows, np.float64), (-1, _NUMBER)).T)
 

@@ -1,4 +1,4 @@
-"""What the page is written from, and what it says of each unit as a whole."""
+"""Contents of the page, and the flags of each unit."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from ...specification import Verdict
 from ...stream import Floats
 
 AHEAD = 90.0
-"""Days before a recalibration is due from which the page says so: three months to plan it in."""
+"""Days before a due recalibration from which the page shows it: three months for planning."""
 
 
 @dataclass(frozen=True)
 class State:
-    """What a unit can be, for a badge and a filter.
+    """A possible state of a unit, for a badge and a filter.
 
     Attributes:
-        words: On the badge.
+        words: Text of the badge.
         kind: Class of the badge.
-        meaning: For who does not know the word.
+        meaning: Explanation of the text.
 
     """
 
@@ -34,7 +34,7 @@ class State:
 
 
 class Flag(Enum):
-    """What may be said of a unit, what is worst first."""
+    """Possible flags of a unit, the worst first."""
 
     OUTSIDE = State('outside', 'fail', 'outside its specification, uncertainty considered')
     OVERDUE = State('overdue', 'fail', 'the date by which it was to be recalibrated has passed')
@@ -53,17 +53,17 @@ class Recordings:
     """Rows of a catalogue, n of them.
 
     Attributes:
-        key: What a task is known by.
+        key: Key of the task.
         recording: Its name.
-        imu: Type; of a failed one as it was stated.
-        serial: Number of the unit; empty where not stated.
-        stand: Where; empty likewise.
-        date: (n,) when, UTC; NaT where unknown.
+        imu: Type; for a failed one as stated.
+        serial: Serial number of the unit; empty if not stated.
+        stand: Its stand; empty if not stated.
+        date: (n,) date, UTC; NaT if unknown.
         calibrated: (n,) whether it gave a calibration.
-        error: Why not, a sentence.
+        error: Reason of the failure, a sentence.
         verdict: Against the specification; empty without one.
-        values: (n, 24) SI units; NaN for what was not estimated.
-        std: (n, 24) as stated.
+        values: (n, 24) SI units; NaN if not estimated.
+        std: (n, 24) stated standard deviations.
         findings: Of its calibration, sentences.
         calibration: Link to its file, relative to the page; empty without one.
         report: Likewise to its report.
@@ -91,14 +91,14 @@ class Unit:
     """A unit with its recordings.
 
     Attributes:
-        imu: Type; empty where only failed recordings name it, and none says which.
-        serial: Number.
-        sessions: Rows of `Recordings` that gave a calibration: those that `history` has not
-            (without a date), then those that it has, by date.
-        failed: Rows that gave none, by date.
+        imu: Type; empty if only failed recordings name the unit, without a type.
+        serial: Serial number.
+        sessions: Rows of `Recordings` with a calibration: first those without a date, which
+            `history` lacks, then those of `history`, by date.
+        failed: Rows without a calibration, by date.
         replaced: Rows of recordings that were calibrated again: the newer row counts.
-        history: What the sessions say; None without one.
-        flags: What is to be said of it, worst first.
+        history: Evaluation of the sessions; None without one.
+        flags: Its flags, worst first.
 
     """
 
@@ -117,20 +117,20 @@ class Unit:
 
     @property
     def name(self) -> str:
-        """Type and number."""
+        """Type and serial number."""
         return f'{self.imu} {self.serial}'.strip()
 
 
 @dataclass(frozen=True, eq=False)
 class Fleet:
-    """What the page is written from.
+    """Contents of the page.
 
     Attributes:
-        name: Of the catalogue.
+        name: Name of the catalogue.
         recordings: Its rows.
-        history: What they say.
-        today: The day of which the page is, UTC: what is due counts from it.
-        ahead: Days before a recalibration is due from which the page says so.
+        history: Their evaluation.
+        today: Date of the page, UTC: due dates are counted from it.
+        ahead: Days before a due recalibration from which the page shows it.
 
     """
 
@@ -145,7 +145,7 @@ class Fleet:
         object.__setattr__(self, 'units', tuple(_units(self)))
 
     def flagged(self, flag: Flag) -> list[Unit]:
-        """Return the units of which something is to be said."""
+        """Return the units with a flag."""
         return [unit for unit in self.units if flag in unit.flags]
 
 
@@ -187,7 +187,7 @@ def _units(fleet: Fleet) -> Iterable[Unit]:
 def _unit_of(
     imu: str, serial: str, of_number: Mapping[str, Sequence[tuple[str, str]]]
 ) -> tuple[str, str]:
-    """Return which unit a failed recording is of: what it states of its type may be a file."""
+    """Return the unit of a failed recording: its stated type may be a file."""
     units = of_number.get(serial, ())
     same = [unit for unit in units if unit[0] == imu]
     if same or len(units) == 1:
@@ -196,7 +196,7 @@ def _unit_of(
 
 
 def _by_date(rows: Recordings, chosen: Sequence[int]) -> list[int]:
-    """Return rows by date, those without one first."""
+    """Return rows by date, those without a date first."""
     return sorted(chosen, key=lambda k: (not np.isnat(rows.date[k]), rows.date[k].astype('M8[s]')))
 
 
@@ -228,7 +228,7 @@ def _flags(
 
 
 def days(count: float) -> np.timedelta64:
-    """Return a number of days as a span of time."""
+    """Return a number of days as a time span."""
     return np.timedelta64(round(count * 86400), 's')
 
 
@@ -239,5 +239,5 @@ def _newest(rows: Recordings, chosen: Sequence[int]) -> np.datetime64:
 
 
 def _later(one: np.datetime64, other: np.datetime64) -> bool:
-    """Whether something was after something else; without the other's date it was."""
+    """Return whether a date is after another; true if the other is unknown."""
     return bool(np.isnat(other) or one > other)

@@ -1,10 +1,10 @@
-"""Arrays and texts as one compressed text: what the page's script unpacks.
+"""Arrays and texts as one compressed text for the page's script.
 
     zlib( length of the head, 4 bytes | head, JSON | arrays, one after the other )
 
-in base64. The head names the arrays with type and length, and holds the texts. The bytes of an
-array lie in planes, all lowest ones first: neighbours are alike and compress. Numbers are as exact
-as they are shown, and no more: a page on 5000 units is read over a network drive and on a phone.
+in base64. The head lists the arrays with type and length, and contains the texts. The bytes of an
+array are stored in planes, lowest first: neighbours are similar and compress well. Numbers have
+only the precision that is shown: a page on 5000 units is read over network drives and on phones.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from ...histories.results import Dates
 from ...stream import Floats
 
 NO_DAY = -(2**31)
-"""Instead of a date."""
+"""Code of a missing date."""
 STEP = 0.05
-"""Of stated deviations: how exact values are, and of normal scores. A judgement: a pixel."""
+"""Resolution in stated deviations: of values, and of normal scores. A judgement: a pixel."""
 _CODES = 254
-"""Of a standard deviation, by equal ratios: 2 % each where they differ by a factor of 100."""
+"""Codes of a standard deviation, in equal ratios: 2 % each for a range of a factor of 100."""
 _MANTISSA = 12
-"""Bits kept of other numbers: 1e-4 of them."""
+"""Bits kept of other numbers: relative precision 1e-4."""
 _KINDS = {'u1': 'Uint8Array', 'i1': 'Int8Array', 'i4': 'Int32Array', 'f4': 'Float32Array'}
 
 
 def pack(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, object]) -> str:
-    """Return arrays of uint8, int8, int32 or float32 with texts (whatever JSON holds)."""
+    """Return packed arrays of uint8, int8, int32 or float32 with texts (JSON values)."""
     head: dict[str, object] = {'texts': texts}
     listed, parts = [], []
     for name, array in arrays.items():
@@ -43,7 +43,7 @@ def pack(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, object]) -> str
         planes = flat.astype(flat.dtype.newbyteorder('<')).view(np.uint8)
         parts.append(planes.reshape(-1, flat.dtype.itemsize).T.tobytes())
     head['arrays'] = listed
-    # JSON has no NaN; where one slipped in, the page would not open.
+    # JSON has no NaN; a page with one would not open.
     said = json.dumps(head, ensure_ascii=False, separators=(',', ':'), allow_nan=False)
     coded = said.encode('utf-8', 'replace')
     whole = struct.pack('<I', len(coded)) + coded + b''.join(parts)
@@ -51,7 +51,7 @@ def pack(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, object]) -> str
 
 
 def distinct(texts: Sequence[str]) -> tuple[list[str], NDArray[np.int32]]:
-    """Return each text once, and which of them stands at each place."""
+    """Return the distinct texts, and the index of each text."""
     places: dict[str, int] = {}
     index = [places.setdefault(text, len(places)) for text in texts]
     return list(places), np.array(index, np.int32)
@@ -65,18 +65,18 @@ def minutes(dates: Dates) -> NDArray[np.int32]:
 
 
 def short(values: Floats) -> NDArray[np.float32]:
-    """Return numbers with the digits that are shown, so that they compress."""
+    """Return numbers with the shown digits, so that they compress well."""
     with np.errstate(over='ignore'):
         found = np.ascontiguousarray(values, np.float32)
     drop = 23 - _MANTISSA
     bits = found.view(np.uint32)
     rounded = (bits + np.uint32(1 << (drop - 1))) & np.uint32(0xFFFFFFFF << drop & 0xFFFFFFFF)
-    # Rounding the bits of infinity or of no number makes another one of them.
+    # Rounding the bits of infinity or NaN would change them to other values.
     return np.where(np.isfinite(found), rounded.view(np.float32), found)
 
 
 def scores(values: Floats) -> NDArray[np.int8]:
-    """Return normal scores in steps, -128 for none; beyond what a chart shows at its edge."""
+    """Return normal scores in steps, -128 for none; larger ones are at the chart's edge."""
     steps = np.clip(np.nan_to_num(values, nan=0.0) / STEP, -127, 127).round()
     return np.where(np.isnan(values), -128, steps).astype(np.int8)
 
@@ -85,10 +85,10 @@ def deviations(std: Floats) -> tuple[NDArray[np.uint8], list[list[float]]]:
     """Return standard deviations as codes by equal ratios.
 
     Args:
-        std: (n, m) NaN or zero where there is none.
+        std: (n, m) NaN or zero for none.
 
     Returns:
-        (m, n) codes, 0 for none; of each column [smallest, logarithm of the ratio of two codes].
+        (m, n) codes, 0 for none; for each column [smallest, logarithm of the ratio of two codes].
 
     """
     codes = np.zeros(std.shape[::-1], np.uint8)
@@ -107,10 +107,10 @@ def deviations(std: Floats) -> tuple[NDArray[np.uint8], list[list[float]]]:
 
 
 def differences(values: Floats, std: Floats) -> tuple[NDArray[np.int32], list[float]]:
-    """Return values in steps of a share of their smallest deviation, each less the one before.
+    """Return values in steps of a share of their smallest deviation, as differences.
 
     Args:
-        values: (n, m) what is not finite repeats the value before.
+        values: (n, m); values that are not finite repeat the previous one.
         std: (n, m) their standard deviations.
 
     Returns:

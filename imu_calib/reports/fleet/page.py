@@ -1,4 +1,4 @@
-"""The page: one HTML file with its script, its data and the library that draws, and no network."""
+"""The page: one HTML file with script, data and drawing library; it needs no network."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .words import count, day
 def page(fleet: Fleet) -> str:
     """Return the page as HTML.
 
-    The same contents give the same text.
+    Equal contents give equal text.
 
     Raises:
         InputError: Bokeh is not installed.
@@ -33,7 +33,7 @@ def page(fleet: Fleet) -> str:
     """
     title = f'Fleet {fleet.name}'
     library = bokeh_script()
-    # In JavaScript's strict mode, and without names that others see.
+    # In JavaScript's strict mode, and without global names.
     script = files(__package__).joinpath('page.js').read_text(encoding='utf-8')
     needing = matters(fleet)
     body = ''.join(
@@ -57,7 +57,7 @@ def page(fleet: Fleet) -> str:
             section('Recordings', _MONTHS, counts(fleet), kind='screen'),
             _data('units-data', units_data(fleet)),
             _data('sessions-data', sessions_data(fleet)),
-            # Not run before something is drawn: the table of units is there sooner.
+            # Runs only when a drawing is needed: the table of units appears sooner.
             tag('script', library, type='text/plain', id='library'),
             tag('script', script),
         ]
@@ -66,7 +66,7 @@ def page(fleet: Fleet) -> str:
 
 
 def _policy(*scripts: str) -> str:
-    """Return what a browser may do: run these scripts and no other, and load nothing."""
+    """Return the content security policy: only these scripts may run, and nothing is loaded."""
     hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
     allowed = ' '.join(f"'sha256-{one}'" for one in hashes)
     return (
@@ -79,7 +79,7 @@ def _data(name: str, text: str) -> str:
 
 
 def _outcome(fleet: Fleet) -> str:
-    """Return the whole in one sentence."""
+    """Return a summary of the catalogue in one sentence."""
     numbers = {flag: len(fleet.flagged(flag)) for flag in Flag}
     bad = [flag for flag in Flag if flag.value.kind == 'fail' and numbers[flag]]
     doubtful = [flag for flag in Flag if flag.value.kind == 'marginal' and numbers[flag]]

@@ -1,4 +1,4 @@
-"""The units of each type as a whole, and the recordings by stand and by type."""
+"""Distributions of the units of each type, and recordings by stand and by type."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from .contents import Fleet
 from .words import count, unit_of
 
 _BINS = 24
-"""Of a small distribution: 5 px each."""
+"""Bins of a small distribution: 5 px each."""
 _WIDTH, _HEIGHT = 120.0, 18.0
 """px."""
 _REACH = 4.0
-"""Robust standard deviations to either side of the median that a distribution shows."""
+"""Range of a distribution to either side of the median, in robust standard deviations."""
 
 
 def types(fleet: Fleet) -> str:
@@ -85,7 +85,7 @@ def _number(value: float, places: int) -> str:
 
 
 def _distribution(name: str, values: Floats, limits: Floats, median: float, spread: float) -> str:
-    """Draw how many units are where, with the range that the specification allows behind them."""
+    """Draw a distribution of units over the range that the specification allows."""
     known = values[np.isfinite(values)]
     if not len(known) or not spread > 0:
         return ''
@@ -116,7 +116,7 @@ def _distribution(name: str, values: Floats, limits: Floats, median: float, spre
 
 
 def counts(fleet: Fleet) -> str:
-    """Return tables of the recordings by stand and by type."""
+    """Return tables of the number of recordings by stand and by type."""
     rows = fleet.recordings
     stands = _counted('stand', rows.stand, fleet)
     types = _counted('type', rows.imu, fleet)

@@ -1,4 +1,4 @@
-"""What the page on a catalogue adds to the report's look: a wide table, controls, drawings."""
+"""Additions of the page on a catalogue to the report's style: a wide table, controls, drawings."""
 
 FLEET_STYLE = """
 :root { --stand-4: #a0559a; --stand-5: #7a6a00; --stand-6: #3b7fd1; --stand-7: #8a5a3c;

@@ -1,4 +1,4 @@
-"""Dates, numbers and counts of the page in words."""
+"""Dates, numbers and counts of the page as text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PLACE_OF = {p.name: k for k, p in enumerate(PARAMETERS)}
 
 
 def day(date: np.datetime64) -> str:
-    """Return a date for people.
+    """Return a date as text.
 
     Examples:
         >>> day(np.datetime64('2026-03-02T14:30')), day(np.datetime64('NaT'))
@@ -35,12 +35,12 @@ def count(number: int, noun: str, nouns: str = '') -> str:
 
 
 def unit_of(parameter: Parameter) -> str:
-    """Return the unit in which a parameter is shown."""
+    """Return the display unit of a parameter."""
     return engineering(parameter).unit.replace('ug', '\u00b5g')
 
 
 def amount(parameter: Parameter, value: float, std: float) -> str:
-    """Return an SI value with its standard deviation in the parameter's own unit."""
+    """Return an SI value with its standard deviation in the parameter's display unit."""
     scale = engineering(parameter).scale
     places = decimals(std / scale)
     return f'{value / scale:.{places}f} \u00b1 {std / scale:.{places}f}'.replace('-', '\u2212')
