@@ -1,7 +1,7 @@
-"""The command `imu-calib`: one module per subcommand, each a parser and a thin function."""
+"""The command `imu-calib`: one module per subcommand, each with a parser and a thin function."""
 
 import os
 
-# Before numpy comes. The matrices are small: threads gain them nothing, and where the cores are
-# busy their waiting for each other made solving ten times as slow.
+# Must be set before numpy is imported. The matrices are small and gain nothing from threads; on
+# busy cores, waiting threads made solving ten times as slow.
 os.environ.setdefault('OMP_NUM_THREADS', '1')

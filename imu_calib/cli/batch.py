@@ -1,4 +1,4 @@
-"""imu-calib batch: many recordings in, a catalogue of calibrations out."""
+"""imu-calib batch: calibrate many recordings into a catalogue."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _say_where(dashboard: str) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Calibrate, and print what came of it."""
+    """Calibrate, and print the results."""
 
     @contextmanager
     def begun(text: str) -> Iterator[Show]:

@@ -1,4 +1,4 @@
-"""The display of a session in the hand: what to do now, and what each next attitude would gain."""
+"""The display of a session in the hand: the next action, and the gain of each next attitude."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from .terminal import ERRORS, OUTPUT
 from .words import Words
 
 _START = 30.0
-"""s for the nodes to come up."""
+"""s for the nodes to start."""
 _SHOWN = 6
-"""Attitudes shown at once: what fits above the bars of a small terminal."""
+"""Attitudes shown at once: as many as fit above the bars of a small terminal."""
 _BAR = 24
-"""Letters of the longest bar."""
+"""Characters of the longest bar."""
 _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result.'
 
 
 def follow(processes: Processes, words: Words) -> Outcome:
-    """Show a person what to do until the session ends.
+    """Guide a person until the session ends.
 
     Raises:
-        InputError: A node has ended, or the IMU is not heard.
+        InputError: A node has ended, or the IMU sends nothing.
 
     """
     from .monitor import watching
@@ -59,11 +59,11 @@ def follow(processes: Processes, words: Words) -> Outcome:
 
 
 def view(progress: Any, refusal: str = '') -> Group:
-    """Lay out imu_calib_msgs/CalibrationProgress for a person who looks up from the unit.
+    """Lay out imu_calib_msgs/CalibrationProgress for a person with the unit in hand.
 
     Args:
         progress: The message.
-        refusal: Why the session was not ended when asked, else empty.
+        refusal: Why a request to end the session was refused, else empty.
 
     """
     best = max(progress.next_gains, default=0.0)
@@ -81,7 +81,7 @@ def view(progress: Any, refusal: str = '') -> Group:
 
 
 def reached(progress: Any) -> str:
-    """Say how many holds there are and how well scale factors and angles are known so far."""
+    """Return the number of holds, and the deviations of scale factors and angles so far."""
     std = np.array(progress.standard_deviations)
     kinds = np.array([name[0] for name in progress.parameter_names])
     words = [f'{progress.step} holds']
@@ -98,14 +98,14 @@ def reached(progress: Any) -> str:
 
 
 def _said(text: str, shown: str) -> str:
-    """Print what is new where the output is no terminal; countdowns are left out."""
+    """Print new text if the output is not a terminal; countdowns are omitted."""
     if not ERRORS.is_terminal and text != shown and not text.startswith('Hold still'):
         OUTPUT.print(text, markup=False)
     return text
 
 
 def _entered() -> bool:
-    """Say whether a person has pressed Enter."""
+    """Return whether Enter was pressed."""
     if not sys.stdin.isatty() or not select.select([sys.stdin], [], [], 0)[0]:
         return False
     return bool(sys.stdin.readline())

@@ -1,4 +1,4 @@
-"""imu-calib calibrate: a recording in, calibration.yaml and a table of 24 parameters out."""
+"""imu-calib calibrate: calibrate from a recording; write calibration.yaml, print 24 parameters."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Calibrate and print."""
-    # It is looked into before it is read: what lies elsewhere is fetched once for both.
+    # Examined before it is read: a remote recording is fetched once for both.
     arguments.bag = located(arguments.bag)
     if of_several(arguments):
         return run_several(arguments)
@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 
 def show(result: Result, truth: Calibration | None = None) -> None:
-    """Print the 24 parameters and what a person should know of how they came about."""
+    """Print the 24 parameters and messages for the user."""
     session, solution, setup = result.session, result.solution, result.calibration.provenance
     clock = session.clock
     for part in parameter_tables(result.calibration, truth):
@@ -145,14 +145,14 @@ def show(result: Result, truth: Calibration | None = None) -> None:
 
 
 def _latitude(provenance: Mapping[str, Any]) -> str:
-    """Return the latitude, or that nobody stated it."""
+    """Return the latitude, or that it was not stated."""
     if provenance['latitude_std_deg'] > 0.99 * VAGUE / DEG:
         return 'not stated'
     return f'{provenance["latitude_deg"]:.3f} deg'
 
 
 def _source(provenance: Mapping[str, Any]) -> str:
-    """Say where gravity comes from, and that a height does not count beside a measurement."""
+    """Return the source of gravity; with a measurement a height is not used."""
     source, height = str(provenance['gravity_source']), provenance['height']
     if source != MEASURED or height is None or provenance['height_assumed']:
         return source
@@ -160,7 +160,7 @@ def _source(provenance: Mapping[str, Any]) -> str:
 
 
 def _doubt(provenance: Mapping[str, Any]) -> str:
-    """Say how well gravity is known, which is how well any K_a can be known."""
+    """Return the standard deviation of gravity, which limits that of every K_a."""
     doubt = provenance['gravity_std'] / provenance['gravity']
     if not doubt:
         return 'taken as exact'

@@ -1,4 +1,4 @@
-"""imu-calib calibrate, of a recording of several units on one table."""
+"""imu-calib calibrate for a recording of several units on one table."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .terminal import OUTPUT, print_whole, progress_bar, sentence_list
 FOLDER = 'calibrations'
 
 _WORST_FIRST = (WRONG_INPUT, NO_ANSWER, OUTSIDE, DONE)
-"""Exit codes: what could not be read before what gave no answer, that before what is outside."""
+"""Exit codes by precedence: unreadable input, no result, outside the specification, success."""
 
 
 def of_several(arguments: argparse.Namespace) -> bool:
-    """Say whether a command line asks for several units, or its recording is of several.
+    """Return whether the command line or the recording has several units.
 
     Raises:
         InputError: There is no recording.
@@ -52,12 +52,12 @@ def run_several(arguments: argparse.Namespace) -> Outcome:
 
 
 def _judged(found: UnitResults) -> dict[str, Conformity]:
-    """Hold each unit against the specification of its type."""
+    """Compare each unit with the specification of its type."""
     return {u.serial_number: conformity(u.result) for u in found.units if u.result is not None}
 
 
 def _show(found: UnitResults, judged: Mapping[str, Conformity]) -> None:
-    """Print the units side by side, then what is to be known of each, what is common once."""
+    """Print the units side by side, then the findings of each, common ones once."""
     solved = [unit for unit in found.units if unit.result is not None]
     for part in comparison_tables(
         [(u.serial_number, u.result.calibration) for u in solved if u.result is not None]
@@ -84,7 +84,7 @@ def _show(found: UnitResults, judged: Mapping[str, Conformity]) -> None:
 
 
 def _common(findings: list[tuple[str, ...]]) -> list[str]:
-    """Return the sentences that are said of every unit, if there are several."""
+    """Return the sentences that all units have in common, if there are several."""
     if len(findings) < 2:
         return []
     return [s for s in findings[0] if all(s in others for others in findings[1:])]
@@ -115,7 +115,7 @@ def _show_budgets(found: UnitResults) -> None:
 def _outcome(
     found: UnitResults, judged: Mapping[str, Conformity], files: Mapping[str, Path]
 ) -> Outcome:
-    """Return the documents of all units, and the exit code of the worst."""
+    """Return the documents of all units, and the worst exit code."""
     documents, codes = [], {}
     for unit in found.units:
         number = unit.serial_number

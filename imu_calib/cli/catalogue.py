@@ -43,7 +43,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Print or write the answer."""
+    """Print or write the result."""
     path = row_file(arguments.output)
     if arguments.sql is not None and (arguments.where or arguments.columns):
         raise InputError('--sql is a whole query: leave --where and --columns out.')

@@ -43,7 +43,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write the files, and say what a draft lacks."""
+    """Write the files, and print what a draft lacks."""
     paths = [output_path(path) for path in arguments.output]
     made = certificate(
         arguments.calibration,

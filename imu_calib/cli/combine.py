@@ -1,4 +1,4 @@
-"""imu-calib combine: calibrations of one unit at several temperatures to one file."""
+"""imu-calib combine: combine calibrations of one unit at several temperatures in one file."""
 
 from __future__ import annotations
 

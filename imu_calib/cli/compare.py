@@ -10,7 +10,8 @@ from .outcome import Outcome, add_json_option
 from .terminal import OUTPUT, print_whole
 
 _LONG = 10
-"""Letters of a name above a column of numbers, which have as many; longer ones get a letter."""
+"""Longest name above a column of numbers, in characters, as wide as the numbers; longer ones get a
+letter."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -21,7 +22,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Print the table, and what differs significantly."""
+    """Print the table and the significant differences."""
     compared = compare(*arguments.files)
     heads = _heads(compared)
     found = compared.agreement
@@ -44,7 +45,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 
 def _heads(compared: Compared) -> list[str]:
-    """Return what stands above the columns: numbers, and what they mean, where names are long."""
+    """Return the column headings: numbers with a legend if names are long."""
     if max(map(len, compared.names)) <= _LONG:
         return list(compared.names)
     heads = [f'({k + 1})' for k in range(len(compared.names))]

@@ -1,4 +1,4 @@
-"""imu-calib compensate: a recording's raw IMU stream to rates and forces; the rest is copied."""
+"""imu-calib compensate: convert a recording's raw IMU stream to rates and forces; copy the rest."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Compensate, and print what was done and what a person should know of it."""
+    """Compensate, and print the result and messages for the user."""
     done = compensate(
         arguments.bag,
         arguments.calibration,

@@ -1,4 +1,4 @@
-"""imu-calib convert: text files, bags of ROS 1 and IMUs on two topics to a recording."""
+"""imu-calib convert: convert text files, bags of ROS 1 and IMUs on two topics to a recording."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Convert, and say what was written."""
+    """Convert, and print what was written."""
     done = convert(
         arguments.file,
         arguments.output,

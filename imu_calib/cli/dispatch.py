@@ -1,4 +1,4 @@
-"""Dispatch to a subcommand, and turn errors into sentences and exit codes."""
+"""Dispatch to a subcommand, and convert errors to sentences and exit codes."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ COMMANDS = {
     'security': 'make the keys with which the nodes of a stand prove their identity (SROS 2)',
     'schema': 'print the JSON Schema of a file that you write',
 }
-"""What each does; the module of its name does it."""
+"""Help of each command; the module of the same name implements it."""
 
 _NEGATIVE = re.compile(r'-\.?\d')
-"""How a value begins that is below zero; no option begins so."""
+"""Start of a negative value; no option begins like this."""
 
 
 class _WrongUsage(Exception):
-    """A command line that its parser does not take: with what it says, its usage was printed."""
+    """A command line that its parser refuses, with the message; its usage was printed."""
 
     def __init__(self, command: str, text: str) -> None:
         super().__init__(text)
@@ -55,17 +55,17 @@ class _WrongUsage(Exception):
 
 
 class _Parser(argparse.ArgumentParser):
-    """Hands wrong usage to `run`, which says it as all other errors."""
+    """Passes wrong usage to `run`, which reports it like other errors."""
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
         self.register('type', float, _number)
         self.register('type', int, _whole)
-        # argparse takes -59,9 for an option, and says of the one before that it has no value.
+        # argparse takes -59,9 for an option, and reports that the previous one has no value.
         self._negative_number_matcher = _NEGATIVE
 
     def error(self, message: str) -> NoReturn:
-        """Print the usage, unless one option's value is wrong, and raise what was wrong.
+        """Print the usage, unless one option's value is wrong, and raise the error.
 
         Raises:
             _WrongUsage: Always.
@@ -97,7 +97,7 @@ def _refused(text: str, expected: str) -> argparse.ArgumentTypeError:
 
 
 class _Version(argparse.Action):
-    """Looks the version up when it is asked for: what reads it is slow to load."""
+    """Determines the version on request only: this loads slowly."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         sys.stdout.write(f'imu-calib {version()}\n')
@@ -105,7 +105,7 @@ class _Version(argparse.Action):
 
 
 def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
-    """Return the parser of all subcommands, with the options of those that are needed.
+    """Return the parser of all subcommands, with the options of the needed ones.
 
     Loading a subcommand takes longer than most of them run.
 
@@ -116,7 +116,7 @@ def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
     parser = _Parser(prog='imu-calib', description='Calibrate strapdown IMUs on a turntable.')
     parser.add_argument('--version', action=_Version, nargs=0, help='print the version, and end')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
-    # Each of the others would look for translations of its headings, in files.
+    # Without this, each of the others would search files for translations of its headings.
     named = [argv[0]] if argv and argv[0] in COMMANDS else COMMANDS
     for name in named:
         command = commands.add_parser(name, help=COMMANDS[name])
@@ -132,10 +132,10 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
 
     Args:
         argv: Its words.
-        alone: Whether this process does nothing else.
+        alone: Whether this process has no other task.
 
     """
-    # A wrong option is found before it is known which ones are there.
+    # A wrong option is found before it is known which options there are.
     as_json = JSON in argv
     OUTPUT.stderr = as_json
     try:
@@ -156,7 +156,7 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
     except KeyboardInterrupt:
         code = _ended(command, as_json, INTERRUPTED, WORDS, KIND)
     except BrokenPipeError:
-        # The reader of our output has ended; keep the interpreter from complaining at exit.
+        # The reader of the output has ended; suppress the interpreter's message at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
@@ -176,10 +176,10 @@ def _parsed(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _loaded(argv: Sequence[str]) -> argparse.Namespace:
-    """Parse the command line of a process that loads what it needs for it.
+    """Parse the command line of a process that loads only what it needs.
 
-    Modules stay until the process ends: searching them for garbage, meanwhile and at the end, takes
-    a tenth of a short command.
+    Modules stay until the process ends: garbage collection of them takes a tenth of a short
+    command.
     """
     gc.disable()
     try:
@@ -190,7 +190,7 @@ def _loaded(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _ended(command: str, as_json: bool, code: int, text: str, kind: str) -> int:
-    """Say why a command has ended without a result, on the screen and in its document."""
+    """Report why a command has ended without a result, on the terminal and in its document."""
     if code == INTERRUPTED:
         clear_interrupt()
     _say(command, text, style='' if code == INTERRUPTED else 'red')
@@ -205,6 +205,6 @@ def _say(command: str, text: str, style: str) -> None:
 
 
 def _last_word(arguments: argparse.Namespace) -> None:
-    """Say how to go on, where a command has left something that can be gone on with."""
+    """Print how to resume, if a command has left something that can be resumed."""
     if word := getattr(arguments, 'last_word', ''):
         ERRORS.print(word, markup=False)

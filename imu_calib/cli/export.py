@@ -42,7 +42,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write the file, and say what it cannot carry."""
+    """Write the file, and print what it cannot represent."""
     target = output_path(arguments.output)
     exported = export(
         arguments.calibration,

@@ -31,7 +31,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write the page, and print what needs a person."""
+    """Write the page, and print the matters for attention."""
     if not arguments.ahead >= 0:
         raise InputError(f'--ahead: found {arguments.ahead:g}, expected 0 days or more.')
     path, fleet = written(
@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _counts(fleet: Fleet) -> list[tuple[str, int]]:
-    """Return what may be said of units with how many it is said of; nothing of what none has."""
+    """Return the flags of units with their numbers, without those of no unit."""
     counts = [(flag.value.words, len(fleet.flagged(flag))) for flag in Flag]
     return [(words, number) for words, number in counts if number]
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ..histories.results import History, UnitHistory
 
 _SHOWN = 25
-"""Units of a table on the screen, the most urgent; a file has all."""
+"""Units of a table on the terminal, the most urgent; a file has all."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -56,7 +56,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Print tables and sentences, and write a file where one is wanted."""
+    """Print tables and sentences, and write a file on request."""
     path = row_file(arguments.output)
     found = history(
         arguments.catalogue, serial=arguments.serial, where=arguments.where, imu=arguments.imu
@@ -98,7 +98,7 @@ def _print_all(found: History, on: np.datetime64) -> None:
 
 
 def _of_units(found: History, on: np.datetime64) -> list[str]:
-    """Say which units are due, drift, stepped, are out of control or apart."""
+    """Return sentences on units that are due, drift, stepped, are out of control or differ."""
     due = [u for u in found.units if not u.outside and u.forecast.recalibrate <= on]
     groups = (
         ('Outside the specification', [u.serial for u in found.outside]),

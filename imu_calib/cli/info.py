@@ -15,7 +15,7 @@ from .outcome import WRONG_INPUT, Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
-    # Loaded where somebody says how the streams are to be read.
+    # Loaded only if it is stated how the streams are to be read.
     from ..api.inside import Inside
 
 
@@ -37,7 +37,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Print topics, then segments where plan, IMU and site are known."""
+    """Print topics, then segments if plan, IMU and site are known."""
     outside = topics(arguments.bag, progress_bar)
     _show_topics(outside)
     if arguments.topics:
@@ -90,7 +90,7 @@ def _show(inside: Inside) -> None:
 
 
 def _dwells(inside: Inside) -> Rows:
-    """List every static dwell: when, how long, how the unit stood, and what the plan calls it."""
+    """List every static dwell: start, duration, attitude, and position in the plan."""
     headings = ('dwell', 'at, s', 'for, s', 'left out', 'up', 'heading, deg', 'position')
     rows = plain_table(headings, 'rrrrlrl')
     for k, dwell in enumerate(inside.dwells):
@@ -107,7 +107,7 @@ def _dwells(inside: Inside) -> Rows:
 
 
 def _outputs(inside: Inside) -> Rows:
-    """List what the sensors read at every dwell."""
+    """List the mean outputs of every dwell."""
     rows = plain_table(('dwell', 'fx, g', 'fy, g', 'fz, g', 'wx', 'wy', 'wz, deg/h'), 'r' * 7)
     for k, dwell in enumerate(inside.dwells):
         rows.add_row(
@@ -119,7 +119,7 @@ def _outputs(inside: Inside) -> Rows:
 
 
 def _turns(inside: Inside) -> Rows:
-    """List every measurement of whole turns: when, about what, how fast, how many."""
+    """List every measurement of whole turns: start, axis, rate, number of turns."""
     rows = plain_table(
         ('turn', 'at, s', 'for, s', 'up', 'rate, deg/s', 'turns', 'position'), 'rrrlrrl'
     )

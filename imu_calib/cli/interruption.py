@@ -1,4 +1,4 @@
-"""How a command ends that Ctrl-C has interrupted."""
+"""End of a command after Ctrl-C."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from .outcome import JSON, Outcome, error_document, write_document
 INTERRUPTED = 130
 """Exit code of a shell for SIGINT: 128 + 2."""
 WORDS = KIND = 'interrupted'
-"""What is said, and the kind of the error in a document."""
+"""Message, and kind of the error in a document."""
 
 
 def clear_interrupt() -> None:
-    """Let the exit code be what is returned, where a Ctrl-C has cut an exec of text short.
+    """Make the returned exit code effective if Ctrl-C has interrupted an exec of text.
 
-    Dataclasses make their methods by such when a module is loaded. Run by `python -m`, CPython then
-    dies of the signal (unhandled_keyboard_interrupt, Python/pythonrun.c), until another exec.
+    Dataclasses create their methods by exec when a module is loaded. Under `python -m`, CPython
+    then ends by the signal (unhandled_keyboard_interrupt, Python/pythonrun.c), until another exec.
     """
     exec('')
 
 
 def say_interrupted(argv: Sequence[str]) -> int:
-    """Say that a command line was interrupted before its command was known; return the exit code.
+    """Report an interruption before the command was known; return the exit code.
 
-    Without the console of rich, whose modules may be those that were interrupted.
+    Without the console of rich: the interruption may have occurred while its modules loaded.
     """
     clear_interrupt()
     sys.stderr.write(f'imu-calib: {WORDS}\n')

@@ -1,6 +1,6 @@
-"""The first bytes of the IMU, before anything starts: whether it is there, and as described.
+"""Check the first bytes of the IMU before anything starts: whether it is present and as described.
 
-The nodes would find out as well, but take their time to load and to find each other.
+The nodes would detect this too, but later: they load slowly and must discover each other.
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ from ..imu import ImuSpec
 from .words import Words
 
 _ROUND = 0.02
-"""Between two looks, s: too little to be noticed."""
+"""Between two checks, s: too short to be noticed."""
 
 _LONGEST = 3.0
-"""Longest wait, s: longer than a host may take to answer (2 s). What is slower still is left to the
-nodes, which go on waiting."""
+"""Longest wait, s: longer than a host may take to answer (2 s). The nodes wait for slower ones."""
 
 
 def listen(
@@ -27,22 +26,22 @@ def listen(
     words: Words,
     node: str = 'imu_node',
 ) -> None:
-    """Listen until the device is known to be the one described, or silent, which is said.
+    """Read until the device is confirmed to be the described one, or its silence is reported.
 
     Args:
-        port: As of `Source`; it is free again at the end.
+        port: As for `Source`; it is closed at the end.
         frames: The format of the device's frames.
-        imu: What its numbers mean.
+        imu: Description of its numbers.
         baud: Of a serial port.
-        words: Shows what there is to say.
-        node: In whose name.
+        words: Shows messages.
+        node: Name of the node shown in messages.
 
     Raises:
-        InputError: The port is none.
-        NothingComes: It does not open, or what comes is not what the files say.
+        InputError: The port is invalid.
+        NothingComes: It does not open, or its data does not match the files.
 
     """
-    # imu_node goes on with the device as it is.
+    # imu_node continues with the present state of the device.
     source = Source(port, time.time_ns, baud.rate, commands=frames.commands, restarts=False)
     reception = Reception(frames, imu, live=source.live)
     source.start()
@@ -55,7 +54,7 @@ def listen(
 
 
 def _decided(source: Source, reception: Reception, words: Words, node: str) -> bool:
-    """Take in what has come, and show what there is to say; say whether that is all."""
+    """Take new bytes, and show messages; return whether the check is complete."""
     state, now, steady = source.state, time.time_ns(), steady_time() * 1e-9
     chunks = source.take()
     if chunks:
@@ -67,6 +66,6 @@ def _decided(source: Source, reception: Reception, words: Words, node: str) -> b
         words.note(f'{node}: {word.part}', word.severity, word.text, came=came)
     words.show()
     if state.ended:
-        # A short recording: no more than this will come of it.
+        # A short recording: no more data will come.
         return reception.health.heard and not chunks
     return reception.health.judged or (state.open and silent and not came)

@@ -1,4 +1,4 @@
-"""Entry point: a Ctrl-C ends in a sentence from the first module on that a command loads."""
+"""Entry point: Ctrl-C ends in a sentence from the first module that a command loads."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         return run(given, alone=argv is None)
     except KeyboardInterrupt:
-        # While modules were loading, or again while the first one was answered.
+        # During the loading of modules, or a second Ctrl-C during the answer to the first.
         from .interruption import say_interrupted
 
         return say_interrupted(given)

@@ -1,4 +1,4 @@
-"""What the command line sees of a running stand."""
+"""State of a running stand for the command line."""
 
 from __future__ import annotations
 
@@ -19,20 +19,19 @@ from .processes import Processes
 from .words import Words
 
 _DEEP = 100
-"""Several nodes speak at once, and none of it is to be lost."""
+"""Queue depth: several nodes publish at once, and no message may be lost."""
 
 
 class Monitor:
-    """Listens to turntable/state, calibration/progress, calibration and /diagnostics.
+    """Subscribes to turntable/state, calibration/progress, calibration and /diagnostics.
 
     Args:
-        words: Shows what the nodes say of themselves.
-        board: Takes what is heard, to be shown; None where nothing is. That of several units says
-            which they are.
+        words: Shows the reports of the nodes.
+        board: Receives the messages for display, or None. A board of several units lists them.
 
     Attributes:
-        outcome: Whether there is a calibration, and what was said of it; None while it runs.
-        stopped: Why the table stopped short of its plan, else empty.
+        outcome: Whether there is a calibration, with the final message; None while it runs.
+        stopped: Why the table stopped before the end of its plan, else empty.
 
     """
 
@@ -68,10 +67,10 @@ class Monitor:
             self._board.take_diagnostics(message, time.monotonic())
 
     def spin(self, seconds: float) -> None:
-        """Listen for a while, and show what the nodes say of themselves.
+        """Receive messages for a time, and show the reports of the nodes.
 
         Raises:
-            InputError: Nothing can come from the IMU.
+            InputError: The IMU cannot deliver data.
 
         """
         until = time.monotonic() + seconds
@@ -86,7 +85,7 @@ class Monitor:
 
     @property
     def duration(self) -> float:
-        """Time that the plan has run, s of the stand's time."""
+        """Time for which the plan has run, s of the stand's time."""
         return 0.0 if self._first is None else self._last - self._first
 
     @property
@@ -96,7 +95,7 @@ class Monitor:
 
     @property
     def text(self) -> str:
-        """One line on what goes on."""
+        """One line on the present state."""
         if self._state is None:
             return 'turntable_node has not been heard'
         state, progress = self._state, self._progress
@@ -115,25 +114,25 @@ class Monitor:
 
     @property
     def worked(self) -> float:
-        """Between the first and the last data that progress reports, s."""
+        """Time between the first and the last data in progress reports, s."""
         return self._span[1] - self._span[0]
 
     def solve(self) -> None:
-        """Ask the calibrator to end the session with what is here."""
+        """Request the calibrator to end the session with the data received so far."""
         if self._service is None:
             self._service = self._node.create_client(ros.Trigger, 'calibrator_node/solve')
         self._answer = self._service.call_async(ros.Trigger.Request())
 
     @property
     def refusal(self) -> str:
-        """Why the calibrator did not end the session when asked, else empty."""
+        """Why the calibrator refused to end the session, else empty."""
         answer = self._answer
         if answer is None or not answer.done() or answer.result() is None:
             return ''
         return '' if answer.result().success else str(answer.result().message)
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the network."""
         self._node.destroy_node()
 
     def _on_state(self, message: Any) -> None:

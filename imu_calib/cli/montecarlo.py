@@ -1,4 +1,4 @@
-"""imu-calib montecarlo: a simulated session many times, and the errors of its method."""
+"""imu-calib montecarlo: repeat a simulated session, and print the errors of its method."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Simulate, calibrate, and print what came out."""
+    """Simulate, calibrate, and print the result."""
     target = _plot_path(arguments.output) if arguments.output else None
     repeated = montecarlo(
         arguments.plan,
@@ -128,7 +128,7 @@ def _table(outcome: Outcome) -> Rows:
 
 
 def _plot_path(text: str) -> Path:
-    """Return where a plot goes that can be drawn and written; asked before anything is computed."""
+    """Return the path of a plot that can be drawn and written; checked before the computation."""
     target = output_path(text)
     figure = empty_figure(1.0, 1.0, f'--output {text}: a plot')
     known = sorted(figure.canvas.get_supported_filetypes())

@@ -1,4 +1,4 @@
-"""Options that several commands have, and what they state of a session."""
+"""Options common to several commands, and the statements on a session made from them."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from ..units import DEG
 
 
 def stated(arguments: argparse.Namespace) -> Stated:
-    """Return what a command line states of a session, as far as the command has options for it."""
+    """Return the statements of a command line on a session, by the options that the command has."""
     given = vars(arguments)
     known = {f.name: given[f.name] for f in fields(Stated) if f.name in given}
     return Stated(**known)
 
 
 def keywords(function: Callable[..., object], arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return what a command line states of a function's keywords: options are named alike."""
+    """Return the keywords of a function from a command line: options have the same names."""
     of_function = signature(function).parameters.values()
     names = [one.name for one in of_function if one.kind is Parameter.KEYWORD_ONLY]
     given = vars(arguments)
@@ -33,7 +33,7 @@ def keywords(function: Callable[..., object], arguments: argparse.Namespace) -> 
 
 
 def add_imperfections_option(parser: argparse._ActionsContainer) -> None:
-    """Add what is wrong with a simulated stand."""
+    """Add --imperfections: the faults of a simulated stand."""
     parser.add_argument(
         '--imperfections',
         metavar='NAME|FILE',
@@ -99,10 +99,10 @@ def add_imus_option(parser: argparse._ActionsContainer) -> None:
 
 
 def refuse_beside_imus(arguments: argparse.Namespace, *names: str) -> None:
-    """Refuse what says of one unit what the file of --imus says of each.
+    """Refuse options for one unit that the file of --imus states for each.
 
     Raises:
-        InputError: Names the option.
+        InputError: The text names the option.
 
     """
     for name in names:
@@ -115,7 +115,7 @@ def refuse_beside_imus(arguments: argparse.Namespace, *names: str) -> None:
 
 
 def add_bias_instability_option(parser: argparse._ActionsContainer) -> None:
-    """Add --bias-instability, of what is simulated or predicted."""
+    """Add --bias-instability, for simulations and predictions."""
     parser.add_argument(
         '--bias-instability',
         action='store_true',
@@ -124,7 +124,7 @@ def add_bias_instability_option(parser: argparse._ActionsContainer) -> None:
 
 
 def add_history_options(parser: argparse.ArgumentParser) -> None:
-    """Add the catalogue that is looked back on, its rows, and specifications of types."""
+    """Add the catalogue of a history, its rows, and specifications of types."""
     parser.add_argument('catalogue', metavar='CATALOGUE', help='the folder')
     parser.add_argument(
         '--where', metavar='SQL', help='rows that count: "imu = \'fog_medium\'" (default: all)'
@@ -142,7 +142,7 @@ def add_history_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_scheduler_option(parser: argparse._ActionsContainer) -> None:
-    """Add --scheduler, of work that otherwise runs on this machine."""
+    """Add --scheduler, for work that otherwise runs on this machine."""
     parser.add_argument(
         '--scheduler',
         metavar='ADDRESS',
@@ -169,7 +169,7 @@ def add_serial_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_session_options(parser: argparse.ArgumentParser) -> None:
-    """Add what says how a recording is to be read and solved."""
+    """Add the options that state how a recording is read and solved."""
     add_recording_options(parser)
     add_method_option(parser)
     add_serial_option(parser)
@@ -192,7 +192,7 @@ def add_method_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
-    """Add what says how a recording is to be read."""
+    """Add the options that state how a recording is read."""
     parser.add_argument(
         '--plan',
         metavar='NAME|FILE',

@@ -1,4 +1,4 @@
-"""How a command ends: its exit code, and the one JSON document that --json leaves on stdout."""
+"""End of a command: its exit code, and the one JSON document of --json on stdout."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..api.conforming import Conformity
 
 FORMAT = 1
-"""Version of the documents: it grows when a key changes its meaning or is gone."""
+"""Version of the documents: it increases when a key changes its meaning or is removed."""
 
 DONE, NO_ANSWER, WRONG_INPUT, OUTSIDE = 0, 1, 2, 3
 """Exit codes. OUTSIDE: a parameter is proven to be outside the unit's specification."""
@@ -28,17 +28,17 @@ EXIT_CODES = (
 )
 
 JSON = '--json'
-"""The option that asks for a document."""
+"""The option that requests a document."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a command.
+    """Result of a command.
 
     Attributes:
         result: For --json: plain values, SI units.
-        exit_code: Where nothing was raised.
-        message: Says why the exit code is not 0.
+        exit_code: Exit code without an exception.
+        message: Reason why the exit code is not 0.
 
     """
 
@@ -66,29 +66,29 @@ def write_document(command: str, outcome: Outcome, error: Mapping[str, str] | No
         'error': error,
         'result': outcome.result,
     }
-    # Not by rich, which would break long lines; JSON has no word for what is no finite number.
+    # Not by rich, which would break long lines; JSON has no value for non-finite numbers.
     sys.stdout.write(json.dumps(finite(document), ensure_ascii=False, allow_nan=False) + '\n')
 
 
 def judged_outcome(result: Mapping[str, Any], found: Conformity | None) -> Outcome:
-    """Return what comes of a command that held a unit against its specification, or did not."""
+    """Return the outcome of a command, with the conformity of the unit if it was assessed."""
     if found is None or not found.outside:
         return Outcome(result)
     return Outcome(result, OUTSIDE, found.sentence())
 
 
 def error_document(message: str, kind: str = 'input') -> dict[str, str]:
-    """Return an error as a document has it: 'input', 'not_observable' or 'interrupted'."""
+    """Return an error for a document: 'input', 'not_observable' or 'interrupted'."""
     return {'kind': kind, 'message': message}
 
 
 def kind_of(error: ImuCalibError) -> str:
-    """Return the kind of an error, by which programs tell them apart."""
+    """Return the kind of an error, for programs."""
     return 'not_observable' if isinstance(error, NotObservable) else 'input'
 
 
 def finite(value: Any) -> Any:
-    """Return plain values with null for what is no finite number."""
+    """Return plain values with null for non-finite numbers."""
     if isinstance(value, Mapping):
         return {str(key): finite(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""imu-calib plans: list the supplied plans; lay one out; predict its results and its duration."""
+"""imu-calib plans: list the supplied plans; print one; predict its results and its duration."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Print the list, the steps of one plan, or what it would give."""
+    """Print the list, the steps of one plan, or its prediction."""
     table = load_table(arguments.table)
     if arguments.reach and (arguments.imu is None or arguments.plan is None):
         raise InputError('--reach needs a plan and --imu: noise says how long a dwell must be.')
@@ -135,7 +135,7 @@ def _check_optimise(arguments: argparse.Namespace) -> None:
 
 
 def _optimise(arguments: argparse.Namespace) -> None:
-    """Find a plan, write it, and show what it gives."""
+    """Find a plan, write it, and print its prediction."""
     target, stated = plan_file(arguments.output), options.keywords(optimise, arguments)
     stated['output'] = target
     optimise(arguments.imu, arguments.optimise, **stated, progress=progress_bar)
@@ -145,7 +145,7 @@ def _optimise(arguments: argparse.Namespace) -> None:
 
 
 def _refuse_without_imu(arguments: argparse.Namespace) -> None:
-    """Refuse what would count in a prediction where none is asked for."""
+    """Refuse options that affect only a prediction when none is requested."""
     stated = {name: getattr(arguments, name) for name in _OF_A_PREDICTION}
     given = [name for name, value in stated.items() if value is not None and value is not False]
     if given:

@@ -1,4 +1,4 @@
-"""What a plan would give, on the terminal: standard deviations, terms, and the shortest dwells."""
+"""Prediction of a plan on the terminal: standard deviations, terms, and the shortest dwells."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ _TURNS_AND_DWELLS = 'the same dwells and turns early and late'
 
 
 def show_prediction(arguments: argparse.Namespace) -> None:
-    """Print what is predicted of a plan, as options state it.
+    """Print the prediction of a plan, by the options.
 
     Raises:
         InputError: As of `predict` and `reach`.
-        NotObservable: A parameter is not determined, or no dwell reaches what is wanted.
+        NotObservable: A parameter is not determined, or no dwell reaches the requested value.
 
     """
     setup = setup_of(options.stated(arguments))
@@ -82,7 +82,7 @@ def show_prediction(arguments: argparse.Namespace) -> None:
 
 
 def _side_by_side(own: Forecast, joint: Forecast) -> Forecast:
-    """Put a joint estimate's deviations beside those of a closed form, by parameter.
+    """Combine the deviations of a joint estimate and of a closed form, by parameter.
 
     Either may estimate terms that the other does not.
     """
@@ -108,7 +108,7 @@ def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel)
 
 
 def _parted(text: str) -> tuple[str, str]:
-    """Part NAME=STD; where it is something else, what reads the name says so."""
+    """Split NAME=STD; the parser of the name reports other forms."""
     name, _, value = text.partition('=')
     return name.strip(), value
 
@@ -175,7 +175,7 @@ def _show_terms(found: Sequence[TermForecast], changes: Sequence[ChangeForecast]
 
 
 def _costs(dearer: Sequence[tuple[Parameter, float]]) -> str:
-    """Say by how many times a term takes others' deviations, the worst of each kind."""
+    """Return the factors by which a term increases other deviations, the largest of each kind."""
     worst: dict[str, float] = {}
     for parameter, times in dearer:
         kind = f'{parameter.kind.value.symbol}_{parameter.triad}'
@@ -188,7 +188,7 @@ def _cell(value: float, empty: str = '-') -> str:
 
 
 def show_time(plan: Plan, table: Table) -> None:
-    """Print how long a plan takes on a table."""
+    """Print the duration of a plan on a table."""
     if plan.by_hand:
         return
     steps = plan.steps(table)

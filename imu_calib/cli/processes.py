@@ -1,4 +1,4 @@
-"""Nodes as processes of their own, which end when this one ends, however it ends."""
+"""Nodes in separate processes, which end with this one in every case."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ _PATIENCE = 6.0
 
 @dataclass
 class Outcome:
-    """How a session ended.
+    """Outcome of a session.
 
     Attributes:
         finished: Whether there is a calibration.
-        text: What the calibrator said last, or why it came to nothing.
-        duration: What it took, s of the stand's time.
+        text: Last message of the calibrator, or the reason of the failure.
+        duration: Of the session, s of the stand's time.
 
     """
 
@@ -52,12 +52,12 @@ class Outcome:
 
 
 class Processes:
-    """The nodes that were started; leaving the block ends them, the table's leader first.
+    """The started nodes; leaving the block ends them, the one that runs the plan first.
 
     Args:
-        folder: Takes parameter files and logs, in its folder `nodes`.
-        environment: Variables on top of this process's own.
-        inherited: File descriptors that the nodes keep open as long as they run.
+        folder: Its folder `nodes` takes parameter files and logs.
+        environment: Variables in addition to those of this process.
+        inherited: File descriptors that the nodes keep open while they run.
 
     Attributes:
         environment: As given.
@@ -82,11 +82,11 @@ class Processes:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End what was started last first: who leads the table stops it."""
+        """End the nodes in reverse order of their start: the one that runs the plan stops it."""
         self.end_all_but(())
 
     def end_all_but(self, kept: Collection[str]) -> None:
-        """End all nodes but some, those that were started last first."""
+        """End all nodes but some, in reverse order of their start."""
         for name in [n for n in reversed(self._running) if n not in kept]:
             process, log = self._running.pop(name)
             _end(process)
@@ -104,11 +104,11 @@ class Processes:
         """Start a node of the suite with its parameters.
 
         Args:
-            node: Its name, with its namespace before it where it has one: unit_1/imu_node.
+            node: Its name, with its namespace in front if it has one: unit_1/imu_node.
             parameters: By name.
-            needed: Whether the others cannot do without it.
-            environment: Further variables, for this node alone.
-            remapped: Topics by the names that the node has for them.
+            needed: Whether the session requires it.
+            environment: Further variables, only for this node.
+            remapped: Topics by the node's names for them.
 
         """
         if not needed:
@@ -130,18 +130,18 @@ class Processes:
             stdout=log,
             stderr=subprocess.STDOUT,
             env={**self._environment, **in_enclave(name), **environment},
-            # Ctrl-C is for this process alone, which ends them in order.
+            # Ctrl-C is for this process only, which ends them in order.
             start_new_session=True,
             pass_fds=self._inherited,
         )
         self._running[node] = process, log
 
     def _file(self, node: str, kind: str) -> Path:
-        """Return the file of a node's parameters or of what it says."""
+        """Return the file of a node's parameters or of its log."""
         return self._folder / f'{node.replace("/", ".")}.{kind}'
 
     def kill(self, node: str, number: int = signal.SIGKILL) -> None:
-        """Send a node a signal, and wait until it has ended; it may be started anew."""
+        """Send a node a signal, and wait until it has ended; it may be started again."""
         process, log = self._running.pop(node)
         process.send_signal(number)
         process.wait()
@@ -153,7 +153,7 @@ class Processes:
         return tuple(self._running)
 
     def runs(self, node: str) -> bool:
-        """Say whether a node was started and has not ended."""
+        """Return whether a node was started and still runs."""
         return node in self._running and self._running[node][0].poll() is None
 
     def number(self, node: str) -> int:
@@ -161,10 +161,10 @@ class Processes:
         return self._running[node][0].pid
 
     def check(self) -> None:
-        """Make sure that all that are needed still run; say once what else has ended.
+        """Check that all needed nodes still run; report other ended nodes once.
 
         Raises:
-            InputError: One has ended; its last words.
+            InputError: One has ended; the text has its last line.
 
         """
         for node, (process, _) in self._running.items():
@@ -195,15 +195,15 @@ def private_network() -> dict[str, str]:
 
 
 def network_of_hardware(interface: str | None, *, alone: bool) -> dict[str, str]:
-    """Return the variables of a stand with real hardware: where its nodes are, and who hears them.
+    """Return the variables of a stand with real hardware: its network and its domain.
 
     Args:
-        interface: By which the stand leaves this machine; None where it does not.
-        alone: Whether no driver of a table has to be found: it then needs no agreed domain.
+        interface: Network interface of the stand; None if it stays on this machine.
+        alone: Whether there is no driver of a table to be found: no agreed domain is needed.
 
     Raises:
         InputError: There is no such interface; the domain is the default one; or the environment
-            asks for a network and no interface is named.
+            requests a network and no interface is named.
 
     """
     if interface is not None:
@@ -223,7 +223,7 @@ def free_port() -> int:
 
 
 def free_ports(count: int) -> int:
-    """Return the first of so many free TCP ports in a row."""
+    """Return the first of `count` free TCP ports in sequence."""
     while True:
         first = free_port()
         with contextlib.suppress(OSError, OverflowError), contextlib.ExitStack() as held:

@@ -1,4 +1,4 @@
-"""imu-calib report: a calibration and its recording to one HTML file, for the screen and for A4."""
+"""imu-calib report: write a calibration and its recording to one HTML file, for screen and A4."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Write the report, and say why it has no verdicts."""
+    """Write the report, and print why it has no verdicts."""
     path, imu = written(
         arguments.calibration,
         output_path(arguments.output),

@@ -1,4 +1,4 @@
-"""What a stand's folder keeps of its settings, to go on with a session that was interrupted."""
+"""Settings in a stand's folder, used to resume an interrupted session."""
 
 from __future__ import annotations
 
@@ -35,33 +35,34 @@ _FILES = {
     'truth': 'truths',
     'imperfections': 'imperfections',
 }
-"""Options that name a file, and of which kind."""
+"""Options that name a file, with its kind."""
 
 _OF_THE_RUN = frozenset(
     {'command', 'run', 'default_of', 'last_word', 'output', 'resume', 'start'}
     | {'web', 'web_host', 'control', 'verbose'}
 )
-"""What belongs to one run rather than to the session."""
+"""Options of one run, which do not belong to the session."""
 
 _MAY_CHANGE = frozenset({'port', 'baud', 'speed', 'network', 'without'})
-"""A device, or a network, comes back by another name after a power cut; how fast to simulate is no
-matter; a unit may have failed for good."""
+"""A device or a network may have another name after a power failure; the speed of a simulation has
+no effect; a unit may have failed permanently."""
 
 _OUTAGE = 10
-"""How long simulated hardware is off, s of its time: longer than anybody waits for joint states."""
+"""Time without simulated hardware, s of its time: longer than the accepted silence of joint
+states."""
 
 _PATIENCE = 30.0
-"""Longest wait for the nodes of a run that was killed, s: they stop the table first, and wait until
-that was heard."""
+"""Longest wait for the nodes of a killed run, s: they stop the table first, and wait for the
+acknowledgement."""
 
 
 def keep(arguments: argparse.Namespace, folder: Path) -> None:
-    """Write the settings of a session into its folder, and point them at the copies there.
+    """Write the settings of a session into its folder, with paths of the copies there.
 
-    Files are copied: the session is gone on with as it began, whatever becomes of the originals.
+    Files are copied: the session is resumed unchanged even if the originals change.
 
     Raises:
-        InputError: One of the files is not there.
+        InputError: One of the files is missing.
 
     """
     settings = folder / _SETTINGS
@@ -74,7 +75,7 @@ def keep(arguments: argparse.Namespace, folder: Path) -> None:
     if arguments.imus:
         several.keep(arguments, settings)
     kept = {k: v for k, v in vars(arguments).items() if k not in {*_OF_THE_RUN, *_FILES, 'imus'}}
-    # Last, and whole: without it the folder is no stand's.
+    # Last, and atomically: a folder without it does not belong to a stand.
     draft = settings / f'{_OPTIONS}.new'
     with draft.open('w', encoding='utf-8') as file:
         yaml.safe_dump(kept, file)
@@ -85,10 +86,10 @@ def keep(arguments: argparse.Namespace, folder: Path) -> None:
 
 
 def restore(arguments: argparse.Namespace) -> Path:
-    """Put in what the interrupted session was started with; return its folder.
+    """Set the options of the interrupted session; return its folder.
 
     Raises:
-        InputError: The folder is no stand's, or options are given that belong to the session.
+        InputError: The folder is not a stand's, or options are given that belong to the session.
 
     """
     folder = user_path(arguments.resume)
@@ -115,10 +116,11 @@ def restore(arguments: argparse.Namespace) -> Path:
 
 
 def check_unfinished(folder: Path) -> None:
-    """Refuse to go on with what is complete.
+    """Refuse to resume a complete session.
 
     Raises:
-        InputError: It is; says where the result is, or how to see why there is none.
+        InputError: It is complete; the text states where the result is, or how to see why there is
+            none.
 
     """
     if not unfinished(folder):
@@ -126,7 +128,7 @@ def check_unfinished(folder: Path) -> None:
 
 
 def unfinished(folder: Path) -> bool:
-    """Say whether a folder holds a session that can be gone on with."""
+    """Return whether a folder has a session that can be resumed."""
     if not (folder / _SETTINGS / _OPTIONS).is_file():
         return False
     recording = _recorded(folder)
@@ -149,15 +151,15 @@ def switched_on_at(folder: Path) -> float:
 
 
 def command(folder: str) -> str:
-    """Return what to type to go on with a session whose folder was given so."""
+    """Return the command that resumes a session in a folder."""
     return f'imu-calib stand --resume {shlex.quote(folder)}'
 
 
 @contextmanager
 def claimed(folder: Path) -> Iterator[int]:
-    """Hold a folder for this run; yield the file descriptor that its nodes are to inherit.
+    """Lock a folder for this run; yield the file descriptor that its nodes must inherit.
 
-    The lock goes when the last process that has it ends, however it ends.
+    The lock ends with the last process that has it, in every case.
 
     Raises:
         InputError: Another stand runs in it.
@@ -230,7 +232,7 @@ def _refuse_other_settings(arguments: argparse.Namespace, folder: Path) -> None:
 
 
 def _recorded(folder: Path) -> Recording | None:
-    """Open the journal; None where nothing of it can be read."""
+    """Open the journal; None if it is unreadable."""
     try:
         return open_recording(folder / JOURNAL)
     except RecordingError:

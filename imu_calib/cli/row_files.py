@@ -16,7 +16,7 @@ _ENDINGS = ('.csv', '.json')
 
 
 def row_file(stated: str | None) -> Path | None:
-    """Return the file that was asked for, or None.
+    """Return the requested file, or None.
 
     Raises:
         InputError: It has another ending, exists or cannot be written.
@@ -33,7 +33,7 @@ def row_file(stated: str | None) -> Path | None:
 def write_rows(
     path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]], whole: Any
 ) -> None:
-    """Write rows to a .csv file, or what they are taken from, as plain values, to a .json file."""
+    """Write rows to a .csv file, or their source as plain values to a .json file."""
     with path.open('w', encoding='utf-8', newline='') as file:
         if path.suffix == '.json':
             json.dump(finite(whole), file, indent=1, allow_nan=False)

@@ -22,10 +22,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Make the keystore, and say how it is used.
+    """Create the keystore, and print how to use it.
 
     Raises:
-        ImuCalibError: sros2 is not here, or the keystore cannot be made.
+        ImuCalibError: sros2 is not installed, or the keystore cannot be created.
 
     """
     keystore = user_path(arguments.keystore).absolute()

@@ -29,7 +29,7 @@ from .terminal import OUTPUT, sentence_list
 CALIBRATIONS = 'calibrations'
 """Folder of the results, SERIAL.yaml each."""
 _FILES = {'imu': 'imus', 'device': 'devices', 'truth': 'truths'}
-"""Keys of a unit that name a file, and of which kind."""
+"""Keys of a unit that name a file, with its kind."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +43,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def units_of(arguments: argparse.Namespace) -> tuple[MountedUnit, ...]:
-    """Return the units of --imus that are there; none where the option is not given.
+    """Return the present units of --imus; empty without the option.
 
     Raises:
         InputError: The file is broken, or --without names no unit of it, or all.
@@ -55,15 +55,15 @@ def units_of(arguments: argparse.Namespace) -> tuple[MountedUnit, ...]:
 
 
 def is_real(arguments: argparse.Namespace) -> bool:
-    """Say whether the hardware is real: an IMU has a port."""
+    """Return whether the hardware is real: an IMU has a port."""
     return bool(arguments.port) or any(unit.port for unit in units_of(arguments))
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """Refuse options that do not go with several units, or units that do not go together.
+    """Refuse options that do not apply to several units, or units that do not match each other.
 
     Raises:
-        InputError: Says which.
+        InputError: The text states which.
 
     """
     if not arguments.imus:
@@ -92,12 +92,12 @@ def check(arguments: argparse.Namespace) -> None:
 
 
 def device_of(unit: MountedUnit, arguments: argparse.Namespace) -> str:
-    """Return the format of a unit's frames: its own, or that of all."""
+    """Return the format of a unit's frames: its own, or the common one."""
     return unit.device or arguments.device or ''
 
 
 def truths(arguments: argparse.Namespace) -> dict[str, Calibration]:
-    """Return what simulated units truly are, by serial number.
+    """Return true parameters of simulated units, by serial number.
 
     Raises:
         InputError: A file is missing, or of another kind of unit.
@@ -137,7 +137,7 @@ def node_parameters(
 
 
 def remappings(arguments: argparse.Namespace) -> dict[str, dict[str, str]]:
-    """Return what each unit's imu_node calls its topic, where that is no default."""
+    """Return the topic remappings of each unit's imu_node, if not default."""
     return {
         f'{unit.name}/imu_node': {PULSES: unit.named_topic}
         for unit in units_of(arguments)
@@ -146,7 +146,7 @@ def remappings(arguments: argparse.Namespace) -> dict[str, dict[str, str]]:
 
 
 def keep(arguments: argparse.Namespace, settings: Path) -> None:
-    """Copy the units' file and all that it names into the settings of a session."""
+    """Copy the units' file and all files that it names into the settings of a session."""
     file = user_path(arguments.imus)
     units = {unit.name: unit for unit in load_units(file)}
     kept = yaml.safe_load(file.read_text(encoding='utf-8'))
@@ -171,7 +171,7 @@ def print_results(
     Args:
         arguments: The command line.
         folder: Of the stand.
-        true: What simulated units truly are; none of real ones.
+        true: True parameters of simulated units; empty for real ones.
 
     """
     rows = plain_table(('unit', 'type', 'samples', 'least known', 'file'), 'lllll', no_wrap=True)
@@ -196,14 +196,14 @@ def print_results(
             cells.append(f'{_largest_error(found, true[serial]):.2f}')
         rows.add_row(*cells)
     OUTPUT.print(rows)
-    # What the site or the table lacks is said of every unit alike.
+    # Missing data of the site or the table is reported for every unit alike.
     said = [f'{", ".join(of)}: {finding}' for finding, of in findings.items()]
     sentence_list('Worth knowing', said)
     return missing
 
 
 def _least(found: Calibration) -> str:
-    """Name the gyro bias that is known least: what a session of a table is for."""
+    """Return the gyro bias with the largest standard deviation: the aim of a session on a table."""
     pairs = [(std, p) for p, std in zip(found.parameters, found.std, strict=True)]
     biases = [(std, p) for std, p in pairs if p.name.startswith('D_g') and std > 0]
     if not biases:

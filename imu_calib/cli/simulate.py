@@ -66,7 +66,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Simulate, write, and say what was written."""
+    """Simulate, write, and print what was written."""
     if arguments.imus is not None:
         _run_several(arguments)
         return

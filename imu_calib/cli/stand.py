@@ -1,4 +1,4 @@
-"""imu-calib stand: run a plan live, with the suite's nodes as processes of their own."""
+"""imu-calib stand: run a plan live, with the suite's nodes in separate processes."""
 
 from __future__ import annotations
 
@@ -109,11 +109,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Run the stand to its end and print what came out.
+    """Run the stand to its end and print the result.
 
     Raises:
         InputError: Wrong usage, or a node does not start.
-        NotObservable: The session gives no calibration; says why.
+        NotObservable: The session gives no calibration; the text states why.
 
     """
     if arguments.resume:
@@ -125,7 +125,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _begin(arguments: argparse.Namespace) -> None:
-    """Run a session from its beginning."""
+    """Run a session from its start."""
     complete(arguments)
     folder = _new_folder(arguments)
     several.check(arguments)
@@ -140,12 +140,12 @@ def _begin(arguments: argparse.Namespace) -> None:
 
 
 def _go_on(arguments: argparse.Namespace) -> None:
-    """Go on with a session that was interrupted."""
+    """Resume an interrupted session."""
     from . import resume, stand_session
 
     folder = resume.restore(arguments)
     complete(arguments)
-    # Nodes of the interrupted stand that are still ending hold the port.
+    # Nodes of the interrupted stand that are still ending occupy the port.
     with resume.claimed(folder) as claim, stand_session.signals():
         resume.check_unfinished(folder)
         several.check(arguments)
@@ -157,7 +157,7 @@ def _go_on(arguments: argparse.Namespace) -> None:
 
 
 def complete(arguments: argparse.Namespace) -> None:
-    """Put in what goes without saying: the IMU, and what it truly is where it is simulated."""
+    """Set defaults: the IMU, and its true parameters if it is simulated."""
     held = load_plan(arguments.plan).by_hand
     if not arguments.imus:
         arguments.imu = arguments.imu or (_HELD if held else _IMU)
@@ -183,9 +183,9 @@ def _new_folder(arguments: argparse.Namespace) -> Path:
 
 
 def _check(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration]:
-    """Refuse what cannot work before anything moves; return the truths of a simulation.
+    """Refuse what cannot work before anything moves; return the true parameters of a simulation.
 
-    They are by the units' serial numbers; of a unit that is alone, by an empty name.
+    They are keyed by serial number; for a single unit by an empty name.
     """
     web_page.check(arguments)
     if arguments.imus:
@@ -208,7 +208,7 @@ def _check(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration
         if is_serial(arguments.port):
             _say_baud(arguments, frames, imu, baud)
         listen(arguments.port, frames, imu, baud, words)
-    # Here, not above: what a session needs takes longer to load than its IMU to be heard.
+    # Imported here: loading it takes longer than the check of the IMU.
     from . import stand_session
 
     stand_session.check(arguments, imu, plan, table, site)
@@ -216,7 +216,7 @@ def _check(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration
 
 
 def _check_several(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration]:
-    """Refuse several units that could give nothing; return their truths by serial number."""
+    """Refuse several units that could give no result; return true parameters by serial number."""
     real = several.is_real(arguments)
     if real and arguments.imperfections:
         raise InputError('--imperfections is for simulated hardware; leave it out with ports.')
@@ -242,7 +242,7 @@ def _check_several(arguments: argparse.Namespace, words: Words) -> dict[str, Cal
 
 
 def _check_baud(arguments: argparse.Namespace) -> None:
-    """Refuse the rate of a serial port that is none, or no rate."""
+    """Refuse an invalid rate of a serial port, or one for another port."""
     if arguments.baud is None:
         return
     if not arguments.port:
@@ -254,7 +254,7 @@ def _check_baud(arguments: argparse.Namespace) -> None:
 
 
 def _say_baud(arguments: argparse.Namespace, frames: FrameFormat, imu: ImuSpec, baud: Baud) -> None:
-    """Say at what rate a serial port is read, and where its frames do not fit."""
+    """Report the rate of a serial port, and whether its frames fit."""
     OUTPUT.print(f'{arguments.port} is read at {baud}.', markup=False)
     rate = arguments.sample_rate or imu.sample_rate
     if sentence := too_slow(baud.rate, frames, rate):

@@ -1,4 +1,4 @@
-"""A session of `imu-calib stand`: the nodes that run it, from their start to the result."""
+"""A session of `imu-calib stand`: its nodes, from their start to the result."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from .words import NothingComes, Words
 
 _ORDER = ('stand_node', 'hand_node', 'imu_node', 'calibrator_node', 'turntable_node')
 _START = 30.0
-"""Longest wait for the nodes to find each other, s."""
+"""Longest wait for the nodes to discover each other, s."""
 _START_OF_EACH = 5.0
 """s more for each of several units: a node takes some 2 s of a core to load."""
 
@@ -48,15 +48,15 @@ _START_OF_EACH = 5.0
 def check(
     arguments: argparse.Namespace, imu: ImuSpec, plan: Plan, table: Table | None, site: Site
 ) -> None:
-    """Refuse a session that could give nothing, or that nothing here can run.
+    """Refuse a session that could give no result, or that cannot run here.
 
     Raises:
         ImuCalibError: There is no middleware for the nodes.
         InputError: The table cannot run the plan, there is no such method, or no table for it.
-        NotObservable: Says what cannot be determined, and for want of what.
+        NotObservable: The text states what cannot be determined, and why.
 
     """
-    # Which runtime there is, is asked here alone: the other commands need none.
+    # The runtime is checked only here: the other commands need none.
     from . import monitor  # noqa: F401
 
     setup = _setup(arguments, imu, plan, table, site)
@@ -81,7 +81,7 @@ def _setup(
 
 
 def _check_session(setup: Setup) -> None:
-    """Refuse what the method could not solve; say who tells north where that is missing."""
+    """Refuse what the method could not solve; if north is unknown, name what would determine it."""
     try:
         check_session(setup)
     except NotObservable as error:
@@ -97,7 +97,7 @@ def _check_session(setup: Setup) -> None:
 
 @contextmanager
 def signals() -> Iterator[None]:
-    """Have SIGTERM and SIGHUP end the session as Ctrl-C does: the table first."""
+    """Let SIGTERM and SIGHUP end the session like Ctrl-C: the table first."""
     numbers = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]
     for number in numbers:
         signal.signal(number, signal.default_int_handler)
@@ -115,18 +115,18 @@ def run(
     claim: int,
     words: Words,
 ) -> None:
-    """Run a session that can be run, and print what came out.
+    """Run a checked session, and print the result.
 
     Args:
         arguments: The command line.
         folder: Of the stand; it exists.
-        truth: Of simulated units by serial number; of one that is alone by an empty name.
+        truth: Of simulated units by serial number; of a single unit by an empty name.
         claim: File descriptor that the nodes inherit.
-        words: Shows what the nodes say.
+        words: Shows the reports of the nodes.
 
     Raises:
-        InputError: A node does not start, or nothing comes from the IMU.
-        NotObservable: The session gives no calibration; says why.
+        InputError: A node does not start, or the IMU sends nothing.
+        NotObservable: The session gives no calibration; the text states why.
 
     """
     environment = _network(arguments)
@@ -139,7 +139,7 @@ def run(
     try:
         with Processes(folder, environment, (claim,)) as processes:
             outcome = _session(arguments, processes, given, words)
-            # Who looks on from a browser is to see the result, too.
+            # Viewers in a browser must see the result too.
             processes.end_all_but({web_page.NODE})
             if outcome.finished:
                 missing = _print_result(arguments, folder, truth, outcome, time.monotonic() - began)
@@ -148,7 +148,7 @@ def run(
             web_page.stay(arguments, processes)
     except NothingComes:
         if not arguments.resume:
-            # Nothing was recorded: the same command is to work once the device is there.
+            # Nothing was recorded: the same command must work when the device is connected.
             shutil.rmtree(folder)
         raise
     finally:
@@ -166,7 +166,7 @@ def _print_result(
     outcome: Outcome,
     seconds: float,
 ) -> list[str]:
-    """Print what came out, beside the truth where it is known; return the units without result."""
+    """Print the result and, if known, the truth; return the units without result."""
     if truth:
         _save_true_table(arguments, folder)
     if arguments.imus:
@@ -197,7 +197,7 @@ def _network(arguments: argparse.Namespace) -> dict[str, str]:
 
 
 def _save_true_table(arguments: argparse.Namespace, folder: Path) -> None:
-    """Write how the simulated table differs from its description, if it does."""
+    """Write the differences of the simulated table from its description, if any."""
     if not arguments.imperfections or load_plan(arguments.plan).by_hand:
         return
     table = load_table(arguments.table)
@@ -212,10 +212,10 @@ def _session(
     given: dict[str, dict[str, Any]],
     words: Words,
 ) -> Outcome:
-    """Start the nodes, and watch them until the session ends."""
+    """Start the nodes, and monitor them until the session ends."""
     remapped = several.remappings(arguments)
     for node in _in_order(given):
-        # One of several units may fail: the others go on.
+        # One of several units may fail: the others continue.
         needed = '/' not in node
         processes.start(node, given[node], needed=needed, remapped=remapped.get(node, {}))
     if web_page.NODE in given:
@@ -235,14 +235,14 @@ def _session(
 
 
 def _in_order(given: Mapping[str, Any]) -> list[str]:
-    """Return the nodes in the order in which they are started, the page's not among them."""
+    """Return the nodes in the order of their start, without the page's."""
     names = {node: node.rpartition('/')[2] for node in given}
     known = [node for node, name in names.items() if name in _ORDER]
     return sorted(known, key=lambda node: _ORDER.index(names[node]))
 
 
 def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[str, Any]]:
-    """Return the parameters of every node that is to run."""
+    """Return the parameters of every node to run."""
     complete(arguments)
     simulated = not several.is_real(arguments)
     mounted = several.units_of(arguments)
@@ -292,7 +292,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
             'stop_required': arguments.stop_required,
         },
     }
-    # What plays the stand, or the hand.
+    # The node that simulates the stand, or the hand.
     played = {
         'truth': arguments.truth,
         'imperfections': arguments.imperfections or '',
@@ -312,9 +312,9 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
             }
         return nodes | web_page.parameters(arguments, nodes['calibrator_node'])
     if simulated:
-        # Simulated time stands still while a busy machine catches up: that is no silence.
+        # Simulated time stands still while a busy machine catches up: this is not silence.
         nodes['turntable_node'] |= {'watchdog_timeout': 10.0, 'calibrator_timeout': 10.0}
-        # A stop that was pressed on this table is no word on the next one.
+        # A stop pressed on this table must not affect the next one.
         nodes['turntable_node']['state_folder'] = str(folder / 'state')
         nodes['stand_node'] = {
             **described,
@@ -326,7 +326,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
 
 
 def _frames(arguments: argparse.Namespace) -> str:
-    """Name the frames of the simulated IMU: those of a skewed gyro hold its count as well."""
+    """Return the frames of the simulated IMU: those of a skewed gyro contain its count too."""
     skewed = load_imu(arguments.imu).skewed is not None
     return 'simulated_skewed' if skewed and not arguments.port else 'simulated'
 
@@ -334,13 +334,13 @@ def _frames(arguments: argparse.Namespace) -> str:
 def _follow(
     processes: Processes, words: Words, board: Board | UnitsBoard, *, control: bool
 ) -> Outcome:
-    """Watch the session until it ends, and show how far it is.
+    """Monitor the session until it ends, and show its progress.
 
     Args:
         processes: The nodes.
-        words: Shows what they say of themselves.
-        board: Keeps what is shown.
-        control: Whether somebody can have a table that has stopped go on.
+        words: Shows the reports of the nodes.
+        board: Holds the displayed state.
+        control: Whether a viewer can resume a table that has stopped.
 
     """
     from .monitor import watching

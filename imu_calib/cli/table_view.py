@@ -1,4 +1,4 @@
-"""The terminal of a session on a table: what happens now, the time left, what is known so far."""
+"""The terminal of a session on a table: present step, remaining time, and results so far."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..web.words import headline, time_left
 
 _STYLES = {Severity.OK: 'bold', Severity.WARN: 'bold yellow', Severity.ERROR: 'bold red'}
 _BAR = 30
-"""Letters."""
+"""Characters of the bar."""
 _COLUMNS = ('', 'std now', 'plan', 'limit', 'unit')
 _UNIT_COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ('unit', 'left'),
@@ -30,17 +30,17 @@ _UNIT_COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ('furthest from the plan', 'left'),
 )
 _WIDE = 78
-"""Letters for two triads side by side; 12 rows then fit a small terminal."""
+"""Characters for two triads side by side; 12 rows then fit a small terminal."""
 
 
 def view(shown: Snapshot, now: datetime, width: int, units: Sequence[UnitRow] = ()) -> Group:
-    """Lay out a session that runs.
+    """Lay out a running session.
 
     Args:
         shown: Its state.
-        now: Of the clock on the wall.
-        width: Of the terminal, letters.
-        units: Where there are several: a line for each stands in place of the parameters.
+        now: Of the wall clock.
+        width: Of the terminal, characters.
+        units: Several units: each has a line in place of the parameters.
 
     """
     first = headline(shown)
@@ -59,7 +59,7 @@ def view(shown: Snapshot, now: datetime, width: int, units: Sequence[UnitRow] = 
 
 
 def _course(shown: Snapshot, now: datetime) -> Rows:
-    """Return the bar, the step and the time left; what is not known yet is said, too."""
+    """Return the bar, the step and the remaining time, or that these are not known yet."""
     left, rests_on = time_left(shown, now)
     table = shown.table
     step = 'waiting'
@@ -77,7 +77,7 @@ def _course(shown: Snapshot, now: datetime) -> Rows:
 
 
 def _parameters(rows: Sequence[Converging], width: int) -> Rows:
-    """Return the deviations beside what the plan will reach and what is allowed."""
+    """Return the deviations with the plan's prediction and the limits."""
     triads = [[row for row in rows if row.parameter.triad == triad] for triad in 'ga']
     beside = width >= _WIDE
     if not beside:
@@ -102,7 +102,7 @@ def _cells(row: Converging | None) -> list[RenderableType]:
 
 
 def unit_lines(units: Sequence[UnitRow]) -> Rows:
-    """Return a line for each unit: how its samples come, and what of it is known least."""
+    """Return a line for each unit: its samples, and the parameter with the largest deviation."""
     table = Rows(box=None, pad_edge=False, header_style='bold', padding=(0, 1, 0, 0))
     for heading, justify in _UNIT_COLUMNS:
         table.add_column(heading, justify=justify, no_wrap=heading != 'state')
@@ -119,7 +119,7 @@ def unit_lines(units: Sequence[UnitRow]) -> Rows:
 
 
 def least_known(unit: UnitRow) -> str:
-    """Name the parameter that is furthest from what the plan will reach, with both deviations."""
+    """Return the parameter furthest from the plan's prediction, with both deviations."""
     worst = unit.worst
     if worst is None:
         return '\u2013'

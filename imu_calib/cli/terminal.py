@@ -1,4 +1,4 @@
-"""The terminal: consoles, progress bars, and the numbers on them."""
+"""The terminal: consoles, progress bars, and formats of numbers."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from rich.table import Table
 from ..api.progress import Show, silent
 
 _WIDTH_OF_A_FILE = 160
-"""Letters of a line where the output is a file: no table breaks."""
+"""Characters of a line in a file: wide enough for every table."""
 
 
 def as_options(sentence: str) -> str:
-    """Return a sentence with the names of keywords, `imu_topic`, as options, --imu-topic."""
+    """Return a sentence with the names of keywords, as `imu_topic`, as options, --imu-topic."""
     return re.sub(r'`([a-z_]+)`', lambda name: f'--{name[1].replace("_", "-")}', sentence)
 
 
 class _Console(Console):
-    """Names options where the suite names keywords."""
+    """Prints options in place of the suite's keywords."""
 
     def print(self, *objects: Any, **options: Any) -> None:
         """Print as rich does."""
@@ -30,7 +30,7 @@ class _Console(Console):
 
 
 class _Output(_Console):
-    """Leaves it to `dispatch` how a command ends whose output is no longer read."""
+    """Lets `dispatch` end a command whose output is no longer read."""
 
     def on_broken_pipe(self) -> None:
         """Raise the error again: rich would end the process with exit code 1.
@@ -42,7 +42,7 @@ class _Output(_Console):
         raise  # noqa: PLE0704 - called where it is handled
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print as rich does, but in files without the blanks that fill the last column up."""
+        """Print as rich does; in files without the blanks that fill the last column."""
         if self.is_terminal or not any(isinstance(one, Table) for one in objects):
             super().print(*objects, **options)
             return
@@ -54,35 +54,35 @@ class _Output(_Console):
 
 
 class _Errors(_Console):
-    """Prints nothing more once stderr is closed: the exit code still says how a command ends."""
+    """Prints nothing after stderr is closed: the exit code still shows the outcome."""
 
     def on_broken_pipe(self) -> None:
-        """Go on without words."""
+        """Continue without output."""
         self.quiet = True
 
 
-# What people call things is no picture, though it stands between colons.
+# Names by users are not emoji codes, even between colons.
 OUTPUT = _Output(soft_wrap=True, highlight=False, emoji=False)
 if not OUTPUT.is_terminal:
     OUTPUT.width = _WIDTH_OF_A_FILE
 _WIDEST = 10_000
-"""Letters of a line, more than any table has."""
+"""Characters of a line, more than any table has."""
 ERRORS = _Errors(stderr=True, soft_wrap=True, highlight=False, emoji=False)
 
 
 @contextmanager
 def progress_bar(text: str) -> Iterator[Show]:
-    """Show a bar on stderr, gone when done; nothing where stderr is no terminal.
+    """Show a bar on stderr, removed when done; nothing if stderr is not a terminal.
 
     Yields:
-        A function to call with what is done and the total, and another text where it changes.
+        A function to call with the amount done, the total, and optionally another text.
 
     """
     if not ERRORS.is_terminal:
         with silent(text) as show_nothing:
             yield show_nothing
         return
-    # Loaded where there is a bar: it takes as long as all other words on the screen.
+    # Loaded only for a bar: it takes as long as the rest of the terminal.
     from rich.progress import (
         BarColumn,
         Progress,
@@ -107,7 +107,7 @@ def progress_bar(text: str) -> Iterator[Show]:
 
 
 def print_whole(table: Table) -> None:
-    """Print a table at its own width: a terminal that is narrower wraps it, and cuts no cell."""
+    """Print a table at its own width: a narrow terminal wraps it, and no cell is cut."""
     wide = _Output(
         file=OUTPUT.file,
         width=_WIDEST,
@@ -119,7 +119,7 @@ def print_whole(table: Table) -> None:
 
 
 def sentence_list(title: str, sentences: tuple[str, ...] | list[str]) -> None:
-    """Print sentences below a title; nothing when there are none."""
+    """Print sentences below a title; nothing without sentences."""
     if not sentences:
         return
     OUTPUT.print(f'\n{title}', style='bold')

@@ -1,4 +1,4 @@
-"""imu-calib verify: the acceptance test of a calibration, with another recording."""
+"""imu-calib verify: acceptance test of a calibration with another recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page that `imu-calib stand --web` serves: its options, its node, and how long it stays."""
+"""The page of `imu-calib stand --web`: its options, its node, and its end."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .terminal import ERRORS, OUTPUT
 
 NODE = 'web_node'
 _PORT = 8080
-"""TCP port that IANA lists for web servers beside 80 (http-alt)."""
+"""TCP port that IANA lists for web servers in addition to 80 (http-alt)."""
 _TOKEN = 'IMU_CALIB_WEB_TOKEN'
 """As in nodes/web_node."""
 _OF_THE_SESSION = (
@@ -38,7 +38,7 @@ _OF_THE_SESSION = (
     'journal',
     'output',
 )
-"""Parameters that the page has in common with calibrator_node."""
+"""Parameters common to the page and calibrator_node."""
 _TICK = 0.2
 """s."""
 
@@ -103,7 +103,7 @@ def check(arguments: argparse.Namespace) -> None:
 def parameters(
     arguments: argparse.Namespace, of_the_calibrator: dict[str, Any]
 ) -> dict[str, dict[str, Any]]:
-    """Return the parameters of the page's node by its name; nothing where none is wanted."""
+    """Return the parameters of the page's node by its name; empty without a page."""
     if arguments.web is None:
         return {}
     shared = {k: v for k, v in of_the_calibrator.items() if k in _OF_THE_SESSION}
@@ -112,9 +112,9 @@ def parameters(
 
 
 def start(arguments: argparse.Namespace, processes: Processes, given: dict[str, Any]) -> None:
-    """Start the page, and say where it is; the session does without it where it ends."""
+    """Start the page, and print its address; the session continues if the page ends."""
     secret = secrets.token_urlsafe(16) if arguments.control else ''
-    # By the environment, which others cannot read; parameters and logs lie in files.
+    # By the environment, which others cannot read; parameters and logs are in files.
     processes.start(NODE, given, needed=False, environment={_TOKEN: secret} if secret else {})
     OUTPUT.print(f'page: {_address(arguments)}', markup=False)
     if secret:

@@ -1,4 +1,4 @@
-"""What the nodes say of themselves, on the screen: at once, and each sentence once."""
+"""Reports of the nodes on the terminal: at once, and each sentence once."""
 
 from __future__ import annotations
 
@@ -12,23 +12,22 @@ from ..errors import InputError
 from .terminal import ERRORS
 
 _STANDS = 1.0
-"""A sentence that stands for so long is no passing one, s: at the start every node lacks something
-for a moment."""
+"""s after which a report is not transient: at the start every node lacks something briefly."""
 
 _STARTS = 5.0
-"""The same where all hardware is simulated: there is nothing that somebody could have forgotten,
-only a machine that is busy with the start."""
+"""The same for simulated hardware: only a busy machine can delay the start, not a missing
+device."""
 
 _NEEDED = {'imu_node: port': 0.5, 'imu_node: format': 0.0}
-"""Without these nothing comes of a session, once it has stood for so long, s: another program may
-just be letting go of the port. A silent device may still begin to send."""
+"""Reports that end a session when they have lasted this long, s: another program may still be
+closing the port. A silent device may still begin to send."""
 
 _ENDS_IT = frozenset({'turntable_node: plan', 'calibrator_node: calibration'})
-"""What these say in trouble ends the command, which then says it itself."""
+"""Faults of these end the command, which reports them itself."""
 
 
 class NothingComes(InputError):
-    """The device is not there, or not the one that was described."""
+    """The device is missing, or differs from its description."""
 
 
 class _Level(IntEnum):
@@ -44,7 +43,7 @@ _STYLES = {_Level.OK: 'green', _Level.WARN: 'yellow', _Level.ERROR: 'red'}
 
 @dataclass
 class _Part:
-    """What was last said of one part of a node, since when, and what of it was shown."""
+    """The last report on one part of a node, its start, and what of it was shown."""
 
     level: _Level
     text: str
@@ -53,13 +52,13 @@ class _Part:
 
 
 class Words:
-    """Takes /diagnostics in, and shows what a person should know on the standard error output.
+    """Receives /diagnostics, and shows important reports on the standard error output.
 
     Args:
         real: Whether there is hardware that could be missing.
 
     Attributes:
-        nodes: Names of the nodes that are listened to: others may be in the domain.
+        nodes: Names of the monitored nodes: others may be in the domain.
 
     """
 
@@ -77,7 +76,7 @@ class Words:
             self.note(status.name, status.level[0], status.message, came=came)
 
     def note(self, name: str, level: int, text: str, *, came: bool = False) -> None:
-        """Take what is said of one part of a node.
+        """Take a report on one part of a node.
 
         Args:
             name: For instance 'imu_node: stream'.
@@ -98,10 +97,10 @@ class Words:
         self._came |= came
 
     def show(self) -> None:
-        """Show what is new.
+        """Show new reports.
 
         Raises:
-            NothingComes: The device does not open, or what it sends is not what the files say.
+            NothingComes: The device does not open, or its data does not match the files.
 
         """
         now = time.monotonic()
@@ -111,7 +110,7 @@ class Words:
                 continue
             if part.level is _Level.OK and (not part.shown or stands < _STANDS):
                 continue
-            # Of several units each is as needed as the only one.
+            # Each of several units is needed like a single one.
             own = name.rpartition('/')[2]
             lost = self._real and part.level is _Level.ERROR and own in _NEEDED
             if lost and not (self._came and own == 'imu_node: port'):
