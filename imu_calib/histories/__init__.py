@@ -1,1 +1,1 @@
-"""What many calibrations say: of a unit's course, of a population, of a stand (docs/history.md)."""
+"""Evaluation of many calibrations: of units, of populations, of stands (docs/history.md)."""

@@ -1,4 +1,4 @@
-"""Sessions sorted into units by date, and units with equally many sessions side by side."""
+"""Sort sessions into units by date, and group units with equal numbers of sessions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .results import MONTH_DAYS, Sessions
 
 SIZE = len(PARAMETERS)
 _CELLS = 20_000
-"""Sessions worked on at a time: what is made of them takes some 100 MB."""
+"""Sessions processed together: their arrays take some 100 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,10 @@ class Block:
 
     Attributes:
         rows: (u, n) of the sessions.
-        months: (u, n) before the newest session of each, so zero or less.
-        values: (u, 24, n) SI units, NaN for what was not estimated.
-        stated: (u, 24, n) variances; infinite where there is no value. What a session does not
-            state is taken from the type's others.
+        months: (u, n) relative to the newest session of each, zero or less.
+        values: (u, 24, n) SI units, NaN if not estimated.
+        stated: (u, 24, n) variances; infinite without a value. A session that states none has the
+            typical variance of the type.
 
     """
 
@@ -39,17 +39,17 @@ class Block:
 
     @property
     def design(self) -> Floats:
-        """Return the columns of each unit's line for its scatter, (u, 24, n, 2).
+        """Return the design matrix of each unit's line for its scatter, (u, 24, n, 2).
 
-        Its slope is left out where fewer than four sessions have the parameter: of three, a line
-        leaves one degree of freedom.
+        The slope is omitted with fewer than four sessions of the parameter: with three, a line has
+        one degree of freedom.
         """
         enough = np.isfinite(self.stated).sum(axis=-1) > _NO_SLOPE
         months = np.where(enough[..., None], self.months[:, None], 0.0)
         return np.stack([np.ones(self.values.shape), months], axis=-1)
 
     def parts(self) -> Iterator[slice]:
-        """Yield slices of units that are worked on at a time."""
+        """Yield slices of units to be processed together."""
         step = max(1, _CELLS // self.months.shape[1])
         for start in range(0, len(self.months), step):
             yield slice(start, start + step)
@@ -60,15 +60,15 @@ class Block:
 
 
 _NO_SLOPE = 3
-"""Sessions of which a line leaves one degree of freedom: too few for a slope in the scatter."""
+"""Sessions with which a line has one degree of freedom: too few for a slope in the scatter."""
 
 
 def units_of(sessions: Sequence[int], found: Sessions) -> dict[tuple[str, str], list[int]]:
-    """Return the rows of each unit by date, by (type, serial number)."""
+    """Return the rows of each unit by date, keyed by (type, serial number)."""
     units: dict[tuple[str, str], list[int]] = defaultdict(list)
     for row in sessions:
         units[found.imu[row], found.serial[row]].append(row)
-    # Sorting keeps sessions of one date in their order.
+    # Sorting keeps the order of sessions with equal dates.
     return {
         unit: [rows[k] for k in np.argsort(found.date[rows], kind='stable')]
         for unit, rows in sorted(units.items())
@@ -76,10 +76,10 @@ def units_of(sessions: Sequence[int], found: Sessions) -> dict[tuple[str, str], 
 
 
 def block(rows: NDArray[np.int64], found: Sessions, typical: Floats) -> Block:
-    """Return units with their sessions side by side.
+    """Return a block of units with their sessions.
 
     Args:
-        rows: (u, n) by date; below zero: none.
+        rows: (u, n) by date; negative: none.
         found: All sessions.
         typical: (24,) variance of sessions that state none.
 
@@ -96,7 +96,7 @@ def block(rows: NDArray[np.int64], found: Sessions, typical: Floats) -> Block:
 
 
 def blocks(units: Sequence[Sequence[int]], found: Sessions, typical: Floats) -> list[Block]:
-    """Return units sorted by their number of sessions."""
+    """Return blocks of units with equal numbers of sessions."""
     by_count: dict[int, list[Sequence[int]]] = defaultdict(list)
     for rows in units:
         by_count[len(rows)].append(rows)
@@ -104,7 +104,7 @@ def blocks(units: Sequence[Sequence[int]], found: Sessions, typical: Floats) -> 
 
 
 def sample(units: Sequence[Sequence[int]], found: Sessions, typical: Floats) -> Block:
-    """Return some units of a type in one block, filled up with sessions that do not count."""
+    """Return some units of a type in one block, padded with sessions without weight."""
     some = [units[int(k)] for k in sampled(len(units))]
     most = max(len(rows) for rows in some)
     rows = np.full((len(some), most), -1)
@@ -114,7 +114,7 @@ def sample(units: Sequence[Sequence[int]], found: Sessions, typical: Floats) -> 
 
 
 def typical_variance(covariance: Floats) -> Floats:
-    """Return the median of the variances that are stated, (24,); zero where none is."""
+    """Return the median of the stated variances, (24,); zero without any."""
     stated = np.diagonal(covariance, axis1=-2, axis2=-1)
     known = np.isfinite(stated) & (stated >= 0)
     some = known.any(axis=0)

@@ -1,6 +1,6 @@
-"""What a step looks like: a mount that shifted turns all sensors alike.
+"""The cause of a step: a mount shift rotates all sensors together.
 
-Source: docs/history.md, 'Steps'; the turn as in docs/mathematics.md, 'Free of frame'.
+Source: docs/history.md, 'Steps'; the rotation as in docs/mathematics.md, 'Free of frame'.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from .steps import Places
 from .trends import Lines, quantile
 
 _TURNS = np.column_stack([turned(axis) for axis in range(3)])
-"""(24, 3) what turns about X, Y and Z add."""
+"""(24, 3) changes of the parameters by rotations about X, Y and Z."""
 _LEAST = 2
-"""Misalignments that step together in a turn about one axis at least: those of one triad."""
+"""Fewest misalignments that step together in a rotation about one axis: those of one triad."""
 
 
 def steps_of(
     unit: int, places: Places, lines: Lines, date: Dates, rules: Rules
 ) -> tuple[Step, ...]:
-    """Return the steps of one unit, parameters that step at the same session together.
+    """Return the steps of one unit; parameters that step at the same session are combined.
 
     Args:
-        unit: Its number in the block.
-        places: Where units step.
+        unit: Its index in the block.
+        places: Steps of the units.
         lines: With the sizes of their steps.
         date: (n,) of its sessions.
-        rules: What is judged by.
+        rules: Rules of the evaluation.
 
     """
     found = []
@@ -62,10 +62,10 @@ def steps_of(
 
 
 def _cause(parameters: list[int], size: Floats, std: Floats, rules: Rules) -> tuple[Cause, Floats]:
-    """Return what steps look like, and the turn of a mount.
+    """Return the cause of a step, and the rotation of a mount.
 
-    A turn has three numbers; where it explains the steps of the misalignments of both triads, and
-    nothing else steps, the mount shifted.
+    A rotation has three numbers. If it explains the steps of the misalignments of both triads, and
+    no other parameter steps, the cause is a mount shift.
     """
     unknown = np.full(3, np.nan)
     kinds = {PARAMETERS[p].kind for p in parameters}

@@ -1,9 +1,9 @@
-"""Control charts of units: each session held against those before it.
+"""Control charts of units: each session is compared with the preceding ones.
 
-Self-starting: a session less the mean of its predecessors, over the scatter of these and of the
-type, is a Student deviate; as a normal score it goes into individuals chart, EWMA and T^2, whose
-false alarms are then those of a process whose mean and scatter are known. Sources: Quesenberry
-1991 (Q charts), Hawkins 1987, Lucas & Saccucci 1990, Hotelling 1947; docs/history.md.
+Self-starting: a session minus the mean of its predecessors, over the scatter of these and of the
+type, is a Student deviate. Its normal score is used in the individuals chart, EWMA and T^2, whose
+false alarms are then those of a process with known mean and scatter. Sources: Quesenberry 1991 (Q
+charts), Hawkins 1987, Lucas & Saccucci 1990, Hotelling 1947; docs/history.md.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from .results import Chart, ChartLimits, Rules, Signal
 from .run_length import ewma_limit, ewma_std
 
 _CLIPPED = 3.0
-"""Normal scores beyond which a session counts no more in what is typical of correlations."""
+"""Normal scores beyond which a session is clipped in the estimate of correlations."""
 _PER_PARAMETER = 2
-"""Sessions of other units for each parameter, of which correlations are taken: with fewer, T^2 has
-hardly any power (its F law has too few degrees of freedom)."""
+"""Sessions of other units per parameter for the estimate of correlations: with fewer, T^2 has
+hardly any power (its F distribution has too few degrees of freedom)."""
 
 
 def chart_limits(rules: Rules) -> ChartLimits:
-    """Return the limits for a rate of false alarms of all parameters of a unit together."""
+    """Return the limits for a false alarm rate of all parameters of a unit together."""
     run = SIZE / rules.false_alarm
     return ChartLimits(
         individuals=float(-scipy.special.ndtri(1 / run / 2)),
@@ -36,11 +36,11 @@ def chart_limits(rules: Rules) -> ChartLimits:
 
 
 def scores_of(block: Block, prior: Prior) -> Floats:
-    """Return the normal scores (u, n, 24) of sessions against those before them.
+    """Return the normal scores (u, n, 24) of sessions relative to the preceding ones.
 
     The recursive residual w = y - mean of the predecessors has the variance f (h + 1 / sum of their
-    1 / h), h = v + t; f is estimated of the residuals before it and of the type (Brown, Durbin &
-    Evans 1975; Quesenberry 1991, his case of unknown mean and variance).
+    1 / h), h = v + t; f is estimated from the preceding residuals and the type (Brown, Durbin &
+    Evans 1975; Quesenberry 1991, case of unknown mean and variance).
     """
     count = block.months.shape[1]
     shape = block.values.shape[:2]
@@ -67,13 +67,13 @@ def scores_of(block: Block, prior: Prior) -> Floats:
 
 
 def _normal(t: Floats, freedom: Floats) -> Floats:
-    """Return the normal deviate with the chance of a Student deviate."""
+    """Return the normal deviate with the probability of a Student deviate."""
     chance = np.maximum(scipy.special.stdtr(freedom, -np.abs(t)), np.finfo(float).tiny)
     return np.asarray(-np.sign(t) * scipy.special.ndtri(chance))
 
 
 def ewma_of(scores: Floats, smoothing: float) -> Floats:
-    """Return the EWMA (u, n, 24) of scores; what is not there changes nothing."""
+    """Return the EWMA (u, n, 24) of scores; missing ones are skipped."""
     found = np.full(scores.shape, np.nan)
     at = np.zeros((len(scores), SIZE))
     for i in range(scores.shape[1]):
@@ -86,12 +86,12 @@ def ewma_of(scores: Floats, smoothing: float) -> Floats:
 class Correlations:
     """Correlations of the scores of one session, from the units of a type.
 
-    Scores of a unit are held against what all others show: sum of their squares S over m sessions
-    gives T^2 = m q' S^-1 q, and T^2 (m - p + 1) / (m p) an F law with (p, m - p + 1) degrees of
-    freedom.
+    Scores of a unit are compared with those of all others: the sum of their squares S over m
+    sessions gives T^2 = m q' S^-1 q, and T^2 (m - p + 1) / (m p) has an F distribution with
+    (p, m - p + 1) degrees of freedom.
 
     Args:
-        scores: (u, n, 24) each, of all units.
+        scores: (u, n, 24) of all units.
 
     """
 
@@ -101,10 +101,10 @@ class Correlations:
         self._count = sum(len(q) for q in flat)
 
     def t2(self, scores: Floats, false_alarm: float) -> tuple[Floats, Floats, Floats]:
-        """Return T^2 of the sessions of one unit, its limits, and its chances, (n,) each.
+        """Return T^2 of the sessions of one unit, its limits, and its probabilities, (n,) each.
 
         Args:
-            scores: (n, 24) NaN where nothing is known; T^2 is NaN where the others show too little.
+            scores: (n, 24) NaN if unknown; T^2 is NaN if the others have too few sessions.
             false_alarm: At each session.
 
         """
@@ -129,7 +129,7 @@ class Correlations:
 
 
 def _whole(scores: Floats) -> Floats:
-    """Return the scores (m, 24) of sessions with all parameters, outlying ones drawn in."""
+    """Return the scores (m, 24) of sessions with all parameters, outliers clipped."""
     flat = scores.reshape(-1, SIZE)
     return np.clip(flat[np.isfinite(flat).all(axis=1)], -_CLIPPED, _CLIPPED)
 
@@ -142,7 +142,7 @@ def signals_of(
     limits: ChartLimits,
     names: tuple[str, ...],
 ) -> tuple[Signal, ...]:
-    """Return where the charts of a unit leave their limits, by session."""
+    """Return the signals of a unit's charts, by session."""
     found = [
         Signal(chart, int(i), names[p], float(shown[i, p]), limit)
         for chart, shown, limit in (

@@ -1,8 +1,8 @@
-"""The crossed model of units and stands: what a stand adds to every unit, unit by unit.
+"""The crossed model of units and stands: the effect of a stand on every unit.
 
-A session is unit + stand + trend of the type + scatter. Units are fixed: only what a unit shows on
-one stand and another tells of stands, however different units are. Source: Huber 1981, 7.6 (robust
-regression and its covariance); docs/history.md, 'Unit or stand?'.
+A session is unit + stand + trend of the type + scatter. Units are fixed effects: only differences
+of a unit between stands determine the effects of stands, however much units differ. Source: Huber
+1981, 7.6 (robust regression and its covariance); docs/history.md, 'Unit or stand?'.
 """
 
 from __future__ import annotations
@@ -15,31 +15,32 @@ from numpy.typing import NDArray
 from ..stream import Floats
 
 _TUNING = 2.0
-"""Standard deviations beyond which a session counts only so much: 99 % as good as least squares
-where all are normal, and a unit that was repaired spoils nothing."""
+"""Standard deviations beyond which the weight of a session is limited: 99 % efficient for normal
+residuals, and robust to a repaired unit."""
 _ROUNDS = 30
-"""Rounds of reweighting at the most; they end when no weight changes any more."""
+"""Largest number of reweighting iterations; they end when no weight changes."""
 _SETTLED = 1e-4
-"""Change of a weight below which rounds end."""
+"""Change of a weight below which iterations end."""
 _MAD = 1.4826
 """Standard deviation over the median absolute deviation of a normal distribution."""
 _RANK = 1e-9
-"""Singular values, of columns scaled to one, that count as zero: far above rounding (1e-14 of some
-hundred sessions), far below any design that tells stands apart (1 / sessions)."""
+"""Singular values, of columns scaled to one, that count as zero: far above rounding (1e-14 with
+some hundred sessions), far below any design that separates stands (1 / sessions)."""
 _STEPS = 100
-"""Scoring steps at the most; they end when the variance is settled to 1e-9 of itself."""
+"""Largest number of scoring steps; they end when the variance changes by less than 1e-9 of
+itself."""
 
 
 @dataclass(frozen=True, eq=False)
 class Effects:
-    """Of s stands in one parameter.
+    """Effects of s stands on one parameter.
 
     Attributes:
-        effect: (s,) of a stand less the mean of all.
+        effect: (s,) of a stand minus the mean of all.
         covariance: (s, s) of these, of rank s - 1.
         freedom: Degrees of freedom.
-        residuals: (n,) of the sessions over their standard deviations, outlying ones drawn in; NaN
-            where a session does not count.
+        residuals: (n,) of the sessions over their standard deviations, outliers clipped; NaN if a
+            session does not count.
         comparable: Whether all stands can be compared.
 
     """
@@ -58,14 +59,14 @@ def crossed(
     values: Floats,
     variance: Floats,
 ) -> Effects:
-    """Return what stands add in one parameter.
+    """Return the effects of stands on one parameter.
 
     Args:
-        units: (n,) number of each session's unit.
-        stands: (n,) number of its stand, from 0 without a gap.
+        units: (n,) index of each session's unit.
+        stands: (n,) index of its stand, from 0 without gaps.
         trends: (n, k) further columns.
-        values: (n,) NaN where a session does not count.
-        variance: (n,) of sessions, up to a factor.
+        values: (n,) NaN if a session does not count.
+        variance: (n,) of sessions, up to a common factor.
 
     """
     count = int(stands.max()) + 1
@@ -82,7 +83,7 @@ def crossed(
         unknown = np.full(count, np.nan)
         empty = np.full(len(values), np.nan)
         return Effects(unknown, np.full((count, count), np.nan), max(rest, 0), empty, False)
-    # A unit's own mean takes its share of each of its residuals.
+    # The mean of a unit reduces each of its residuals.
     share = np.sqrt(np.maximum(1 - 1 / size[own], 0.0))
     trust = np.ones(len(own))
     scale = 0.0
@@ -138,7 +139,7 @@ def reproducibility(effects: Effects) -> float:
 
 
 def _less_units(columns: Floats, units: NDArray[np.int64], weight: Floats) -> Floats:
-    """Return columns (n, p) less their weighted mean over the sessions of each unit."""
+    """Return columns (n, p) minus their weighted mean over the sessions of each unit."""
     total = np.bincount(units, weight)
     means = np.column_stack([np.bincount(units, weight * one) / total for one in columns.T])
     return np.asarray(columns - means[units])
@@ -154,7 +155,7 @@ def _rank(columns: Floats, weight: Floats) -> int:
 def _solved(columns: Floats, weight: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Return the coefficients of least norm, and the pseudo-inverse of the normal matrix.
 
-    Of least norm the effects of stands add up to zero.
+    With least norm the effects of stands have the sum zero.
     """
     matrix = columns.T @ (weight[:, None] * columns)
     inverse = np.linalg.pinv(matrix, rcond=_RANK, hermitian=True)

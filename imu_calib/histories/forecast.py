@@ -1,4 +1,4 @@
-"""When units leave their specification: the line, its doubt, and the scatter of the next session.
+"""When units leave their specification: line, its uncertainty, and scatter of the next session.
 
 Source: Boole's inequality over the parameters of a unit; docs/history.md, 'When it is due'.
 """
@@ -18,20 +18,20 @@ from .results import Rules
 from .trends import Lines
 
 _GRID = np.array([0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0])
-"""Of the horizon, between which the first date is looked for."""
+"""Shares of the horizon that bound the search for the first date."""
 _HALVINGS = 14
-"""Of such a part: less than a day of ten years."""
+"""Bisections of such a part: less than a day of ten years."""
 
 
 @dataclass(frozen=True, eq=False)
 class Due:
-    """Of u units, in months after the newest session; infinite: not before the horizon.
+    """Due dates of u units, in months after the newest session; infinite: after the horizon.
 
     Attributes:
-        leaves: (u, 24) the line crosses the limit; NaN where there is no line or no limit.
-        earliest: (u, 24) the parameter may be outside.
-        unit: (u,) any may be outside.
-        worst: (u,) parameter that is most likely outside then.
+        leaves: (u, 24) when the line crosses the limit; NaN without a line or limit.
+        earliest: (u, 24) when the parameter may be outside.
+        unit: (u,) when any parameter may be outside.
+        worst: (u,) the parameter that is most likely outside then.
 
     """
 
@@ -44,13 +44,13 @@ class Due:
 def forecast(block: Block, lines: Lines, prior: Prior, limit: Floats, rules: Rules) -> Due:
     """Return when units leave their specification.
 
-    What is outside is the parameter of a session to come: on the line, with the scatter between
-    sessions. Where sessions state more than they scatter, the excess is common to them all, and in
-    doubt as a whole.
+    The prediction is for the parameter in a future session: on the line, with the scatter between
+    sessions. If the stated deviations exceed the scatter, the excess is an uncertainty common
+    to all sessions.
 
     Args:
         block: u units.
-        lines: Theirs.
+        lines: Of the units.
         prior: Of their type.
         limit: (24,) SI units; NaN without one.
         rules: Horizon and probability.
@@ -91,7 +91,7 @@ def forecast(block: Block, lines: Lines, prior: Prior, limit: Floats, rules: Rul
 def _first(
     chance: Callable[[Floats], Floats], at_grid: Floats, allowed: float, horizon: float
 ) -> Floats:
-    """Return the first month at which a chance is above what is allowed; infinite: none."""
+    """Return the first month with a probability above the allowed one; infinite: none."""
     above = at_grid > allowed
     ever = above.any(axis=0)
     place = np.argmax(above, axis=0)
@@ -101,13 +101,13 @@ def _first(
         middle = (low + high) / 2
         over = chance(middle) > allowed
         low, high = np.where(over, low, middle), np.where(over, middle, high)
-    # What is above at once is due at once.
+    # A probability above it at once is due at once.
     high = np.where(place == 0, 0.0, low)
     return np.where(ever, high, np.inf)
 
 
 def _crossing(lines: Lines, limit: Floats, horizon: float) -> Floats:
-    """Return the month (u, 24) at which the line leaves the limits; infinite: not before."""
+    """Return the month (u, 24) at which the line leaves the limits; infinite: after the horizon."""
     level, slope = lines.coefficients[..., 0], lines.coefficients[..., 1]
     way = limit - np.sign(slope) * level
     months = np.divide(way, np.abs(slope), out=np.full(level.shape, np.inf), where=slope != 0)

@@ -1,7 +1,7 @@
 """Weighted lines through the sessions of many units at once, with and without steps.
 
-Arrays begin with any leading shape; n are sessions, of which those without weight do not count, and
-p columns of a design. Source: docs/history.md, 'Lines'.
+Arrays have any leading shape; n are sessions, of which those without weight do not count, and p
+columns of a design. Source: docs/history.md, 'Lines'.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..stream import Floats
 
 _RANK = 1e-10
-"""Eigenvalue of a normal matrix, of the largest, below which a column is a sum of the others:
+"""Ratio of an eigenvalue of a normal matrix to the largest, below which columns are dependent:
 times in months have some ten digits, and their squares half of those."""
 
 
@@ -26,7 +26,7 @@ class Fit:
         coefficients: (..., p).
         inverse: (..., p, p) pseudo-inverse of the normal matrix: their covariance per unit of
             scale.
-        residuals: (..., n) zero where there is no weight.
+        residuals: (..., n) zero without weight.
         square: (...) weighted sum of squares of the residuals.
         freedom: (...) degrees of freedom of that.
         known: (...) whether all columns are determined.
@@ -44,7 +44,7 @@ class Fit:
 def fit(design: Floats, weights: Floats, values: Floats) -> Fit:
     """Fit values (..., n) by a design (..., n, p).
 
-    Weights (..., n) are zero for what is not there; such a value may be NaN.
+    Weights (..., n) are zero for missing values, which may be NaN.
     """
     there = weights > 0
     y = np.where(there, values, 0.0)

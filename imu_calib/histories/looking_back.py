@@ -1,4 +1,4 @@
-"""All that sessions say: stands first, then units with what stands add taken off, then types."""
+"""Evaluate all sessions: first stands, then units corrected for their effects, then types."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from .words import listed, stand_sentence
 
 
 def look_back(sessions: Sessions, limits: Mapping[str, Floats], rules: Rules = USUAL) -> History:
-    """Return what sessions of units say.
+    """Return the history of units, types and stands from their sessions.
 
     Args:
-        sessions: Of all units, in any order. Those without a date, a serial number or a value
-            count as not there; a sentence says how many.
-        limits: (24,) largest amounts of each type, SI units; NaN for what has none. Types without
-            limits have no forecast.
-        rules: What is judged by.
+        sessions: Of all units, in any order. Those without a date, a serial number or a value do
+            not count; a sentence states their number.
+        limits: (24,) largest amounts of each type, SI units; NaN without one. Types without limits
+            have no forecast.
+        rules: Rules of the evaluation.
 
     """
     dropped, rows = _sound(sessions)
@@ -68,7 +68,7 @@ def look_back(sessions: Sessions, limits: Mapping[str, Floats], rules: Rules = U
 
 
 def _sound(sessions: Sessions) -> tuple[list[str], list[int]]:
-    """Return what is said of sessions that do not count, and the rows of those that do."""
+    """Return sentences on sessions that do not count, and the rows of those that do."""
     dated = ~np.isnat(sessions.date)
     numbered = np.array([bool(serial) for serial in sessions.serial], dtype=bool)
     estimated = np.isfinite(sessions.values).any(axis=1)
@@ -97,7 +97,7 @@ def _stands(
     priors: Mapping[str, Prior],
     rules: Rules,
 ) -> Stands:
-    """Hold the stands of all types against each other: what a stand adds, it adds to each."""
+    """Compare the stands of all types: the effect of a stand is the same on each unit."""
     rows: list[NDArray[np.int64]] = []
     numbers: list[NDArray[np.int64]] = []
     variance: list[Floats] = []

@@ -1,4 +1,4 @@
-"""The units of one type: what each one's sessions say, and what all of them say together."""
+"""The units of one type: the evaluation of each, and of all together."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from .words import unit_sentences
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """The units of a type, and what is typical of it."""
+    """The units of a type, and its typical values."""
 
     units: tuple[UnitHistory, ...]
     prior: Prior
@@ -49,7 +49,7 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """Some units of a type with what was found of them."""
+    """Some units of a type with their results."""
 
     block: Block
     weights: Floats
@@ -67,15 +67,15 @@ def judge_type(
     rules: Rules,
     chart: ChartLimits,
 ) -> Judged:
-    """Return what the sessions of each unit of a type say.
+    """Return the evaluation of the sessions of each unit of a type.
 
     Args:
         units: Rows of each, by date.
         recorded: All sessions.
-        corrected: The same, less what stands add.
-        prior: What scatter is typical of the type.
+        corrected: The same, minus the effects of stands.
+        prior: Typical scatter of the type.
         limit: (24,) SI units; NaN without one.
-        rules: What is judged by.
+        rules: Rules of the evaluation.
         chart: Limits of the charts.
 
     """
@@ -110,7 +110,7 @@ def _part(block: Block, prior: Prior, rules: Rules) -> _Part:
 
 
 def _slope_variance(lines: Lines) -> Floats:
-    """Return the variances (u, 24) of slopes of which the units' own scatter tells enough."""
+    """Return the variances (u, 24) of slopes that the units' own scatter determines."""
     return np.where(lines.freedom > _NO_VARIANCE, lines.covariance[..., 1, 1], np.nan)
 
 
@@ -230,7 +230,7 @@ def _worst(verdicts: Sequence[Verdict | None]) -> Verdict | None:
 
 
 def _forecast(due: Due, u: int, newest: np.datetime64, limit: Floats, lines: Lines) -> Forecast:
-    """Return what is said of one unit, in dates."""
+    """Return the forecast of one unit, as dates."""
     day = newest.astype('datetime64[D]')
     determined = np.isfinite(limit) & ~np.isnan(due.earliest[u])
     reason = ''
@@ -256,19 +256,20 @@ def _forecast(due: Due, u: int, newest: np.datetime64, limit: Floats, lines: Lin
 
 
 def _dates(day: np.datetime64, months: Floats) -> np.ndarray[tuple[int], np.dtype[np.datetime64]]:
-    """Return dates so many months later; NaT where they are not finite."""
+    """Return dates some months later; NaT if they are not finite."""
     some = np.isfinite(months)
     days = np.floor(np.where(some, months, 0.0) * MONTH_DAYS).astype(np.int64)
     return np.where(some, day + days.astype('timedelta64[D]'), np.datetime64('NaT', 'D'))
 
 
 def population_of(imu: str, judged: Judged, false_alarm: float) -> Population:
-    """Return what the units of a type say together.
+    """Return the evaluation of the units of a type together.
 
     Args:
         imu: Type.
         judged: Its units.
-        false_alarm: Chance that any unit is called an outlier, or any lot apart, where none is.
+        false_alarm: Probability that any unit is called an outlier, or any lot different, without
+            cause.
 
     """
     units = judged.units
@@ -326,13 +327,13 @@ def population_of(imu: str, judged: Judged, false_alarm: float) -> Population:
 
 
 def _newest(values: Floats) -> Floats:
-    """Return the newest value of each parameter, (24,); NaN where there is none."""
+    """Return the newest value of each parameter, (24,); NaN without one."""
     there = np.isfinite(values)
     last = len(values) - 1 - np.argmax(there[::-1], axis=0)
     return np.asarray(np.where(there.any(axis=0), values[last, np.arange(SIZE)], np.nan))
 
 
 def _turn_on(units: Sequence[UnitHistory], prior: Prior) -> Floats:
-    """Return the typical standard deviation between sessions; NaN where no unit tells."""
+    """Return the typical standard deviation between sessions; NaN if no unit determines it."""
     determined = np.any([np.isfinite(unit.scatter.std) for unit in units], axis=0)
     return np.where(determined, np.sqrt(prior.between), np.nan)

@@ -1,4 +1,4 @@
-"""What a stand may shift, and what of a unit turns with its mount: patterns in the 24 parameters.
+"""Patterns in the 24 parameters: possible shifts by a stand, and by a rotation of the mount.
 
 Source: docs/history.md, 'Unit or stand?'.
 """
@@ -15,11 +15,11 @@ from ..stream import Floats
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """What a stand may shift: a parameter, or several at once.
+    """A possible shift by a stand: of one parameter, or of several together.
 
     Attributes:
-        name: For people.
-        of: (24,) what it adds to each, for a size of one.
+        name: For display.
+        of: (24,) shift of each parameter for a size of one.
 
     """
 
@@ -38,25 +38,25 @@ class Pattern:
 
 
 def turned(axis: int) -> Floats:
-    """Return what a turn about an axis of the mount by 1 rad adds to the 24 parameters, (24,).
+    """Return the changes of the 24 parameters by a mount rotation of 1 rad about an axis, (24,).
 
-    A unit that is turned by t measures R(t)' f: its error matrix changes by -[t x].
+    A unit rotated by t measures R(t)' f: its error matrix changes by -[t x].
     """
     found = np.zeros(len(PARAMETERS))
     for k, parameter in enumerate(PARAMETERS):
         if parameter.kind is ParameterKind.MISALIGNMENT and parameter.column is not None:
             row, column = parameter.row, parameter.column
             if axis not in (row, column):
-                # -[t x] has +t_z at xy, -t_z at yx, and so on around.
+                # -[t x] has +t_z at xy, -t_z at yx, and so on cyclically.
                 found[k] = 1.0 if (row + 1) % len(AXES) == column else -1.0
     return found
 
 
 def patterns() -> tuple[Pattern, ...]:
-    """Return what is looked for: every parameter, and what has one cause in several.
+    """Return the patterns to test: every parameter, and common causes of several.
 
-    Gravity or a rate that is wrong at a stand scales a whole triad; a fixture that is turned turns
-    all sensors.
+    An error of gravity or of a rate at a stand scales a whole triad; a rotated fixture rotates all
+    sensors.
     """
     single = [Pattern(name, row) for name, row in zip(PARAMETER_NAMES, np.eye(24), strict=True)]
     common = []

@@ -1,4 +1,4 @@
-"""A history as plain values, SI units, by the keys of docs/files/output.md."""
+"""A history as plain values, SI units, with the keys of docs/files/output.md."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .results import UnitHistory as Unit
 
 
 def plain_history(history: History) -> dict[str, Any]:
-    """Return all of it."""
+    """Return the complete history."""
     rules, limits, stands = history.rules, history.limits, history.stands
     return {
         'rules': {
@@ -49,7 +49,7 @@ def plain_history(history: History) -> dict[str, Any]:
 
 
 def unit_rows(unit: Unit) -> list[dict[str, Any]]:
-    """Return what is said of each parameter of a unit."""
+    """Return the results on each parameter of a unit."""
     trend, scatter, due = unit.trend, unit.scatter, unit.forecast
     return [
         {
@@ -81,7 +81,7 @@ def unit_rows(unit: Unit) -> list[dict[str, Any]]:
 
 
 def day(date: np.datetime64) -> str | None:
-    """Return a date as text; None where there is none."""
+    """Return a date as text; None without one."""
     return None if np.isnat(date) else str(date.astype('datetime64[D]'))
 
 

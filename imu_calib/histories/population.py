@@ -1,4 +1,4 @@
-"""The units of a type beside each other: distributions, outliers, lots.
+"""The units of a type compared with each other: distributions, outliers, lots.
 
 Sources: Rosner 1983 (generalised extreme Studentized deviate); t test of a lot against the rest
 with the scatter within lots, Bonferroni; docs/history.md, 'The population'.
@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from ..stream import Floats
 
 FEWEST = 15
-"""Units among which outliers are looked for: of fewer the levels of Rosner's test do not hold
+"""Smallest number of units for the outlier test: with fewer the levels of Rosner's test do not hold
 (Rosner 1983, simulations)."""
 _SHARE, _MOST = 10, 100
-"""One unit in ten, and a hundred at most, may be outliers."""
+"""At most one unit in ten, and at most a hundred, may be outliers."""
 _OF_A_LOT = 2
-"""Units of a lot, and of all others, that a lot is judged by."""
+"""Smallest number of units in a lot, and of all others, for a test of the lot."""
 MAD = 1.4826
-"""Of a normal law: standard deviation over median absolute deviation."""
+"""Of a normal distribution: standard deviation over median absolute deviation."""
 
 
 def robust(values: Floats) -> tuple[Floats, Floats]:
-    """Return median and robust standard deviation of the columns of (u, p) values, NaN left out."""
+    """Return median and robust standard deviation of the columns of (u, p) values, NaN excluded."""
     some = np.isfinite(values).any(axis=0)
     safe = np.where(some, values, 0.0)
     median = np.nanmedian(safe, axis=0)
@@ -37,13 +37,13 @@ def robust(values: Floats) -> tuple[Floats, Floats]:
 def outliers(values: Floats, false_alarm: float) -> NDArray[np.int64]:
     """Return the indices of outliers among (u,) values, none NaN, the farthest first.
 
-    The farthest from the mean is taken away time and again; the last one whose deviation, over the
-    standard deviation of what was there, is above its critical value is an outlier with all before
+    The value farthest from the mean is removed repeatedly; the last one whose deviation, over the
+    standard deviation before its removal, exceeds its critical value is an outlier, with all before
     it.
 
     Args:
-        values: Of a normal law but for outliers.
-        false_alarm: Chance that there is one where there is none.
+        values: Normally distributed except for outliers.
+        false_alarm: Probability of finding an outlier if there is none.
 
     """
     count = len(values)
@@ -67,18 +67,18 @@ def outliers(values: Floats, false_alarm: float) -> NDArray[np.int64]:
 
 
 def critical_deviate(count: int, i: int, false_alarm: float) -> float:
-    """Return the critical value for the i-th deviate of so many values (Rosner 1983, eq. 2.5)."""
+    """Return the critical value for the i-th deviate of `count` values (Rosner 1983, eq. 2.5)."""
     rest = count - i
     t = scipy.special.stdtrit(rest - 1, 1 - false_alarm / (2 * (rest + 1)))
     return float(rest * t / np.sqrt((rest - 1 + t**2) * (rest + 1)))
 
 
 def lot_shifts(values: Floats, lots: Sequence[str]) -> list[tuple[str, int, float, float, float]]:
-    """Return name, units, shift, its standard deviation and chance of lots in one parameter.
+    """Return name, units, shift, its standard deviation and p-value of lots in one parameter.
 
     Args:
-        values: (u,) none NaN.
-        lots: Of each; empty where it is not known.
+        values: (u,) without NaN.
+        lots: Lot of each; empty if unknown.
 
     """
     names = sorted({lot for lot in lots if lot})

@@ -1,10 +1,9 @@
-"""What the units of a type have in common: how much sessions scatter, and how that differs.
+"""Common properties of the units of a type: scatter of sessions, and how it differs by unit.
 
-A session's variance is f (v + t): v as it states, t between sessions as is typical of the type, and
-f a factor of the unit, near one. Over the units of a type f has a scaled inverse chi-square law:
-what other units show stands in for degrees of freedom that a unit with few sessions has not.
-Source: Smyth 2004 (moderated t), estimated robustly; docs/history.md, 'Units borrow from each
-other'.
+A session's variance is f (v + t): v as stated, t the typical variance between sessions of the type,
+and f a factor of the unit, near one. Over the units of a type f has a scaled inverse chi-square
+distribution: other units add degrees of freedom to a unit with few sessions. Source: Smyth 2004
+(moderated t), estimated robustly; docs/history.md, 'Units borrow from each other'.
 """
 
 from __future__ import annotations
@@ -18,34 +17,37 @@ from ..stream import Floats
 from .lines import fit
 
 FEWEST_UNITS = 10
-"""With scatter of their own, of which a law over the units of a type is taken: of fewer it is known
-no better than the scatter of one."""
+"""Smallest number of units with their own scatter for a distribution over the units of a type:
+fewer determine it no better than the scatter of one."""
 _SAMPLE = 400
-"""Units that it is taken from: more change it by less than a tenth of its width."""
+"""Most units used for it: more change it by less than a tenth of its width."""
 _HALVINGS = 50
-"""Of a bracket of twelve decades on a logarithmic scale: down to rounding."""
+"""Bisections of a bracket of twelve decades on a logarithmic scale: down to rounding."""
 _MIDDLE, _QUARTER = 0.5, 0.25
 """Median of a uniform number, and its mean distance from it."""
 _QUARTER_STD = 0.144
-"""Of the distance of a uniform number from a half: the square root of 1 / 48."""
+"""Standard deviation of the distance of a uniform number from a half: the square root of 1 / 48."""
 _ERRORS = 2.0
-"""Standard errors by which the units' likeness is taken below what fits best (see `_law`)."""
+"""Standard errors by which the similarity of units is taken below its best estimate (see
+`_law`)."""
 _D0_HALVINGS = 20
-"""Of a logarithmic bracket of d0: to 1e-5 of it, far below its own doubt."""
+"""Steps of a logarithmic bracket of d0: to 1e-5 of it, far below its own uncertainty."""
 _EFFICIENCY = 0.5
-"""Of a median of variances, against their mean: 0.53 of three degrees of freedom each."""
+"""Efficiency of a median of variances relative to their mean: 0.53 with three degrees of freedom
+each."""
 _RANGE = 1e6
-"""Of variances between sessions against those of all: below, there is none."""
+"""Range of the search for variances between sessions, relative to those of all: below it, they are
+zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Of a type, (24,) each.
+    """Prior of a type, (24,) each.
 
     Attributes:
         between: Variance between sessions, t.
         scale: Typical f.
-        freedom: Degrees of freedom that it is worth; 0 where there are too few units.
+        freedom: Degrees of freedom of the prior; 0 with too few units.
 
     """
 
@@ -67,12 +69,12 @@ class Prior:
 
 
 def sampled(count: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Return which of so many units the law is taken from: evenly spaced ones."""
+    """Return the indices of units used for the distribution, evenly spaced among `count`."""
     return np.unique(np.linspace(0, count - 1, min(count, _SAMPLE)).astype(np.int64))
 
 
 def prior_of(design: Floats, stated: Floats, values: Floats) -> Prior:
-    """Return what units of a type have in common.
+    """Return the common properties of the units of a type.
 
     Args:
         design: (u, 24, n, p) of units' lines.
@@ -91,7 +93,7 @@ def _typical(design: Floats, stated: Floats, values: Floats) -> Floats:
     """Return the variance between sessions (24,), by the median of units.
 
     At it half of the units' chi-squares are above their median. A unit with a step counts as one
-    that is above, however large the step is.
+    that is above, whatever the size of the step.
     """
     plain = fit(design, np.isfinite(stated).astype(float), values)
     own = plain.freedom > 0
@@ -116,12 +118,12 @@ def _typical(design: Floats, stated: Floats, values: Floats) -> Floats:
 
 
 def _law(square: Floats, freedom: Floats) -> tuple[Floats, Floats]:
-    """Return scale and degrees of freedom (24,) of the law over units, from median and quartiles.
+    """Return scale and degrees of freedom (24,) of the distribution over units, by quantiles.
 
-    f / scale has an F law with (d, d0) degrees of freedom. One d0 is found for all parameters, by
-    how far what was found lies from the median of it: a quarter in probability on the average. It
-    is taken two standard errors of that below what fits best, since units that are more alike
-    than was thought cost power, and units that are less alike false alarms. It is no more than
+    f / scale has an F distribution with (d, d0) degrees of freedom. One d0 is estimated for all
+    parameters, from the distances of the values from their median: on average a quarter in
+    probability. It is set two standard errors below its best estimate, because an underestimated
+    similarity of units reduces power, and an overestimated one causes false alarms. It is at most
     half the degrees of freedom of all units together: the scale is known no better.
 
     Args:
@@ -154,5 +156,5 @@ def _law(square: Floats, freedom: Floats) -> tuple[Floats, Floats]:
 
 
 def _scale(each: Floats, freedom: Floats, d0: float) -> float:
-    """Return the scale at which half of what was found is above the median."""
+    """Return the scale at which half of the values are above the median."""
     return float(np.median(each / scipy.special.fdtri(freedom, d0, _MIDDLE)))

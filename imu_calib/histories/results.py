@@ -1,7 +1,7 @@
-"""What a history is worked out from, and what it says; values, without the formulae.
+"""Inputs and results of a history as values, without formulae.
 
-Arrays of parameters are in the order of `model.PARAMETERS`, SI units; NaN where nothing is known.
-Dates are numpy's datetime64 in UTC; NaT where there is none.
+Arrays of parameters are in the order of `model.PARAMETERS`, SI units; NaN if unknown. Dates are
+numpy's datetime64 in UTC; NaT if missing.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ Dates = NDArray[np.datetime64]
 Flags = NDArray[np.bool_]
 
 LEAST_SMOOTHING = 0.05
-"""Of an EWMA; of less, run lengths are worked out less exactly than stated."""
+"""Smallest smoothing of an EWMA; below it run lengths are less accurate than stated."""
 
 MONTH_DAYS = 30.4375
-"""A month, which is a twelfth of the Julian year."""
+"""A month, one twelfth of the Julian year."""
 
 
 @dataclass(frozen=True)
 class Rules:
-    """What a history is judged by.
+    """Rules of the evaluation of a history.
 
     Attributes:
-        false_alarm: Largest chance of a wrong statement: for each kind of chart that any parameter
-            of a unit gives a signal at a session; that any step is found, or any trend called
-            significant, in a unit that has none; that any stand is named, any unit called an
-            outlier, any lot called different where none is.
+        false_alarm: Largest probability of a wrong statement: for each kind of chart that any
+            parameter of a unit gives a signal at a session; that any step, or any significant
+            trend, is found in a unit without one; that any stand is named, any unit called an
+            outlier, or any lot called different without cause.
         confidence: Of all intervals.
         inside: Probability with which a unit is still within its specification when it is due.
         smoothing: Weight of the newest session in an EWMA chart.
         horizon: Years from the newest session beyond which nothing is predicted.
 
     Raises:
-        InputError: A number is not in its range.
+        InputError: A number is outside its range.
 
     """
 
@@ -72,7 +72,7 @@ class Rules:
 
 
 USUAL = Rules()
-"""The rules by default."""
+"""The default rules."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,14 +80,14 @@ class Sessions:
     """Calibrations of units, n of them, in any order.
 
     Attributes:
-        key: Names each session, to find it again.
-        serial: Number of the unit; with its type it names the unit.
+        key: Identifies each session.
+        serial: Serial number of the unit; with its type it identifies the unit.
         imu: Type.
-        lot: Of the unit; empty where it is not known.
-        stand: Where it was calibrated; empty where it is not known.
-        date: (n,) when, UTC.
-        values: (n, 24) SI units; NaN for what was not estimated.
-        covariance: (n, 24, 24) as stated; NaN where nothing is stated.
+        lot: Of the unit; empty if unknown.
+        stand: Where it was calibrated; empty if unknown.
+        date: (n,) date, UTC.
+        values: (n, 24) SI units; NaN if not estimated.
+        covariance: (n, 24, 24) as stated; NaN if not stated.
 
     """
 
@@ -106,15 +106,15 @@ class Scatter:
     """Scatter of a unit's parameters between sessions: turn-on repeatability, (24,) each.
 
     Attributes:
-        std: Standard deviation between sessions beyond what they state, by restricted maximum
+        std: Standard deviation between sessions beyond the stated ones, by restricted maximum
             likelihood.
         low: Lower end of its interval.
         high: Upper end.
-        stated: Standard deviation that a session states, root mean square.
+        stated: Standard deviation stated by a session, root mean square.
         freedom: Degrees of freedom of the scatter.
-        overstated: Where the sessions agree better than they state: their errors have a part in
-            common, or are stated too large. `high` then takes all scatter for that between
-            sessions.
+        overstated: Whether the scatter is smaller than stated: the sessions have a common error, or
+            their stated deviations are too large. `high` is then the limit for all scatter as that
+            between sessions.
 
     """
 
@@ -128,15 +128,15 @@ class Scatter:
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """A unit's line through its sessions, beside its steps; (24,) each.
+    """A unit's line through its sessions, with its steps; (24,) each.
 
     Attributes:
         slope: SI units per month.
         std: Its standard deviation.
         low: Lower end of its interval.
         high: Upper end.
-        chance: Probability of so much in a unit without a trend.
-        significant: Whether it differs from zero, all parameters of the unit considered.
+        chance: Probability of at least this slope in a unit without a trend.
+        significant: Whether it differs from zero, corrected for all parameters of the unit.
         level: Of the line at the newest session, SI units.
         level_std: Its standard deviation.
 
@@ -158,13 +158,14 @@ class Forecast:
 
     Attributes:
         limit: (24,) largest amount allowed, SI units; NaN without one.
-        leaves: (24,) date at which the line crosses the limit; NaT: not before the horizon.
+        leaves: (24,) date at which the line crosses the limit; NaT: after the horizon.
         earliest: (24,) date until which the parameter is inside with the probability `inside`.
-        recalibrate: Until when all parameters together are inside with that probability; NaT: the
-            horizon is reached, or nothing is known (`reason`).
-        parameter: Name of the one that is most likely to be outside then; empty without a date.
-        borrowed: Whether the type's trends stand in for what the unit's own sessions leave open.
-        reason: Why there is no date, a sentence; empty where there is one.
+        recalibrate: Date until which all parameters together are inside with that probability; NaT:
+            after the horizon, or unknown (`reason`).
+        parameter: Name of the one that is most likely outside then; empty without a date.
+        borrowed: Whether trends of the type are used where the unit's own sessions are
+            insufficient.
+        reason: Why there is no date, a sentence; else empty.
 
     """
 
@@ -178,12 +179,12 @@ class Forecast:
 
 
 class Cause(Enum):
-    """What a step looks like."""
+    """Cause of a step."""
 
     MOUNT = 'mount'
-    """Gyros and accelerometers turned alike, and nothing else changed."""
+    """Gyros and accelerometers are rotated together, and nothing else changed."""
     UNIT = 'unit'
-    """Of the unit itself, as a repair or a shock."""
+    """In the unit itself, by a repair or a shock."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,8 +200,8 @@ class Step:
         std: (k,) standard deviations.
         low: (k,) lower ends of their intervals.
         high: (k,) upper ends.
-        cause: What it looks like.
-        rotation: (3,) rad about X, Y, Z of a mount; NaN otherwise.
+        cause: Its cause.
+        rotation: (3,) rad about X, Y, Z of a mount; else NaN.
 
     """
 
@@ -226,13 +227,13 @@ class Chart(Enum):
 
 @dataclass(frozen=True)
 class ChartLimits:
-    """Limits of the charts, and what they mean for a unit in control.
+    """Limits of the charts, and their run lengths for a unit in control.
 
     Attributes:
-        individuals: Of the normal scores, to either side.
-        ewma: Of the EWMA of normal scores, to either side.
-        parameter_run: Sessions between false alarms of one parameter on one chart, mean.
-        unit_run: Likewise of any of the 24 on one chart, at least; and of T^2.
+        individuals: Of the normal scores, on both sides.
+        ewma: Of the EWMA of normal scores, on both sides.
+        parameter_run: Mean number of sessions between false alarms of one parameter on one chart.
+        unit_run: The same for any of the 24 on one chart, a lower bound; and for T^2.
 
     """
 
@@ -247,11 +248,11 @@ class Signal:
     """A session at which a chart leaves its limits.
 
     Attributes:
-        chart: Which.
+        chart: Kind of the chart.
         index: Of the session, in the unit's course.
         parameter: Name; empty for T^2.
-        value: What the chart shows.
-        limit: What it would have to stay within.
+        value: Value on the chart.
+        limit: Its limit.
 
     """
 
@@ -264,16 +265,16 @@ class Signal:
 
 @dataclass(frozen=True, eq=False)
 class Charts:
-    """Control charts of a unit; each session is held against those before it.
+    """Control charts of a unit; each session is compared with the preceding ones.
 
     Attributes:
-        score: (n, 24) normal scores: the session less what its predecessors predict, as a standard
-            normal deviate. NaN where they predict nothing yet.
+        score: (n, 24) normal scores: the session minus its prediction from its predecessors, as a
+            standard normal deviate. NaN without a prediction.
         ewma: (n, 24) their exponentially weighted moving average.
         t2: (n,) Hotelling's T^2 of the scores of a session.
         t2_limit: (n,) its limit.
-        t2_chance: (n,) probability of so much in control.
-        signals: Where a chart leaves its limits, by session.
+        t2_chance: (n,) probability of at least this value in control.
+        signals: Sessions at which a chart leaves its limits.
 
     """
 
@@ -287,28 +288,28 @@ class Charts:
 
 @dataclass(frozen=True, eq=False)
 class UnitHistory:
-    """What the sessions of one unit say, n of them by date.
+    """Evaluation of the n sessions of one unit, by date.
 
     Attributes:
-        serial: Its number.
+        serial: Its serial number.
         imu: Its type.
-        lot: Its lot; empty where it is not known.
-        key: (n) sessions.
-        date: (n,) when.
-        stand: (n) where; empty where it is not known.
-        values: (n, 24) as estimated, SI units.
-        std: (n, 24) as stated.
-        corrected: (n, 24) values less what a stand shifts that was named; trend, steps, charts and
-            forecast are of these.
+        lot: Its lot; empty if unknown.
+        key: (n) keys of the sessions.
+        date: (n,) dates.
+        stand: (n) stands; empty if unknown.
+        values: (n, 24) estimates, SI units.
+        std: (n, 24) stated standard deviations.
+        corrected: (n, 24) values minus the shifts of named stands, used for trend, steps, charts
+            and forecast.
         limit: (24,) of the specification, SI units; NaN without one.
         verdict: Of the newest session against the specification; None without one.
         outside: Names of parameters that are proven to be outside at the newest session.
         scatter: Between sessions.
-        trend: With time.
+        trend: Over time.
         forecast: When it is due.
         steps: Changes between sessions.
         charts: Control charts.
-        findings: What a person should know of this unit, sentences.
+        findings: Messages for the user on this unit, sentences.
 
     """
 
@@ -334,10 +335,10 @@ class UnitHistory:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A unit unlike the others of its type.
+    """A unit that differs from the others of its type.
 
     Attributes:
-        serial: Its number.
+        serial: Its serial number.
         parameter: Name.
         value: Its level, SI units.
         score: Distance from the median in robust standard deviations.
@@ -352,15 +353,15 @@ class Outlier:
 
 @dataclass(frozen=True)
 class LotShift:
-    """A lot unlike the others of its type.
+    """A lot that differs from the others of its type.
 
     Attributes:
         lot: Its name.
         parameter: Name.
-        units: How many of it.
-        shift: Mean of its units less that of all others, SI units.
+        units: Number of its units.
+        shift: Mean of its units minus that of all others, SI units.
         std: Its standard deviation.
-        chance: Probability of so much between lots that do not differ.
+        chance: Probability of at least this shift between lots that do not differ.
 
     """
 
@@ -373,7 +374,7 @@ class LotShift:
 
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-"""Of a population, that are stated."""
+"""Quantiles of a population that are stated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -382,20 +383,20 @@ class Population:
 
     Attributes:
         imu: Type.
-        units: How many.
-        sessions: How many of all units.
-        count: Units with a value.
+        units: Number of units.
+        sessions: Number of sessions of all units.
+        count: Number of units with a value.
         mean: SI units.
-        std: Between units, what sessions state and scatter included.
+        std: Between units, including stated deviations and scatter.
         median: SI units.
         robust_std: 1.4826 times the median absolute deviation from it.
         quantiles: (5, 24) at `QUANTILES`.
         turn_on: Standard deviation between sessions of a unit, typical of the type.
         trend: Mean slope, per month.
-        trend_std: Of the units' true slopes about it.
-        outside: Units proven to be outside their specification by this parameter.
-        outliers: Units apart from the others.
-        lots: Lots apart from the others.
+        trend_std: Standard deviation of the units' true slopes.
+        outside: Number of units proven to be outside their specification by this parameter.
+        outliers: Units that differ from the others.
+        lots: Lots that differ from the others.
 
     """
 
@@ -418,21 +419,21 @@ class Population:
 
 @dataclass(frozen=True)
 class StandShift:
-    """A stand that shifts every unit.
+    """A stand with a common shift of all units.
 
     Attributes:
-        stand: Its name; of two stands that differ the one that is named second (`alone`).
-        others: Stands that it was held against.
-        alone: Whether it is this stand that is off: three stands or more tell, two do not.
-        what: Name of a parameter, or of what several have in common ('K_a', 'E about X').
-        parameters: Names of those that are shifted alike.
+        stand: Its name; for a pair of different stands that of the second (`alone`).
+        others: Stands in the comparison.
+        alone: Whether this stand is the cause: this requires three stands, with two it is unknown.
+        what: Name of a parameter, or of a common cause of several ('K_a', 'E about X').
+        parameters: Names of the shifted ones.
         unit: SI unit of the numbers.
-        shift: What it adds, SI units.
+        shift: Its size, SI units.
         std: Its standard deviation.
-        low: Lower end of its interval, all that was tested considered.
+        low: Lower end of its interval, corrected for all tests.
         high: Upper end.
-        chance: Probability of so much where no stand is off, all that was tested considered.
-        units: How many units tell: those that were on this stand and on another.
+        chance: Probability of at least this shift without cause, corrected for all tests.
+        units: Number of units that were on this stand and on another.
 
     """
 
@@ -452,18 +453,18 @@ class StandShift:
 
 @dataclass(frozen=True, eq=False)
 class Stands:
-    """Stands held against each other by the units that were on several, m of them.
+    """Comparison of m stands by the units that were on several.
 
     Attributes:
-        names: m of them.
-        sessions: (m,) of each.
-        units: (m,) of each.
-        groups: Stands that shared units link; only those of one group can be compared.
-        effect: (m, 24) of a stand less the mean of its group, SI units; NaN where nothing tells.
+        names: Names of the m stands.
+        sessions: (m,) number of sessions of each.
+        units: (m,) number of units of each.
+        groups: Stands linked by common units; only those of one group can be compared.
+        effect: (m, 24) of a stand minus the mean of its group, SI units; NaN if undetermined.
         std: (m, 24) their standard deviations.
         reproducibility: (24,) standard deviation between stands, by restricted maximum likelihood.
-        shifts: Stands that are off.
-        findings: What a person should know, sentences: what cannot be separated, too.
+        shifts: Shifts of stands.
+        findings: Messages for the user, sentences, including what cannot be separated.
 
     """
 
@@ -480,15 +481,15 @@ class Stands:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """What all sessions say.
+    """Evaluation of all sessions.
 
     Attributes:
-        rules: What was judged by.
+        rules: Rules of the evaluation.
         limits: Of the charts.
         units: By type and serial number.
         populations: By type.
-        stands: Held against each other.
-        findings: What a person should know of the whole, sentences.
+        stands: Their comparison.
+        findings: Messages for the user on the whole, sentences.
 
     """
 
@@ -505,7 +506,7 @@ class History:
         return tuple(unit for unit in self.units if unit.outside)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values, SI units, by the keys of docs/files/output.md."""
+        """Return it as plain values, SI units, with the keys of docs/files/output.md."""
         from .plain import plain_history
 
         return plain_history(self)

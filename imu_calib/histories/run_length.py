@@ -1,4 +1,4 @@
-"""Mean run length of an EWMA chart of standard normal scores, and the limit for a wanted one.
+"""Mean run length of an EWMA chart of standard normal scores, and the limit for a given one.
 
 Source: the integral equation of Crowder 1987; Lucas & Saccucci 1990 tabulate its solutions;
 docs/history.md, 'Control charts'.
@@ -13,11 +13,11 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 _NODES = 64
-"""Of the quadrature: run lengths to five digits for smoothings from 0.05 on."""
+"""Nodes of the quadrature: run lengths to five digits for smoothings from 0.05 on."""
 _WIDEST = 8.0
-"""Limit in standard deviations that no chart needs: a false alarm in 1e15 sessions."""
+"""Largest limit in standard deviations: a false alarm in 1e15 sessions."""
 _HALVINGS = 50
-"""Of the bracket from zero to _WIDEST: down to rounding (8 / 2^50)."""
+"""Bisections of the bracket from zero to _WIDEST: down to rounding (8 / 2^50)."""
 
 
 def ewma_std(smoothing: float) -> float:
@@ -26,13 +26,13 @@ def ewma_std(smoothing: float) -> float:
 
 
 def mean_run_length(smoothing: float, limit: float, shift: float = 0.0) -> float:
-    """Return the mean number of sessions until an EWMA that begins at zero leaves its limits.
+    """Return the mean number of sessions until an EWMA that starts at zero leaves its limits.
 
     L(u) = 1 + integral of L(y) phi((y - (1 - s) u) / s - shift) / s over the limits, at u = 0.
 
     Args:
         smoothing: Weight s of the newest score.
-        limit: To either side, in standard deviations of the EWMA.
+        limit: On both sides, in standard deviations of the EWMA.
         shift: Mean of the scores; zero in control.
 
     """

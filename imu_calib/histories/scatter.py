@@ -1,6 +1,6 @@
-"""Variance between sessions beyond what they state: restricted maximum likelihood, its interval.
+"""Variance between sessions beyond the stated ones: restricted maximum likelihood, interval.
 
-Of a unit: session i has the variance v_i + t, with v_i as stated and t between sessions. Sources:
+Session i of a unit has the variance v_i + t, with v_i as stated and t between sessions. Sources:
 Patterson & Thompson 1971 (REML), Viechtbauer 2007 (Q-profile interval); docs/history.md, 'Turn-on
 repeatability'.
 """
@@ -15,11 +15,11 @@ from ..stream import Floats
 from .lines import fit
 
 _STEPS = 50
-"""Of Fisher scoring or of Newton, which converge in ten as a rule."""
+"""Largest number of steps of Fisher scoring or of Newton, which usually converge in ten."""
 _SETTLED = 1e-9
-"""Change of a variance, of the largest that the data allow, below which they end."""
+"""Change of a variance, relative to the largest that the data allow, at which they end."""
 _LEAST = 1e-9
-"""Variance of a session that states none, of the variance of all."""
+"""Variance of a session that states none, relative to the variance of all."""
 
 
 def between(design: Floats, stated: Floats, values: Floats) -> Floats:
@@ -29,7 +29,7 @@ def between(design: Floats, stated: Floats, values: Floats) -> Floats:
     (y' P P y - tr P) / 2 and the information tr(P P) / 2.
 
     Args:
-        design: (..., n, p) what is estimated beside it.
+        design: (..., n, p) columns estimated at the same time.
         stated: (..., n) variances; infinite for sessions that do not count.
         values: (..., n).
 
@@ -74,12 +74,12 @@ def _step(design: Floats, stated: Floats, values: Floats, extra: Floats, least: 
 def interval(
     design: Floats, stated: Floats, values: Floats, confidence: float
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return the ends (...) of an interval for the variance between sessions, and where it is odd.
+    """Return the interval (...) of the variance between sessions, and where std is overstated.
 
-    Q(t), the weighted sum of squares about the fit, has a chi-square law at the true t, and falls
-    with t: the interval is where it lies between two quantiles. Where even Q(0) is below both, the
-    sessions agree better than they state (the third of what is returned); the upper end is then
-    that of all their scatter.
+    Q(t), the weighted sum of squares about the fit, has a chi-square distribution at the true t,
+    and decreases with t: the interval is where it lies between two quantiles. If even Q(0) is below
+    both, the scatter is smaller than stated (third return value); the upper end is then that of all
+    scatter.
     """
     tail = (1 - confidence) / 2
     plain = fit(design, np.isfinite(stated).astype(float), values)
@@ -99,10 +99,10 @@ def interval(
 def _where_q_is(
     wanted: Floats, design: Floats, stated: Floats, values: Floats, least: Floats
 ) -> Floats:
-    """Return the variance at which Q is as wanted; zero where it is smaller everywhere.
+    """Return the variance at which Q has a given value; zero if it is smaller everywhere.
 
-    1 / Q rises and is concave, a line where all variances are alike: Newton's steps from zero stay
-    below the root.
+    1 / Q increases and is concave, and linear if all variances are equal: Newton's steps from zero
+    stay below the root.
     """
     found = np.zeros_like(least)
     for _ in range(_STEPS):

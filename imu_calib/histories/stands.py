@@ -1,8 +1,8 @@
-"""Unit or stand: stands held against each other by units that were on several, and named.
+"""Unit or stand: compare stands by units that were on several, and name those with a shift.
 
-Effects of stands in all parameters are explained by as few shifts as do (forward selection, the
-chance of each multiplied by the number of shifts that were tried); docs/history.md, 'Unit or
-stand?'.
+Effects of stands in all parameters are explained by as few shifts as possible (forward selection,
+the probability of each multiplied by the number of shifts that were tried); docs/history.md, 'Unit
+or stand?'.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from .trends import quantile
 from .words import listed
 
 _MOST = 20
-"""Shifts that are named: where there are more, no stand is like another."""
+"""Largest number of named shifts: with more, all stands differ from each other."""
 _RANK = 1e-9
-"""Eigenvalue of a covariance, of the largest, below which it is rounding."""
+"""Ratio of an eigenvalue of a covariance to the largest, below which it is rounding."""
 _DISTINCT = 1e-6
-"""Share of a stand's column that others leave, below which it is one of them."""
+"""Share of a stand's column that is independent of others, below which it is one of them."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Stands that shared units link: their sessions, and the effects in each parameter.
+    """Stands linked by common units: their sessions, and the effects in each parameter.
 
     `correlation` (24, 24) is that of the sessions' residuals, and so of the effects of a stand.
     """
@@ -51,15 +51,15 @@ def judge_stands(
     variance: Floats,
     rules: Rules,
 ) -> Stands:
-    """Hold stands against each other.
+    """Compare stands.
 
     Args:
-        units: (n,) number of each session's unit.
-        names: (n) its stand; empty where it is not known: such a session does not count.
-        trends: (n, k) columns that follow the trends of the types.
+        units: (n,) index of each session's unit.
+        names: (n) its stand; empty if unknown: such a session does not count.
+        trends: (n, k) columns for the trends of the types.
         values: (n, 24) SI units.
         variance: (n, 24) of sessions.
-        rules: What is judged by.
+        rules: Rules of the evaluation.
 
     """
     known = np.array([bool(name) for name in names], dtype=bool)
@@ -101,7 +101,7 @@ def judge_stands(
 
 
 def linked(units: NDArray[np.int64], stands: NDArray[np.int64], count: int) -> list[list[int]]:
-    """Return the stands that units link, directly or by others, largest group first."""
+    """Return the stands linked by units, directly or indirectly, largest group first."""
     if not count:
         return []
     number, total = np.unique(units, return_inverse=True)[1], len(np.unique(units))
@@ -136,7 +136,7 @@ def _group(
 
 
 def _root(covariance: Floats) -> Floats:
-    """Return the symmetric root of a covariance; zero where it is not known."""
+    """Return the symmetric root of a covariance; zero if it is unknown."""
     values, vectors = np.linalg.eigh(np.nan_to_num(covariance))
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
@@ -153,10 +153,10 @@ def _correlation(residuals: Floats) -> Floats:
 
 
 class _Tested:
-    """One pattern in a group of s stands: the mean of what they add to its parameters.
+    """One pattern in a group of s stands: the mean of their effects on its parameters.
 
-    Its covariance is of the pattern's own parameters alone: of all 24, correlations are known too
-    badly for weights.
+    Its covariance uses only the pattern's own parameters: correlations of all 24 are too uncertain
+    for weights.
     """
 
     def __init__(self, pattern: Pattern, group: _Group) -> None:
@@ -177,7 +177,7 @@ class _Tested:
         self.chosen: list[int] = []
 
     def partial(self, effect: Floats) -> Floats:
-        """Return the amounts of t (s,) of each stand beside those chosen, from (s, 24) effects."""
+        """Return |t| (s,) of each stand in addition to the selected ones, from (s, 24) effects."""
         left, rest = self._columns, self._white @ effect @ self.share
         if self.chosen:
             basis = np.linalg.qr(left[:, self.chosen])[0]
@@ -189,14 +189,14 @@ class _Tested:
         )
 
     def sizes(self, effect: Floats) -> tuple[Floats, Floats]:
-        """Return the sizes of what is chosen, together, and their standard deviations."""
+        """Return the joint sizes of the selected shifts, and their standard deviations."""
         columns = self._columns[:, self.chosen]
         inverse = np.linalg.inv(columns.T @ columns)
         size = inverse @ (columns.T @ (self._white @ effect @ self.share))
         return size, np.sqrt(np.diag(inverse))
 
     def added(self, size: Floats) -> Floats:
-        """Return what the chosen stands add (s, 24), less the mean of all stands."""
+        """Return the effects of the selected stands (s, 24), minus the mean of all stands."""
         s = self._columns.shape[1]
         return np.outer((np.eye(s) - 1 / s)[:, self.chosen] @ size, self.pattern.of)
 
@@ -209,7 +209,7 @@ def _shifts(
     rules: Rules,
     groups: int,
 ) -> Iterator[StandShift]:
-    """Yield the shifts of stands in a group, one pattern after the other."""
+    """Yield the shifts of stands in a group, pattern by pattern."""
     tried = [
         _Tested(pattern, group)
         for pattern in PATTERNS
@@ -225,12 +225,12 @@ def _shifts(
         t = np.array([one.partial(rest + explained[one.pattern.name]) for one in tried])
         freedom = np.array([[one.freedom] for one in tried], dtype=float)
         chance = 2 * scipy.special.stdtr(freedom, -t) * tests
-        # By t: the chances of large ones are all zero.
+        # By t: the probabilities of large values are all zero.
         i, k = divmod(int(np.argmax(t)), s)
         if not chance[i, k] < rules.false_alarm:
             break
         best = tried[i]
-        # Odds of one stand against another, both equally likely before: exp of half of this.
+        # Odds of two stands with equal prior probabilities: exp of half of this.
         near = t[i] ** 2 > t[i, k] ** 2 + 2 * np.log(rules.false_alarm)
         rivals[best.pattern.name, k] = near & (np.arange(s) != k)
         best.chosen.append(k)
@@ -264,7 +264,7 @@ def _shift(
     tests: int,
     rules: Rules,
 ) -> StandShift:
-    """Return one shift of one stand: its place in the group, size, deviation, and rivals."""
+    """Return one shift of one stand: its index in the group, size, deviation, and rivals."""
     k, size, std, near = found
     names = [every[q] for q in group.stands]
     doubtful = [name for name, also in zip(names, near, strict=True) if also]
@@ -288,12 +288,12 @@ def _shift(
 
 
 def _shared(units: NDArray[np.int64], of: NDArray[np.int64], stand: int) -> int:
-    """Return how many units were on a stand and on another."""
+    """Return the number of units that were on a stand and on another."""
     return len(np.intersect1d(units[of == stand], units[of != stand]))
 
 
 def corrections(stands: Stands, names: Sequence[str]) -> Floats:
-    """Return what is to be taken off each session (n, 24), SI units: what its stand shifts."""
+    """Return the correction of each session (n, 24), SI units: the shift of its stand."""
     by_name = {pattern.name: pattern.of for pattern in PATTERNS}
     found = np.zeros((len(names), len(PARAMETERS)))
     of = np.array(names)
@@ -303,7 +303,7 @@ def corrections(stands: Stands, names: Sequence[str]) -> Floats:
 
 
 def _apart(groups: list[list[str]], unknown: int, sessions: int) -> list[str]:
-    """Say what cannot be compared, and why."""
+    """Return sentences on stands that cannot be compared, with reasons."""
     if not sessions:
         return []
     if unknown == sessions:

@@ -1,7 +1,7 @@
 """Steps between two sessions of a unit that no trend explains.
 
-Source: partial t test of a step beside line and steps, at every place and in every parameter, the
-chance multiplied by their number (Bonferroni); docs/history.md, 'Steps'.
+Source: partial t test of a step in addition to line and steps, at every place and in every
+parameter, the probability multiplied by their number (Bonferroni); docs/history.md, 'Steps'.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from .lines import Fit, fit, line_design
 from .prior import Prior
 
 FEWEST = 4
-"""Sessions of a parameter among which steps are looked for: a line and a step are three numbers."""
+"""Fewest sessions of a parameter for a search of steps: a line and a step are three numbers."""
 _MOST = 5
-"""Most steps of one parameter: more are another course than steps."""
+"""Most steps of one parameter: more are not steps but another course."""
 _DISTINCT = 1e-6
-"""Share of a step that line and steps leave, below which it is one of them."""
+"""Share of a step that is independent of line and steps, below which it is one of them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Steps of the units of a block: parameter by parameter, the first sessions after them.
+    """Steps of the units of a block: for each parameter, the first sessions after them.
 
     Attributes:
-        of: Sessions by (unit, parameter), indices in the block; none is not in it.
+        of: Sessions by (unit, parameter), indices in the block; without steps there is no entry.
 
     """
 
@@ -46,7 +46,7 @@ class Places:
 
 
 def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) -> Places:
-    """Return the steps of units, at most one unit in 1 / false_alarm having one that is none.
+    """Return the steps of units, with a false step in at most one unit of 1 / false_alarm.
 
     Args:
         block: u units.
@@ -95,13 +95,13 @@ def _next(
     prior: Prior,
     level: float,
 ) -> int | None:
-    """Return where a further step of one parameter is, None where none is significant."""
+    """Return the place of a further step of one parameter, None if none is significant."""
     design = step_design(months, places)
     at = fit(design, weights, values)
     t, freedom = np.zeros(len(months)), np.zeros(len(months))
     for k in set(range(1, len(months))) - set(places):
         t[k], freedom[k] = _t_at(k, design, weights, at, prior)
-    # By t: the chances of large ones are all zero.
+    # By t: the probabilities of large values are all zero.
     best = int(np.argmax(t))
     return best if chance_of(t, freedom)[best] < level else None
 
@@ -109,9 +109,9 @@ def _next(
 def _t_at(
     place: int, design: Floats, weights: Floats, at: Fit, prior: Prior
 ) -> tuple[Floats, Floats]:
-    """Return the amount of t (...) of a step at a session beside what is fitted, and its freedom.
+    """Return |t| (...) of a step at a session in addition to the fit, and its freedom.
 
-    Both are zero where nothing tells.
+    Both are zero without information.
     """
     after = slice(place, None)
     along = np.sum((weights * at.residuals)[..., after], axis=-1)
@@ -129,6 +129,6 @@ def _t_at(
 
 
 def chance_of(t: Floats, freedom: Floats) -> Floats:
-    """Return the probability of so large an amount of Student's t; 1 without freedom."""
+    """Return the probability of at least this |t|; 1 without freedom."""
     some = freedom > 0
     return np.where(some, 2 * scipy.special.stdtr(np.where(some, freedom, 1.0), -np.abs(t)), 1.0)

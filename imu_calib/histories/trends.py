@@ -1,7 +1,7 @@
-"""Lines of units through their sessions: slopes with intervals, and what they lead to.
+"""Lines of units through their sessions: slopes with intervals.
 
-Source: weighted least squares with a scale that is estimated (Hartung & Knapp 2001, Sidik & Jonkman
-2002) and moderated (Smyth 2004); slopes of a type by Paule & Mandel 1982; docs/history.md, 'Trend'.
+Source: weighted least squares with an estimated scale (Hartung & Knapp 2001, Sidik & Jonkman 2002),
+moderated (Smyth 2004); slopes of a type by Paule & Mandel 1982; docs/history.md, 'Trend'.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from .prior import FEWEST_UNITS, Prior
 from .steps import Places, step_design
 
 _HALVINGS = 60
-"""Of the bracket of the slopes' variance: down to rounding (2^-60 of it)."""
+"""Bisections of the bracket of the slopes' variance: down to rounding (2^-60 of it)."""
 _TINY = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """Lines of u units beside their steps, (u, 24) each.
+    """Lines of u units with their steps, (u, 24) each.
 
     Attributes:
         coefficients: (u, 24, 2) level at the newest session, slope per month.
-        covariance: (u, 24, 2, 2) of these; NaN where nothing tells them.
+        covariance: (u, 24, 2, 2) of these; NaN if undetermined.
         scale: Factor of the variances of sessions.
         freedom: Degrees of freedom of that.
         known: Whether both are determined.
@@ -50,8 +50,8 @@ class Slopes:
     """Slopes of the units of a type, (24,) each.
 
     Attributes:
-        mean: Per month; NaN where too few units tell.
-        variance: Of units' true slopes about it.
+        mean: Per month; NaN if too few units determine it.
+        variance: Of the units' true slopes.
         doubt: Variance of the mean.
 
     """
@@ -70,9 +70,9 @@ def fit_lines(
         block: u units.
         weights: (u, 24, n) of the sessions.
         places: Their steps.
-        prior: What scatter is typical of their type.
-        slopes: Those of their type, counted as one more observation of each unit's slope; None
-            takes the unit's own sessions alone.
+        prior: Typical scatter of their type.
+        slopes: Those of their type, used as one more observation of each unit's slope; None uses
+            only the unit's own sessions.
 
     """
     design = np.broadcast_to(line_design(block.months)[:, None], (*weights.shape, 2))
@@ -125,7 +125,7 @@ def _with_slope(
 def slopes_of(slope: Floats, variance: Floats) -> Slopes:
     """Return the slopes of a type, from those of its units (u, 24) and their variances.
 
-    The variance t of true slopes is where the sum of (slope - mean)^2 / (variance + t) is its
+    The variance t of true slopes makes the sum of (slope - mean)^2 / (variance + t) equal to its
     degrees of freedom (Paule & Mandel 1982).
     """
     determined = np.isfinite(slope) & np.isfinite(variance) & (variance > 0)
@@ -155,7 +155,7 @@ def slopes_of(slope: Floats, variance: Floats) -> Slopes:
 
 
 def quantile(freedom: Floats, confidence: float) -> Floats:
-    """Return Student's t beyond which a deviation lies to either side; NaN without freedom."""
+    """Return the two-sided quantile of Student's t; NaN without freedom."""
     some = freedom > 0
     found = scipy.special.stdtrit(np.where(some, freedom, 1.0), (1 + confidence) / 2)
     return np.where(some, found, np.nan)

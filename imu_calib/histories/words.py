@@ -1,4 +1,4 @@
-"""Sentences on units and stands: what is due, what drifts, what stepped, what stand is off."""
+"""Sentences on units and stands: due dates, trends, steps, shifts of stands."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .results import Cause, Chart, Rules, Signal, StandShift, Step, UnitHistory
 
 _BY_NAME = dict(zip(PARAMETER_NAMES, PARAMETERS, strict=True))
 _NAMED = 6
-"""Parameters that a sentence names; of more it gives the number."""
+"""Number of parameters that a sentence names; of further ones it states the number."""
 
 
 def listed(names: Sequence[str], most: int = _NAMED) -> str:
@@ -29,7 +29,7 @@ def listed(names: Sequence[str], most: int = _NAMED) -> str:
 
 
 def quantity(value: float, parameter: str, *, per: str = '', sign: bool = False) -> str:
-    """Return a value (SI) of a parameter as engineers write it.
+    """Return a value (SI) of a parameter in engineering units.
 
     Examples:
         >>> quantity(5.1e-6, 'K_ax', sign=True), quantity(1e-6, 'K_gx', per='month')
@@ -53,7 +53,7 @@ def percent(share: float) -> str:
 
 
 def unit_sentences(unit: UnitHistory, rules: Rules) -> tuple[str, ...]:
-    """Return what a person should know of a unit, the most urgent first."""
+    """Return messages for the user on a unit, the most urgent first."""
     return (
         *_outside(unit),
         *_due(unit, rules),
@@ -110,7 +110,7 @@ def _drifts(unit: UnitHistory, rules: Rules) -> Iterator[str]:
 
 
 def step_sentence(step: Step) -> str:
-    """Say what stepped between which sessions, and what it looks like."""
+    """Return a sentence on a step, its sessions and its cause."""
     parts = [
         f'{name} {quantity(size, name, sign=True)}'
         for name, size in zip(step.parameters, step.size, strict=True)
@@ -148,7 +148,7 @@ def _few(unit: UnitHistory) -> Iterator[str]:
 
 
 def stand_sentence(shift: StandShift) -> str:
-    """Say what a stand adds, and which others it was held against."""
+    """Return a sentence on the shift of a stand, and on the stands compared."""
     name = shift.parameters[0]
     size, low, high = (quantity(x, name, sign=True) for x in (shift.shift, shift.low, shift.high))
     by = f'{shift.units} unit{"s" * (shift.units != 1)}'
