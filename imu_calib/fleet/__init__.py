@@ -1,1 +1,1 @@
-"""Many recordings: found, calibrated side by side, and kept as rows of a catalogue."""
+"""Many recordings: found, calibrated in parallel, and stored as rows of a catalogue."""

@@ -1,11 +1,11 @@
-"""The catalogue: a Parquet dataset of one row for each task, and calibration files beside it.
+"""The catalogue: a Parquet dataset with one row for each task, and calibration files.
 
     CATALOGUE/rows/part-000000.parquet  and so on, some rows each
     CATALOGUE/calibrations/TYPE/SERIAL.yaml            the unit's newest calibration
     CATALOGUE/calibrations/TYPE/SERIAL/DATE_KEY.yaml   all of them
 
-Every file is written whole beside its place and moved there. Parts do not change, but where failed
-rows are replaced.
+Every file is written completely under another name and then moved. Parts do not change, except when
+failed rows are replaced.
 Columns and their versions: docs/fleet.md.
 """
 
@@ -31,19 +31,20 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 VERSION = 3
-"""Of the columns; a reader refuses a newer one and fills in what an older one has not."""
+"""Version of the columns; a reader refuses a newer one and fills in the columns that an older one
+lacks."""
 
 _VERSION_KEY = b'imu_calib.catalogue'
 _UNIT_KEY = b'unit'
 _UNNAMED = 'unnamed'
 _NO_COLUMN = re.compile(r'Referenced column "([^"]+)" not found')
-"""How DuckDB says so."""
+"""Error text of DuckDB for an unknown column."""
 _NO_DATE = datetime(1970, 1, 1, tzinfo=timezone.utc)
-"""Goes before any: a recording that does not say when it was taken is never the newest."""
+"""Sorts before any date: a recording without a date is never the newest."""
 
 
 def schema() -> pa.Schema:
-    """Return the columns, each with its unit where it has one."""
+    """Return the columns, with units where applicable."""
     import pyarrow as pa
 
     text, number, whole = pa.string(), pa.float64(), pa.int64()
@@ -81,12 +82,11 @@ def schema() -> pa.Schema:
 class Catalogue:
     """A catalogue on disk.
 
-    Several may add to it at a time: a lock makes them wait for each other while they do, and none
-    adds a row that is there.
+    Several clients may add to it at the same time: a lock serialises them, and a row is added once.
 
     Args:
-        folder: Where it is.
-        create: Make it where it is not there.
+        folder: Its folder.
+        create: Create it if it does not exist.
 
     Raises:
         InputError: There is none, it is of a newer version, or pyarrow is not installed.
@@ -109,20 +109,20 @@ class Catalogue:
             )
 
     def keys(self, *, failed: bool = True) -> frozenset[str]:
-        """Return the keys of all rows; without those that failed, where they are to be retried."""
+        """Return the keys of all rows; without failed ones if these are to be retried."""
         self._look()
         kept = (keys if failed else keys - lost for _, _, keys, lost in self._seen.values())
         return frozenset().union(*kept)
 
     def add(self, done: Sequence[Done], *, replace: bool = False) -> int:
-        """Add rows with their calibration files; return how many were not there.
+        """Add rows with their calibration files; return the number of new ones.
 
         Args:
             done: With rows.
-            replace: Put a row in the place of one that is there with the same key.
+            replace: Replace the row with the same key.
 
         Raises:
-            InputError: It cannot be written; no row is there in part.
+            InputError: It cannot be written; no partial row remains.
 
         """
         with self._written(), self._locked():
@@ -138,7 +138,7 @@ class Catalogue:
         return len(fresh.keys() - there)
 
     def table(self) -> pa.Table:
-        """Return all rows, in the order in which they were added.
+        """Return all rows, in the order of their addition.
 
         Raises:
             InputError: A part is broken, or of a newer version.
@@ -150,17 +150,17 @@ class Catalogue:
         return pa.concat_tables(tables) if tables else schema().empty_table()
 
     def query(self, sql: str) -> pa.Table:
-        """Return the answer to a question in SQL; the table is called `rows`.
+        """Return the result of an SQL query; the table is called `rows`.
 
         Raises:
-            InputError: DuckDB is not installed, or does not understand the question.
+            InputError: DuckDB is not installed, or refuses the query.
 
         """
         require('duckdb', 'SQL', 'fleet')
         import duckdb
 
         connection = duckdb.connect()
-        # A question is about the catalogue: it reads and writes no other file.
+        # A query concerns the catalogue: it must not read or write other files.
         connection.execute('SET enable_external_access = false')
         table = self.table()
         connection.register('rows', table)
@@ -177,11 +177,11 @@ class Catalogue:
             connection.close()
 
     def _with_file(self, one: Done, newest: dict[Path, str]) -> dict[str, Any]:
-        """Write a calibration's files; return its row with the path of the first in it.
+        """Write a calibration's files; return its row with the path of the first.
 
         Args:
             one: With a row.
-            newest: Name of the newest file of each unit that was looked through.
+            newest: Name of the newest file of each unit that has been searched.
 
         """
         row = dict(one.row or {})
@@ -201,7 +201,7 @@ class Catalogue:
         return {**row, 'calibration': str(own.relative_to(self.folder))}
 
     def _append(self, rows: list[dict[str, Any]]) -> None:
-        """Add rows as a part of their own: one that is there never changes under its readers."""
+        """Add rows as a separate part: an existing part never changes while it is read."""
         import pyarrow as pa
 
         if not rows:
@@ -219,7 +219,7 @@ class Catalogue:
     def _write(self, path: Path, table: pa.Table) -> None:
         import pyarrow.parquet as pq
 
-        # Readers of a folder pass over names with a dot in front.
+        # Readers of a folder ignore names that begin with a dot.
         temporary = path.with_name(f'.{path.name}.{os.getpid()}')
         try:
             with temporary.open('wb') as file:
@@ -234,7 +234,7 @@ class Catalogue:
         return sorted(self._rows.glob('part-*.parquet'))
 
     def _look(self) -> None:
-        """Read the keys of parts that are new or have changed."""
+        """Read the keys of new or changed parts."""
         for part in self._parts():
             stat = part.stat()
             mark = (stat.st_mtime_ns, stat.st_size)
@@ -246,7 +246,7 @@ class Catalogue:
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
-        """Keep others from adding; a client that dies leaves no lock behind."""
+        """Lock the catalogue against other writers; the lock ends with its process."""
         with (self.folder / 'lock').open('w') as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             yield
@@ -263,7 +263,7 @@ class Catalogue:
 
 
 def _make_room(folder: Path) -> None:
-    """Refuse a place where no catalogue can be."""
+    """Refuse a folder that cannot hold a catalogue."""
     if not folder.parent.is_dir():
         raise InputError(f'{folder}: the folder {folder.parent} does not exist.')
     if folder.exists() and not folder.is_dir():
@@ -271,12 +271,12 @@ def _make_room(folder: Path) -> None:
 
 
 def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
-    """Return a part with today's columns, as far as it has them, and none else."""
+    """Return a part with those of the present columns that it has."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
-        # Opened once: it may be replaced meanwhile.
+        # Opened once: it may be replaced at the same time.
         with part.open('rb') as file:
             found = pq.read_table(file, columns=columns)
     except (pa.ArrowException, OSError) as error:

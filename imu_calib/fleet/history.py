@@ -1,4 +1,4 @@
-"""The rows of a catalogue as sessions of units, and what they say."""
+"""Evaluate the rows of a catalogue as sessions of units."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ def history(
     imu: ImuSpec | Named | Sequence[ImuSpec | Named] = (),
     rules: Rules = USUAL,
 ) -> History:
-    """Return what the calibrations of a catalogue say of units, types and stands.
+    """Return the history of units, types and stands from a catalogue.
 
     Source: docs/history.md.
 
     Args:
         catalogue: Its folder.
-        serial: Of the units that are wanted; all others still say what is usual, and what stands
-            add.
-        where: Rows that count, a condition in SQL ("imu = 'fog_medium'").
-        imu: Files whose specifications count for their types, instead of those by which units were
-            judged when they were calibrated.
-        rules: What is judged by.
+        serial: Of the requested units; all others still contribute to the typical scatter and the
+            effects of stands.
+        where: Rows to use, a condition in SQL ("imu = 'fog_medium'").
+        imu: Files with the specifications of their types, in place of those used at the
+            calibrations.
+        rules: Rules of the evaluation.
 
     Raises:
-        InputError: There is no catalogue, the condition is none, or no unit has that number.
+        InputError: There is no catalogue, the condition is invalid, or no unit has that number.
         NotObservable: No row is a calibration.
 
     """
@@ -80,11 +80,11 @@ def history(
 def sessions_of(table: pa.Table) -> tuple[Sessions, list[str], dict[str, Floats]]:
     """Return the calibrations among the rows of a catalogue.
 
-    Of rows of one recording and one unit the newest counts: it was calibrated again.
+    Of several rows of one recording and one unit the newest counts: it was calibrated again.
 
     Returns:
-        The sessions, sentences on what was left out, and the limits of each type, (24,): those by
-        which its newest calibration was judged, or of the file of that name that ships.
+        The sessions, sentences on excluded rows, and the limits of each type, (24,): those of its
+        newest calibration, or of the supplied file of that name.
 
     """
     columns = {name: [one or '' for one in table[name].to_pylist()] for name in _TEXTS}
@@ -159,9 +159,9 @@ def _only_failed(table: pa.Table, serial: str) -> str:
 
 
 def _numbers(table: pa.Table) -> tuple[Floats, Floats]:
-    """Return values (n, 24), NaN where not estimated, and covariances (n, 24, 24)."""
+    """Return values (n, 24), NaN if not estimated, and covariances (n, 24, 24)."""
     values, std = columns_of(table, ''), columns_of(table, 'std_')
-    # A deviation that is NaN is of what was not estimated; none at all is not stated.
+    # A deviation of NaN means not estimated; a missing one means not stated.
     stated = np.column_stack([table[f'std_{n}'].is_valid().to_numpy() for n in PARAMETER_NAMES])
     values = np.where(stated & np.isnan(std), np.nan, values)
     covariance = np.zeros((len(values), _SIZE, _SIZE))
@@ -182,13 +182,13 @@ def _numbers(table: pa.Table) -> tuple[Floats, Floats]:
 
 
 def columns_of(table: pa.Table, prefix: str) -> Floats:
-    """Return the columns of the parameters, (n, 24), NaN for what is not there."""
+    """Return the columns of the parameters, (n, 24), NaN if missing."""
     columns = [table[f'{prefix}{name}'].to_numpy().astype(np.float64) for name in PARAMETER_NAMES]
     return np.column_stack(columns)
 
 
 def _limits_of(imus: Sequence[ImuSpec | Named]) -> dict[str, Floats]:
-    """Return the limits (24,) that the files of some types state."""
+    """Return the limits (24,) in the files of some types."""
     loaded = [as_imu(one) for one in imus]
     limits = {one.id: limits_of(one.specification) for one in loaded}
     return {kind: np.array(one) for kind, one in limits.items() if one is not None}

@@ -1,4 +1,4 @@
-"""Which recordings a batch is of, and what is said of each: folders, patterns, manifests."""
+"""The recordings of a batch, with statements on each: folders, patterns, manifests."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ _MANIFESTS = ('.csv', '.yaml', '.yml')
 _RECORDING = 'recording'
 _IMUS = 'imus'
 OF_ONE = ('imu', 'serial', 'imu_topic')
-"""What is stated of one unit, and of each of several by their file."""
+"""Statements on one unit, which for several units are in their file."""
 _FLAGS = {'yes': True, 'true': True, '1': True, 'no': False, 'false': False, '0': False}
 
 NUMBERS = frozenset(
     ('azimuth', 'latitude', 'latitude_std', 'height', 'height_std', 'gravity', 'gravity_std')
 )
-"""What a manifest states in numbers, degrees, metres and m/s^2 as the options of `calibrate`."""
+"""Numeric statements of a manifest: degrees, metres and m/s^2 as the options of `calibrate`."""
 
 
 @dataclass(frozen=True)
 class Labels:
-    """What is said of a recording that no calibration needs, and a history does.
+    """Statements on a recording that a history uses and a calibration does not.
 
     Attributes:
-        site: Where it was taken.
+        site: Where it was recorded.
         stand: The table.
-        operator: Who took it.
-        lot: Of the unit, as it was made.
-        date: When, UTC; None for the time of its first message.
+        operator: Who recorded it.
+        lot: Production lot of the unit.
+        date: Date, UTC; None for the time of its first message.
 
     """
 
@@ -56,13 +56,14 @@ class Labels:
 
 @dataclass(frozen=True)
 class Job:
-    """One recording with all that is said of it.
+    """One recording with the statements on it.
 
     Attributes:
         recording: Path of a rosbag2 folder or storage file, or a URL of one.
-        stated: As `calibrate` takes it.
-        labels: For the catalogue.
-        imus: File of several units on one table; empty where one is stated, or the recording says.
+        stated: Statements for `calibrate`.
+        labels: Statements for the catalogue.
+        imus: File of several units on one table; empty for one unit, or if the recording states
+            them.
 
     """
 
@@ -78,20 +79,20 @@ COLUMNS = (
     *(one.name for one in fields(Stated)),
     *(one.name for one in fields(Labels)),
 )
-"""Of a manifest."""
+"""Columns of a manifest."""
 
 
 def find_jobs(sources: Iterable[str | Path], stated: Stated, imus: str = '') -> list[Job]:
-    """Return the recordings that sources name, each once, in the order of the sources.
+    """Return the recordings named by sources, each once, in the order of the sources.
 
     Args:
-        sources: Recordings, folders that hold some (however deep), patterns (*, ?, **), manifests
-            (.csv, .yaml), here or as URLs (s3://...).
-        stated: Holds for each, where its manifest does not say otherwise.
-        imus: File of the units of each, as well.
+        sources: Recordings, folders that contain some (at any depth), patterns (*, ?, **),
+            manifests (.csv, .yaml), local or as URLs (s3://...).
+        stated: Applies to each, unless its manifest states otherwise.
+        imus: File of the units of each, likewise.
 
     Raises:
-        InputError: A source is not there, cannot be reached or holds none, or a manifest is broken.
+        InputError: A source does not exist, is unreachable or empty, or a manifest is broken.
 
     """
     jobs: dict[Job, None] = {}
@@ -127,17 +128,17 @@ def _jobs(source: str, usual: Job) -> Iterator[Job]:
 
 
 def _matching(path: AnyPath) -> Iterator[AnyPath]:
-    """Yield what a pattern names, in the order of the names."""
+    """Yield the matches of a pattern, in the order of the names."""
     if isinstance(path, RemotePath):
         yield from path.matching()
         return
-    # Of the user's, relative or not: a Path knows patterns only below itself.
+    # The user's pattern may be absolute; Path matches patterns only below itself.
     for name in sorted(glob.glob(str(path), recursive=True)):  # noqa: PTH207
         yield Path(name)
 
 
 def recordings_below(folder: AnyPath) -> Iterator[AnyPath | str]:
-    """Yield recordings: folders that are one, and storage files that lie in no such folder."""
+    """Yield recordings: folders of rosbag2, and storage files outside such folders."""
     if isinstance(folder, RemotePath):
         yield from _among(folder.below())
         return
@@ -153,7 +154,7 @@ def recordings_below(folder: AnyPath) -> Iterator[AnyPath | str]:
 
 
 def _among(files: Iterable[RemotePath]) -> Iterator[str]:
-    """Yield the URLs of recordings among files, a folder before what lies below it."""
+    """Yield the URLs of recordings among files, a folder before its contents."""
     names: dict[str, list[str]] = {}
     for file in files:
         if file.name == _METADATA or file.name.endswith(_STORAGE):
@@ -168,15 +169,15 @@ def _among(files: Iterable[RemotePath]) -> Iterator[str]:
 
 
 def read_manifest(path: AnyPath, stated: Stated, imus: str = '') -> Iterator[Job]:
-    """Yield what a manifest lists: a table with the columns `COLUMNS`, of which one is needed.
+    """Yield the jobs of a manifest: a table with the columns `COLUMNS`, of which one is required.
 
     Args:
         path: CSV with a line of names, or YAML with a list of mappings.
-        stated: Holds where a row says nothing.
-        imus: File of several units: holds where a row states neither one nor several.
+        stated: Applies if a row states nothing.
+        imus: File of several units: applies if a row states neither one nor several.
 
     Raises:
-        InputError: No table, an unknown column, or a value that is none; names row and column.
+        InputError: No table, an unknown column, or an invalid value; names row and column.
 
     """
     for where, row in _rows(path):
@@ -198,7 +199,7 @@ def _rows(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
         raise InputError(f'{path}: found binary data, expected a table in UTF-8.') from None
     if path.suffix.lower() == '.csv':
         lines = text.splitlines()
-        # Where a comma is the decimal sign, spreadsheets part fields otherwise.
+        # If the comma is the decimal sign, spreadsheets use another delimiter.
         parts = max(',;\t', key=lines[0].count) if lines else ','
         rows: list[Any] = list(csv.DictReader(lines, delimiter=parts, skipinitialspace=True))
         first = 2
@@ -232,7 +233,7 @@ def _job(
                 f'{where}: found {one[0]} and {_IMUS}, which states it for each unit: expected one '
                 'of them.'
             )
-        # The row counts before the options, which are of one unit.
+        # The row has precedence over the options, which concern one unit.
         imus = _named(str(given[_IMUS]), manifest, _IMUS)
         stated = replace(stated, imu=None, serial=None, imu_topic=None)
     elif one:
@@ -256,7 +257,7 @@ def _job(
 
 
 def _beside(manifest: AnyPath, name: str) -> str:
-    """Return the path or the URL of what a manifest names."""
+    """Return the path or the URL of a name in a manifest."""
     path = user_path(name)
     if not isinstance(manifest, RemotePath):
         return str(manifest.parent / path)
@@ -264,7 +265,7 @@ def _beside(manifest: AnyPath, name: str) -> str:
 
 
 def _named(text: str, manifest: AnyPath, column: str) -> str:
-    """Return the name of a shipped file, or the path of one beside the manifest."""
+    """Return the name of a supplied file, or the path of one next to the manifest."""
     if column not in {'imu', 'table', 'plan', _IMUS} or isinstance(manifest, RemotePath):
         return text
     beside = manifest.parent / text
@@ -287,7 +288,7 @@ def _flag(value: Any, where: str) -> bool:
 
 
 def _date(value: Any, where: str) -> datetime:
-    """Return a time in UTC; what names no zone is UTC."""
+    """Return a time in UTC; a time without zone is UTC."""
     try:
         found = datetime.fromisoformat(str(value).replace('Z', '+00:00'))
     except ValueError:

@@ -1,4 +1,4 @@
-"""A catalogue to one HTML page: what needs a person, the types, and every unit."""
+"""Write a catalogue to one HTML page: matters for attention, the types, and every unit."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 _STEPS = 3
-"""Of the progress: read, look back, write."""
+"""Steps of the progress: read, evaluate, write."""
 
 
 def fleet_report(
@@ -46,25 +46,24 @@ def fleet_report(
 ) -> Path:
     """Write a page on all units of a catalogue: one HTML file that needs no network.
 
-    Calibrations' files, and reports beside them under the same name (`.html`), are linked where
-    they lie: keep the page where it was written, or the links lead nowhere.
+    Calibration files, and reports with the same name (`.html`) next to them, are linked by relative
+    path: a page that is moved loses its links.
 
     Args:
         catalogue: Its folder.
         output: HTML file to write.
-        where: Rows that count, a condition in SQL ("imu = 'fog_medium'").
-        imu: Files whose specifications count instead of those with which units were calibrated.
-        rules: What is judged by.
-        on: The day of which the page is, for what is due; UTC where it names no zone. None for
-            today.
-        ahead: Days before a recalibration is due from which the page says so.
-        progress: Shows how far it is.
+        where: Rows to use, a condition in SQL ("imu = 'fog_medium'").
+        imu: Files with specifications, in place of those used at the calibrations.
+        rules: Rules of the evaluation.
+        on: Date of the page, for due dates; UTC if it names no zone. None for today.
+        ahead: Days before a due recalibration from which the page shows it.
+        progress: Shows the progress.
 
     Returns:
         The file.
 
     Raises:
-        InputError: There is no catalogue, the condition is none, the file cannot be written, or
+        InputError: There is no catalogue, the condition is invalid, the file cannot be written, or
             Bokeh is not installed.
 
     """
@@ -81,7 +80,7 @@ def written(
     ahead: float,
     progress: Progress,
 ) -> tuple[Path, Fleet]:
-    """Write the page; return the file and what it was written from."""
+    """Write the page; return the file and its contents."""
     path = output_path(output)
     require('bokeh', 'A page on a catalogue', 'fleet')
     found = catalogue if isinstance(catalogue, Catalogue) else Catalogue(catalogue)
@@ -103,7 +102,7 @@ def written(
 
 
 def _nothing(rules: Rules) -> History:
-    """Return what a catalogue says that holds no calibration."""
+    """Return the history of a catalogue without calibrations."""
     size = len(PARAMETER_NAMES)
     none: tuple[str, ...] = ()
     dates, values = np.array([], 'M8[s]'), np.empty((0, size))
@@ -125,7 +124,7 @@ def recordings_of(table: pa.Table, folder: Path, base: Path) -> Recordings:
     Args:
         table: Rows.
         folder: Of the catalogue.
-        base: Where the page will lie: links are relative to it.
+        base: Folder of the page: links are relative to it.
 
     """
 
@@ -153,7 +152,7 @@ def recordings_of(table: pa.Table, folder: Path, base: Path) -> Recordings:
 
 
 def _link(file: Path | None, base: Path) -> str:
-    """Return a file's address relative to a page; empty where there is none."""
+    """Return a file's address relative to a page; empty without a file."""
     if file is None or not file.is_file():
         return ''
     try:

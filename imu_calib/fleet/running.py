@@ -1,4 +1,4 @@
-"""A batch: recordings handed to the workers of Dask, and their rows added to a catalogue."""
+"""A batch: process recordings with Dask workers, and add their rows to a catalogue."""
 
 from __future__ import annotations
 
@@ -25,26 +25,27 @@ if TYPE_CHECKING:
 Task: TypeAlias = Callable[[Job, frozenset[str]], Done]
 
 _FLUSH, _FLUSH_SHARE, _LATEST_FLUSH = 1.0, 0.05, 60.0
-"""s between additions to the catalogue, share of what a batch has taken so far, and most, s.
+"""s between additions to the catalogue, their share of the batch's time so far, and the largest s.
 
-Each is a file: ten hours are six hundred or more. A client that is killed loses a minute at most.
+Each addition is a file: ten hours give at least six hundred. A killed client loses at most a
+minute.
 """
 _MOST = 100
-"""Rows that wait to be added: 70 kB each with the text of the calibration, whatever the rate."""
+"""Most rows that wait to be added: 70 kB each with the text of the calibration."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """What a batch came to.
+    """Result of a batch.
 
     Attributes:
         catalogue: Its folder.
-        recordings: That the sources name.
-        calibrated: Units that were calibrated: one of a recording, or each of several.
-        failed: Units without a calibration, with the reason in their row.
-        known: Units that the catalogue had already.
+        recordings: Number of recordings named by the sources.
+        calibrated: Number of calibrated units: one or several per recording.
+        failed: Number of units without a calibration, with the reason in their row.
+        known: Number of units that the catalogue had already.
         known_failed: Those among them without a calibration.
-        seconds: That it took.
+        seconds: Duration.
 
     """
 
@@ -71,33 +72,33 @@ def batch(
     connected: Callable[[str], None] = lambda _: None,
     **stated: Unpack[Session],
 ) -> Batch:
-    """Calibrate from many recordings side by side; each ends as a row of a catalogue.
+    """Calibrate from many recordings in parallel; each result is a row of a catalogue.
 
-    What is done is not done again: a task is known by the content of its recording and of all that
-    is stated of it. The results are those of `calibrate`, bit for bit, on whichever worker.
+    Finished tasks are not repeated: the key of a task is made from the content of its recording and
+    of all statements. The results are those of `calibrate`, bit for bit, on every worker.
 
-    A script that calls it needs `if __name__ == '__main__':`, since workers load the script too.
+    A script that calls it needs `if __name__ == '__main__':`, because workers load the script too.
 
     Args:
         sources: Recordings, folders, patterns, manifests or URLs (docs/fleet.md).
-        catalogue: Its folder; made where it is not there.
-        imus: File of several units on one table (docs/files/units.md), of every recording whose
+        catalogue: Its folder; created if missing.
+        imus: File of several units on one table (docs/files/units.md), for every recording whose
             manifest states neither one nor several.
-        scheduler: Address of a Dask scheduler (tcp://host:8786); None starts workers here.
-        workers: How many to start here; None for one a core.
-        memory: Of each worker that is started here ('2GiB').
-        retry: Do again what failed.
-        progress: Shows how far it is.
+        scheduler: Address of a Dask scheduler (tcp://host:8786); None starts local workers.
+        workers: Number of local workers; None for one per core.
+        memory: Of each local worker ('2GiB').
+        retry: Repeat failed tasks.
+        progress: Shows the progress.
         connected: Called with the address of Dask's dashboard when work begins.
-        **stated: By the keywords of `calibrate`: what holds for every recording whose manifest does
-            not say otherwise; files by name or path.
+        **stated: Keywords of `calibrate` for every recording whose manifest does not state
+            otherwise; files by name or path.
 
     Returns:
-        What it came to.
+        The result.
 
     Raises:
         InputError: A source is wrong, the catalogue cannot be written, no scheduler answers, or
-            Dask is not installed. Recordings that cannot be read are rows.
+            Dask is not installed. Unreadable recordings are rows.
 
     """
     session = Stated(**stated)
@@ -133,16 +134,16 @@ def run_batch(
 ) -> Batch:
     """Run jobs and add their rows; as `batch`.
 
-    What is done when it is interrupted is in the catalogue.
+    After an interruption the finished tasks are in the catalogue.
 
     Args:
         jobs: Recordings.
-        catalogue: Takes the rows.
-        engine: Where they run.
-        retry: Do again what failed.
-        progress: Shows how far it is.
+        catalogue: Receives the rows.
+        engine: Runs the jobs.
+        retry: Repeat failed tasks.
+        progress: Shows the progress.
         connected: As of `batch`.
-        task: Makes a row of a recording, unless its key is known.
+        task: Creates a row from a recording, unless its key is known.
 
     Raises:
         InputError: As `batch`.
@@ -183,7 +184,7 @@ def run_batch(
 def _each(
     client: Client, jobs: Sequence[Job], known: frozenset[str], task: Task
 ) -> Iterator[list[Done]]:
-    """Yield what each job ends with, unit by unit, in the order in which they end."""
+    """Yield the results of the jobs, unit by unit, in the order of completion."""
     seen: set[str] = set()
     for number, outcome in outcomes(client, task, jobs, known):
         done = lost(jobs[number]) if isinstance(outcome, WorkerDied) else outcome

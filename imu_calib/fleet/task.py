@@ -1,4 +1,4 @@
-"""One recording of a batch: what it is known by, and the row that it ends as."""
+"""One recording of a batch: its key, and its row."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ CALIBRATED = 'calibrated'
 FAILED = 'failed'
 
 DEFECT = 70
-"""Exit code of what no sentence was foreseen for (EX_SOFTWARE of sysexits.h)."""
+"""Exit code of an unforeseen error (EX_SOFTWARE of sysexits.h)."""
 LOST = 137
-"""Exit code of a recording that its workers died of: 128 + SIGKILL, as a shell says it."""
+"""Exit code of a recording that killed its workers: 128 + SIGKILL, as in a shell."""
 _FOLDERS = {'imu': 'imus', 'plan': 'plans', 'table': 'tables'}
 
 
 @dataclass(frozen=True)
 class Done:
-    """What a task ends with.
+    """Result of a task.
 
     Attributes:
-        key: What the task is known by.
-        row: For the catalogue; None where the catalogue has it.
+        key: Key of the task.
+        row: For the catalogue; None if the catalogue has it.
         calibration: Text of calibration.yaml; empty without one.
-        others: What it ends with for the other units of the recording.
+        others: Results for the other units of the recording.
 
     """
 
@@ -61,16 +61,16 @@ class Done:
 
     @property
     def every(self) -> tuple[Done, ...]:
-        """Return what it ends with for each unit."""
+        """Return the result for each unit."""
         return (self, *self.others)
 
 
 def key_of(job: Job, path: AnyPath) -> tuple[str, str]:
-    """Return what a task is known by, and the SHA-256 of its recording.
+    """Return the key of a task, and the SHA-256 of its recording.
 
-    The key is that of the recording's content, of all that is stated with the content of the files
-    that it names, of the labels, and of the package's version. The recording's own name is not in
-    it: under two names it is one.
+    The key is made from the recording's content, all statements with the content of the files that
+    they name, the labels, and the package's version. The recording's name is not included: copies
+    with two names have one key.
 
     Raises:
         InputError: The recording or a file cannot be read.
@@ -89,15 +89,15 @@ def key_of(job: Job, path: AnyPath) -> tuple[str, str]:
 
 
 def key_of_unit(key: str, serial_number: str) -> str:
-    """Return what one of several units is known by: what they share is from all of them."""
+    """Return the key of one of several units, from that of all: they share unknowns."""
     return hashlib.sha256(f'{key} {serial_number}'.encode()).hexdigest()[:32]
 
 
 def _texts_of(imus: str) -> list[str]:
-    """Return the file of several units, and those of their types.
+    """Return the contents of the file of several units, and of those of their types.
 
     Raises:
-        InputError: The first is broken. A type that cannot be read is a matter of its units.
+        InputError: The first is broken. An unreadable type concerns only its units.
 
     """
     units = load_units(imus)
@@ -106,7 +106,7 @@ def _texts_of(imus: str) -> list[str]:
 
 
 def _text_of_type(unit: MountedUnit) -> str:
-    """Return the file of a unit's type; empty where it cannot be read."""
+    """Return the content of the file of a unit's type; empty if it is unreadable."""
     try:
         return named_file('imus', unit.imu).read_text(encoding='utf-8')
     except (InputError, OSError):
@@ -114,7 +114,7 @@ def _text_of_type(unit: MountedUnit) -> str:
 
 
 def content_of(path: AnyPath) -> str:
-    """Return the SHA-256 of a recording's storage files, as its `sha256`, without opening it.
+    """Return the SHA-256 of a recording's storage files, equal to its `sha256`, without opening it.
 
     Raises:
         InputError: There is no recording, or it cannot be read.
@@ -127,11 +127,11 @@ def content_of(path: AnyPath) -> str:
 
 
 def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
-    """Calibrate from one recording; what goes wrong is a row too.
+    """Calibrate from one recording; a failure is a row too.
 
     Args:
         job: The recording.
-        known: Keys of tasks that are done: they are not done again.
+        known: Keys of finished tasks, which are not repeated.
 
     """
     begun = time.process_time()
@@ -156,14 +156,14 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
     except MemoryError:
         sentence, code = 'A worker has too little memory for this recording.', DEFECT
     except Exception as error:
-        # One recording does not end a batch: an unforeseen error is a row as well.
+        # One recording must not end a batch: an unforeseen error is a row as well.
         sentence = f'Unforeseen error ({type(error).__name__}: {error}): please report it.'
         code = DEFECT
     return _none_of(job, key, sha256, sentence, code, time.process_time() - begun)
 
 
 def _is_of_several(job: Job, recording: Recording) -> bool:
-    """Say whether a recording is of several units, and none of them was chosen."""
+    """Return whether a recording has several units, and none of them was selected."""
     if job.imus:
         return True
     chosen = any(getattr(job.stated, name) is not None for name in OF_ONE)
@@ -171,14 +171,14 @@ def _is_of_several(job: Job, recording: Recording) -> bool:
 
 
 def _several(job: Job, recording: Recording, key: str, known: frozenset[str], begun: float) -> Done:
-    """Calibrate all units of a recording, unless each is done; one that fails is a row too."""
+    """Calibrate all units of a recording, unless finished; a failed one is a row too."""
     imus = job.imus or None
     keys = [key_of_unit(key, serial) for serial in serials_in(recording, imus)]
     if known.issuperset(keys):
         return _as_one(Done(one) for one in keys)
     found = units_of_recording(recording, imus, job.stated)
     start, sha256 = recording.start_ns, recording.sha256()
-    # What is shared is done once: each takes its part of the time.
+    # The common work is done once: each unit gets its share of the time.
     seconds = (time.process_time() - begun) / len(found.units)
     ended = []
     for own, unit in zip(keys, found.units, strict=True):
@@ -206,7 +206,7 @@ def _as_one(ended: Iterable[Done]) -> Done:
 def _none_of(
     job: Job, key: str, sha256: str, sentence: str, code: int, seconds: float = math.nan
 ) -> Done:
-    """Return the row of a recording that gave nothing; of each unit where a file lists them."""
+    """Return the row of a failed recording, or of each unit if a file lists them."""
     session = key or unread_key(job)
     try:
         units = load_units(job.imus) if job.imus else ()
@@ -225,7 +225,7 @@ def _none_of(
 
 
 def _type_of(unit: MountedUnit) -> str:
-    """Return a unit's type; as it is stated where its file cannot be read."""
+    """Return a unit's type; as stated if its file is unreadable."""
     try:
         return load_imu(unit.imu).id
     except ImuCalibError:
@@ -233,13 +233,13 @@ def _type_of(unit: MountedUnit) -> str:
 
 
 def failed(job: Job, key: str, sha256: str, sentence: str, code: int) -> dict[str, Any]:
-    """Return the row of a recording that gave no calibration."""
+    """Return the row of a recording without calibration."""
     row = _common(job, key, sha256)
     return {**row, **_when(job, None), 'status': FAILED, 'error': sentence, 'exit_code': code}
 
 
 def lost(job: Job) -> Done:
-    """Return the row of a recording that its workers died of, one after the other."""
+    """Return the row of a recording that killed its workers, one after the other."""
     try:
         key, sha256 = key_of(job, located(job.recording))
     except ImuCalibError:
@@ -252,13 +252,13 @@ def lost(job: Job) -> Done:
 
 
 def unread_key(job: Job) -> str:
-    """Return what a recording is known by that cannot be read: its name and what is stated."""
+    """Return the key of an unreadable recording: its name and the statements."""
     text = json.dumps(['unread', asdict(job)], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def limits_of(specification: Specification | None) -> list[float] | None:
-    """Return the largest amounts of the 24 parameters, NaN without one; None: none are known."""
+    """Return the largest amounts of the 24 parameters, NaN without one; None if none are known."""
     if specification is None:
         return None
     limits = [specification.limit(parameter) for parameter in PARAMETERS]
@@ -292,14 +292,14 @@ def _common(job: Job, key: str, sha256: str) -> dict[str, Any]:
 def _when(job: Job, start_ns: int | None) -> dict[str, Any]:
     if job.labels.date is not None or start_ns is None:
         return {'date': job.labels.date}
-    # To the microsecond, in whole numbers: a float of seconds is good for a tenth of one.
+    # In integer microseconds: a float of seconds is exact only to a tenth of one.
     seconds, rest = divmod(start_ns, 1_000_000_000)
     whole = datetime.fromtimestamp(seconds, timezone.utc)
     return {'date': whole.replace(microsecond=rest // 1000)}
 
 
 def _calibrated(result: Result) -> dict[str, Any]:
-    """Return what a calibration gives to its row; NaN where a triad was not estimated."""
+    """Return the entries of a calibration for its row; NaN if a triad was not estimated."""
     found = result.calibration
     setup, session = found.provenance, result.session
     mine = indices_of(PARAMETERS, found.parameters)
