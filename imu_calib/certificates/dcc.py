@@ -21,7 +21,7 @@ _LOCATION = 'https://ptb.de/dcc https://ptb.de/dcc/v3.1.2/dcc.xsd'
 def dcc(certificate: Certificate) -> str:
     """Return a certificate as XML.
 
-    The calibration's own file is in it whole, with the covariance of all parameters.
+    It contains the complete calibration file, with the covariance of all parameters.
     """
     for prefix, name in (('dcc', DCC), ('si', SI), ('xsi', _XSI)):
         ET.register_namespace(prefix, name)

@@ -1,4 +1,4 @@
-"""The elements that a Digital Calibration Certificate is made of."""
+"""The elements of a Digital Calibration Certificate."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ DCC, SI = 'https://ptb.de/dcc', 'https://ptb.de/si'
 
 
 def element(name: str, *parts: ET.Element | None, text: str = '', **attributes: str) -> ET.Element:
-    """Return an element of the DCC; parts that are None are left out."""
+    """Return an element of the DCC; parts that are None are omitted."""
     made = ET.Element(f'{{{DCC}}}{name}', attributes)
     made.text = text or None
     made.extend([part for part in parts if part is not None])
@@ -24,18 +24,18 @@ def of_si(name: str, text: str, *parts: ET.Element) -> ET.Element:
 
 
 def leaf(name: str, text: object) -> ET.Element | None:
-    """Return an element with a text; None where there is no text."""
+    """Return an element with a text; None without a text."""
     return element(name, text=str(text)) if text not in (None, '') else None
 
 
 def content(name: str, *texts: str, **attributes: str) -> ET.Element:
-    """Return an element of texts in English."""
+    """Return an element of English texts."""
     contents = [element('content', text=text, lang='en') for text in texts]
     return element(name, *contents, **attributes)
 
 
 def identification(issuer: str, value: str, name: str, kind: str = '') -> ET.Element:
-    """Return a number or name by which somebody knows a thing."""
+    """Return an identification: a number or name, and its issuer."""
     attributes = {'refType': kind} if kind else {}
     return element(
         'identification',
@@ -65,7 +65,7 @@ def statement(
 def number_with_unit(
     value: float, unit: str, uncertainty: ET.Element | None = None, label: str = ''
 ) -> ET.Element:
-    """Return a value in a unit of D-SI, with its uncertainty where it has one."""
+    """Return a value in a unit of D-SI, with its uncertainty if it has one."""
     parts = [of_si('label', label)] if label else []
     parts += [of_si('value', _number(value)), of_si('unit', unit)]
     parts += [] if uncertainty is None else [uncertainty]

@@ -42,7 +42,7 @@ _UNIFORM = float(np.sqrt(3.0))
 
 
 def software() -> ET.Element:
-    """Return what computed."""
+    """Return the software used."""
     return element(
         'software',
         content('name', 'imu_calib'),
@@ -52,7 +52,7 @@ def software() -> ET.Element:
 
 
 def measurement(certificate: Certificate) -> ET.Element:
-    """Return all results, with the methods, references and conditions that they come from."""
+    """Return all results, with their methods, references and conditions."""
     fields, calibration = certificate.fields, certificate.calibration
     method = element(
         'usedMethod',
@@ -164,7 +164,7 @@ def _shape(freedom: float) -> str:
 
 
 def _scales(calibration: Calibration) -> list[ET.Element]:
-    """Return the nominal scale factors, which are no results: numbers without uncertainty."""
+    """Return the nominal scale factors, which are not results: numbers without uncertainty."""
     imu, found = calibration.imu, []
     units = {
         Units.PULSES: (
@@ -217,7 +217,7 @@ def _contribution(parameter: Parameter, words: str, kind: str, std: float) -> ET
 
 
 def _file(calibration: Calibration) -> ET.Element:
-    """Return the calibration's own file, which holds the covariance and all digits."""
+    """Return the complete calibration file, with the covariance and all digits."""
     data = base64.b64encode(calibration.to_yaml().encode()).decode()
     whole = element(
         'byteData',

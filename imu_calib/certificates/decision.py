@@ -1,4 +1,4 @@
-"""Statements of conformity by a decision rule that the certificate names.
+"""Statements of conformity by a decision rule stated in the certificate.
 
 Source: ILAC-G8:09/2019, 4.2; JCGM 106:2012, 8; ISO/IEC 17025:2017, 7.8.6.
 """
@@ -9,7 +9,7 @@ from enum import Enum
 
 
 class Rule(Enum):
-    """How the uncertainty is taken into account where a limit is met or not."""
+    """How the uncertainty is taken into account in a decision on a limit."""
 
     SIMPLE = 'simple_acceptance'
     GUARDED = 'guard_band'
@@ -17,7 +17,7 @@ class Rule(Enum):
 
     @property
     def words(self) -> str:
-        """The rule, and the risk that it leaves, for a person."""
+        """The rule and its risk, as text."""
         return _WORDS[self]
 
 
@@ -42,7 +42,7 @@ _WORDS = {
 
 
 class Conformity(Enum):
-    """What is stated of a value, in the words of the DCC."""
+    """The statement on a value, in the terms of the DCC."""
 
     PASS = 'pass'
     CONDITIONAL_PASS = 'conditionalPass'
@@ -51,7 +51,7 @@ class Conformity(Enum):
 
     @property
     def words(self) -> str:
-        """For a person."""
+        """The statement as text."""
         return {'conditionalPass': 'conditional pass', 'conditionalFail': 'conditional fail'}.get(
             self.value, self.value
         )
@@ -66,13 +66,13 @@ WORST_LAST = (
 
 
 def decide(value: float, expanded: float, limit: float, rule: Rule) -> Conformity:
-    """Return what a value says of a limit that holds to either side of zero.
+    """Return the statement on a value with a limit on both sides of zero.
 
     Args:
-        value: As estimated.
+        value: The estimate.
         expanded: Its expanded uncertainty, in the same unit.
         limit: Largest amount allowed.
-        rule: By which it is decided.
+        rule: Decision rule.
 
     """
     amount = abs(value)

@@ -38,7 +38,7 @@ _BY_SHOWN = {
     'mm': Digital(r'\milli\metre', 1e-3),
     'ms': Digital(r'\milli\second', 1e-3),
 }
-"""By the unit that engineers read."""
+"""D-SI units by engineering units."""
 
 
 def digital(parameter: Parameter) -> Digital:

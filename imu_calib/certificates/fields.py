@@ -1,4 +1,4 @@
-"""What a laboratory states for a certificate: read from YAML, and what is missing named.
+"""Statements of a laboratory for a certificate: read from YAML, with a list of missing ones.
 
 Source: ISO/IEC 17025:2017, 7.8.2 and 7.8.4; docs/certificate.md.
 """
@@ -19,16 +19,16 @@ from .decision import Rule
 _DATE = re.compile(r'[0-9]{4}-[0-9]{2}-[0-9]{2}')
 _COUNTRY = re.compile(r'[A-Z]{2}')
 LOCATIONS = ('laboratory', 'customer', 'laboratoryBranch', 'customerBranch', 'other')
-"""Where a calibration is made, in the words of the DCC."""
+"""Places of calibration, in the terms of the DCC."""
 _OF_PERSON = ('name', 'role')
 _OF_ITEM = ('description', 'manufacturer', 'model', 'serial_number', 'condition')
-"""What ISO/IEC 17025 asks for of the unit in one clause."""
+"""Fields of the unit that ISO/IEC 17025 requires in one clause."""
 CONDITIONS = {
     'temperature': ('air temperature', '\u00b0C'),
     'relative_humidity': ('relative humidity', '%'),
     'air_pressure': ('air pressure', 'hPa'),
 }
-"""Keys of `environment`, in words, and the unit of their numbers."""
+"""Keys of `environment`, their texts, and the units of their numbers."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Contact:
 
     @property
     def lines(self) -> list[str]:
-        """The address as it stands on paper."""
+        """The lines of the address."""
         town = f'{self.postcode} {self.city}'.strip()
         place = ', '.join(part for part in (town, self.country) if part)
         return [line for line in (self.name, self.street, place, self.email, self.phone) if line]
@@ -53,7 +53,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class Item:
-    """The unit that was calibrated."""
+    """The calibrated unit."""
 
     description: str = ''
     manufacturer: str = ''
@@ -69,9 +69,9 @@ class Condition:
     """A quantity of the environment.
 
     Attributes:
-        key: Of `CONDITIONS`.
-        value: In the unit of that.
-        within: Half the width of the interval in which it stayed.
+        key: A key of `CONDITIONS`.
+        value: In its unit.
+        within: Half the width of the interval of its variation.
 
     """
 
@@ -82,7 +82,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Equipment:
-    """A reference, with the certificate that makes it one."""
+    """A reference, with its certificate."""
 
     name: str = ''
     manufacturer: str = ''
@@ -104,7 +104,7 @@ class Signature:
 
 @dataclass(frozen=True)
 class Fields:
-    """All that is stated for a certificate; what is not is empty or None."""
+    """All statements for a certificate; missing ones are empty or None."""
 
     number: str = ''
     replaces: str = ''
@@ -131,7 +131,7 @@ def read_fields(section: Section) -> Fields:
     """Read a file of fields.
 
     Raises:
-        InputError: A key is unknown or of another kind; one that is missing is no error here.
+        InputError: A key is unknown or of another kind; a missing one is not an error here.
 
     """
     contacts = [_contact(section, key) for key in ('laboratory', 'customer')]
@@ -167,7 +167,7 @@ def read_fields(section: Section) -> Fields:
 
 
 def _below(section: Section, name: str) -> Section:
-    """Return a mapping below; an empty one where there is none."""
+    """Return a mapping below, or an empty one."""
     return section.section(name) if section.has(name) else Section({}, section.key(name))
 
 
@@ -210,7 +210,7 @@ def _date(section: Section, name: str) -> date | None:
             return date.fromisoformat(raw)
         except ValueError:
             pass
-    # YAML reads a date that is not in quotes as one.
+    # YAML reads an unquoted date as a date.
     if type(raw) is date:
         return raw
     raise InputError(f'{section.key(name)}: found {raw!r}, expected a date as 2026-01-31.')
@@ -257,7 +257,7 @@ def _signature(section: Section) -> Signature:
 
 
 def _check_order(fields: Fields, section: Section) -> None:
-    """Refuse dates that no calibration has."""
+    """Refuse impossible dates of a calibration."""
     first, last = fields.calibrated or (None, None)
     steps = [('received', fields.received), ('calibrated: from', first)]
     steps += [('calibrated: to', last), ('issued', fields.issued)]
@@ -268,12 +268,12 @@ def _check_order(fields: Fields, section: Section) -> None:
 
 
 def missing(fields: Fields, *, dcc: bool, limits: bool) -> list[str]:
-    """Return what ISO/IEC 17025 requires and the fields do not state: key and clause.
+    """Return the missing fields that ISO/IEC 17025 requires: key and clause.
 
     Args:
-        fields: As stated.
-        dcc: Whether a DCC is to be written, which asks for more.
-        limits: Whether there is a specification that conformity could be stated with.
+        fields: The statements.
+        dcc: Whether a DCC is written, which requires more.
+        limits: Whether there is a specification for statements of conformity.
 
     """
     item, lab, customer = fields.item, fields.laboratory, fields.customer

@@ -1,4 +1,4 @@
-"""A certificate for people: HTML for A4, by ISO/IEC 17025:2017, 7.8."""
+"""A certificate as HTML for A4, by ISO/IEC 17025:2017, 7.8."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _STATEMENTS = (
 
 
 def certificate_page(certificate: Certificate) -> str:
-    """Return a certificate as HTML; the same contents give the same text."""
+    """Return a certificate as HTML; equal contents give equal text."""
     fields = certificate.fields
     title = f'Calibration certificate {fields.number or _MISSING}'
     laboratory = fields.laboratory.name or _MISSING
@@ -60,7 +60,7 @@ def certificate_page(certificate: Certificate) -> str:
 
 
 def _said(value: object) -> str:
-    """Return what was stated; of a draft that it is missing."""
+    """Return the statement; in a draft that it is missing."""
     return str(value) if value not in (None, '', ()) else _MISSING
 
 

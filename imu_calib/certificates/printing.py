@@ -1,4 +1,4 @@
-"""HTML to PDF, by WeasyPrint where it is installed, else by Chromium."""
+"""Convert HTML to PDF, by WeasyPrint if installed, else by Chromium."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..errors import InputError
 
 _BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'chrome')
 _OLDEST = 131
-"""Version of Chromium since which pages carry what @page says of their margins."""
+"""First version of Chromium that prints the margin boxes of @page."""
 _PATIENCE = 300.0
 """s: a page takes a second or two; a machine may be very busy."""
 
@@ -25,7 +25,7 @@ def pdf(html: str) -> bytes:
     """Print a page.
 
     Raises:
-        InputError: Nothing that prints is installed, or it failed; says what to do.
+        InputError: No printing software is installed, or it failed; the text states the remedy.
 
     """
     by_weasyprint = _weasyprint()
@@ -42,7 +42,7 @@ def pdf(html: str) -> bytes:
 
 
 def _weasyprint() -> Callable[[str], bytes] | None:
-    """Return what prints by WeasyPrint; None where it, or a library of the system, is missing."""
+    """Return a function that prints by WeasyPrint; None if it, or a system library, is missing."""
     if find_spec('weasyprint') is None:
         return None
     try:
@@ -62,7 +62,7 @@ def _by_chromium(html: str, browser: str) -> bytes:
             [
                 browser,
                 '--headless',
-                # As root Chromium has no sandbox; the page holds no script and asks for nothing.
+                # As root Chromium has no sandbox; the page has no script and loads nothing.
                 *(['--no-sandbox'] if os.geteuid() == 0 else []),
                 '--disable-gpu',
                 '--no-first-run',

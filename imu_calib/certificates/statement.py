@@ -1,4 +1,4 @@
-"""A certificate as a value: what the laboratory stated, and what the calibration found."""
+"""A certificate as a value: statements of the laboratory, and results of the calibration."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .decision import WORST_LAST, Conformity, decide
 from .fields import Fields, missing
 
 _ZONES = timedelta(days=1)
-"""Between a date at a place and the same instant in UTC: at most one day."""
+"""Largest difference between a local date and the UTC date of the same instant: one day."""
 
 
 @dataclass(frozen=True)
@@ -23,13 +23,13 @@ class Stated:
     """A result, SI units.
 
     Attributes:
-        parameter: Which.
-        value: As estimated.
+        parameter: The parameter.
+        value: The estimate.
         expanded: U, the uncertainty expanded to `PROBABILITY`.
-        factor: k, by which the standard uncertainty was multiplied.
-        freedom: Effective degrees of freedom; infinite for what is known.
+        factor: k, the factor on the standard uncertainty.
+        freedom: Effective degrees of freedom; infinite for known values.
         limit: Largest amount that the specification allows; None without one.
-        conformity: What is stated of that limit; None where no statement is asked for.
+        conformity: Statement on that limit; None if none is requested.
 
     """
 
@@ -44,15 +44,15 @@ class Stated:
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """All that a certificate is written from.
+    """Contents of a certificate.
 
     Attributes:
-        fields: What the laboratory stated.
-        calibration: What was found.
+        fields: Statements of the laboratory.
+        calibration: The result.
         budget: Of its uncertainties.
-        results: Every parameter that was estimated.
-        missing: What is required and not stated; only a draft has any.
-        draft: Whether it is no certificate yet.
+        results: Every estimated parameter.
+        missing: Required but missing statements; only a draft has any.
+        draft: Whether it is not yet a certificate.
 
     """
 
@@ -78,19 +78,19 @@ def certificate_of(
     dcc: bool = False,
     draft: bool = False,
 ) -> Certificate:
-    """Put a certificate together.
+    """Return the contents of a certificate.
 
     Args:
         calibration: With a budget of its uncertainties.
-        fields: What the laboratory states; the unit's serial number and the date of the recording
-            are the calibration's where the fields say nothing.
+        fields: Statements of the laboratory; missing serial number and date of the recording are
+            taken from the calibration.
         specification: Limits of the unit.
-        dcc: Whether a DCC is to be written, too.
-        draft: Whether what is missing is left open, and the result marked as a draft.
+        dcc: Whether a DCC is written too.
+        draft: Whether missing statements are allowed, and the result is marked as a draft.
 
     Raises:
-        InputError: The calibration has no budget, something that ISO/IEC 17025 asks for is
-            missing (all of it is named), or the fields contradict the calibration.
+        InputError: The calibration has no budget, something that ISO/IEC 17025 requires is missing
+            (everything missing is named), or the fields contradict the calibration.
 
     """
     budget = calibration.budget
@@ -113,7 +113,7 @@ def certificate_of(
 
 
 def _completed(fields: Fields, calibration: Calibration) -> Fields:
-    """Take from the calibration what it knows."""
+    """Fill in fields from the calibration."""
     day = recorded(calibration)
     if fields.calibrated is None and day is not None:
         fields = replace(fields, calibrated=(day, day))
@@ -124,7 +124,7 @@ def _completed(fields: Fields, calibration: Calibration) -> Fields:
 
 
 def recorded(calibration: Calibration) -> date | None:
-    """Return the day on which the recording began, UTC; None where it does not say."""
+    """Return the date on which the recording began, UTC; None if it is not stated."""
     text = calibration.provenance.get('recorded')
     try:
         found = datetime.fromisoformat(str(text).replace('Z', '+00:00'))
@@ -157,7 +157,7 @@ def _results(
     expanded, factor, freedom = budget.expanded, budget.coverage_factor, budget.freedom
     found = []
     for k, parameter in enumerate(calibration.parameters):
-        # What a frame is chosen by is zero by definition, and no result.
+        # Parameters that define the frame are zero by definition, not results.
         if not calibration.std[k] > 0:
             continue
         value, limit = float(calibration.values[k]), specification.limit(parameter)

@@ -1,4 +1,4 @@
-"""How a certificate looks: A4 pages that carry number and page count, and a sheet on the screen."""
+"""The style of a certificate: A4 pages with number and page count, and a sheet on the screen."""
 
 _PAGES = """
 @page {{ size: A4; margin: 20mm 16mm 18mm 20mm;
@@ -57,7 +57,7 @@ def style(title: str, laboratory: str, mark: str) -> str:
     """Return the style of a certificate.
 
     Args:
-        title: On top of every printed page; it holds the number.
+        title: On top of every printed page; contains the number.
         laboratory: At the bottom of every printed page.
         mark: On top of every printed page of a draft, else empty.
 
@@ -68,6 +68,6 @@ def style(title: str, laboratory: str, mark: str) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Return a text as a string of CSS that can end neither itself nor its element."""
+    """Return a text as a string of CSS, escaped so that it cannot end its string or element."""
     kept = ''.join(c if c.isalnum() or c in ' .,-' else f'\\{ord(c):x} ' for c in text)
     return f'"{kept}"'

@@ -1,4 +1,4 @@
-"""A calibration in the form that somebody else's software reads: one module per format."""
+"""Formats of other software for a calibration: one module per format."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A C header of constants for firmware, with the function that applies them."""
+"""A C header for firmware: constants, and the function that applies them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from ..units import DEG, STANDARD_GRAVITY
 from .exported import Exported, ExportSource, always_left_out
 
 _EXACT = 1e-17
-"""Relative error that is left: that of a double."""
+"""Remaining relative error: that of a double."""
 _CONTRACTION = 0.5
-"""Factor by which each round of an inversion has to shrink the error."""
+"""Factor by which each iteration of an inversion must reduce the error."""
 _WIDEST_RATE, _WIDEST_FORCE = 2000 * DEG, 16 * STANDARD_GRAVITY
-"""Range of a unit that states none or a wider one: that of common MEMS units."""
+"""Largest range assumed for a unit, also if it states none: that of common MEMS units."""
 
 _OUTPUT = {
     Units.PULSES: ('pulses counted in one sample interval', ' / seconds'),
@@ -39,7 +39,7 @@ def export(source: ExportSource) -> Exported:
     """
     calibration = source.calibration
     imu, model = calibration.imu, calibration.model
-    # What has no inverse is refused here, in words.
+    # A singular matrix is refused here with a sentence.
     model.compensate(np.zeros((1, 3)), np.zeros((1, 3)))
     what, per_interval = _OUTPUT[imu.units]
     guard = f'IMU_CALIB_{re.sub(r"[^A-Z0-9]+", "_", imu.id.upper()).strip("_")}_H'
@@ -80,7 +80,7 @@ def export(source: ExportSource) -> Exported:
 
 
 def _with_terms(model: SensorModel, imu: ImuSpec, per_interval: str) -> dict[str, str]:
-    """Return the parts of the header that depend on terms which are not linear."""
+    """Return the parts of the header that depend on nonlinear terms."""
     if model.linear:
         body = _BODY.format(per_interval=per_interval, of_accel='', of_gyro='')
         return {'formula': '', 'terms': '', 'more': '', 'body': body}
@@ -109,12 +109,12 @@ def _with_terms(model: SensorModel, imu: ImuSpec, per_interval: str) -> dict[str
 
 
 def _slope(model: SensorModel, imu: ImuSpec) -> tuple[float, str]:
-    """Return by how much a round makes an error smaller at the ends of the range, and the ends."""
+    """Return the error factor of an iteration at the ends of the range, and the ends."""
     rate, force = (
         min(spec.range, widest)
         for spec, widest in ((imu.gyro, _WIDEST_RATE), (imu.accel, _WIDEST_FORCE))
     )
-    # Slopes of products of amounts are largest where all inputs are; signs may add them up.
+    # Slopes of products of amounts are largest if all inputs are; signs may add them up.
     most = model.with_values(model.parameters, np.abs(model.values(model.parameters)))
     ends = np.repeat([rate, force], len(AXES))
     linear = replace(model, terms={}).slopes(np.zeros(3), np.zeros(3))
@@ -154,7 +154,7 @@ def _vector(name: str, values: Floats, comment: str) -> str:
 
 
 def _by_clock(calibration: Calibration) -> str:
-    """Say by which clock the interval is, where the session compared two."""
+    """Return the clock of the interval as text, if the session compared two."""
     clock = calibration.clock
     if clock is None:
         return ''

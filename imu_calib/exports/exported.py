@@ -1,4 +1,4 @@
-"""What goes into an export and what comes out of it."""
+"""Input and output of an export."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from ..stream import Units
 
 @dataclass(frozen=True, eq=False)
 class ExportSource:
-    """A calibration to be exported.
+    """A calibration for export.
 
     Attributes:
         calibration: The calibration.
-        path: Its file, absolute; None where it is in none.
-        sample_rate: Of the IMU's stream, Hz; None where not stated.
+        path: Its file, absolute; None without a file.
+        sample_rate: Of the IMU's stream, Hz; None if not stated.
         topic: Topic of the IMU's stream.
-        sheet: The IMU by its data sheet, for noise that the calibration does not tell; or None.
+        sheet: Data sheet of the IMU, for noise that the calibration does not state; or None.
 
     """
 
@@ -37,7 +37,7 @@ class ExportSource:
         """Return the sample rate, Hz.
 
         Raises:
-            InputError: It is not stated; says what it is needed for.
+            InputError: It is not stated; the text states its purpose.
 
         """
         if self.sample_rate is not None:
@@ -49,11 +49,11 @@ class ExportSource:
 
 @dataclass(frozen=True)
 class Exported:
-    """A calibration as other software reads it.
+    """A calibration in the format of other software.
 
     Attributes:
         text: Of the file.
-        findings: What it cannot carry, and what else a person should know, in sentences.
+        findings: What it cannot represent, and other messages for the user, in sentences.
 
     """
 
@@ -62,14 +62,14 @@ class Exported:
 
 
 def left_out(calibration: Calibration, export: str) -> list[str]:
-    """Say which parameters a format cannot carry, and refuse a file that is wrong without them.
+    """Return sentences on omitted parameters; refuse if the others would be wrong without them.
 
     Args:
-        calibration: To be exported.
+        calibration: The calibration.
         export: Name of the format.
 
     Raises:
-        InputError: Names the parameters, and what to do.
+        InputError: The text names the parameters and the remedy.
 
     """
     kinds = dict.fromkeys(p.kind for p in calibration.parameters)
@@ -89,14 +89,14 @@ def left_out(calibration: Calibration, export: str) -> list[str]:
 
 
 def always_left_out(calibration: Calibration, export: str) -> list[str]:
-    """Say what few formats can carry.
+    """Return sentences on the content that most formats omit.
 
     Args:
-        calibration: To be exported.
+        calibration: The calibration.
         export: Name of the format.
 
     Raises:
-        InputError: The format cannot carry parameters without which the others are wrong.
+        InputError: The format cannot represent parameters without which the others are wrong.
 
     """
     sentences = ['The covariance of the parameters is left out.', *left_out(calibration, export)]

@@ -1,9 +1,9 @@
 """The JSON of imucal (MaD-Lab FAU): K, R, b of a turntable calibration, m/s^2 and deg/s out.
 
 imucal compensates with f = R_a^-1 K_a^-1 (raw - b_a) and
-w = R_g^-1 K_g^-1 (raw - K_ga f - b_g): the bias is taken off before the matrix, in units of the
-raw stream, and K R is the response, K diagonal, the rows of R of length one
-(imucal 2.6, FerrarisCalibrationInfo; format 2.0.0).
+w = R_g^-1 K_g^-1 (raw - K_ga f - b_g): the bias is subtracted before the matrix, in units of the
+raw stream, and K R is the response, K diagonal, the rows of R of length one (imucal 2.6,
+FerrarisCalibrationInfo; format 2.0.0).
 """
 
 from __future__ import annotations

@@ -1,14 +1,13 @@
 """Kalibr's imu.yaml with the intrinsics of its scale-misalignment model.
 
-Kalibr says, in a frame i of its own choice (ethz-asl/kalibr, IccSensors.py,
-IccScaledMisalignedImu):
+Kalibr's model, in its own frame i (ethz-asl/kalibr, IccSensors.py, IccScaledMisalignedImu):
 
     accelerometers: raw = M a_i + b             M lower triangular
     gyros:          raw = M C_gyro_i w_i + A C_gyro_i a_i + b
 
 so that its frame has X along the input axis of the accelerometer x, Y in the plane of x and y.
-Ours is that of the table's mount; T_i_b turns from ours to its: I + M_a = M C_i_b, and likewise
-I + M_g = M_gyro C_gyro_i C_i_b and G = A C_gyro_i C_i_b.
+Our frame is that of the table's mount; T_i_b rotates from ours to Kalibr's: I + M_a = M C_i_b, and
+likewise I + M_g = M_gyro C_gyro_i C_i_b and G = A C_gyro_i C_i_b.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ def export(source: ExportSource) -> Exported:
     """Return imu.yaml.
 
     Raises:
-        InputError: No sample rate, or no noise, or axes that are mirrored.
+        InputError: No sample rate, no noise, or mirrored axes.
 
     """
     calibration = source.calibration
@@ -83,10 +82,10 @@ def _lower(response: Floats, name: str) -> tuple[Floats, Floats]:
 
 
 def _noise(source: ExportSource) -> tuple[dict[str, float], list[str]]:
-    """Return densities and random walks of Kalibr, and what of them is no measured value."""
+    """Return noise densities and random walks of Kalibr, and which of them were not measured."""
     calibration, sheet = source.calibration, source.sheet
     walk = np.array(calibration.provenance.get('random_walk', np.zeros(6)), dtype=float)
-    # Of a stream without noise the session shows the rounding of numbers, which is no density.
+    # A session without noise shows only the rounding of numbers, which is not a noise density.
     walk = np.where(walk**2 > SMALLEST_VARIANCE, walk, 0.0)
     channels = calibration.noise
     found: dict[str, float] = {}
@@ -122,7 +121,7 @@ def _noise(source: ExportSource) -> tuple[dict[str, float], list[str]]:
 
 
 def _drift(drifts: list[Coefficient], spec: TriadSpec | None) -> tuple[float, str]:
-    """Return the random walk of the biases per sqrt(s), 0 where it is unknown, and its source."""
+    """Return the random walk of the biases per sqrt(s), 0 if it is unknown, and its source."""
     values = [c.value for c in drifts if c.value]
     if values:
         return float(np.sqrt(np.mean(np.square(values)))), ''

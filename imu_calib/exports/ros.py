@@ -9,12 +9,12 @@ from .exported import Exported, ExportSource, left_out
 
 
 def export(source: ExportSource) -> Exported:
-    """Return parameters that point the node to the calibration file.
+    """Return parameters that name the calibration file for the node.
 
-    The file is named, not copied: the node reads it anew when it changes.
+    The file is not copied: the node reads it again when it changes.
 
     Raises:
-        InputError: The calibration is in no file.
+        InputError: The calibration has no file.
 
     """
     if source.path is None:
