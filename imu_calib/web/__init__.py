@@ -1,5 +1,6 @@
-"""A page that shows a running stand: what its nodes say, as a state, and a page that draws it.
+"""A page that shows a running stand: the state from the nodes' messages, and its drawing.
 
-`board` makes the state of messages and knows no browser; `page` draws it with NiceGUI; `guard`
-says who may look and who may move the table; `server` serves it in a thread of its own.
+`board` converts messages to a state, independent of browsers; `page` draws it with NiceGUI; `guard`
+determines who may view the page and who may move the table; `server` serves it in a separate
+thread.
 """

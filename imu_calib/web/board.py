@@ -1,4 +1,4 @@
-"""Keep the state of a running stand, of what its nodes say."""
+"""Keep the state of a running stand from the messages of its nodes."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from .samples import Streams
 from .snapshot import Expected, Outcome, Sentence, Snapshot, TableState
 
 _SILENT = 5.0
-"""s: a node speaks once or twice a second."""
+"""s: a node publishes once or twice a second."""
 _NS = 1e-9
 """s per ns."""
 
 
 @dataclass
 class _Heard:
-    """When a node was heard last, by the steady clock."""
+    """Time of the last message of a node, by the steady clock."""
 
     at: float | None = None
 
     def silence(self, now: float) -> float:
-        """Return for how long it has been silent, s; 0 before it was ever heard."""
+        """Return the duration of its silence, s; 0 before the first message."""
         if self.at is None or now - self.at < _SILENT:
             return 0.0
         return now - self.at
 
 
 class Board:
-    """Takes what the nodes say, and keeps the state that pages show.
+    """Receives the nodes' messages, and keeps the state that pages show.
 
-    Times `now` are of the steady clock, s. Messages are taken by their fields alone: what brought
-    them does not matter.
+    Times `now` are of the steady clock, s. Only the fields of messages are used, independent of
+    their transport.
 
     Args:
-        expected: What is known before the session begins.
+        expected: Known values before the session begins.
 
     """
 
@@ -119,7 +119,7 @@ class Board:
         )
 
     def take_calibration(self, message: Any) -> bool:
-        """Take imu_calib_msgs/ImuCalibration; return whether it is a session's last word."""
+        """Take imu_calib_msgs/ImuCalibration; return whether it is the session's final one."""
         for name, value in _values(message):
             self._courses.value(name, value)
         outcomes = {
@@ -141,7 +141,7 @@ class Board:
         return True
 
     def take_end(self, outcome: Outcome, text: str) -> None:
-        """Take how the session has ended, and what is said of it."""
+        """Take the outcome of the session, with a text."""
         self._state = replace(self._state, outcome=outcome, outcome_text=text)
 
     def take_diagnostics(self, message: Any, now: float) -> None:
@@ -150,7 +150,7 @@ class Board:
             self.take_sentence(sentence, now)
 
     def take_sentence(self, sentence: Sentence, now: float) -> None:
-        """Take what a node says of one part of itself."""
+        """Take a node's report on one of its parts."""
         self._parts[sentence.source] = sentence
         self._nodes[_node(sentence.source)] = now
 
@@ -159,19 +159,19 @@ class Board:
         self._state = replace(self._state, celsius=celsius)
 
     def take_streams(self, streams: Streams) -> None:
-        """Take what the samples show."""
+        """Take the results from the samples."""
         self._state = replace(self._state, streams=streams)
 
     def take_answer(self, text: str) -> None:
-        """Take what was answered to a command."""
+        """Take the answer to a command."""
         self._state = replace(self._state, answer=text)
 
     def take_report(self, name: str, text: str) -> None:
-        """Take the name of the report's file, empty where there is none, and what is said of it."""
+        """Take the name of the report's file, empty without one, and a text on it."""
         self._state = replace(self._state, report=name, report_text=text)
 
     def _too_little(self, steps: Iterable[int]) -> Iterator[int]:
-        """Yield the steps that left too little, but for those whose data is still to come."""
+        """Yield the steps with insufficient data, except those whose data is still to come."""
         table = self._state.table
         running = () if table is None or table.phase is Phase.DONE else (table.step - 1, table.step)
         return (int(step) for step in steps if step not in running)
@@ -188,7 +188,7 @@ class Board:
         )
 
     def _sentences(self, now: float) -> Iterable[Sentence]:
-        """Return what the nodes say, the worst first; of a silent one, that it is silent."""
+        """Return the reports of the nodes, the worst first; for a silent one, its silence."""
         silent = {node: now - at for node, at in self._nodes.items() if now - at > _SILENT}
         found = [s for s in self._parts.values() if _node(s.source) not in silent]
         if self._state.outcome is Outcome.OPEN:
@@ -202,7 +202,7 @@ class Board:
 
 
 def sentences_of(message: Any) -> Iterator[Sentence]:
-    """Yield what diagnostic_msgs/DiagnosticArray says."""
+    """Yield the reports in diagnostic_msgs/DiagnosticArray."""
     for status in message.status:
         yield Sentence(
             status.name,
@@ -213,7 +213,7 @@ def sentences_of(message: Any) -> Iterator[Sentence]:
 
 
 def _values(message: Any) -> Sequence[tuple[str, float]]:
-    """Return the parameters that a calibration holds, by name, SI."""
+    """Return the parameters in a calibration, by name, SI."""
     further = dict(zip(message.term_parameters, message.term_values, strict=True))
     found = []
     for name in message.parameter_names:

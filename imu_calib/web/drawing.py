@@ -1,4 +1,4 @@
-"""The parts of the page as HTML: all text is escaped here, wherever it came from."""
+"""The parts of the page as HTML: all text is escaped here, whatever its source."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from .words import headline, joint_words, time_left
 
 _LEVELS = {Severity.OK: 'ok', Severity.WARN: 'warn', Severity.ERROR: 'error'}
 _SIGNS = {Severity.OK: '\u2713', Severity.WARN: '!', Severity.ERROR: '\u2715'}
-"""Each state has a sign too: colour alone is not enough."""
+"""Each state also has a sign: colour alone is insufficient."""
 _WIDTH, _HEIGHT = 120.0, 30.0
 """px of a course: a cell of the table, two lines high."""
 _EDGE = 4.0
-"""px between the frame of a course and what is drawn in it."""
+"""px between the frame of a course and its drawing."""
 _LEAST_DECADES = 0.5
-"""Of the axis of a course: less would show noise."""
+"""Least range of a course's axis: less would show noise."""
 _OF_TERMS = {term.kind for term in TERMS}
 
 
 def banner(shown: Snapshot, now: datetime) -> str:
-    """Return what happens now, how long it still takes, and how far it is."""
+    """Return the present activity, the remaining time, and the progress."""
     first = headline(shown)
     left, rests_on = time_left(shown, now)
     table = shown.table
@@ -68,12 +68,12 @@ def _phase(shown: Snapshot) -> str:
 
 
 def sign(level: Severity) -> str:
-    """Return a mark for how bad something is."""
+    """Return a mark for a severity."""
     return tag('span', _SIGNS[level], class_=f'sign {_LEVELS[level]}', aria_label=level.name)
 
 
 def troubles(shown: Snapshot) -> str:
-    """Return what is wrong, or that nothing is."""
+    """Return the faults, or that there are none."""
     if not shown.wrong:
         if not shown.sentences:
             over = shown.outcome is not Outcome.OPEN
@@ -84,7 +84,7 @@ def troubles(shown: Snapshot) -> str:
 
 
 def diagnostics(shown: Snapshot) -> str:
-    """Return all that the nodes say of themselves."""
+    """Return all reports of the nodes."""
     rows = ''.join(_sentence(s, with_figures=True) for s in shown.sentences)
     return tag('ul', rows, class_='sentences') if rows else tag('p', 'Nothing yet.', class_='muted')
 
@@ -112,8 +112,8 @@ def units(rows: Sequence[UnitRow], chosen: str) -> str:
     """Return a line for each unit.
 
     Args:
-        rows: How each is.
-        chosen: The one that is looked at; empty for all.
+        rows: State of each.
+        chosen: The selected unit; empty for all.
 
     """
     head = ''.join(
@@ -142,7 +142,7 @@ def _unit(row: UnitRow, *, looked_at: bool) -> str:
     )
     headings = (heading for heading, _ in _UNIT_HEADINGS)
     inside = ''.join(
-        # On a phone the head of the table is gone.
+        # On a phone the head of the table is hidden.
         tag('td', cell, class_=kind, data_label=heading)
         for cell, kind, heading in zip(cells, _UNIT_COLUMNS, headings, strict=True)
     )
@@ -150,7 +150,7 @@ def _unit(row: UnitRow, *, looked_at: bool) -> str:
 
 
 def plan(shown: Snapshot) -> str:
-    """Return the steps of the plan: those that are done, the one that runs, those to come."""
+    """Return the steps of the plan: completed, running, and future ones."""
     steps = shown.expected.steps
     if not steps:
         inside = ''.join(tag('li', escape(words)) for words in shown.next)
@@ -268,10 +268,10 @@ def _value(row: Converging) -> str:
 
 
 def course(row: Converging, begin: float, end: float) -> str:
-    """Draw a deviation over the session's time, with what the plan predicts and what is allowed.
+    """Draw a deviation over the session's time, with the prediction and the limit.
 
-    The specification allows a value of zero to be uncertain by its limit: its line stands at the
-    limit over the coverage factor, or at the edge where that is further off.
+    The line of the specification is the limit over the coverage factor, the largest standard
+    deviation for a value of zero; it is at the edge if that is out of range.
     """
     allowed = math.nan if row.limit is None else row.limit / COVERAGE
     heights = [std for _, std in row.course]
@@ -309,7 +309,7 @@ _CHOOSE = tag('p', 'Choose a unit above.', class_='muted')
 
 
 def streams(shown: Snapshot, imu: ImuSpec | None) -> str:
-    """Return rates, gaps and temperature; where no unit is chosen, that one is to be."""
+    """Return rates, gaps and temperature, or the request to select a unit."""
     if imu is None:
         return _CHOOSE
     said = {s.source.rpartition('/')[2]: s for s in shown.sentences}
@@ -366,7 +366,7 @@ def noise(shown: Snapshot, imu: ImuSpec | None) -> str:
 
 
 def report(shown: Snapshot) -> str:
-    """Return the link to the report, or what is said of it."""
+    """Return the link to the report, or a text on it."""
     if shown.outcome is Outcome.OPEN or shown.outcome is Outcome.FAILED:
         return ''
     if not shown.report:

@@ -1,4 +1,4 @@
-"""What is known of a session before it begins: its steps, and what the plan will reach."""
+"""Known values of a session before it begins: its steps, and the plan's prediction."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from .units import ShownUnit, UnitsBoard
 
 
 def expectation(setup: Setup) -> Expected:
-    """Return what is known of a session before it begins.
+    """Return the known values of a session before it begins.
 
-    The prediction lets the biases drift by the data sheet's figure, as calibrations allow for it.
+    In the prediction the biases drift by the data sheet's figure, as calibrations assume.
     """
     table = setup.table
     steps = tuple(
@@ -29,7 +29,7 @@ def expectation(setup: Setup) -> Expected:
         for step in setup.steps
     )
     predicted: dict[str, float] = {}
-    # Without a data sheet's noise nothing can be predicted; all else can be shown.
+    # Without the noise of a data sheet there is no prediction; everything else is shown.
     with suppress(ImuCalibError):
         found = forecast(setup, SensorModel(), drifting=True)
         names = [parameter.name for parameter in found.parameters]
@@ -47,14 +47,14 @@ def expectation(setup: Setup) -> Expected:
 
 
 def units_board(setup: Setup, units: Sequence[MountedUnit]) -> UnitsBoard:
-    """Return a board for several units, with what is known of each before the session begins.
+    """Return a board for several units, with the known values of each before the session begins.
 
     Args:
         setup: Of the session: its plan, its table and its site.
-        units: That are mounted.
+        units: The mounted units.
 
     """
-    # A forecast takes its time, and units of one type have one.
+    # A forecast takes time; units of one type share it.
     types: dict[str, Expected] = {}
     for unit in units:
         if unit.imu not in types:

@@ -1,9 +1,9 @@
-"""Who may look at the page, and who may move the table.
+"""Who may view the page, and who may move the table.
 
-A page on the loopback interface is reached by every page that the same browser shows, and by names
-that somebody else's server resolves to it (DNS rebinding). Requests are therefore taken only for
-hosts that this server has, and from pages that it has served itself (OWASP, 'Cross-Site Request
-Forgery Prevention': verifying origin; RFC 6454, section 7; Fetch Metadata, W3C).
+A page on the loopback interface can be reached by every page in the same browser, and by names that
+a foreign server resolves to it (DNS rebinding). Therefore requests are accepted only for hosts of
+this server, and from pages that it has served (OWASP, 'Cross-Site Request Forgery Prevention':
+verifying origin; RFC 6454, section 7; Fetch Metadata, W3C).
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ App: TypeAlias = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 LOOPBACK = '127.0.0.1'
 _POLICY = (
-    # NiceGUI's page holds scripts and templates that the browser compiles; nothing comes from
-    # elsewhere, nothing goes elsewhere, and no other page may frame this one.
+    # NiceGUI's page has scripts and templates that the browser compiles; nothing is loaded from or
+    # sent to other hosts, and no other page may frame this one.
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
     "connect-src 'self'; worker-src 'self' blob:; object-src 'none'; base-uri 'self'; "
@@ -41,7 +41,7 @@ _FAR = frozenset({'cross-site', 'same-site'})
 
 
 def is_loopback(host: str) -> bool:
-    """Say whether a name or address is of this machine alone."""
+    """Return whether a name or address is that of this machine only."""
     if host == 'localhost':
         return True
     try:
@@ -51,7 +51,7 @@ def is_loopback(host: str) -> bool:
 
 
 def address(host: str, port: int) -> str:
-    """Return what a person types into a browser on this machine, or on another one."""
+    """Return the address for a browser on this machine, or on another one."""
     name = host.strip('[]')
     if name in {'0.0.0.0', '::', ''}:
         name = socket.gethostname()
@@ -59,7 +59,7 @@ def address(host: str, port: int) -> str:
 
 
 def exposure(host: str) -> str:
-    """Say who can see the page, where that is not this machine alone; else nothing."""
+    """Return a sentence on who can see the page, if others can; else empty."""
     if is_loopback(host):
         return ''
     return (
@@ -70,7 +70,7 @@ def exposure(host: str) -> str:
 
 
 class Guard:
-    """Lets requests through to a page that are meant for it and come from it (ASGI).
+    """Passes only requests that are addressed to a page and come from it (ASGI).
 
     Args:
         app: The page.
@@ -89,7 +89,7 @@ class Guard:
         self._anywhere = not is_loopback(host)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Take a request, or refuse it."""
+        """Accept a request, or refuse it."""
         if scope['type'] not in {'http', 'websocket'}:
             await self._app(scope, receive, send)
             return
@@ -105,7 +105,7 @@ class Guard:
             await send({'type': 'http.response.body', 'body': f'{reason}\n'.encode()})
 
     def refusal(self, scope: Scope) -> str:
-        """Return why a request is refused; empty where it is not."""
+        """Return why a request is refused; else empty."""
         headers: dict[str, list[str]] = {}
         for name, value in scope['headers']:
             headers.setdefault(name.decode('latin-1').lower(), []).append(value.decode('latin-1'))
@@ -128,9 +128,9 @@ class Guard:
         return ''
 
     def _is_ours(self, value: str) -> bool:
-        """Say whether a Host header names this server.
+        """Return whether a Host header names this server.
 
-        An address in place of a name was not resolved by anybody: it cannot be rebound.
+        An address in place of a name was not resolved by a name server: it cannot be rebound.
         """
         name, port = _split(value.lower())
         if port != str(self._port):
@@ -145,7 +145,7 @@ class Guard:
 
 
 def _split(host: str) -> tuple[str, str]:
-    """Split host:port; a port that is left out is that of http."""
+    """Split host:port; a missing port is that of http."""
     if host.startswith('['):
         name, _, rest = host[1:].partition(']')
         return name, rest.removeprefix(':') or '80'
@@ -167,10 +167,10 @@ def _with_headers(send: Send) -> Send:
 
 
 class Token:
-    """The secret that lets a viewer command the table.
+    """The secret that authorises a viewer to command the table.
 
     Args:
-        secret: Empty where none may.
+        secret: Empty if no viewer may.
 
     """
 
@@ -179,9 +179,9 @@ class Token:
 
     @property
     def exists(self) -> bool:
-        """Whether anybody may command the table at all."""
+        """Whether any viewer may command the table."""
         return bool(self._secret)
 
     def fits(self, given: str) -> bool:
-        """Say whether it is the token, in a time that does not tell how much of it was right."""
+        """Return whether it is the token, in constant time."""
         return self.exists and hmac.compare_digest(given.encode(), self._secret)

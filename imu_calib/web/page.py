@@ -1,4 +1,4 @@
-"""The page: draws snapshots of a board with NiceGUI, and passes the commands of its viewers on."""
+"""The page: draws snapshots of a board with NiceGUI, and passes on its viewers' commands."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .style import STYLE
 from .units import UnitRow
 
 _GLANCE = 0.5
-"""s between two looks at the state: what is said changes once or twice a second."""
+"""s between two checks of the state: reports change once or twice a second."""
 _MOTION = 0.1
 """s between two poses of the table."""
 _LEAST_ANGLE = 1e-4
-"""rad: a pose that differs by less is the same picture."""
+"""rad: smaller differences of a pose give the same picture."""
 _KEY = (
     '<div class="key"><span><i></i>standard deviation so far</span>'
     '<span><i class="predicted"></i>what the plan will reach</span>'
@@ -32,26 +32,26 @@ _KEY = (
     'far off</span></div>'
 )
 _FPS = 10
-"""Pictures of the table in a second: as often as joint states are published."""
+"""Pictures of the table per second: the rate of joint states."""
 _HEIGHT = 340
 """px of the table's picture."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """What a page shows, and where its viewers' commands go.
+    """Content of a page, and target of its viewers' commands.
 
     Attributes:
         title: Of the page.
-        imus: What the numbers of the samples mean, by the names of the units; of one that is alone
-            by an empty name.
-        shape: The table; None where a hand holds the unit.
-        look: Returns the state now, of the unit with that name; of an empty name that of all.
-        units: Returns a line for each of several units; nothing where one is alone.
-        angles: Returns the joints' angles now by name, rad.
-        command: Takes 'start', 'pause' or 'abort' of a viewer who may.
-        token: Who may.
-        report: The report's file; it may not be there yet.
+        imus: Descriptions of the samples by the names of the units; for a single unit by an empty
+            name.
+        shape: The table; None if a hand holds the unit.
+        look: Returns the present state of the unit with that name; for an empty name that of all.
+        units: Returns a line for each of several units; empty for a single one.
+        angles: Returns the present angles of the joints by name, rad.
+        command: Takes 'start', 'pause' or 'abort' of an authorised viewer.
+        token: Authorises viewers.
+        report: The report's file; it may not exist yet.
 
     """
 
@@ -83,9 +83,9 @@ class _Part:
 
 
 def build(source: Source) -> None:
-    """Lay the page out for one viewer, and keep it up to date while it is looked at."""
+    """Lay out the page for one viewer, and update it while it is open."""
     ui.add_css(STYLE)
-    # White letters stand on the first and the last: 4.5 to 1 and more (WCAG 2.1, 1.4.3).
+    # White text is on the first and the last: contrast 4.5 to 1 and more (WCAG 2.1, 1.4.3).
     ui.colors(primary='#0b5394', negative='#b3261e')
     page = _Page(source)
     part = page.part
@@ -134,7 +134,7 @@ def build(source: Source) -> None:
 
 
 class _Page:
-    """The parts of a viewer's page that change: of all units, and of the one that is chosen."""
+    """The changing parts of a viewer's page: of all units, and of the selected one."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -146,13 +146,13 @@ class _Page:
     def part(
         self, draw: Callable[[Snapshot], str], kind: str = '', *, of_unit: bool = False
     ) -> None:
-        """Add a part, which may be of the unit that is chosen."""
-        # What is drawn is escaped there (drawing): no text of a node is taken for markup.
+        """Add a part, optionally of the selected unit."""
+        # `drawing` escapes all text: a node's text is not interpreted as markup.
         element = ui.html('', sanitize=False).classes(kind)
         (self._of_unit if of_unit else self._parts).append(_Part(element, draw))
 
     def choose(self, name: str) -> None:
-        """Show another unit; all where the name is empty."""
+        """Show another unit; all for an empty name."""
         self._chosen = name
         self.refresh()
 
@@ -168,7 +168,7 @@ class _Page:
         return drawing.units(self._source.units(), self._chosen)
 
     def draw_streams(self, shown: Snapshot) -> str:
-        """Return what the samples show."""
+        """Return the results from the samples."""
         return drawing.streams(shown, self._source.imus.get(self._chosen))
 
     def draw_noise(self, shown: Snapshot) -> str:
@@ -193,7 +193,7 @@ def _card(title: str, kind: str = '') -> Any:
 
 
 def _chooser(rows: Sequence[UnitRow], choose: Callable[[str], None]) -> None:
-    """Let a viewer choose the unit whose samples, parameters and noise are shown."""
+    """Let a viewer select the unit whose samples, parameters and noise are shown."""
     names = {'': 'All units: the least known'}
     names |= {row.name: row.serial_number for row in rows}
     select = ui.select(names, value='', label='Unit', on_change=lambda e: choose(e.value))
@@ -201,7 +201,7 @@ def _chooser(rows: Sequence[UnitRow], choose: Callable[[str], None]) -> None:
 
 
 class _Noise:
-    """Draws the Allan deviation anew only when it has grown, or is that of another unit."""
+    """Draws the Allan deviation again only if it has grown, or for another unit."""
 
     def __init__(self) -> None:
         self._of: tuple[int, str] | None = None
@@ -216,7 +216,7 @@ class _Noise:
 
 
 class _Control:
-    """The buttons, for a viewer who has given the token."""
+    """The buttons, for a viewer with the token."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -230,7 +230,7 @@ class _Control:
                 self._said.classes('small').props('role=status')
             with ui.element('div').classes('controls') as self._open:
                 self._start = self._button('Start', self._ask)
-                # What stops the table is offered always: what it does may not be known here.
+                # Commands that stop the table are always offered: the page's state may be outdated.
                 self._button('Pause', lambda: self._command('pause'), 'warning')
                 self._button('Abort', lambda: self._command('abort'), 'negative')
                 self._answer = ui.label('').classes('small').props('role=status')
@@ -243,7 +243,7 @@ class _Control:
 
     def _button(self, text: str, action: Callable[[], None], colour: str = 'primary') -> ui.button:
         button = ui.button(text, on_click=action, color=colour).props('no-caps unelevated')
-        # White letters cannot be read on yellow.
+        # White text is illegible on yellow.
         return button.props('text-color=black') if colour == 'warning' else button
 
     def _unlock(self) -> None:
@@ -262,12 +262,12 @@ class _Control:
         self._command('start')
 
     def _command(self, name: str) -> None:
-        # A browser may send what its page does not show: who may is known here.
+        # A browser may send commands that its page does not show: authorisation is checked here.
         if self._may:
             self._source.command(name)
 
     def update(self, shown: Snapshot) -> None:
-        """Offer what can be done now."""
+        """Offer the commands that are possible now."""
         phase = None if shown.table is None else shown.table.phase
         moving = phase in {Phase.MOVING, Phase.SETTLING, Phase.TURNING, Phase.DWELLING}
         self._start.set_text('Resume' if phase is Phase.PAUSED else 'Start')
@@ -276,7 +276,7 @@ class _Control:
 
 
 class _Scene:
-    """The table, moving."""
+    """The moving table."""
 
     def __init__(self, base: Link) -> None:
         self._moving: dict[str, tuple[Link, Any, float]] = {}

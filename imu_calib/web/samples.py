@@ -1,7 +1,6 @@
-"""What the IMU's samples show while a session runs: rates, and the noise of the dwells.
+"""Results from the IMU's samples during a session: rates, and the noise of the dwells.
 
-Samples are taken in bulk and summed; nothing waits for them, and one that the page misses is
-missing here alone.
+Samples are read in bulk and summed; nothing waits for them, and only the page lacks a missed one.
 """
 
 from __future__ import annotations
@@ -25,29 +24,28 @@ from ..segmentation.statistics import (
 from ..stream import Floats, ImuBlock, Stamps, Units
 
 _SETTLED = 1_000_000_000
-"""ns at either end of a dwell that are left out: the table's word and the samples come by different
-ways."""
+"""ns excluded at either end of a dwell: the table's state and the samples have different delays."""
 _SHORTEST = 64
 """Samples: five octaves of averaging times."""
 _MOST = 1 << 19
-"""Samples that are summed at once: 130 s at 4 kHz, 25 MB. A longer dwell goes on as another."""
+"""Samples summed together: 130 s at 4 kHz, 25 MB. A longer dwell is divided."""
 _GROWN = 1.5
-"""Times as many samples as when a dwell was last looked at: its curve is drawn anew."""
+"""Growth of the number of samples of a dwell after which its curve is drawn again."""
 _RATE_SPAN = 2_000_000_000
 """ns over which the rates of the channels are counted."""
 
 
 @dataclass(frozen=True, eq=False)
 class Streams:
-    """What the samples show.
+    """Results from the samples.
 
     Attributes:
         rate: Samples per second by their stamps, Hz; NaN before the first two seconds.
         means: (6,) mean of the channels over two seconds: pulses/s, counts, or rad/s and m/s^2.
-        taken: Samples that came to this page.
-        missing: Samples that lack in what came, by the stamps.
+        taken: Number of samples received by this page.
+        missing: Number of missing samples, by the stamps.
         noise: By channel, of the dwells so far; empty before the first.
-        dwells: How many dwells the noise is of.
+        dwells: Number of dwells used for the noise.
         revision: Changes with the noise.
 
     """
@@ -62,13 +60,13 @@ class Streams:
 
 
 class Dwells:
-    """Takes samples, and sums those of the dwells.
+    """Receives samples, and sums those of the dwells.
 
     Attributes:
-        streams: What the samples show now.
+        streams: Present results.
 
     Args:
-        imu: What the numbers mean.
+        imu: Description of the samples.
 
     """
 
@@ -84,7 +82,7 @@ class Dwells:
         self.streams = Streams()
 
     def take(self, block: ImuBlock) -> None:
-        """Take samples; what lies before the newest is a second publisher's, and left out."""
+        """Take samples; those older than the newest are from a second publisher, and ignored."""
         if len(block) == 0 or (self._last is not None and int(block.stamp[0]) <= self._last):
             return
         self._last = int(block.stamp[-1])
@@ -95,15 +93,15 @@ class Dwells:
         self._count_rates()
 
     def stands(self, stamp: int) -> None:
-        """Note that the table dwells at a stamp, ns."""
+        """Record that the table dwells at a stamp, ns."""
         if self._since is None:
             self._since = stamp + _SETTLED
-            # What came a little earlier than the table's word.
+            # Samples that came before the table's state.
             self._kept = list(self._recent)
             self._looked_at = 0
 
     def moves(self, stamp: int) -> None:
-        """Note that the table does not dwell at a stamp, ns, any more."""
+        """Record that the table no longer dwells at a stamp, ns."""
         if self._since is None:
             return
         found = self._of_the_dwell(stamp - _SETTLED)
@@ -113,7 +111,7 @@ class Dwells:
         self._since, self._kept = None, []
 
     def grow(self) -> None:
-        """Look at the dwell that goes on, where it has grown enough."""
+        """Evaluate the running dwell if it has grown enough."""
         samples = sum(len(block) for block in self._kept)
         if self._since is None or samples < max(_SHORTEST, _GROWN * self._looked_at):
             return
@@ -156,7 +154,7 @@ class Dwells:
         return statistics_at_rest(samples, self._walk)
 
     def _look(self, going_on: list[Statistics]) -> None:
-        """Estimate the noise anew."""
+        """Estimate the noise again."""
         found = [*self._statistics, *going_on]
         walk = np.sqrt(pooled_walk(found).square)
         walk = np.where(np.isfinite(walk) & (walk > 0), walk, self._walk)

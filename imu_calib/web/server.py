@@ -1,4 +1,4 @@
-"""Serves the page in a thread of its own, so that the thread of the nodes need not wait for it."""
+"""Serve the page in a separate thread, so that the thread of the nodes need not wait for it."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from . import page
 from .guard import Guard
 
 REPORT = '/report'
-"""Where the report is served."""
+"""Address of the report."""
 _GRACE = 1
-"""s for viewers to be let go of."""
+"""s for viewers to be disconnected."""
 _PATIENCE = 5.0
-"""s for the thread to end; it is left to the process then."""
+"""s for the thread to end; after that it ends with the process."""
 
 
 def listening_socket(host: str, port: int) -> socket.socket:
-    """Return a socket that listens.
+    """Return a listening socket.
 
     Args:
         host: Name or address of the interface.
-        port: 0 for one that is free.
+        port: 0 for any free one.
 
     Raises:
         InputError: The port is taken, or there is no such interface.
@@ -48,7 +48,7 @@ class Server:
     """A web server of one page.
 
     Args:
-        source: What the page shows.
+        source: Content of the page.
         listens: As `listening_socket` returns it.
 
     """
@@ -60,7 +60,7 @@ class Server:
         def report() -> Response:
             if not source.report.is_file():
                 return Response('There is no report yet.\n', 404, media_type='text/plain')
-            # It says itself what it may load: nothing.
+            # The report's own policy states that it may load nothing.
             return FileResponse(source.report, media_type='text/html')
 
         @ui.page('/', title=source.title, dark=None)
@@ -83,10 +83,10 @@ class Server:
         )
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start serving."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End it: viewers see that the connection is gone."""
+        """Stop; viewers see that the connection is closed."""
         self._server.should_exit = True
         self._thread.join(_PATIENCE)

@@ -23,10 +23,10 @@ Triple: TypeAlias = tuple[float, float, float]
 _ORIGIN = (0.0, 0.0, 0.0)
 _GREY = '#8c949e'
 _COLOURS = ('#33609a', '#d98c26', '#4d8c4d')
-"""Of the joints from the base outwards, as the shipped URDF has them."""
+"""Colours of the joints from the base outwards, as in the supplied URDF."""
 _UNIT = '#1a1a1a'
 _REACH = (0.45, 0.37, 0.29)
-"""m from the middle to the arms of the links; sizes serve the eye alone."""
+"""m from the centre to the arms of the links; sizes are only for display."""
 _THICK = 0.06
 """m, of arms and bars."""
 _X, _UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
@@ -40,9 +40,9 @@ class Solid:
     Attributes:
         kind: 'box', 'cylinder' (along its own z) or 'sphere'.
         size: Edges of a box; radius and length of a cylinder; radius of a sphere.
-        at: Its middle, in the link's frame.
+        at: Its centre, in the link's frame.
         turned: (3, 3) its axes in the link's frame.
-        colour: As in HTML.
+        colour: In HTML notation.
 
     """
 
@@ -55,16 +55,16 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A rigid part of the table, and how it hangs on the one before.
+    """A rigid part of the table, and its joint to the previous one.
 
     Attributes:
-        joint: Name of the joint that moves it; empty where it is fixed.
+        joint: Name of the joint that moves it; empty if it is fixed.
         axis: Of the joint, in the joint's frame.
-        at: Where the joint's frame stands in the frame of the link before, m.
+        at: Origin of the joint's frame in the previous link's frame, m.
         turned: (3, 3) axes of the joint's frame there.
         zero: Angle to add to the encoder's, rad.
-        solids: What is seen of it.
-        links: What hangs on it.
+        solids: Its visible bodies.
+        links: The links attached to it.
 
     """
 
@@ -81,18 +81,19 @@ class Link:
         return rotation(self.axis, angle + self.zero) if self.joint else np.eye(3)
 
     def walk(self) -> Iterator[Link]:
-        """Yield this link and all that hang on it."""
+        """Yield this link and all links attached to it."""
         yield self
         for link in self.links:
             yield from link.walk()
 
 
 def table_shape(table: Table, urdf: str = '') -> Link:
-    """Return the base of a table with all that hangs on it.
+    """Return the base of a table with all links attached to it.
 
     Args:
         table: Its joints.
-        urdf: File with its looks; empty for the shipped one of its name, or what its joints tell.
+        urdf: File with its appearance; empty for the supplied one of its name, or one made from its
+            joints.
 
     Raises:
         InputError: The file cannot be read, or lacks a joint of the table.
@@ -112,7 +113,7 @@ def table_shape(table: Table, urdf: str = '') -> Link:
 
 
 def _of_urdf(path: Path) -> Link:
-    """Read a URDF (its XML as wiki.ros.org/urdf/XML describes it); meshes are left out."""
+    """Read a URDF (XML as described in wiki.ros.org/urdf/XML); meshes are ignored."""
     try:
         robot = ElementTree.fromstring(path.read_text(encoding='utf-8'))
     except OSError as error:
@@ -187,7 +188,7 @@ def _colour(material: ElementTree.Element) -> str | None:
 
 
 def _origin(element: ElementTree.Element) -> tuple[Triple, Floats]:
-    """Return place and (3, 3) axes of an element's frame: roll, pitch, yaw about fixed axes."""
+    """Return position and (3, 3) axes of an element's frame: roll, pitch, yaw about fixed axes."""
     origin = element.find('origin')
     if origin is None:
         return _ORIGIN, np.eye(3)
@@ -204,7 +205,7 @@ def _numbers(text: str) -> Triple:
 
 
 def _of_joints(table: Table) -> Link:
-    """Draw links that show how the joints turn: a yoke spans the axis of the joint after it."""
+    """Draw links that show the motion of the joints: a yoke spans the axis of the next joint."""
     axes = [np.array(joint.axis) for joint in table.joints]
     link: Link | None = None
     for k in reversed(range(len(axes))):
@@ -222,14 +223,14 @@ def _of_joints(table: Table) -> Link:
 
 
 def _plate(axis: Floats, colour: str) -> Iterator[Solid]:
-    """Yield the plate that carries the unit, and the shaft that it turns on."""
+    """Yield the plate that carries the unit, and its shaft."""
     yield Solid('cylinder', (0.22, 0.03), _seen_from(axis, -0.12), _along(axis), colour)
     if abs(axis @ _UP) < 0.5:
         yield Solid('cylinder', (0.03, 0.70), _ORIGIN, _along(axis), colour)
 
 
 def _yoke(axis: Floats, after: Floats, reach: float, colour: str) -> Iterator[Solid]:
-    """Yield a bar below and an arm at either end of the joint that comes next."""
+    """Yield a bar below and an arm at either end of the next joint."""
     turned = np.column_stack([after, np.cross(axis, after), axis])
     if abs(axis @ after) > 0.5:
         yield Solid('cylinder', (reach, 0.04), _seen_from(axis, -reach), _along(axis), colour)
@@ -254,7 +255,7 @@ def _seen_from(axis: Floats, distance: float) -> Triple:
 
 
 def _along(axis: Floats) -> Floats:
-    """Return (3, 3) axes whose z lies along a unit vector."""
+    """Return (3, 3) axes whose z is parallel to a unit vector."""
     helper = _X if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     across = np.cross(helper, axis)
     across = across / np.linalg.norm(across)

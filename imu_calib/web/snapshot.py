@@ -1,4 +1,4 @@
-"""What is known of a running stand at one moment, as pages and terminals show it."""
+"""State of a running stand at one moment, for pages and terminals."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .samples import Streams
 
 
 class Outcome(Enum):
-    """How a session has ended, if it has."""
+    """Outcome of a session, if it has ended."""
 
     OPEN = 'open'
     DONE = 'done'
@@ -25,11 +25,11 @@ class Outcome(Enum):
 
 @dataclass(frozen=True)
 class Sentence:
-    """What a node says of one part of itself.
+    """A node's report on one of its parts.
 
     Attributes:
         source: For instance 'imu_node: stream'.
-        level: How bad it is.
+        level: Severity.
         text: A sentence.
         figures: Values with their units, by name.
 
@@ -41,13 +41,13 @@ class Sentence:
     figures: tuple[tuple[str, str], ...] = ()
 
     def figure(self, name: str) -> str:
-        """Return a value with its unit; empty where it is not said."""
+        """Return a value with its unit; empty if it is missing."""
         return dict(self.figures).get(name, '')
 
 
 @dataclass(frozen=True)
 class PlannedStep:
-    """A step of the plan: where it goes, and what is done there in words."""
+    """A step of the plan: its target, and its action as text."""
 
     position: str
     words: str
@@ -55,15 +55,15 @@ class PlannedStep:
 
 @dataclass(frozen=True)
 class Expected:
-    """What is known of a session before it begins.
+    """Known values of a session before it begins.
 
     Attributes:
         plan: Name of the plan.
         imu: Name of the unit's type.
-        table: Name of the table; empty where a hand holds the unit.
-        steps: Of the plan; empty where a hand holds the unit.
-        parameters: What the session's method estimates.
-        predicted: (n,) standard deviations that the plan will reach, SI; NaN where unknown.
+        table: Name of the table; empty if a hand holds the unit.
+        steps: Of the plan; empty if a hand holds the unit.
+        parameters: Parameters that the session's method estimates.
+        predicted: (n,) predicted standard deviations of the plan, SI; NaN if unknown.
         specification: The limits of the unit; None without.
         joints: Names of the table's joints.
 
@@ -81,7 +81,7 @@ class Expected:
 
 @dataclass(frozen=True)
 class TableState:
-    """What the table's leader says; angles in rad, rates in rad/s."""
+    """State of the table; angles in rad, rates in rad/s."""
 
     plan: str = ''
     step: int = 0
@@ -98,28 +98,28 @@ class TableState:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """All that a page shows, at one moment.
+    """Content of a page at one moment.
 
     Attributes:
-        expected: What was known before.
-        table: What the table's leader said last; None before it was heard.
-        table_silent: For how long it has said nothing, s; 0 while it speaks.
-        calibrator_silent: Likewise of the calibrator.
-        progress: One sentence of the calibrator; empty before it was heard.
-        seen: Steps of the plan that have been begun.
-        repeats: Steps that are to be run again.
+        expected: Known values before the session.
+        table: Last state of the table; None before the first.
+        table_silent: Duration without a state, s; 0 while states come.
+        calibrator_silent: The same for the calibrator.
+        progress: One sentence of the calibrator; empty before the first.
+        seen: Steps of the plan that have begun.
+        repeats: Steps to be repeated.
         next: Attitudes that a hand should hold next.
-        outcome: How the session has ended.
-        outcome_text: What is said of its end.
+        outcome: Outcome of the session.
+        outcome_text: Text on the outcome.
         rows: The parameters.
-        sentences: What the nodes say of themselves, the worst first.
-        streams: What the IMU's samples show; None before the first.
-        celsius: The unit's temperature, degrees Celsius; NaN where it is not measured.
-        speed: Seconds of the stand in a second on the wall.
+        sentences: Reports of the nodes, the worst first.
+        streams: Results from the IMU's samples; None before the first.
+        celsius: The unit's temperature, degrees Celsius; NaN if not measured.
+        speed: Seconds of the stand per second of the wall clock.
         elapsed: Since the session began, s of the stand's time.
-        answer: What was answered to the last command of a person; empty before the first.
-        report: Name of the report's file, once it is written.
-        report_text: What is said of the report.
+        answer: Answer to the last command of a viewer; empty before the first.
+        report: Name of the report's file when it is written.
+        report_text: Text on the report.
 
     """
 
@@ -145,7 +145,7 @@ class Snapshot:
 
     @property
     def wrong(self) -> tuple[Sentence, ...]:
-        """What a person should look at, the worst first; how the session ended is said first."""
+        """Reports that need attention, the worst first, after the outcome of the session."""
         over = self.outcome is not Outcome.OPEN
         return tuple(
             sentence
@@ -156,12 +156,12 @@ class Snapshot:
 
     @property
     def wall_seconds_left(self) -> float:
-        """Time left by the clock on the wall, s; NaN where unknown."""
+        """Remaining time by the wall clock, s; NaN if unknown."""
         return math.nan if self.table is None else self.table.seconds_left / self.speed
 
     @property
     def share(self) -> float:
-        """How much of the session's time is over, 0 to 1."""
+        """Elapsed share of the session's time, 0 to 1."""
         if self.outcome in {Outcome.DONE, Outcome.INCOMPLETE}:
             return 1.0
         left = math.nan if self.table is None else self.table.seconds_left

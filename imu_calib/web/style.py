@@ -1,4 +1,4 @@
-"""How the page looks: light and dark, on a desk and on a phone."""
+"""The style of the page: light and dark, on a desktop and on a phone."""
 
 STYLE = """
 :root { --ground: #eef0f3; --card: #fff; --ink: #16191d; --soft: #59616b; --line: #d9dde2;

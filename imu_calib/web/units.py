@@ -1,4 +1,4 @@
-"""The state of a stand with several units: of all of them, and of each."""
+"""The state of a stand with several units: of all, and of each."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from .snapshot import Expected, Outcome, Sentence, Snapshot
 _CALIBRATOR = 'calibrator_node: '
 _DEVICE = 'imu_node: stream'
 _HEARD_BY = ('calibrator_node: stream', _DEVICE, 'imu_node')
-"""Who says how a unit's samples come; the last where its node is silent itself."""
+"""Nodes that report on a unit's samples; the last if its own node is silent."""
 
 
 @dataclass(frozen=True)
 class ShownUnit:
-    """What is known of a unit before a session begins.
+    """Known values of a unit before a session begins.
 
     Attributes:
-        serial_number: Which it is.
-        place: Where it sits, for people; may be empty.
+        serial_number: Of the unit.
+        place: Its place, for display; may be empty.
         expected: Of its calibration.
 
     """
@@ -37,19 +37,19 @@ class ShownUnit:
 
 @dataclass(frozen=True)
 class UnitRow:
-    """How a unit is, in a line.
+    """State of a unit in one line.
 
     Attributes:
         name: Its namespace.
-        serial_number: Which it is.
-        place: Where it sits; may be empty.
-        level: How bad it is.
-        words: How it is, a few words.
-        rate: Samples per second with their unit, as its node says; may be empty.
-        lost: Frames that were lost, as its node says; may be empty.
-        determined: How many of its parameters are determined.
-        parameters: How many there are.
-        worst: The parameter furthest from what the plan will reach; None before any is known.
+        serial_number: Of the unit.
+        place: Its place; may be empty.
+        level: Severity.
+        words: Its state in a few words.
+        rate: Samples per second with their unit, as its node reports; may be empty.
+        lost: Number of lost frames, as its node reports; may be empty.
+        determined: Number of its determined parameters.
+        parameters: Number of its parameters.
+        worst: The parameter furthest from the plan's prediction; None before any is known.
 
     """
 
@@ -66,12 +66,12 @@ class UnitRow:
 
     @property
     def ratio(self) -> float:
-        """Standard deviation of the worst over what the plan will reach; NaN where unknown."""
+        """Standard deviation of the worst over its prediction; NaN if unknown."""
         return math.nan if self.worst is None else self.worst.std / self.worst.predicted
 
 
 class UnitsBoard:
-    """Takes what the nodes say, and keeps a `Board` for each unit and one for all.
+    """Receives the nodes' messages, and keeps a `Board` for each unit and one for all.
 
     Args:
         units: By their namespaces.
@@ -108,7 +108,7 @@ class UnitsBoard:
             self.whole.take_end(outcome, message.text)
 
     def take_diagnostics(self, message: Any, now: float) -> None:
-        """Take diagnostic_msgs/DiagnosticArray: what is said of one unit goes to its board too."""
+        """Take diagnostic_msgs/DiagnosticArray: reports on one unit also go to its board."""
         self.whole.take_diagnostics(message, now)
         for sentence in sentences_of(message):
             for name, board in self.each.items():
@@ -117,7 +117,7 @@ class UnitsBoard:
                     board.take_sentence(own, now)
 
     def _as_its_own(self, sentence: Sentence, name: str) -> Sentence | None:
-        """Return a sentence as a unit alone would have it; None where it is of another unit."""
+        """Return a report as for a single unit; None if it is on another unit."""
         source = sentence.source
         for other in self._units:
             mark = f'{_CALIBRATOR}{other}: '
@@ -139,7 +139,7 @@ class UnitsBoard:
         return (self.each[name] if name else self.whole).snapshot(now)
 
     def rows(self, now: float) -> tuple[UnitRow, ...]:
-        """Return how each unit is at a moment."""
+        """Return the state of each unit at a moment."""
         return tuple(self._row(name, self.each[name].snapshot(now)) for name in self._units)
 
     def _row(self, name: str, shown: Snapshot) -> UnitRow:
@@ -180,13 +180,13 @@ class UnitsBoard:
 
 
 def furthest(rows: tuple[Converging, ...]) -> Converging | None:
-    """Return the determined parameter that is furthest from what the plan will reach."""
+    """Return the determined parameter that is furthest from the plan's prediction."""
     known = [row for row in rows if row.determined and row.predicted > 0]
     return max(known, key=lambda row: row.std / row.predicted, default=None)
 
 
 def _of_all(expected: list[Expected]) -> Expected:
-    """Return what is expected of all units: each parameter as the unit has it that is worst."""
+    """Return the expectation for all units: each parameter as in the worst unit."""
     predicted: dict[str, float] = {}
     parameters: dict[str, Parameter] = {}
     for one in expected:

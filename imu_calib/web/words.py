@@ -1,4 +1,4 @@
-"""What happens now, how long it still takes, and what a person should do: in sentences."""
+"""Sentences on the present activity, the remaining time, and the required action."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..units import DEG
 from .snapshot import Outcome, Snapshot, TableState
 
 _WHOLE = 2.0
-"""Times real time from which on a session is worth calling faster."""
+"""Ratio to real time from which a session is called faster."""
 
 
 _ENDS = {
@@ -25,12 +25,12 @@ _ENDS = {
 
 @dataclass(frozen=True)
 class Headline:
-    """The first thing that a person reads.
+    """The headline of the page.
 
     Attributes:
-        level: How bad it is.
-        now: What happens now, a few words.
-        detail: Why, or what to do; may be empty.
+        level: Severity.
+        now: Present activity, a few words.
+        detail: Reason or required action; may be empty.
 
     """
 
@@ -40,7 +40,7 @@ class Headline:
 
 
 def headline(shown: Snapshot) -> Headline:
-    """Return what happens now."""
+    """Return the present activity."""
     if shown.outcome in _ENDS:
         return Headline(*_ENDS[shown.outcome], shown.outcome_text)
     if shown.calibrator_silent:
@@ -92,7 +92,7 @@ def _of_the_table(shown: Snapshot, table: TableState) -> Headline:
 
 
 def _doing(shown: Snapshot, table: TableState) -> str:
-    """Say what is done in a step."""
+    """Return the action of a step as text."""
     if table.phase is Phase.TURNING:
         rates = [
             f'{name} {rate / DEG:.3g} deg/s'
@@ -108,11 +108,11 @@ def _doing(shown: Snapshot, table: TableState) -> str:
 
 
 def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
-    """Return how long it still takes, and when it is over or what that rests on.
+    """Return the remaining time, and the time of its end or the basis of the estimate.
 
     Args:
         shown: The state.
-        now: Of the clock on the wall.
+        now: Of the wall clock.
 
     """
     if shown.outcome is not Outcome.OPEN:
@@ -132,7 +132,7 @@ def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
 
 
 def joint_words(table: TableState) -> list[tuple[str, str, str]]:
-    """Return name, angle and rate of every joint, in words."""
+    """Return name, angle and rate of every joint, as text."""
     return [
         (name, f'{_rounded(angle / DEG, 3)}\u00b0', f'{_rounded(rate / DEG, 2)} \u00b0/s')
         for name, angle, rate in zip(table.joints, table.angles, table.rates, strict=False)
