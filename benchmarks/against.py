@@ -1,13 +1,13 @@
-"""Reading and live reviews against another commit of this repository, in alternating pairs.
+"""Compare reading and live reviews with another commit of this repository, in alternating pairs.
 
-The other commit is checked out beside this one; both read the same recording and review the same
-session, each in a process of its own, one after the other, and every second pair the other way
-round: whatever else the machine does meets both. Counted is processor time of one thread, without
-what is loaded once.
+The other commit is checked out next to this one; both read the same recording and review the same
+session, each in a separate process, one after the other, in reverse order for every second pair, so
+that other load of the machine affects both. Measured is processor time of one thread, without the
+loading of modules.
 
     python benchmarks/against.py COMMIT [--pairs 8]
 
-Exit code 1: this checkout is slower by more than `ALLOWED`, beyond what the pairs scatter.
+Exit code 1: this checkout is slower by more than `ALLOWED`, beyond the scatter of the pairs.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent.parent
 ALLOWED = 1.05
-"""A twentieth: what the same code on both sides differs by on a machine that is shared."""
+"""A twentieth: the difference of equal code on both sides on a shared machine."""
 
 RECORDED = ('twelve_position', '--imu', 'fog_medium', '--latitude', '34.65', '--gravity', '9.797')
 JOB = """
@@ -115,9 +115,9 @@ def run(checkout: Path, *command: str) -> str:
 
 
 def compare(name: str, mine: np.ndarray, other: np.ndarray) -> bool:
-    """Print one job; say whether this checkout is no slower."""
+    """Print one job; return whether this checkout is not slower."""
     ratios = np.sort(mine / other)
-    # Between these order statistics the median lies in 19 cases of 20 or more: a sign test.
+    # The median is between these order statistics in at least 19 of 20 cases: a sign test.
     spare = int(np.searchsorted(np.cumsum(_chances(len(ratios))), 0.025))
     low, high = ratios[spare], ratios[-1 - spare]
     print(
@@ -128,7 +128,7 @@ def compare(name: str, mine: np.ndarray, other: np.ndarray) -> bool:
 
 
 def _chances(count: int) -> np.ndarray:
-    """Return the binomial chances of 0 to `count` heads."""
+    """Return the binomial probabilities of 0 to `count` heads."""
     row = np.ones(1)
     for _ in range(count):
         row = np.convolve(row, [0.5, 0.5])

@@ -1,12 +1,12 @@
-"""Predicted against achieved standard deviations of the plans that need no table.
+"""Compare predicted and achieved standard deviations of the plans without a table.
 
-What holds in the hand give depends on how the unit is turned between them. Here it is turned as the
-predictions suppose: about one axis in two seconds, in free positions the shortest way, in the six
-positions to a heading that nobody knows.
+The result of holds in the hand depends on the motion between them. Here it is that of the
+predictions: about one axis in two seconds, in free positions on the shortest path, in the six
+positions to an unknown heading.
 
     python benchmarks/by_hand.py [PLAN ...] [--runs 1000] [--jobs 2] [--scheduler ADDRESS]
 
-Exit code 1: a parameter is off by more than 10 % and what so many runs spread.
+Exit code 1: a parameter differs by more than 10 % and the scatter of the runs.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def one(setup: Setup, truth: SensorModel, seed: int) -> np.ndarray:
 
 
 def session(setup: Setup, seed: int) -> HandSession:
-    """Lay out a session at headings that nobody knows."""
+    """Lay out a session with unknown headings."""
     rng = np.random.default_rng([seed, 1])
     if setup.method_name == FREE_POSITIONS:
         ups, seconds = zip(*((p.up, p.dwell) for p in setup.plan.positions), strict=True)
@@ -55,7 +55,7 @@ def session(setup: Setup, seed: int) -> HandSession:
 
 
 def compare(name: str, runs: int, jobs: int | None, scheduler: str | None) -> bool:
-    """Print one plan; say whether every parameter is within its bounds."""
+    """Print one plan; return whether every parameter is within its bounds."""
     setup = Setup(load_imu(UNIT), load_plan(name), None, SITE)
     truth = Calibration.load(named_file('truths', UNIT)).model
     if setup.method_name == FREE_POSITIONS:
@@ -83,7 +83,7 @@ def main() -> int:
 
 
 if __name__ == '__main__':
-    # Workers know what they run by the name of this module.
+    # Workers find the function by the name of this module.
     import by_hand
 
     sys.exit(by_hand.main())

@@ -1,15 +1,15 @@
-"""Latency and load of compensator_node beside a node that only hands the bytes on.
+"""Latency and load of compensator_node, compared with a node that only forwards the bytes.
 
-A source publishes imu/pulses at a steady rate, stamped when each message leaves; the node under
-test is a process of its own; this process takes imu/data_raw and compares with the stamps. Both
-nodes run on the runtime that IMU_CALIB_MIDDLEWARE chooses, in turns, so that whatever else the
-machine does meets both.
+A source publishes imu/pulses at a constant rate, stamped when each message leaves; the node under
+test is a separate process; this process receives imu/data_raw and compares the stamps. Both nodes
+run on the runtime of IMU_CALIB_MIDDLEWARE, in turns, so that other load of the machine affects
+both.
 
     python benchmarks/compensator.py [--rate 1000 --seconds 10 --rounds 3]
 
-Exit code 1: the median latency is more than 0.1 ms above that of handing on, the 99 % quantile more
-than 1 ms, or a message is lost. Both ask for a machine with nothing else to do; the processor time
-that a sample takes does not.
+Exit code 1: the median latency is more than 0.1 ms above that of forwarding, the 99 % quantile more
+than 1 ms, or a message is lost. Both require an otherwise idle machine; the processor time per
+sample does not.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-# The benchmark keeps to the loopback interface and to a domain of its own.
+# The benchmark uses the loopback interface and a private domain.
 os.environ.setdefault('ROS_DOMAIN_ID', str(100 + os.getpid() % 101))
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('RMW_IMPLEMENTATION', 'rmw_cyclonedds_cpp')
@@ -47,7 +47,7 @@ _TICKS = os.sysconf('SC_CLK_TCK')
 
 
 class HandOn(ros.Node):
-    """Publishes what it gets, byte for byte."""
+    """Forwards messages, byte for byte."""
 
     def __init__(self) -> None:
         super().__init__('hand_on')
@@ -64,7 +64,7 @@ class HandOn(ros.Node):
 
 @dataclass
 class Measured:
-    """What one kind of node showed, over all rounds."""
+    """Results of one kind of node, over all rounds."""
 
     name: str
     command: list[str]
@@ -74,7 +74,7 @@ class Measured:
 
     @property
     def median(self) -> float:
-        """Of the rounds' medians, s."""
+        """Median of the rounds' medians, s."""
         return self.quantile(0.5)
 
     def quantile(self, share: float) -> float:
@@ -83,7 +83,7 @@ class Measured:
 
 
 def source(rate: float, seconds: float) -> None:
-    """Publish at a steady rate, each message stamped as it leaves."""
+    """Publish at a constant rate, each message stamped as it leaves."""
     ros.init(args=[])
     node = ros.Node('source')
     publisher = node.create_publisher(ros.messages.Imu, 'imu/pulses', qos.stream())
@@ -132,7 +132,7 @@ def measure(measured: Measured, rate: float, seconds: float) -> None:
         process.terminate()
         process.wait(timeout=20)
     ros.shutdown()
-    # The first second is that of caches, and of samples that wait for the sample interval.
+    # The first second fills caches, and has samples that wait for the sample interval.
     latency = (np.array(arrivals) - np.array(stamps))[int(rate) :] * 1e-9
     measured.latency.append(latency)
     measured.share.append(share)
@@ -140,13 +140,13 @@ def measure(measured: Measured, rate: float, seconds: float) -> None:
 
 
 def processor_time(pid: int) -> float:
-    """Return what a process has used so far, s."""
+    """Return the processor time of a process so far, s."""
     fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
     return (int(fields[11]) + int(fields[12])) / _TICKS
 
 
 def main() -> int:
-    """Measure both kinds of node in turns, and print what they show."""
+    """Measure both kinds of node in turns, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--rate', type=float, default=1000.0)
     parser.add_argument('--seconds', type=float, default=10.0)

@@ -1,15 +1,14 @@
-"""A batch against a bare loop of `calibrate`, in one run: what each task costs beside its work.
+"""Compare a batch with a bare loop of `calibrate`: the overhead of each task.
 
-Short recordings are simulated once, and each is named many times with another operator, so that no
-task is known. The loop runs in one process, with one thread as the workers' have; then batches,
-into a catalogue each. Half of the loop runs before them and half after, so that a machine that
-slows down or speeds up meanwhile shows. A loop that a person writes keeps its results: so does this
-one.
+Short recordings are simulated once, and each is listed many times with other operators, so that no
+task is known. The loop runs in one process, with one thread as the workers have; then batches, each
+into a new catalogue. Half of the loop runs before them and half after, to show a machine that
+changes its speed. A user's loop keeps its results: so does this one.
 
-Printed are recordings per second, by the clock and by the time that processors worked; the ratio of
-a worker's to the loop's; what the client (with the scheduler in it) and the workers spend on a task
-beside the loop's work; and the memory of client and scheduler at a tenth of the recordings and at
-the end. Where others use the machine, the times of processors alone say something.
+Printed are recordings per second, by the clock and by processor time; the ratio of a worker's to
+the loop's; the overhead of a task in the client (with its scheduler) and in the workers; and the
+memory of client and scheduler at a tenth of the recordings and at the end. If others use the
+machine, only the processor times are meaningful.
 
     python benchmarks/fleet.py [--recordings 10000] [--first 1000] [--workers 1 2] [--json FILE]
 
@@ -44,14 +43,13 @@ from imu_calib.workers import Engine
 
 LEAST = 0.85
 DIFFERENT = 5
-"""Recordings that are simulated."""
+"""Number of simulated recordings."""
 IN_A_LOOP = 100
 """Recordings of each half of the loop."""
 FEWEST = 40
 GROWN = 60.0
 """MB by which client and scheduler may grow from a tenth of the recordings to the end: the keys of
-10 000 tasks that are done take 4 MB, what Dask keeps of each 0.7 kB; the allocator keeps
-some tens of MB."""
+10 000 finished tasks take 4 MB, Dask keeps 0.7 kB for each; the allocator keeps some tens of MB."""
 BRIEF = {
     'dwell: 120 s': 'dwell: 2 s',
     '[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, 60 deg/s, -60 deg/s]': '[60 deg/s, -60 deg/s]',
@@ -61,7 +59,7 @@ SLOW = {'sample_rate: 100 Hz': 'sample_rate: 25 Hz'}
 
 @dataclass(frozen=True)
 class Loop:
-    """A bare loop: seconds of a recording by the clock, and of a processor."""
+    """A bare loop: seconds per recording, by the clock and of a processor."""
 
     wall: float
     cpu: float
@@ -69,16 +67,16 @@ class Loop:
 
 @dataclass(frozen=True)
 class Measured:
-    """A batch: of each recording, s; of client and scheduler, MB.
+    """A batch: times per recording, s; memory of client and scheduler, MB.
 
     Attributes:
-        workers: How many.
-        recordings: How many.
-        wall: By the clock, times the workers: what one of them takes.
-        worker: Of a processor, in the workers.
-        client: Of a processor, in client and scheduler.
+        workers: Number of workers.
+        recordings: Number of recordings.
+        wall: By the clock, times the number of workers.
+        worker: Processor time of the workers.
+        client: Processor time of client and scheduler.
         early: Memory of client and scheduler at a tenth of the recordings.
-        late: At the end.
+        late: The same at the end.
         of_worker: Memory of a worker at the end.
 
     """
@@ -112,7 +110,7 @@ def recorded(folder: Path) -> list[Path]:
 
 
 def memory() -> float:
-    """Return what this process holds, MB."""
+    """Return the memory of this process, MB."""
     pages = int(Path('/proc/self/statm').read_text(encoding='ascii').split()[1])
     return pages * os.sysconf('SC_PAGE_SIZE') / 1e6
 
@@ -129,14 +127,14 @@ def in_a_loop(paths: list[Path], count: int, folder: Path) -> Loop:
 
 @dataclass(frozen=True)
 class Long:
-    """A recording as a stand makes it: bytes, and seconds of a processor that it takes."""
+    """A recording of full length: bytes, and seconds of a processor for it."""
 
     bytes: int
     cpu: float
 
 
 def of_full_length(folder: Path) -> Long:
-    """Time twelve positions as they ship: 36 minutes at 100 Hz."""
+    """Time the supplied twelve positions: 36 minutes at 100 Hz."""
     path = folder / 'long'
     imu_calib.simulate('twelve_position', path, seed=0, latitude=34.65)
     begun = time.process_time()
@@ -145,13 +143,13 @@ def of_full_length(folder: Path) -> Long:
 
 
 def size_of(folder: Path, pattern: str) -> int:
-    """Return the bytes of the files below a folder."""
+    """Return the bytes of the files in a folder."""
     return sum(file.stat().st_size for file in folder.rglob(pattern))
 
 
 @dataclass(frozen=True)
 class Kept:
-    """What a catalogue holds of a recording, bytes: of rows, of files, of rows in memory."""
+    """Size of a recording in a catalogue, bytes: of rows, of files, of rows in memory."""
 
     rows: float
     files: float
@@ -161,19 +159,19 @@ class Kept:
 def kept_in(folder: Path) -> Kept:
     """Measure a catalogue."""
     table = Catalogue(folder).table()
-    # The newest file of each of a few units beside those of all recordings counts for nothing.
+    # The newest file of each of a few units is negligible compared with those of all recordings.
     sizes = size_of(folder, '*.parquet'), size_of(folder, '*.yaml'), table.nbytes
     return Kept(*(size / len(table) for size in sizes))
 
 
 class Watched(Engine):
-    """An engine whose client is looked at."""
+    """An engine whose client is monitored."""
 
     client: Any = None
 
     @contextmanager
     def connected(self) -> Iterator[Any]:
-        """Give the client, and keep it."""
+        """Yield the client, and keep it."""
         with super().connected() as client:
             object.__setattr__(self, 'client', client)
             yield client
@@ -181,7 +179,7 @@ class Watched(Engine):
 
 @dataclass(frozen=True)
 class Mark:
-    """Where a batch is: s by the clock, recordings done, s of processors, MB."""
+    """State of a batch: s by the clock, recordings done, s of processors, MB."""
 
     at: float
     done: int
@@ -191,13 +189,13 @@ class Mark:
 
 
 def in_a_batch(paths: list[Path], count: int, workers: int, folder: Path) -> Measured:
-    """Time a batch, from when its workers have loaded what they need."""
+    """Time a batch, from the time when its workers have loaded their modules."""
     jobs = [
         Job(str(paths[k % len(paths)]), Stated(), Labels(operator=str(k))) for k in range(count)
     ]
     engine = Watched(workers=workers)
     marks: list[Mark] = []
-    # Workers load for some seconds, once; a batch of any length has that, and no more.
+    # Workers load for some seconds, once, whatever the length of the batch.
     begun = max(4 * workers, count // 50)
     wanted = {begun, max(count // 10, begun + 1), count}
 
@@ -233,10 +231,10 @@ def in_a_batch(paths: list[Path], count: int, workers: int, folder: Path) -> Mea
 
 
 def say(found: Measured, loop: Loop) -> bool:
-    """Print a batch beside the loop; say whether it keeps its bounds."""
+    """Print a batch and the loop; return whether it is within its bounds."""
     print(f'\n{found.workers} workers, {found.recordings} recordings:')
     by_clock = loop.wall / found.wall
-    # Who shares the processors with the workers takes from what they can do.
+    # Other users of the processors reduce the workers' capacity.
     by_work = loop.cpu / (found.worker + found.client)
     print(
         f'  {found.workers / found.wall:.2f} recordings/s; a worker is {by_clock:.2f} of the loop'

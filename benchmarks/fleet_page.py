@@ -1,11 +1,11 @@
-"""The page on a catalogue: how large it is, and how long a browser takes to open it.
+"""The page on a catalogue: its size, and the time for a browser to open it.
 
     python benchmarks/fleet_page.py [--units 5000] [--sessions 6] [--runs 3]
 
-The page is written of histories that `test/fleets.py` makes up. Printed are its size, the processor
-time to write it, and from headless Chromium, of the quickest run: wall time from navigation to the
-page's load event, to the table of units, and to the last drawing; and processor time of the thread
-that does it. Exit code 1: the table is there after more than 3 s.
+The page is written from the simulated histories of `test/fleets.py`. Printed are its size, the
+processor time to write it, and from headless Chromium, for the fastest run: wall time from
+navigation to the page's load event, to the table of units, and to the last drawing; and processor
+time of the thread that does it. Exit code 1: the table appears after more than 3 s.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ import fleets
 from imu_calib.reports.fleet.page import page
 
 MOST = 3.0
-"""s until the table is there."""
+"""s until the table appears."""
 
 _LOAD = "() => performance.getEntriesByType('navigation')[0].loadEventEnd / 1000"
 _MARK = 'name => performance.getEntriesByName(name)[0].startTime / 1000'
 
 
 def opened(path: Path) -> dict[str, float]:
-    """Return what opening a page in a new browser takes, s."""
+    """Return the times to open a page in a new browser, s."""
     from playwright.sync_api import sync_playwright
 
     names = ('chromium', 'chromium-browser', 'google-chrome')

@@ -1,7 +1,7 @@
-"""A flight for `benchmarks/navigation.py`: where it goes, and what an IMU turns and feels on it.
+"""A flight for `benchmarks/navigation.py`: its course, and the rates and forces of an IMU on it.
 
-East, north and up at a constant height above the WGS 84 ellipsoid, with its normal gravity. All of
-the course is written as formulas with their slopes, so that rates and forces agree with it.
+East, north and up at a constant height above the WGS 84 ellipsoid, with its normal gravity. The
+whole course is given by formulas with their derivatives, so that rates and forces agree with it.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ SEMI_MAJOR, FLATTENING = 6378137.0, 1 / 298.257223563
 _ECCENTRICITY = FLATTENING * (2 - FLATTENING)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _FIGURE = 2.404825557695773
-"""First zero of the Bessel function J0: a heading that swings so far, rad, either way at constant
-speed leads back to where it was: a figure of eight."""
+"""First zero of the Bessel function J0: with a heading that oscillates with this amplitude, rad, a
+course at constant speed returns to its start: a figure of eight."""
 
 Slope = Callable[[Floats, Floats], Floats]
 
@@ -77,10 +77,10 @@ class Flight:
     """A level flight: straight, figures of eight in coordinated turns, and straight again.
 
     Attributes:
-        seconds: How long it lasts.
-        straight: How long it is straight at either end, s.
+        seconds: Duration.
+        straight: Duration of the straight parts at either end, s.
         speed: Mean speed, m/s.
-        surge: By which the speed changes, m/s, once in `surging` seconds.
+        surge: Amplitude of the speed's variation, m/s, with the period `surging`.
         surging: s.
         period: Of a figure of eight, s.
         swinging: Time in which figures begin and end, s.
@@ -100,7 +100,7 @@ class Flight:
     incidence: float = 3 * DEG
 
     def course(self, time: Floats) -> tuple[Floats, ...]:
-        """Return speed, its slope, heading, and the heading's first and second slopes."""
+        """Return speed, its derivative, heading, and the heading's first and second derivatives."""
         w = 2 * np.pi / self.surging
         speed = self.speed + self.surge * np.sin(w * time)
         slope = self.surge * w * np.cos(w * time)
@@ -113,7 +113,7 @@ class Flight:
         return speed, slope, heading, rate, change
 
     def _swing(self, time: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return how far the heading swings, 0 to 1, with two slopes: steps of the fifth order."""
+        """Return the heading's amplitude, 0 to 1, with two derivatives: fifth-order steps."""
         total = [np.zeros_like(time) for _ in range(3)]
         begins = self.straight, self.seconds - self.straight - self.swinging
         for start, sign in zip(begins, (1.0, -1.0), strict=True):
@@ -130,7 +130,7 @@ class Flight:
 
     @cached_property
     def _way(self) -> tuple[Floats, Floats, Floats]:
-        """Times and latitudes and longitudes at them: three rounds settle to below a micrometre."""
+        """Times, latitudes and longitudes: three iterations converge to below a micrometre."""
         step = 0.5
         times = np.arange(-2.0, self.seconds + 4.0 + step, step)
         inside = times[:-1, None] + step * (_NODES + 1) / 2
@@ -147,12 +147,12 @@ class Flight:
         return times, latitude, longitude - np.interp(0.0, times, longitude)
 
     def latitude(self, time: Floats) -> Floats:
-        """Return the latitude, rad: between half seconds by a cubic of values and slopes."""
+        """Return the latitude, rad: between half seconds by a cubic of values and derivatives."""
         times, values, _ = self._way
         return self._between(time, times, values, self._slope_north)
 
     def longitude(self, time: Floats) -> Floats:
-        """Return the longitude against the start, rad."""
+        """Return the longitude relative to the start, rad."""
         times, _, values = self._way
         return self._between(time, times, values, self._slope_east)
 
@@ -199,9 +199,9 @@ class Flight:
         return (body @ spin[..., None])[..., 0] + own, (body @ force[..., None])[..., 0]
 
     def increments(self, edges: Floats, *_: object) -> tuple[Floats, Floats]:
-        """Integrate rate and specific force over adjoining intervals, as a simulated IMU asks.
+        """Integrate rate and specific force over adjoining intervals, for the simulated IMU.
 
-        Whatever its table's site and lever arm are: a flight has neither.
+        Site and lever arm of a table are ignored: a flight has neither.
         """
         widths = np.diff(edges)
         times = (edges[:-1, None] + widths[:, None] * (_NODES + 1) / 2).ravel()
@@ -215,7 +215,7 @@ class Flight:
 def gravity_at(latitude: Floats) -> Floats:
     """Return normal gravity at the height of the flight, m/s^2: the package's, interpolated.
 
-    Over a degree of latitude a line between points 0.01 deg apart is off by 1e-11 m/s^2.
+    Over a degree of latitude the error of a line between points 0.01 deg apart is 1e-11 m/s^2.
     """
     low, high = float(latitude.min()), float(latitude.max())
     points = np.arange(math.floor(low / DEG * 100) - 1, math.ceil(high / DEG * 100) + 2) * DEG / 100

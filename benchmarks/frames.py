@@ -1,11 +1,11 @@
-"""Frames decoded in bulk, beside a loop that unpacks and checks one frame after the other.
+"""Decode frames in bulk, compared with a loop that unpacks and checks frame by frame.
 
-Both decode the same simulated line in one process: whole, as a backlog is, and in the pieces that
-a 10 kHz device delivers every 5 ms, where the fixed costs of an array operation count most.
+Both decode the same simulated line in one process: at once, as a backlog, and in the pieces that a
+10 kHz device delivers every 5 ms, where the fixed costs of an array operation matter most.
 
     python benchmarks/frames.py [--frames 100000]
 
-Exit code 1: a rate or a ratio is below what the package promises.
+Exit code 1: a rate or a ratio is below the package's promise.
 """
 
 from __future__ import annotations
@@ -64,13 +64,13 @@ def in_bulk(data: bytes, piece: int) -> int:
 
 
 def damaged(data: bytes) -> bytes:
-    """Put a byte of nonsense into every hundredth frame."""
+    """Put an invalid byte into every hundredth frame."""
     every = 100 * FRAME.size
     return b'\x55'.join(data[k : k + every] for k in range(0, len(data), every))
 
 
 def best(work: Callable[[], int]) -> float:
-    """Return the best rate of some runs, frames a second; others use the machine, too."""
+    """Return the best rate of some runs, frames per second; others use the machine too."""
     rates = []
     for _ in range(REPEATS):
         began = time.perf_counter()
@@ -80,7 +80,7 @@ def best(work: Callable[[], int]) -> float:
 
 
 def main() -> int:
-    """Measure, print, judge."""
+    """Measure, print, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--frames', type=int, default=100_000)
     data = line(parser.parse_args().frames)

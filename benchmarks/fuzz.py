@@ -1,18 +1,18 @@
-"""Feeds damaged bytes to everything that reads what others wrote, and watches what happens.
+"""Feed damaged bytes to all readers of foreign data, and check the outcome.
 
     python benchmarks/fuzz.py [--inputs 2000] [--seed 1] [--only frames ...]
     python benchmarks/fuzz.py --of-a-kind 1000000 --memory 50 --keep FOLDER
 
 Targets: frames of devices, CDR on the wire in bulk and message by message, mcap and sqlite3 files,
-metadata of recordings, files of people (YAML, CSV). Each input is a sound one that is changed in a
-few places: bits, bytes, lengths, pieces left out, doubled, put in from elsewhere. The same seed
-makes the same inputs. Allowed is a result or an error of the suite's own. Not allowed is any other
-exception, more memory than ten times the input and what `FLOOR` says (as Python and numpy take it;
-what libraries in C take by themselves is not seen), or more than `LONGEST` seconds of the
-processor, after which an input is broken off.
+metadata of recordings, files of users (YAML, CSV). Each input is a valid one with changes in a few
+places: bits, bytes, lengths, pieces removed, doubled or inserted. The same seed gives the same
+inputs. Allowed is a result or an error class of the suite. Not allowed is any other exception, more
+memory than ten times the input and `FLOOR` (as allocated by Python and numpy; allocations of C
+libraries are not measured), or more than `LONGEST` seconds of the processor, after which an input
+is aborted.
 
 Exit code 1: something that is not allowed happened; the input's number is printed, and
-`--from NUMBER --inputs 1` runs it alone. `--keep FOLDER` writes such inputs there, and goes on.
+`--from NUMBER --inputs 1` runs only it. `--keep FOLDER` writes such inputs there, and continues.
 """
 
 from __future__ import annotations
@@ -63,9 +63,10 @@ from imu_calib.stream import ImuBlock, JointBlock, Mode, Setpoint, SetpointBlock
 from imu_calib.turntable import load_table, read_table
 
 FLOOR = 8 << 20
-"""Bytes that a target may take beside ten times its input: tables of checksums, a page cache."""
+"""Bytes that a target may take in addition to ten times its input: tables of checksums, a page
+cache."""
 LONGEST = 10.0
-"""s of the processor for one input, none above 100 kB: a hundred times what the slowest takes."""
+"""s of the processor for one input of at most 100 kB: a hundred times the slowest."""
 _CONFIG = Path(__file__).resolve().parents[1] / 'config'
 _NS = 1_000_000_000
 
@@ -74,7 +75,7 @@ Feed = Callable[[bytes], object]
 
 @dataclass(frozen=True)
 class Target:
-    """Sound inputs, and what reads them."""
+    """Valid inputs, and their reader."""
 
     name: str
     sound: list[bytes]
@@ -82,7 +83,7 @@ class Target:
 
     @property
     def kind(self) -> str:
-        """Of what it is one: files of people are of one kind, however they are written."""
+        """Kind of the target: files of users are of one kind, whatever their format."""
         first = self.name.split()[0]
         return 'file' if first in {'csv', 'yaml'} else first
 
@@ -137,7 +138,7 @@ _CHANGES = (_flip, _overwrite, _leave_out, _cut, _double, _put_in, _copy)
 
 
 def _blocks() -> dict[Kind, list[bytes]]:
-    """Return sound messages of every kind."""
+    """Return valid messages of every kind."""
     rng = np.random.default_rng(1)
     stamp = 1_700_000_000 * _NS + 10_000_000 * np.arange(20)
     imu = ImuBlock(stamp, rng.normal(size=(20, 3)), rng.normal(size=(20, 3)), 'imu_link')
@@ -164,7 +165,7 @@ def _of_frames() -> Iterator[Target]:
 
 
 def _line(frames: FrameFormat) -> bytes:
-    """Make sound frames of a format, whatever stands in them."""
+    """Create valid frames of a format with arbitrary content."""
     rng, line = np.random.default_rng(2), []
     sums, check = frames.checksums(), frames.check
     for _ in range(20):
@@ -198,7 +199,7 @@ def _decode_message(kind: Kind, data: bytes) -> None:
 
 
 def _of_messages() -> Iterator[Target]:
-    # Only the runtime without ROS reads messages one by one itself.
+    # Only the runtime without ROS reads single messages itself.
     from imu_calib.middleware.dds import codec, standard
     from imu_calib.middleware.dds.messages import message_class
 
@@ -220,7 +221,7 @@ def _read_one(read: Callable[[bytes, object], object], kind: object, data: bytes
 
 
 def _of_bags(folder: Path) -> Iterator[Target]:
-    # Only who fuzzes bags needs rosbags, which writes them.
+    # Only fuzzing of bags requires rosbags, which writes them.
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -310,7 +311,7 @@ def _of_yaml() -> Iterator[Target]:
 
 
 def _without_comments(text: str) -> bytes:
-    """Return the same document, so that changes hit what counts."""
+    """Return the same document without comments, so that changes affect its content."""
     return yaml.safe_dump(yaml.safe_load(text), default_flow_style=None, width=200).encode()
 
 
@@ -322,12 +323,12 @@ def _read_yaml(read: Callable[[Section], object], data: bytes) -> None:
 
 
 class TooLongError(BaseException):
-    """An input took too long; nothing that catches exceptions catches this one."""
+    """An input took too long; handlers of Exception do not catch this."""
 
 
 @contextmanager
 def _limited(seconds: float) -> Iterator[None]:
-    """Break off what takes the processor longer, as soon as Python is reached again."""
+    """Abort after too much processor time, when Python next runs."""
 
     def over(*_: object) -> None:
         raise TooLongError
@@ -342,7 +343,7 @@ def _limited(seconds: float) -> Iterator[None]:
 
 
 def trouble(target: Target, data: bytes, *, measured: bool = True, longest: float = LONGEST) -> str:
-    """Feed one input; return what is wrong with how it ended, nothing where all is well."""
+    """Feed one input; return the fault of its outcome, else empty."""
     if measured:
         tracemalloc.start()
     start = time.process_time()
@@ -373,10 +374,10 @@ def run(
     every: int = 1,
     keep: Path | None = None,
 ) -> int:
-    """Feed a target its inputs; return how many there were, below zero where one went wrong.
+    """Feed a target its inputs; return their number, negative if one failed.
 
-    The memory of one in `every` inputs is measured, which takes several times as long. It ends with
-    the first that goes wrong, or writes all of those into the folder `keep`.
+    The memory of one in `every` inputs is measured, which takes several times as long. It stops at
+    the first failure, or writes all failures into the folder `keep`.
     """
     wrong = 0
     deadline = time.monotonic() + longest

@@ -1,13 +1,13 @@
-"""Side by side with imucal (FAU Erlangen, PyPI): the same sessions, the error of each parameter.
+"""Comparison with imucal (FAU Erlangen, PyPI): the same sessions, the error of each parameter.
 
 Simulated are sessions of six positions with turns about each axis, of a tactical-grade unit
-(fog_medium) and of a MEMS unit (mems_counts), each with the table's own errors of arrival. imucal's
+(fog_medium) and of a MEMS unit (mems_counts), each with the table's positioning errors. imucal's
 TurntableCalibration gets the samples at rest and, from rest to rest, the 720 deg of one turn about
 each axis; ours gets the streams. The real session by hand (test/data/hand_session) has no truth:
-there the difference counts, in our standard deviations.
+the difference in our standard deviations is shown.
 
-imucal's model, calibrated = R^-1 K^-1 (raw - K_ga acc - b), says raw = K R input + b + K_ga acc,
-so that I + M = K R and d = b: all 24 compare.
+imucal's model, calibrated = R^-1 K^-1 (raw - K_ga acc - b), means raw = K R input + b + K_ga acc,
+so that I + M = K R and d = b: all 24 can be compared.
 
     pip install imucal; python benchmarks/imucal.py [--runs 20]
 """
@@ -62,7 +62,7 @@ REASONS = {
 
 
 def package() -> ModuleType:
-    """Import imucal, which this file's own name would hide."""
+    """Import imucal, which the name of this file would hide."""
     here = Path(__file__).resolve().parent
     sys.path = [p for p in sys.path if Path(p or '.').resolve() != here]
     return import_module('imucal')
@@ -70,7 +70,7 @@ def package() -> ModuleType:
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """A type of IMU and one of its kind."""
+    """A type of IMU, and one unit of it."""
 
     title: str
     spec: ImuSpec
@@ -78,7 +78,7 @@ class Unit:
 
 
 def units() -> list[Unit]:
-    """The two that are simulated."""
+    """The two simulated units."""
     fog = load_imu('fog_medium')
     mems = replace(load_imu('mems_counts'), sample_rate=100.0)
     rng = np.random.default_rng(4)
@@ -107,7 +107,7 @@ def run(unit: Unit, seed: int) -> tuple[Floats, Floats, Floats]:
         calibration = calibrator.finish().calibration
         ours, std = calibration.model.vector(), calibration.std[:24]
     except NotObservable:
-        # Biases that drift look like another Earth rate, and ours refuses to guess.
+        # Drifting biases resemble another Earth rate, and ours refuses to guess.
         ours = std = np.full(24, np.nan)
     regions: dict[str, Floats] = {}
     for visit in stand.visits:
@@ -137,7 +137,7 @@ def put(
     cut: tuple[float, float],
     epoch: int,
 ) -> None:
-    """Cut a region out of the stream, in m/s^2 and deg/s as imucal has it."""
+    """Cut a region out of the stream, in m/s^2 and deg/s as imucal requires."""
     first, last = (epoch + round(t * 1e9) for t in cut)
     stamp = np.concatenate([b.stamp for b in blocks])
     inside = slice(int(np.searchsorted(stamp, first)), int(np.searchsorted(stamp, last)))

@@ -1,12 +1,12 @@
 """The joint estimate over many seeds of a twelve-position session, against the Cramer-Rao bound.
 
-Every session is simulated and cut whole, and solved twice: with the moves between dwells, against
-the bound that knows them, and without, against the bound of dwells and turns alone. Printed are the
-root-mean-square error over the bound (random walk and quantisation of the full stream, azimuth and
-tilts unknown) of all parameters together and of each, that of the closed form beside it, and
-whether the normalised errors are standard normal. A perfect estimator stays below the limits 99
-times in 100. The bound takes the stream beyond whole turns to tell where the counters stood at the
-cuts, and nothing of the rate.
+Every session is simulated and cut completely, and solved twice: with the moves between dwells,
+against the bound that includes them, and without, against the bound of dwells and turns only.
+Printed are the root-mean-square error over the bound (random walk and quantisation of the full
+stream, azimuth and tilts unknown) of all parameters together and of each, that of the closed form,
+and whether the normalised errors are standard normal. A perfect estimator stays below the limits in
+99 of 100 cases. The bound uses the stream beyond whole turns only for the positions of the counters
+at the cuts, not for the rate.
 
     python benchmarks/joint.py [--seeds 500] [--jobs 2] [--scheduler ADDRESS] [--drifting]
 
@@ -67,7 +67,7 @@ def run(seed: int, *, drifting: bool) -> Floats:
 
 
 def report(runs: Floats) -> bool:
-    """Print the table of (n, 5, 24) runs; say whether the ratios keep their limits."""
+    """Print the table of (n, 5, 24) runs; return whether the ratios are within their limits."""
     error, std, closed, closed_std, floor = np.swapaxes(runs, 0, 1)
     count = len(error)
     ratios, of_closed = root_mean_square(error / floor), root_mean_square(closed / floor)
@@ -120,7 +120,7 @@ def main() -> int:
 
 
 if __name__ == '__main__':
-    # Workers know what they run by the name of this module.
+    # Workers find the function by the name of this module.
     import joint
 
     sys.exit(joint.main())

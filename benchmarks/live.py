@@ -1,10 +1,9 @@
-"""A session at a high rate, live: is every sample in the calibrator's journal, and at what cost.
+"""A live session at a high rate: whether the calibrator's journal is complete, and at what cost.
 
 One process publishes a simulated stand in real time (samples, joint states, setpoints) on the
-runtime that IMU_CALIB_MIDDLEWARE chooses; another receives them. First a receiver that drains the
-bytes and does nothing with them, then calibrator_node, which journals, segments and solves. What
-they cost is stated in processor time, which is the same on a busy machine; that none waits for
-another takes two idle cores.
+runtime of IMU_CALIB_MIDDLEWARE; another receives them. The first receiver only drains the bytes;
+the second is calibrator_node, which records, segments and solves. Costs are in processor time,
+which does not depend on other load; without mutual waiting they require two idle cores.
 
     python benchmarks/live.py [--rate 20000 --seconds 60]
 
@@ -24,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-# The benchmark keeps to the loopback interface and to a domain of its own.
+# The benchmark uses the loopback interface and a private domain.
 os.environ.setdefault('ROS_DOMAIN_ID', str(100 + os.getpid() % 101))
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('RMW_IMPLEMENTATION', 'rmw_cyclonedds_cpp')
@@ -51,23 +50,23 @@ from imu_calib.units import DEG
 
 PLAN, IMU, TABLE, LATITUDE = 'static_six', 'fog_medium', 'three_axis', 45.0
 MOVE = 2.5
-"""s from one dwell of the plan to the next on that table, at least."""
+"""Shortest time between dwells of the plan on that table, s."""
 PERIOD = 0.002
-"""s between two bursts of the publisher: as a driver that reads a line."""
+"""s between two bursts of the publisher, as of a driver that reads a line."""
 CORES = 2.0
 _TICKS = os.sysconf('SC_CLK_TCK')
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a pair of publisher and receiver took.
+    """Costs of a pair of publisher and receiver.
 
     Attributes:
         name: Of the receiver.
-        publisher: Processor time of it while it published, us a sample.
-        receiver: Of the receiver, us a sample.
-        lost: Samples that were sent and are not there, or not in order.
-        peak: Most memory of the receiver, MB.
+        publisher: Its processor time while it published, us per sample.
+        receiver: Processor time of the receiver, us per sample.
+        lost: Number of sent samples that are missing or out of order.
+        peak: Peak memory of the receiver, MB.
 
     """
 
@@ -79,7 +78,7 @@ class Cost:
 
 
 def dwell(seconds: float) -> float:
-    """Return the dwell that lets the plan fill the time, s."""
+    """Return the dwell for which the plan takes the given time, s."""
     return max(2.0, seconds / len(load_plan(PLAN).positions) - MOVE)
 
 
@@ -121,7 +120,7 @@ _OF_IMU = ('stamp', 'gyro', 'accel')
 
 
 def source(rate: float, seconds: float) -> None:
-    """Publish the stand in real time; print what it took, and the first stamp."""
+    """Publish the stand in real time; print its cost, and the first stamp."""
     samples, states, setpoints = stream(rate, seconds)
     slow = {
         'turntable/joint_states': (ros.messages.JointState, states.stamp, encode_joints(states)),
@@ -161,7 +160,7 @@ def source(rate: float, seconds: float) -> None:
 
 
 class Drain(ros.Node):
-    """Drains the bytes, as often as calibrator_node does, and writes how many messages came."""
+    """Drains the bytes as often as calibrator_node does, and writes the number of messages."""
 
     def __init__(self, path: Path) -> None:
         super().__init__('drain')
@@ -179,19 +178,19 @@ class Drain(ros.Node):
 
 
 def processor_time(pid: int) -> float:
-    """Return what a process has used so far, s."""
+    """Return the processor time of a process so far, s."""
     fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
     return (int(fields[11]) + int(fields[12])) / _TICKS
 
 
 def peak_memory(pid: int) -> float:
-    """Return the most memory of a process so far, MB."""
+    """Return the peak memory of a process so far, MB."""
     lines = Path(f'/proc/{pid}/status').read_text().splitlines()
     return float(next(line.split()[1] for line in lines if line.startswith('VmHWM'))) / 1024
 
 
 def measure(name: str, command: list[str], folder: Path, rate: float, seconds: float) -> Cost:
-    """Run a receiver and the source until everything is taken in."""
+    """Run a receiver and the source until everything is received."""
     receiver = subprocess.Popen(command, cwd=folder)
     arguments = [sys.executable, __file__, '--source', '--rate', str(rate)]
     sender = subprocess.Popen(
@@ -213,7 +212,7 @@ def measure(name: str, command: list[str], folder: Path, rate: float, seconds: f
 
 
 def _until_it_is_quiet(folder: Path) -> None:
-    """Wait until what the receiver writes has not grown for three seconds."""
+    """Wait until the receiver's output has not grown for three seconds."""
     size, since = -1, time.monotonic()
     while time.monotonic() - since < 3.0:
         now = sum(p.stat().st_size for p in folder.rglob('*') if p.is_file())
@@ -223,7 +222,7 @@ def _until_it_is_quiet(folder: Path) -> None:
 
 
 def _lost(folder: Path, rate: float, first: int, count: int) -> int:
-    """Count what was sent and is not there."""
+    """Return the number of sent messages that are missing."""
     if (folder / 'count').exists():
         return count - int((folder / 'count').read_text())
     with open_recording(folder / 'journal') as recording:
@@ -234,7 +233,7 @@ def _lost(folder: Path, rate: float, first: int, count: int) -> int:
 
 
 def main() -> int:
-    """Measure both receivers, and print what they cost."""
+    """Measure both receivers, and print their costs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--rate', type=float, default=20_000.0)
     parser.add_argument('--seconds', type=float, default=60.0)

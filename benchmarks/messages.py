@@ -1,12 +1,12 @@
-"""Message objects to bytes and back, beside the classes of rosbags and of the wheel cyclonedds.
+"""Message objects to bytes and back, compared with the classes of rosbags and of cyclonedds.
 
-rosbags' classes take any value and have no defaults; those of the dds runtime check what is
-assigned to them and keep it as rclpy does. All ways take turns in one process, over the same
-messages; the clock is the processor time of the process.
+rosbags' classes take any value and have no defaults; those of the dds runtime check assigned values
+and store them as rclpy does. All are run in turns in one process, on the same messages; the measure
+is processor time.
 
     python benchmarks/messages.py [--messages 2000]
 
-Exit code 1: a ratio is below what the package promises.
+Exit code 1: a ratio is below the package's promise.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ SENT = {
 
 
 def of_rosbags(name: str) -> tuple[Callable[[Any], bytes], Callable[[bytes], Any]]:
-    """Return what writes and what reads a message with rosbags alone."""
+    """Return writer and reader of a message with rosbags alone."""
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(definition(name), name))
     return (
@@ -54,7 +54,7 @@ def of_rosbags(name: str) -> tuple[Callable[[Any], bytes], Callable[[bytes], Any
 
 
 def ways(sent: Any) -> dict[str, tuple[Callable[[], Any], Callable[[], Any]]]:
-    """Return writing and reading of one message, of each way."""
+    """Return writer and reader of one message, for each class."""
     kind, name, payload = type(sent), sent.TYPE_NAME, serialize_message(sent)
     write, read = of_rosbags(name)
     plain = read(payload)
@@ -71,7 +71,7 @@ def ways(sent: Any) -> dict[str, tuple[Callable[[], Any], Callable[[], Any]]]:
 
 
 def rate(work: Callable[[], Any], count: int) -> float:
-    """Return how often a second of one core has room for it."""
+    """Return the number of calls per second of one core."""
     begin = time.process_time()
     for _ in range(count):
         work()

@@ -1,13 +1,12 @@
-"""Serialised Imu messages into columns, beside a callback per message and beside a bare drain.
+"""Convert serialised Imu messages to columns, compared with callbacks and with a bare drain.
 
-All three ways run in one process, on the runtime that IMU_CALIB_MIDDLEWARE chooses, over the same
-messages, which wait at the reader when the clock starts. The clock is the processor time of the
-process, whatever else the machine does. With --rate a second process publishes at a steady rate,
-and what arrives is counted.
+All three run in one process, on the runtime of IMU_CALIB_MIDDLEWARE, on the same messages, which
+wait at the reader when the measurement starts. The measure is processor time, whatever the other
+load. With --rate a second process publishes at a constant rate, and received messages are counted.
 
     python benchmarks/middleware.py [--messages 20000] [--rate 4000 --seconds 60]
 
-Exit code 1: a ratio is below what the package promises, or a message is lost.
+Exit code 1: a ratio is below the package's promise, or a message is lost.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ import numpy as np
 from imu_calib.cdr import Messages, decode_imu, encode_imu
 from imu_calib.stream import ImuBlock
 
-# The benchmark keeps to the loopback interface and to a domain of its own.
+# The benchmark uses the loopback interface and a private domain.
 os.environ.setdefault('ROS_DOMAIN_ID', str(100 + os.getpid() % 101))
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('RMW_IMPLEMENTATION', 'rmw_cyclonedds_cpp')
@@ -55,7 +54,7 @@ KEEP_ALL = {
 
 @dataclass
 class Way:
-    """One way to receive, and its rate in every round, in messages a second of one core."""
+    """One way to receive, and its rate in every round, in messages per second of one core."""
 
     name: str
     receive: Callable[[ros.Node, Sequence[bytes]], float]
@@ -63,19 +62,19 @@ class Way:
 
 
 def ratio(way: Way, other: Way) -> float:
-    """Return the median of the rounds' ratios: what else the machine does slows all of a round."""
+    """Return the median of the rounds' ratios: other load slows all of a round."""
     return float(np.median(np.divide(way.rates, other.rates)))
 
 
 def payloads(count: int) -> list[bytes]:
-    """Make messages of whole pulse counts; the stamps count them."""
+    """Create messages of integer pulse counts; the stamps count them."""
     counts = np.random.default_rng(24).integers(-500, 500, (count, 6)).astype(float)
     stamps = np.arange(count, dtype=np.int64) * 250_000
     return encode_imu(ImuBlock(stamps, counts[:, :3], counts[:, 3:], 'imu')).payloads()
 
 
 def send(node: ros.Node, messages: Sequence[bytes]) -> ros.Node:
-    """Publish everything to the subscription that is there, and wait until it has it."""
+    """Publish all messages to the existing subscription, and wait for their delivery."""
     publisher = node.create_publisher(ros.messages.Imu, TOPIC, ros.QoSProfile(**KEEP_ALL))
     while publisher.get_subscription_count() == 0:
         time.sleep(0.01)
@@ -87,7 +86,7 @@ def send(node: ros.Node, messages: Sequence[bytes]) -> ros.Node:
 
 
 def by_callback(node: ros.Node, messages: Sequence[bytes]) -> float:
-    """Take message objects one by one in a callback; return messages a second."""
+    """Receive message objects one by one in a callback; return messages per second."""
     messages = messages[: len(messages) // FEWER]
     got = []
     subscription = node.create_subscription(
@@ -107,12 +106,12 @@ def by_callback(node: ros.Node, messages: Sequence[bytes]) -> float:
 
 
 def by_drain(node: ros.Node, messages: Sequence[bytes]) -> float:
-    """Drain the bytes and do nothing with them; return messages a second."""
+    """Drain the bytes without decoding; return messages per second."""
     return _drained(node, messages, lambda _: None)
 
 
 def into_columns(node: ros.Node, messages: Sequence[bytes]) -> float:
-    """Drain the bytes and decode them, block by block; return messages a second."""
+    """Drain the bytes and decode them, block by block; return messages per second."""
     return _drained(node, messages, lambda block: decode_imu(Messages.join(block)))
 
 
@@ -135,7 +134,7 @@ def _drained(
 
 
 def compare(count: int) -> bool:
-    """Print the best rates and the median ratios; return whether these are what is promised."""
+    """Print the best rates and the median ratios; return whether the promises are kept."""
     messages = payloads(count)
     ways = [
         Way('callback', by_callback),
@@ -158,7 +157,7 @@ def compare(count: int) -> bool:
 
 
 def source(rate: float, seconds: float) -> None:
-    """Publish at a steady rate, the stamps counting the messages."""
+    """Publish at a constant rate, the stamps counting the messages."""
     count = int(rate * seconds)
     messages = payloads(count)
     ros.init(args=[])
@@ -180,7 +179,7 @@ def source(rate: float, seconds: float) -> None:
 
 
 def end_to_end(rate: float, seconds: float) -> bool:
-    """Receive what another process publishes; print what is lost and the CPU share."""
+    """Receive the messages of another process; print losses and the CPU share."""
     count = int(rate * seconds)
     ros.init(args=[])
     node = ros.Node('receiver')
@@ -216,7 +215,7 @@ def end_to_end(rate: float, seconds: float) -> bool:
 
 
 def main() -> int:
-    """Run the comparison, and the steady rate where it is asked for."""
+    """Run the comparison, and the constant rate on request."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--messages', type=int, default=20_000)
     parser.add_argument('--rate', type=float, default=0.0)

@@ -1,13 +1,13 @@
-"""Mutation testing by a random sample: how many small changes of a package its tests notice.
+"""Mutation testing by a random sample: the share of small changes that a package's tests detect.
 
 The changes are cosmic-ray's (operators, numbers, conditions, decorators, loops); annotations are
-left alone, since nothing evaluates them. Each mutant runs in a fork of a process that has loaded
-NumPy and SciPy already, in a copy of the tree, up to the first test that fails.
+excluded, because they are not evaluated. Each mutant runs in a fork of a process that has loaded
+NumPy and SciPy, in a copy of the tree, up to the first test that fails.
 
     pip install cosmic-ray
     python benchmarks/mutants.py [--packages cdr compensation] [--draw 40] [--seed 1] [--minutes 5]
 
-A package that runs out of time keeps the mutants tested so far: the order of them is random.
+A package that runs out of time keeps the mutants tested so far: their order is random.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
 
 ROOT = Path(__file__).resolve().parent.parent
-# The tests of a package, the quickest first; sessions on a stand are left out.
+# The tests of a package, the fastest first; sessions on a stand are excluded.
 TESTS = {
     'cdr': ['cdr'],
     'compensation': [
@@ -127,7 +127,7 @@ TESTS = {
         'fit_steps',
     ],
 }
-# What goes with some modules alone, and is too slow for every mutant of a package; it runs first.
+# Tests of certain modules, too slow for every mutant of a package; they run first.
 MORE = {
     'imu_calib/bags/remote.py': ['remote'],
     'imu_calib/bags/remote_copy.py': ['remote_copy', 'remote'],
@@ -136,7 +136,7 @@ MORE = {
     'imu_calib/observation/arms.py': ['arms'],
     'imu_calib/observation/free.py': ['free_fit'],
 }
-# A mutant gets this much longer than the tests take unchanged, and this many seconds more.
+# Allowed time of a mutant relative to the unchanged tests, and additional seconds.
 SLOWER, MORE_S = 2.0, 5.0
 
 
@@ -175,13 +175,13 @@ def run_tests(copy: Path, tests: Sequence[str], limit_s: float) -> tuple[bool, f
         resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s) + 1, int(limit_s) + 1))
         os.chdir(copy)
         sys.path[:0] = [str(copy), str(copy / 'test')]
-        # What a test starts runs the copy too.
+        # Processes started by a test also use the copy.
         others = os.environ.get('PYTHONPATH', '').split(os.pathsep)
         os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, [str(copy), *others]))
         files = [f'test/test_{name}.py' for name in tests]
-        # What waits uses no processor time: the session's own limit ends it.
+        # A waiting test uses no processor time: the session's own limit ends it.
         options = ['-x', '-q', '-p', 'no:cacheprovider', '-o', f'timeout={10 * int(limit_s)}']
-        # Words for what fails would be made of every test file again for each mutant.
+        # Failure texts would be created from every test file again for each mutant.
         options.append('--assert=plain')
         os._exit(int(pytest.main([*options, *files])))
     _, status, used = os.wait4(child, 0)
@@ -191,13 +191,13 @@ def run_tests(copy: Path, tests: Sequence[str], limit_s: float) -> tuple[bool, f
 
 
 def naming_first(copy: Path, path: str, tests: Sequence[str]) -> list[str]:
-    """Return the tests in their order, but those that name a module before all others."""
+    """Return the tests in their order, but those that name a module first."""
     module = path.removesuffix('.py').replace('/', '.')
     return sorted(tests, key=lambda name: module not in (copy / f'test/test_{name}.py').read_text())
 
 
 def work(share: list, tests: list[str], ends: float, answers: multiprocessing.Queue) -> None:
-    """Test a share of the mutants; None ends the answers, whatever happens."""
+    """Test a share of the mutants; None ends the answers in every case."""
     try:
         test(share, tests, ends, answers)
     finally:
@@ -206,7 +206,7 @@ def work(share: list, tests: list[str], ends: float, answers: multiprocessing.Qu
 
 def test(share: list, tests: list[str], ends: float, answers: multiprocessing.Queue) -> None:
     """Test mutants in a copy of the tree, one after the other."""
-    # As test/conftest.py has it, which comes too late here: threads that wait for each other spin.
+    # As in test/conftest.py, which comes too late here: threads that wait for each other spin.
     os.environ['OMP_NUM_THREADS'] = '1'
     for module in ('linalg', 'optimize', 'signal', 'spatial.transform', 'special', 'stats'):
         importlib.import_module(f'scipy.{module}')
@@ -214,7 +214,7 @@ def test(share: list, tests: list[str], ends: float, answers: multiprocessing.Qu
         copy = Path(folder) / 'tree'
         left_out = shutil.ignore_patterns('.git', '.venv', '__pycache__')
         shutil.copytree(ROOT, copy, ignore=left_out)
-        # By their contents: otherwise compiled files are told apart by the second only.
+        # By content: otherwise compiled files are distinguished only by the second.
         by_hash = PycInvalidationMode.CHECKED_HASH
         compileall.compile_dir(copy, quiet=2, invalidation_mode=by_hash)
         unchanged = {}  # how long each set of tests takes, s
@@ -241,7 +241,7 @@ def test(share: list, tests: list[str], ends: float, answers: multiprocessing.Qu
 
 
 def interval(killed: int, drawn: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share, after Wilson (1927)."""
+    """Return the 95 % interval of a share, by Wilson (1927)."""
     z, share = 1.96, killed / drawn
     middle = (share + z * z / (2 * drawn)) / (1 + z * z / drawn)
     half = z / (1 + z * z / drawn) * (share * (1 - share) / drawn + (z / (2 * drawn)) ** 2) ** 0.5

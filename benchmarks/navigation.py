@@ -1,14 +1,13 @@
-"""What compensation gains: one hour of free inertial navigation after it, and docs/navigation.md.
+"""Gain by compensation: one hour of free inertial navigation with it, and docs/navigation.md.
 
 A unit with terms beyond the 24 parameters is calibrated by one session of the plan full_model, with
-the 24 parameters alone and with terms; then it flies (`flight.py`), and what it gives is
-compensated by each of them and navigated (`strapdown.py`). Sessions, flights and their noise are
-others for each seed.
+only the 24 parameters and with terms; then it flies (`flight.py`), and its outputs are compensated
+by each calibration and navigated (`strapdown.py`). Each seed has other sessions, flights and noise.
 
     python benchmarks/navigation.py [--seeds 8] [--jobs 2] [--scheduler ADDRESS] [--write]
 
---write writes docs/navigation.md and docs/navigation.svg. Exit code 1: sensors without error do not
-come out within a metre.
+--write writes docs/navigation.md and docs/navigation.svg. Exit code 1: the error with perfect
+sensors is above a metre.
 """
 
 from __future__ import annotations
@@ -42,10 +41,10 @@ from imu_calib.turntable import load_table
 SITE = Site.at(LATITUDE, gravity=normal_gravity(LATITUDE))
 UNIT, TRUTH, PLAN = 'fog_navigation', 'fog_navigation_terms', 'full_model'
 OWN = 'gyro_asymmetry,gyro_rate_dependence,accel_quadratic'
-"""The terms that the unit has."""
+"""The terms of the unit."""
 
 AT_REST = tuple(term for term in TERMS if not term.moving)
-"""The ten that dwells and turns show."""
+"""The ten that dwells and turns determine."""
 
 SHOWN = {
     'truth': ('the truth: its noise is left', COLOURS[2], '4 3'),
@@ -54,10 +53,10 @@ SHOWN = {
     'found': ('24 and its three terms, full_model', COLOURS[0], ''),
     'all': ('24 and all ten terms, full_model', COLOURS[0], '4 3'),
 }
-"""By what is compensated: in words, with the colour and the dashes of its curve."""
+"""Compensations: text, colour and dashes of the curve."""
 
 LIMIT = 1.0
-"""What a navigator may make of an hour without sensor errors, m."""
+"""Largest error of the navigator in an hour with perfect sensors, m."""
 
 MINUTES = (10, 20, 30, 40, 50, 60)
 STYLE = """
@@ -107,7 +106,7 @@ _PART = 60.0
 
 
 def apart(course: Floats, flight: Flight, times: Floats) -> Floats:
-    """Return how far (m, n, 2) latitudes and longitudes are off a flight at (n,) times, m."""
+    """Return the position errors (m, n, 2) of latitudes and longitudes at (n,) times, m."""
     latitude, longitude = flight.latitude(times), flight.longitude(times)
     along, across = radii(latitude)
     north = (course[..., 0] - latitude) * (along + HEIGHT)
@@ -116,7 +115,7 @@ def apart(course: Floats, flight: Flight, times: Floats) -> Floats:
 
 
 def flown(flight: Flight, imu: ImuSpec, model: SensorModel, seed: int, **wrong: bool) -> ImuBlock:
-    """Return what a unit gives on a flight, from close to its start on."""
+    """Return the outputs of a unit on a flight, from close to its start on."""
     rng = np.random.default_rng([seed, 3])
     options = economical(StandOptions(positioning_error=0.0, **wrong))
     device = SimulatedImu(imu, model, SITE, options, rng)
@@ -182,14 +181,14 @@ def flight_of(seed: int) -> Floats:
 
 
 def without_errors() -> Floats:
-    """Navigate a flight by sensors without any error: times and errors, (2, s)."""
+    """Navigate a flight with perfect sensors: times and errors, (2, s)."""
     flight, imu = Flight(), replace(load_imu(UNIT), units=Units.SI)
     block = flown(flight, imu, SensorModel(), 0, noise=False, bias_instability=False)
     return off(flight, block, [(block.gyro, block.accel)])
 
 
 def write(exact: float, times: Floats, runs: Floats) -> None:
-    """Write the page and its plot, by (n, m, s) errors of n seeds, m."""
+    """Write the page and its plot, from (n, m, s) errors of n seeds, m."""
     rms = np.sqrt((runs**2).mean(axis=0))
     marks = [int(np.searchsorted(times, 60.0 * t)) for t in MINUTES[:-1]] + [-1]
     rows = [
@@ -258,7 +257,7 @@ def main() -> int:
 
 
 if __name__ == '__main__':
-    # Workers know what they run by the name of this module.
+    # Workers find the function by the name of this module.
     import navigation
 
     sys.exit(navigation.main())

@@ -1,13 +1,13 @@
-"""Predicted against achieved standard deviations of every shipped plan that a table runs.
+"""Compare predicted and achieved standard deviations of every supplied plan for a table.
 
-Every session is simulated by the hardware-level simulation, cut and solved by the plan's own
-method. The prediction knows plan, table, data sheet and truth, and no session. Of a good one the
-ratio stays within what the spread of so many runs itself is uncertain by.
+Every session is simulated by the hardware-level simulation, cut and solved by the plan's method.
+The prediction uses plan, table, data sheet and truth, and no session. For a good one the ratio is
+within the uncertainty of the spread of the runs.
 
     python benchmarks/prediction.py [PLAN ...] [--runs 1000] [--jobs 2] [--scheduler ADDRESS]
                                     [--sample-rate 20] [--keep FOLDER]
 
-Exit code 1: a parameter is off by more than 10 % and that spread.
+Exit code 1: a parameter differs by more than 10 % and that uncertainty.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ UNITS = {
     'skewed': ('fog_skewed', 'fog_skewed'),
     'full_model': ('fog_navigation', 'fog_navigation_terms'),
 }
-"""Unit and truth by plan, where it is not the usual one."""
+"""Unit and truth by plan, if not the usual one."""
 ASKED = {'full_model': TERMS}
-"""Terms by plan, where it is made for more than its method's own parameters."""
+"""Terms by plan, if it is designed for more than its method's parameters."""
 PLACED = {'P_axy': 30e-3, 'P_axz': -21e-3, 'P_ayz': 15e-3, 'P_azx': 9e-3, 'T_a': 1e-3}
-"""Of the terms of motion, m and s, where they are asked for: no truth of that grade has any."""
+"""Terms of motion, m and s, if requested: no truth of that grade has any."""
 
 
 def study(name: str, sample_rate: float | None = None) -> Study:
-    """A shipped plan by its own method, on the plainest table that runs it, with a unit for it.
+    """Return a supplied plan with its method, a unit, and the simplest table that runs it.
 
-    The heading of the table is known where the method needs it, and another in each run where not.
+    The heading of the table is known if the method requires it, else it differs in each run.
     """
     plan = load_plan(name)
     unit, truth = UNITS.get(plan.name, USUAL)
@@ -75,7 +75,7 @@ def study(name: str, sample_rate: float | None = None) -> Study:
 
 
 def plainest_table(plan: Plan) -> Table:
-    """Return the shipped table with the fewest joints that can run a plan."""
+    """Return the supplied table with the fewest joints that can run a plan."""
     reasons = []
     for name in TABLES:
         table = load_table(name)
@@ -91,7 +91,7 @@ def plainest_table(plan: Plan) -> Table:
 def compare(
     case: Study, runs: int, jobs: int | None, keep: Path | None, scheduler: str | None = None
 ) -> bool:
-    """Print one plan; say whether every parameter is within its bounds."""
+    """Print one plan; return whether every parameter is within its bounds."""
     name = case.setup.plan.name
     setup = case.setup
     foreseen = forecast(setup, case.truth, case.azimuth)
@@ -108,7 +108,7 @@ def compare(
 
 
 def judge(parameters: Sequence[Parameter], errors: np.ndarray, foreseen: np.ndarray) -> bool:
-    """Print the spread of (runs, n) errors over (n,) predictions; say whether all is in bounds."""
+    """Print the spread of (runs, n) errors over (n,) predictions; return whether all hold."""
     count = len(errors)
     spread = errors.std(axis=0, ddof=1)
     ratio = spread / foreseen
@@ -133,7 +133,7 @@ def judge(parameters: Sequence[Parameter], errors: np.ndarray, foreseen: np.ndar
 
 
 def shipped() -> list[str]:
-    """Plans that a table runs."""
+    """Supplied plans for a table."""
     paths = sorted((share_folder() / 'config' / 'plans').glob('*.yaml'))
     return [path.stem for path in paths if not load_plan(path).by_hand]
 

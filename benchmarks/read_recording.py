@@ -1,11 +1,11 @@
-"""Reads the same recording twice, in columns and message by message, and compares the times.
+"""Read the same recording in columns and message by message, and compare the times.
 
-The second way is the loop that everybody writes with rosbags. Both run here, on this machine, in
-this process, over the same files, and have to give the same numbers.
+The second way is the usual loop with rosbags. Both run in this process, on the same files, and must
+give the same numbers.
 
     python benchmarks/read_recording.py [--messages 300000]
 
-Exit code 1: a ratio is below what the package promises, or the numbers differ.
+Exit code 1: a ratio is below the package's promise, or the numbers differ.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ REPEATS = 7
 
 @dataclass(frozen=True)
 class Case:
-    """One form of storage, and the ratio that is promised for it."""
+    """One form of storage, and its promised ratio."""
 
     name: str
     plugin: StoragePlugin
@@ -45,9 +45,9 @@ class Case:
     promised: float
 
 
-# The loop takes the interpreter's time, the columns that of the memory. One machine gives 112 times
-# for mcap, 64 with zstd, 26 for sqlite3. Where the interpreter was faster, an earlier state gave
-# 44, 28 and 21 instead of 70, 40 and 28: promised is what such a machine should give.
+# The loop is limited by the interpreter, the columns by the memory. One machine gives a ratio of
+# 112 for mcap, 64 with zstd, 26 for sqlite3. With a faster interpreter, an earlier version gave 44,
+# 28 and 21 in place of 70, 40 and 28: the promise is for such a machine.
 CASES = (
     Case('mcap', StoragePlugin.MCAP, CompressionMode.NONE, 65.0),
     Case('mcap, zstd chunks', StoragePlugin.MCAP, CompressionMode.STORAGE, 40.0),
@@ -58,7 +58,7 @@ Columns = dict[str, np.ndarray]
 
 
 def samples(count: int) -> tuple[ImuBlock, JointBlock]:
-    """Make an hour's kind of data: whole pulse counts, and slowly turning joints."""
+    """Create typical data of an hour: integer pulse counts, and slowly turning joints."""
     rng = np.random.default_rng(24)
     stamp = 1_700_000_000_000_000_000 + PERIOD_NS * np.arange(count)
     pulses = np.rint(rng.normal(0.0, 300.0, (count, 6)))
@@ -84,7 +84,7 @@ def write(path: Path, case: Case, imu: ImuBlock, joints: JointBlock) -> None:
 
 
 def read_message_by_message(path: Path) -> Columns:
-    """Read the way of the tutorials: rosbags' reader, one object per message."""
+    """Read as in tutorials: rosbags' reader, one object per message."""
     typestore = get_typestore(Stores.ROS2_JAZZY)
     stamps: dict[str, list[int]] = {IMU: [], JOINTS: []}
     gyro, accel, position = [], [], []
@@ -109,7 +109,7 @@ def read_message_by_message(path: Path) -> Columns:
 
 
 def read_in_columns(path: Path) -> Columns:
-    """Read the way of this package: each block goes to its place before the next one is read."""
+    """Read as this package does: each block is stored before the next one is read."""
     with open_recording(path) as recording:
         counts = {topic.name: topic.count or 0 for topic in recording.topics}
         columns = {
@@ -133,7 +133,7 @@ def read_in_columns(path: Path) -> Columns:
 
 
 def timed(read: Callable[[Path], Columns], path: Path, repeats: int) -> tuple[float, Columns]:
-    """Return the shortest time of some runs, s, and what was read."""
+    """Return the shortest time of some runs, s, and the data."""
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
@@ -143,7 +143,7 @@ def timed(read: Callable[[Path], Columns], path: Path, repeats: int) -> tuple[fl
 
 
 def compare(case: Case, path: Path) -> bool:
-    """Time both ways on one recording, print a line, and tell whether the promise is kept."""
+    """Time both ways on one recording, print a line, and return whether the promise is kept."""
     columns_s, columns = timed(read_in_columns, path, REPEATS)
     loop_s, loop = timed(read_message_by_message, path, 1)
     same = all(np.array_equal(columns[key], loop[key]) for key in loop)

@@ -1,16 +1,16 @@
-"""Sessions in the hand that others recorded: imu_calib against their authors' tool.
+"""Published sessions in the hand: imu_calib compared with their authors' tools.
 
-Each recording is calibrated from some of its holds and scored on the others, which it never saw:
-the root mean square of |a| - g over them, and of the angle between gravity as the gyros carry it
-from hold to hold and as the accelerometers see it there. The authors' tools are written anew from
-their descriptions (`Tool`), and get the holds that imu_calib finds. Beside each stands imu_tk's
-with the bias of the gyros that does best, the mean of all holds.
+Each recording is calibrated from some of its holds and scored on the others: the root mean square
+of |a| - g over them, and of the angle between gravity propagated by the gyros from hold to hold and
+gravity by the accelerometers there. The authors' tools are reimplemented from their descriptions
+(`Tool`), and get the holds that imu_calib finds. Each is also compared with imu_tk's with the best
+gyro bias, the mean of all holds.
 
     python benchmarks/real_hands.py DIRECTORY [--only NAME ...] [--dealings 12] [--threes]
 
-Holds are dealt in threes of neighbours to two halves (or three at a time are left out, `--threes`):
-in turn, and then anew by a seed. DIRECTORY has the files that docs/real_recordings.md names; what
-is not there is passed over.
+Holds are dealt in threes of neighbours to two halves (or three at a time are excluded, `--threes`):
+in turn, and then by seeds. DIRECTORY has the files that docs/real_recordings.md names; missing ones
+are skipped.
 
 Sources: Tedaldi, Pretto and Menegatti 2014, ICRA; Mikov, Reginya and Moschevikin 2020, ICINS.
 """
@@ -43,14 +43,14 @@ from imu_calib.stream import Floats, ImuBlock, Stamps, Units
 from imu_calib.units import DEG, STANDARD_GRAVITY
 
 Corrected = Callable[[Floats, Floats], tuple[Floats, Floats]]
-"""Outputs of gyros and accelerometers (n, 3) in SI -> what they mean."""
+"""Conversion of outputs of gyros and accelerometers (n, 3) in SI to inputs."""
 
 _EPOCH = 1_600_000_000_000_000_000
-"""ns: where recordings begin whose stamps do not say."""
+"""ns: start of recordings whose stamps do not state it."""
 
 
 class Recording(NamedTuple):
-    """What somebody recorded: stamps (n,) ns, values (n, 6) as delivered, what they are, where."""
+    """A published recording: stamps (n,) ns, values (n, 6) as delivered, description, site."""
 
     stamp: Stamps
     values: Floats
@@ -68,7 +68,7 @@ class Recording(NamedTuple):
         return self.values[inside] * scale
 
     def calibrator(self) -> HandCalibrator:
-        """Return a calibrator that has got all of it."""
+        """Return a calibrator with all of its data."""
         found = HandCalibrator(Setup(self.imu, load_plan('free_positions'), None, self.site))
         gyro, accel = self.values[:, :3], self.values[:, 3:]
         found.feed(ImuBlock(self.stamp, gyro, accel, 'imu'))
@@ -95,7 +95,7 @@ def _site(latitude: float) -> Site:
 def _xsens(folder: Path) -> Recording:
     accel, gyro = (np.loadtxt(folder / f'xsens_{kind}.mat') for kind in ('acc', 'gyro'))
     values = np.hstack([gyro[:, 1:], accel[:, 1:]]) - 32768
-    # imu_tk starts from 1 / 6258 rad/s; counts at rest are 3719 long.
+    # imu_tk starts from 1 / 6258 rad/s; counts at rest have the length 3719.
     imu = _imu('xsens_mti', Units.COUNTS, 1 / 6258, STANDARD_GRAVITY / 3719)
     return Recording(_stamped(accel[:, 0]), values, imu, Site.at(45.41 * DEG, gravity=9.80655))
 
@@ -115,7 +115,7 @@ def _matlab(name: str, key: str, gyro: float, accel: float, folder: Path) -> Rec
 
 def _good(which: int, folder: Path) -> Recording:
     data = np.loadtxt(folder / f'imu_good{which}.txt')
-    # Seconds since 1970 in 64-bit numbers are whole microseconds.
+    # Seconds since 1970 in 64-bit numbers have microsecond resolution.
     imu = _imu('ahrs', Units.SI, 1.0, 1.0)
     kept = np.append(True, np.diff(data[:, 0]) > 0)
     values = data[:, [4, 5, 6, 1, 2, 3]]
@@ -125,7 +125,7 @@ def _good(which: int, folder: Path) -> Recording:
 def _mpu_6050(name: str, folder: Path) -> Recording:
     values = np.loadtxt(folder / f'{name}.csv', delimiter=',', skiprows=5)
     imu = _imu('mpu_6050', Units.COUNTS, DEG / 131, STANDARD_GRAVITY / 16384, 250 * DEG)
-    # Their parameters are of standard gravity.
+    # Their parameters assume standard gravity.
     site = Site.at(-32.9 * DEG, gravity=STANDARD_GRAVITY)
     return Recording(_evenly(len(values), 100), values[:, [3, 4, 5, 0, 1, 2]], imu, site)
 
@@ -136,7 +136,7 @@ DEALT: dict[str, Callable[[Path], Recording]] = {
     'gesture': partial(_matlab, 'caldata', 'cal_data', DEG / 16.4, STANDARD_GRAVITY / 3276.8),
     'position': partial(_matlab, 'Data', 'data', DEG / 16.4, STANDARD_GRAVITY / 2048),
 }
-"""Long enough to be dealt."""
+"""Long enough for several dealings."""
 
 ACROSS: dict[str, tuple[Callable[[Path], Recording], Callable[[Path], Recording]]] = {
     **{
@@ -154,25 +154,24 @@ ACROSS: dict[str, tuple[Callable[[Path], Recording], Callable[[Path], Recording]
 
 
 class Bias(enum.Enum):
-    """What a tool takes for the bias of the gyros."""
+    """The gyro bias that a tool uses."""
 
     START = enum.auto()
-    """Their mean at the first hold."""
+    """The mean at the first hold."""
     MEAN = enum.auto()
-    """Their mean over all holds."""
+    """The mean over all holds."""
     FREE = enum.auto()
-    """What lets the turns lead gravity best."""
+    """Estimated, for the best propagation of gravity."""
 
 
 class Tool(NamedTuple):
-    """A tool of two steps: the accelerometers by lengths, then the gyros by gravity carried.
+    """A tool of two steps: the accelerometers by lengths, then the gyros by propagated gravity.
 
-    It is given the holds that imu_calib finds, which its own thresholds on the variance would have
-    to.
+    It gets the holds that imu_calib finds, in place of its own detection by variance.
 
     Attributes:
-        bias: Of the gyros.
-        by_samples: Lengths count by samples; else the mean outputs of all holds count alike.
+        bias: Gyro bias.
+        by_samples: Whether lengths are weighted by samples; else all holds have equal weight.
 
     """
 
@@ -197,11 +196,11 @@ class Tool(NamedTuple):
 
 
 IMU_TK = Tool(Bias.START)
-"""As Tedaldi, Pretto and Menegatti 2014 have it, eqs. (9) to (15)."""
+"""By Tedaldi, Pretto and Menegatti 2014, eqs. (9) to (15)."""
 MIKOV = Tool(Bias.FREE, by_samples=True)
-"""As Mikov, Reginya and Moschevikin 2020 have it, eqs. (10) and (16)."""
+"""By Mikov, Reginya and Moschevikin 2020, eqs. (10) and (16)."""
 AVERAGED = Tool(Bias.MEAN)
-"""imu_tk's with the bias that shenshikexmu take: the one that does best."""
+"""imu_tk's with the bias of shenshikexmu: the best one."""
 
 
 def _led(
@@ -211,7 +210,7 @@ def _led(
     *,
     seeks_bias: bool,
 ) -> tuple[Floats, Floats]:
-    """Fit nine gains of the gyros, and their bias if asked, to ups that turns lead from and to.
+    """Fit nine gains of the gyros, and optionally their bias, to up vectors around turns.
 
     Source: Tedaldi, Pretto and Menegatti 2014, eqs. (14) and (15), and (17) to (19) for the
     Runge-Kutta steps.
@@ -243,7 +242,7 @@ class Triads(NamedTuple):
     accel_bias: Floats
 
     def __call__(self, gyro: Floats, accel: Floats) -> tuple[Floats, Floats]:
-        """Return what outputs (n, 3) mean."""
+        """Return the inputs for outputs (n, 3)."""
         return (gyro - self.gyro_bias) @ self.gyro.T, (accel - self.accel_bias) @ self.accel.T
 
 
@@ -264,7 +263,7 @@ def _lengths(outputs: Floats, gravity: float) -> tuple[Floats, Floats]:
 
 
 def _padded(rates: list[Floats], steps: list[Floats]) -> tuple[Floats, Floats]:
-    """Return runs of equal length, (k, n, 3) and (k, n - 1): the last steps take no time."""
+    """Return sequences of equal length, (k, n, 3) and (k, n - 1): added steps have no duration."""
     longest = 1 + (1 << (max(len(s) for s in steps) - 1).bit_length())
     all_rates = np.zeros((len(rates), longest, 3))
     all_steps = np.zeros((len(rates), longest - 1))
@@ -276,7 +275,7 @@ def _padded(rates: list[Floats], steps: list[Floats]) -> tuple[Floats, Floats]:
 def _carried(rates: Floats, steps: Floats) -> Floats:
     """Integrate rates (k, n, 3) over steps (k, n - 1), n - 1 a power of two: quaternions (k, 4).
 
-    A Runge-Kutta step of q' = q (0, w) / 2 is linear in q: a quaternion by which q is multiplied.
+    A Runge-Kutta step of q' = q (0, w) / 2 is linear in q: a multiplication by a quaternion.
     """
     half = np.zeros((*rates.shape[:2], 4))
     half[..., 1:] = rates / 2
@@ -300,7 +299,7 @@ def _product(a: Floats, b: Floats) -> Floats:
 
 
 def _turned(quaternions: Floats, vectors: Floats) -> Floats:
-    """Return vectors (k, 3) of the world as the axes that turned by quaternions see them."""
+    """Return world vectors (k, 3) in axes rotated by quaternions."""
     u, w = -quaternions[:, 1:], quaternions[:, :1]
     once = np.cross(u, vectors) + w * vectors
     return np.asarray(vectors + 2 * np.cross(u, once))
@@ -308,7 +307,7 @@ def _turned(quaternions: Floats, vectors: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """A recording, and the holds that imu_calib finds in all of it."""
+    """A recording with the holds that imu_calib finds in it."""
 
     recording: Recording
     holds: tuple[Segment, ...]
@@ -319,7 +318,7 @@ class Session:
         return cls(recording, recording.calibrator().segmented().segments)
 
     def blocks(self) -> Floats:
-        """Return to which hold each sample belongs, (n,): turns are cut in their middle."""
+        """Return the hold of each sample, (n,): turns are divided in their middle."""
         cuts = [
             (a.end + b.start) // 2 for a, b in zip(self.holds[:-1], self.holds[1:], strict=True)
         ]
@@ -333,8 +332,8 @@ class Session:
         """Return the turns between neighbours among some holds.
 
         Returns:
-            Which of the chosen, (n, 3) outputs of both triads between them, and the lengths of the
-            n - 1 steps, s.
+            Indices among the chosen, (n, 3) outputs of both triads between them, and the durations
+            of the n - 1 steps, s.
 
         """
         found, place = [], {hold: k for k, hold in enumerate(sorted(chosen))}
@@ -350,7 +349,7 @@ class Session:
         return found
 
     def at_rest(self, chosen: Sequence[int]) -> Floats:
-        """Return the plain means of the outputs at some holds, (k, 6) SI."""
+        """Return the means of the outputs at some holds, (k, 6) SI."""
         holds = [self.holds[k] for k in sorted(chosen)]
         return np.array([self.recording.outputs(h.start, h.end).mean(axis=0) for h in holds])
 
@@ -374,9 +373,9 @@ class Session:
 
 
 class Score(NamedTuple):
-    """What is left where nothing was calibrated, of all holds: m/s^2, and rad of each turn after.
+    """Residuals on holds not used for calibration: m/s^2, and rad for each following turn.
 
-    NaN where a hold, or the next one, was not scored.
+    NaN if a hold, or the next one, was not scored.
     """
 
     lengths: Floats
@@ -390,7 +389,7 @@ class Score(NamedTuple):
 
 
 def calibrated(recording: Recording) -> SensorModel | None:
-    """Calibrate by imu_calib; None where it refuses."""
+    """Calibrate by imu_calib; None if it refuses."""
     try:
         return recording.calibrator().finish().calibration.model
     except NotObservable:
@@ -398,7 +397,7 @@ def calibrated(recording: Recording) -> SensorModel | None:
 
 
 def dealt(holds: int, seed: int, *, threes: bool) -> list[list[int]]:
-    """Deal holds to parts, each of which is held out in turn.
+    """Deal holds to parts, each of which is excluded in turn.
 
     Seed 0 deals threes of neighbours in turn. Others deal, by halves, threes of neighbours that
     begin at the first, second or third hold, at random; by threes, any holds.
@@ -415,7 +414,7 @@ def dealt(holds: int, seed: int, *, threes: bool) -> list[list[int]]:
 
 
 def one(read: Callable[[Path], Recording], folder: Path, threes: bool, seed: int) -> Dealing | None:
-    """Score a dealing; None where imu_calib refuses a part."""
+    """Score a dealing; None if imu_calib refuses a part."""
     session = Session.of(read(folder))
     every = range(len(session.holds))
     found: list[list[Score]] = []
@@ -434,7 +433,7 @@ def one(read: Callable[[Path], Recording], folder: Path, threes: bool, seed: int
 
 
 def _joined(scores: Sequence[Score]) -> Score:
-    """Return the scores of parts, each of which has its own holds, as one."""
+    """Combine the scores of parts, each of which has its own holds."""
     result = Score(*np.array(scores[0]))
     for score in scores[1:]:
         for whole, part in zip(result, score, strict=True):
@@ -443,14 +442,14 @@ def _joined(scores: Sequence[Score]) -> Score:
 
 
 def _tool_of(session: Session) -> Tool:
-    """Return the tool of those who recorded a session."""
+    """Return the tool of the authors of a session."""
     return {'mpu_9150': MIKOV, 'caldata': AVERAGED, 'Data': AVERAGED}.get(
         session.recording.imu.id, IMU_TK
     )
 
 
 class Dealing(NamedTuple):
-    """Scores of imu_calib, of the authors' own tool, and of it with the bias that does best."""
+    """Scores of imu_calib, of the authors' tool, and of that with the best bias."""
 
     ours: Score
     theirs: Score
@@ -460,7 +459,7 @@ class Dealing(NamedTuple):
 def across(
     pair: tuple[Callable[[Path], Recording], Callable[[Path], Recording]], folder: Path
 ) -> Dealing:
-    """Score a recording by another of the same unit."""
+    """Score a recording with the calibration from another of the same unit."""
     of, on = (Session.of(read(folder)) for read in pair)
     every = range(len(on.holds))
     model = calibrated(of.recording)
@@ -476,7 +475,7 @@ def across(
 
 
 def _published(folder: Path, recording: Recording) -> Triads:
-    """Read the parameters that the authors of the MPU-6050 publish, for outputs in SI."""
+    """Read the published parameters of the MPU-6050, for outputs in SI."""
     a, g = (np.loadtxt(folder / f'params_{kind}.csv') for kind in ('acc', 'gyro'))
     accel = np.array([[1, -a[0], a[1]], [0, 1, -a[2]], [0, 0, 1]]) @ np.diag(a[3:6])
     gyro = np.array([[1, -g[0], g[1]], [g[2], 1, -g[3]], [-g[4], g[5], 1]]) @ np.diag(g[6:9])
@@ -485,10 +484,10 @@ def _published(folder: Path, recording: Recording) -> Triads:
 
 
 def _row(name: str, first: str, found: Sequence[Dealing]) -> str:
-    """Write medians over the dealings, in how many imu_calib is ahead, and by what for each hold.
+    """Write medians over the dealings, in how many imu_calib is better, and the margin per hold.
 
-    The last: the mean of squares less those of either tool, each averaged over the dealings, in
-    standard deviations of that mean over the holds. Below zero imu_calib is ahead.
+    The margin: the mean of squares minus those of either tool, each averaged over the dealings, in
+    standard deviations of that mean over the holds. Negative values are better for imu_calib.
     """
     cells = []
     for which, unit in ((0, 1e-3), (1, DEG)):
@@ -518,7 +517,7 @@ def _plain(found: Dealing) -> str:
 
 
 def main() -> int:
-    """Score what is there."""
+    """Score the available recordings."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('directory', type=Path)
     parser.add_argument('--only', nargs='+', default=[*DEALT, 'across'], metavar='NAME')
@@ -552,7 +551,7 @@ def main() -> int:
 
 
 def _there(read: Callable[[Path], Recording], folder: Path) -> bool:
-    """Say whether the files of a recording are there."""
+    """Return whether the files of a recording exist."""
     try:
         read(folder)
     except OSError:
@@ -561,7 +560,7 @@ def _there(read: Callable[[Path], Recording], folder: Path) -> bool:
 
 
 if __name__ == '__main__':
-    # Workers know what they run by the name of this module.
+    # Workers find the function by the name of this module.
     import real_hands
 
     sys.exit(real_hands.main())

@@ -1,15 +1,15 @@
-"""Sessions after each other in one set of nodes: do memory, handles and threads stay as they are.
+"""Successive sessions in one set of nodes: whether memory, handles and threads stay constant.
 
     python benchmarks/soak.py [--hours 4] [--sessions 3] [--sample-rate 100] [--json FILE]
 
 Starts the nodes of a simulated stand once, and runs twelve positions with dwells so long that all
-sessions together take so many hours of the stand. After each the calibration is held against the
-truth, the calibrator is told to begin anew, and the table is started again. What each process holds
-is read from /proc once a second.
+sessions together take the given hours of the stand. After each the calibration is compared with the
+truth, the calibrator is reset, and the table is started again. The resources of each process are
+read from /proc once a second.
 
 Exit code 1: a session failed, a parameter is more than `WORST` deviations off, or from the end of
-the first session to the end of the last one a process took more memory than `GROWN` for each
-session between, or a handle or a thread more.
+the first session to the end of the last one a process used more memory than `GROWN` for each
+session between, or one more handle or thread.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ from imu_calib.plan import load_plan
 from imu_calib.share import named_file
 
 GROWN = 4.0
-"""MB for each session: pages that an allocator keeps; a rest that is kept would be three times that
-at 100 Hz, a session a hundred times."""
+"""MB for each session: pages kept by an allocator; a stored remainder of a session would be three
+times that at 100 Hz, a session a hundred times."""
 WORST = 5.0
-"""Deviations of the worst of 24 parameters: one session in 70,000 goes beyond."""
+"""Deviations of the worst of 24 parameters: exceeded in one session of 70,000."""
 PLAN = 'twelve_position'
 TRUTH = 'cao2022_table1'
 MOTIONS = 700.0
-"""s that the plan takes beside its dwells, about: 2160 s in all less twelve of 120 s."""
+"""s of the plan in addition to its dwells, about: 2160 s in all minus twelve of 120 s."""
 PATIENCE = 120.0
-"""s of the wall clock for an answer, or for something to go on: hundreds of times the usual."""
+"""s of the wall clock for an answer, or for progress: hundreds of times the usual."""
 
 
 @dataclass
 class Held:
-    """What a process held at the end of a session: megabytes, handles, threads."""
+    """Resources of a process at the end of a session: megabytes, handles, threads."""
 
     memory: float
     handles: int
@@ -58,7 +58,7 @@ class Held:
 
     @classmethod
     def of(cls, number: int) -> Held:
-        """Read it from /proc."""
+        """Read them from /proc."""
         lines = Path(f'/proc/{number}/status').read_text().splitlines()
         values = dict(line.split(':', 1) for line in lines)
         handles = len(list(Path(f'/proc/{number}/fd').iterdir()))
@@ -66,7 +66,7 @@ class Held:
 
 
 class Watcher(ros.Node):
-    """Hears how the plan goes, and presses the buttons."""
+    """Subscribes to the progress of the plan, and calls the services."""
 
     def __init__(self) -> None:
         super().__init__('soak')
@@ -86,7 +86,7 @@ class Watcher(ros.Node):
         self.calibration = message
 
     def press(self, name: str) -> str:
-        """Call a service; return why it refuses, an empty text where it does not."""
+        """Call a service; return why it refuses, else empty."""
         client = self.create_client(ros.Trigger, name)
         assert client.wait_for_service(timeout_sec=PATIENCE), name
         answer = client.call_async(ros.Trigger.Request())
@@ -103,7 +103,7 @@ class Watcher(ros.Node):
 def wait(
     watcher: Watcher, processes: Processes, seconds: float, until: Callable[[], bool]
 ) -> dict[str, float]:
-    """Listen until something holds; return the largest memory of each process meanwhile, MB."""
+    """Wait for a condition; return the peak memory of each process meanwhile, MB."""
     peak: dict[str, float] = {}
     end = time.monotonic() + seconds
     looked = 0.0
@@ -121,7 +121,7 @@ def wait(
 
 
 def plan_of(seconds: float, folder: Path) -> Path:
-    """Write a plan of twelve positions that takes so long."""
+    """Write a plan of twelve positions with the given duration."""
     shipped = load_plan(PLAN)
     dwell = max(10.0, (seconds - MOTIONS) / len(shipped.positions))
     text = named_file('plans', PLAN).read_text(encoding='utf-8')
@@ -163,10 +163,10 @@ def parameters(folder: Path, plan: Path, rate: float) -> dict[str, dict[str, Any
 
 
 def session(watcher: Watcher, processes: Processes, folder: Path, hours: float) -> dict[str, float]:
-    """Run a plan to its end and solve it; return the largest memory of each process, MB."""
+    """Run a plan to its end and solve it; return the peak memory of each process, MB."""
     watcher.calibration = None
     end = time.monotonic() + PATIENCE
-    # The calibrator has to be heard first.
+    # The table must first receive messages of the calibrator.
     while words := watcher.press('turntable_node/start'):
         if time.monotonic() > end:
             raise SystemExit(f'The plan does not start: {words}')
@@ -198,7 +198,7 @@ def session(watcher: Watcher, processes: Processes, folder: Path, hours: float) 
 
 
 def worst(path: Path) -> float:
-    """Return by how many deviations the worst parameter is off."""
+    """Return the error of the worst parameter in deviations."""
     found = Calibration.load(path)
     truth = Calibration.load(named_file('truths', TRUTH)).model
     off = found.values - truth.values(found.parameters)
@@ -208,7 +208,7 @@ def worst(path: Path) -> float:
 def run(
     folder: Path, hours: float, sessions: int, rate: float
 ) -> tuple[list[dict[str, Held]], bool]:
-    """Run the sessions; return what each process held at their ends, and whether all were right."""
+    """Run the sessions; return the resources of each process at their ends, and their success."""
     ends: list[dict[str, Held]] = []
     right = True
     plan = plan_of(3600 * hours / sessions, folder)
@@ -242,7 +242,7 @@ def run(
 
 
 def flat(held: Sequence[Held]) -> bool:
-    """Say whether a process ended with what it held after the first session."""
+    """Return whether a process ended with the resources that it had after the first session."""
     first, last = held[0], held[-1]
     return (
         last.memory - first.memory <= GROWN * (len(held) - 1)
@@ -252,7 +252,7 @@ def flat(held: Sequence[Held]) -> bool:
 
 
 def say(ends: Sequence[dict[str, Held]]) -> bool:
-    """Print what each process held at the end of each session; say whether all are flat."""
+    """Print the resources of each process after each session; return whether all are flat."""
     print('\nat the end of each session: memory in MB, handles, threads')
     sound = True
     for name in ends[0]:

@@ -1,8 +1,8 @@
-"""How long a solve takes: thirty dwells, thirty turns and all terms together, on one core.
+"""Time of a solution: thirty dwells, thirty turns and all terms together, on one core.
 
-A session of the plan full_model with the twelve positions after it is simulated and cut, and solved
-by the joint estimate. Counted is processor time, of one thread: a machine that is busy takes longer
-by the clock, not by this.
+A session of the plan full_model followed by the twelve positions is simulated and cut, and solved
+by the joint estimate. The measure is processor time of one thread, which does not depend on other
+load.
 
     python benchmarks/solve.py [--times 5] [--profile]
 
@@ -75,7 +75,7 @@ def main() -> int:
         return 0
     taken = []
     for _ in range(chosen.times):
-        # What an evidence has once worked out is part of a solve.
+        # Values that an evidence caches are part of a solution.
         fresh = replace(session)
         begin = time.process_time()
         joint.solve(fresh, terms=TERMS)

@@ -1,10 +1,10 @@
-"""A live session at a high rate: is every sample of the device in the calibrator, at what cost.
+"""A live session at a high rate: whether the calibrator gets every sample, and at what cost.
 
     python benchmarks/stand.py [RATE_HZ [PLAN [SPEED]]]
 
-Counts the frames that the simulated device made, between the first and the last that were
-recorded, against the samples in the calibrator's journal; the stamps of the journal must be evenly
-spaced throughout. CPU shares are those of the processes over the session, from /proc.
+Compares the number of frames of the simulated device, between the first and the last recorded ones,
+with the samples in the calibrator's journal; the stamps of the journal must be evenly spaced
+throughout. CPU shares are those of the processes over the session, from /proc.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ TICKS = os.sysconf('SC_CLK_TCK')
 
 
 def cpu_seconds(number: int) -> float:
-    """Return the processor time that a process has used, s."""
+    """Return the processor time of a process, s."""
     fields = Path(f'/proc/{number}/stat').read_text().rpartition(')')[2].split()
     return (int(fields[11]) + int(fields[12])) / TICKS
 
 
 class Watched(processes.Processes):
-    """Processes that are asked for their processor time before they end."""
+    """Processes whose processor time is read before they end."""
 
     used: dict[str, float] = {}  # noqa: RUF012
 
     def check(self) -> None:
-        """Note what each has used so far."""
+        """Record the time that each has used so far."""
         super().check()
         for name in self._running:
             self.used[name] = cpu_seconds(self.number(name))

@@ -1,12 +1,12 @@
-"""How long commands take to start, beside a Python that loads numpy and nothing else.
+"""Start time of commands, compared with a Python that loads only numpy.
 
-CPU time, the least of several rounds in which all take turns, so that whatever else the machine
-does meets all of them. And how long a person waits by the clock at a stand whose IMU sends garbage:
-until the sentence is on the screen, and until the command has ended.
+CPU time, the minimum of several rounds in turns, so that other load of the machine affects all of
+them. In addition, the wall time of a person at a stand whose IMU sends invalid data: until the
+sentence is on the terminal, and until the command has ended.
 
     python benchmarks/startup.py [--rounds 10]
 
-Exit code 1: a ratio is above what the package promises, or a person waits for more than 2 s.
+Exit code 1: a ratio is above the package's promise, or a person waits for more than 2 s.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ NUMPY = [sys.executable, '-c', 'import numpy']
 COMMAND = [sys.executable, '-m', 'imu_calib.cli.main']
 AT_A_STAND = [*COMMAND, 'stand', 'twelve_position', '--device', 'simulated', '--latitude', '48']
 LONGEST = 2.0
-"""s; what a person takes for an answer to what they typed."""
+"""s; the wait that a person accepts for an answer."""
 PAUSE = 0.01
 
 
@@ -58,7 +58,7 @@ def small_recording(folder: Path) -> Path:
 
 
 def rest(folder: Path) -> Path:
-    """Simulate half a minute at rest, of which nothing can be calibrated."""
+    """Simulate half a minute at rest, from which no calibration is possible."""
     plan = yaml.safe_load(named_file('plans', 'twelve_position').read_text())
     # The second position: at the first one the table turns.
     plan['dwell'], plan['positions'] = '30 s', plan['positions'][1:2]
@@ -69,7 +69,7 @@ def rest(folder: Path) -> Path:
 
 
 def wait_at_a_stand(folder: Path) -> tuple[float, float]:
-    """Return when the sentence was on the screen, and when the command had ended, s."""
+    """Return the times of the sentence on the terminal and of the end of the command, s."""
     ours, theirs = pty.openpty()
     tty.setraw(theirs)
     over = threading.Event()
@@ -77,7 +77,7 @@ def wait_at_a_stand(folder: Path) -> tuple[float, float]:
 
     def send() -> None:
         while not over.wait(PAUSE):
-            # A line loses what nobody takes.
+            # A line loses bytes that are not read.
             if select.select([], [ours], [], 0)[1]:
                 os.write(ours, noise.randbytes(100))
 
@@ -105,7 +105,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--rounds', type=int, default=10)
     rounds = parser.parse_args().rounds
-    # Without a domain of its own no stand is started.
+    # A stand requires a private domain.
     os.environ.setdefault('ROS_DOMAIN_ID', '42')
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

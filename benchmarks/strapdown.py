@@ -1,8 +1,8 @@
 """A strapdown navigator for `benchmarks/navigation.py`, several units at once.
 
-East, north and up on the WGS 84 ellipsoid, with Earth rate and transport rate. Its vertical channel
-is held: height and vertical velocity are those of an altimeter without error, since an inertial
-height alone runs away within minutes. Normal gravity has no level part, and is not asked for.
+East, north and up on the WGS 84 ellipsoid, with Earth rate and transport rate. The vertical channel
+is fixed: height and vertical velocity are those of a perfect altimeter, because a purely inertial
+height diverges within minutes. Normal gravity has no horizontal part, and is not needed.
 
 Sources: Savage 1998, J. Guidance 21, 19 (coning, eq. 48; the update of the navigation frame) and
 208 (sculling); Titterton and Weston 2004, chapters 3 and 11.
@@ -18,12 +18,12 @@ from flight import HEIGHT, cross, earth_rates, radii, turned
 from imu_calib.stream import Floats
 
 STEP = 10
-"""Samples that are joined before the navigation frame moves on."""
+"""Samples that are combined before the navigation frame is updated."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where navigation begins: latitude and longitude, rad; velocity (2,) m/s; R_nb (3, 3)."""
+    """Initial state: latitude and longitude, rad; velocity (2,) m/s; R_nb (3, 3)."""
 
     latitude: float
     longitude: float
@@ -32,10 +32,10 @@ class Start:
 
 
 def navigate(start: Start, angles: Floats, velocities: Floats, interval: float) -> Floats:
-    """Navigate by increments alone, several units at once, at the height of the flight.
+    """Navigate by increments only, several units at once, at the height of the flight.
 
     Args:
-        start: Without error.
+        start: Initial state without error.
         angles: (m, n, 3) of m units, rad, n a multiple of `STEP`.
         velocities: (m, n, 3) likewise, m/s.
         interval: Of a sample, s.
@@ -73,7 +73,7 @@ def navigate(start: Start, angles: Floats, velocities: Floats, interval: float) 
 
 
 def _joined(angles: Floats, velocities: Floats) -> tuple[Floats, Floats]:
-    """Join samples to steps: rotations (m, s, 3, 3), and gains (m, s, 3) in axes at their start."""
+    """Combine samples to steps: rotations (m, s, 3, 3), gains (m, s, 3) in axes at their start."""
     before = np.concatenate([angles[:, :1], angles[:, :-1]], axis=1)
     gained = np.concatenate([velocities[:, :1], velocities[:, :-1]], axis=1)
     rotated = turned(angles + cross(before, angles) / 12)

@@ -1,17 +1,17 @@
-"""Several units on one table: what they share estimated once, against each by itself.
+"""Several units on one table: shared unknowns estimated once, compared with separate solutions.
 
 Sessions of eight units are simulated by plain arrays that share no code with the package
-(test/units_world.py): twelve attitudes, turns about three axes, a base that is tilted, and joints
-that stop beside their marks. Each unit is solved by itself, then the first 2, 4 and 8 together. For
-what they share and for their own parameters the root-mean-square error and the mean stated
-deviation are compared with those of the same units by themselves, and the processor time of both.
-Whether errors go with their deviations takes more draws: further sessions of four units tell.
+(test/units_world.py): twelve attitudes, turns about three axes, a tilted base, and positioning
+errors of the joints. Each unit is solved separately, then the first 2, 4 and 8 together. For shared
+unknowns and for parameters the root-mean-square error and the mean stated deviation are compared
+with those of the separate solutions, and the processor time of both. The consistency of errors and
+deviations requires more draws: further sessions of four units.
 
     python benchmarks/units.py [--seeds 10] [--further 40] [--write]
 
 `--write` writes docs/units_study.md. Exit code 1: the tilts' deviations are above 1.1 / sqrt(N) of
-those of one unit, errors and deviations do not go together (chi-square, one in 10^4; parameters:
-by Student's t over sessions), or a sound unit was left out.
+those of one unit, errors and deviations are inconsistent (chi-square, one in 10^4; parameters: by
+Student's t over sessions), or a valid unit was excluded.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ CHANCE = 1e-4
 
 @dataclass
 class Figures:
-    """Errors and deviations of sessions with so many units on the table.
+    """Errors and deviations of sessions with a given number of units on the table.
 
-    Those of parameters are by session, (units, 24) each: what units of one session have in common
-    makes their errors go together, and the sessions alone are independent.
+    Those of parameters are by session, (units, 24) each: errors of units in one session are
+    correlated by their common errors, only sessions are independent.
     """
 
     tilt_errors: list[float] = field(default_factory=list)
@@ -76,7 +76,7 @@ class Figures:
 
 
 def session(seed: int, grade: str, figures: dict[int, Figures]) -> None:
-    """Simulate a session, and solve it with each number of units that figures are wanted of."""
+    """Simulate a session, and solve it with each number of units in `figures`."""
     table, rng = world.turned(seed), np.random.default_rng([seed, 11])
     units, alone, of_all = [], [], max(figures)
     for k in range(of_all):
@@ -146,7 +146,7 @@ def with_errors(normal: Any) -> list[tuple[float, float]]:
 
 
 def of_parameters(figures: dict[int, Figures], size: int) -> tuple[Any, Any, Any, Any]:
-    """Return errors and deviations with so many units, then of the same units by themselves."""
+    """Return errors and deviations with `size` units, then of the same units solved separately."""
     here, one = figures[size], figures[1]
     alone = (np.array(values)[:, :size] for values in (one.errors, one.std))
     return (np.array(here.errors), np.array(here.std), *alone)
@@ -184,7 +184,7 @@ def table_of(figures: dict[int, Figures]) -> list[str]:
 
 
 def honesty_of(figures: dict[int, Figures]) -> list[str]:
-    """Return how errors go with their deviations as a table in Markdown."""
+    """Return the consistency of errors and deviations as a table in Markdown."""
     rows = [
         f'| units | rms of error / std | {" | ".join(GROUPS)} |',
         f'|---|---|{"---|" * len(GROUPS)}',
@@ -201,7 +201,7 @@ def honesty_of(figures: dict[int, Figures]) -> list[str]:
 
 
 def failures(grade: str, figures: dict[int, Figures]) -> list[str]:
-    """Say what of the figures is not as it must be."""
+    """Return sentences on figures outside their bounds."""
     found = []
     for size in SIZES[1:]:
         here = figures[size]
@@ -217,7 +217,7 @@ def failures(grade: str, figures: dict[int, Figures]) -> list[str]:
 
 
 def dishonest(grade: str, figures: dict[int, Figures]) -> list[str]:
-    """Say which parameters err by more than they state, by the scatter over sessions."""
+    """Return parameters whose errors exceed the stated deviations, by the scatter over sessions."""
     found = []
     for size, here in figures.items():
         freedom = np.array(here.freedom)
@@ -267,7 +267,7 @@ processor time each.
 
 
 def main() -> int:
-    """Run, print, and write the page if so asked."""
+    """Run, print, and write the page on request."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', type=int, default=10)
     parser.add_argument('--further', type=int, default=40)

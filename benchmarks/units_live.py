@@ -1,12 +1,12 @@
-"""A live session of several units: is every sample of each in the journal, at what cost.
+"""A live session of several units: whether the journal has every sample, and at what cost.
 
     python benchmarks/units_live.py [UNITS [RATE_HZ [PLAN [SPEED]]]]
 
-Counts for each unit the frames that its simulated device made between the first and the last that
-were recorded against the samples in the journal; stamps must be evenly spaced throughout. At speed
-1, the default, devices send in real time, as real ones do. Processor time is that of the processes
+Compares, for each unit, the number of frames of its simulated device between the first and the last
+recorded ones with the samples in the journal; stamps must be evenly spaced throughout. At speed 1,
+the default, devices send in real time, as real ones do. Processor time is that of the processes
 from the start to the end of the session, from /proc; that of the simulated stand (stand_node) is
-stated apart, as a real stand has none.
+listed separately, because a real stand has none.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""The page of a stand at a high rate: does looking on cost a sample, and what does it cost.
+"""The page of a stand at a high rate: whether viewers cause lost samples, and the cost.
 
     python benchmarks/web_page.py [RATE_HZ [VIEWERS [PLAN [SPEED]]]]
 
 Runs a session twice as `benchmarks/stand.py` does, without a page and with viewers of it, each a
 window of a headless Chromium without 3D, and compares. Samples are counted from the device's
-counter to the calibrator's journal. Viewers end with the session; what their browser takes is no
-node's.
+counter to the calibrator's journal. Viewers end with the session; their browser's load is not
+counted for a node.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ class WithoutStaying(stand.Watched):
     """Processes whose page ends with the session."""
 
     def end_all_but(self, kept: object) -> None:  # noqa: ARG002
-        """End all of them."""
+        """End all processes."""
         super().end_all_but(())
 
 
 def look_on(port: int, viewers: int, over: threading.Event, seen: list[int]) -> None:
-    """Open windows on the page until the session is over; note how often they changed."""
+    """Open windows on the page until the session is over; record the number of changes."""
     from playwright.sync_api import Error, sync_playwright
 
     path = shutil.which('chromium') or shutil.which('google-chrome')
