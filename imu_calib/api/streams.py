@@ -104,7 +104,7 @@ def units_of(recording: Recording) -> tuple[str, ...]:
 
 
 def skew_topic(recording: Recording, imu: str) -> str | None:
-    """Return the topic of a skewed gyro beside an IMU's; None without one, or with several."""
+    """Return the topic of an IMU's skewed gyro; None without one, or with several."""
     skewed = [
         t.name
         for t in recording.topics

@@ -29,7 +29,7 @@ class AppliedCalibration:
         topic: Topic that publishes calibrations.
         follows: Whether calibrations of the topic are applied. A file that the user names must not
             be replaced by a message.
-        serial_number: Of the unit; empty where it is not stated.
+        serial_number: Of the unit; empty if it is not stated.
         diagnostics: Receives reports on the applied and the refused calibrations.
 
     Attributes:

@@ -53,11 +53,11 @@ class LiveSession:
         intakes: The topics by content.
         phase: Progress of the session.
         failure: Why it failed, else empty.
-        notes: Messages for the user besides the calibration's findings.
+        notes: Messages for the user in addition to the calibration's findings.
         review: Result of the last solution; None before the first.
         calibration: The result so far; None while it is not determined.
         worked_until: Stamp up to which the last review reaches, ns: of the joints, of the IMU
-            where there is no table.
+            without a table.
         frame_id: The IMU's frame.
         steps_seen: Steps of the plan that have been commanded: up to the last one seen.
 

@@ -139,5 +139,5 @@ def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
 
 
 def _stated(value: float) -> float | None:
-    """Return a parameter, or None where it is not stated."""
+    """Return a parameter, or None if it is not stated."""
     return None if math.isnan(value) else value
