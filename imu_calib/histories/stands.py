@@ -177,7 +177,7 @@ class _Tested:
         self.chosen: list[int] = []
 
     def partial(self, effect: Floats) -> Floats:
-        """Return |t| (s,) of each stand in addition to the selected ones, from (s, 24) effects."""
+        """Return absolute t (s,) of each stand beyond the selected ones, from (s, 24) effects."""
         left, rest = self._columns, self._white @ effect @ self.share
         if self.chosen:
             basis = np.linalg.qr(left[:, self.chosen])[0]

@@ -109,7 +109,7 @@ def _next(
 def _t_at(
     place: int, design: Floats, weights: Floats, at: Fit, prior: Prior
 ) -> tuple[Floats, Floats]:
-    """Return |t| (...) of a step at a session in addition to the fit, and its freedom.
+    """Return absolute t (...) of a step at a session in addition to the fit, and its freedom.
 
     Both are zero without information.
     """
@@ -129,6 +129,6 @@ def _t_at(
 
 
 def chance_of(t: Floats, freedom: Floats) -> Floats:
-    """Return the probability of at least this |t|; 1 without freedom."""
+    """Return the two-sided p-value of Student's t; 1 without freedom."""
     some = freedom > 0
     return np.where(some, 2 * scipy.special.stdtr(np.where(some, freedom, 1.0), -np.abs(t)), 1.0)
