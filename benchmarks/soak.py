@@ -36,7 +36,7 @@ from imu_calib.plan import load_plan
 from imu_calib.share import named_file
 
 GROWN = 4.0
-"""MB for each session: pages kept by an allocator; a stored remainder of a session would be three
+"""MB for each session: pages kept by an allocator; the samples of a static dwell would be three
 times that at 100 Hz, a session a hundred times."""
 WORST = 5.0
 """Deviations of the worst of 24 parameters: exceeded in one session of 70,000."""

@@ -160,7 +160,7 @@ def described_anew(
     return {**kept, imu_key(topic): imu_text(imu)}
 
 
-def tells_site(data: Mapping[str, str]) -> bool:
+def states_site(data: Mapping[str, str]) -> bool:
     """Return whether a recording states its site."""
     return _LATITUDE in data
 
@@ -175,7 +175,7 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
     Raises:
         InputError: There is none, or it is invalid.
     """
-    if not tells_site(data):
+    if not states_site(data):
         raise NotStated(
             f'{where} does not say where it was taken: give `latitude` in degrees, negative in the '
             'south. Gravity follows from it, which scales the accelerometers, and the Earth rate. '

@@ -170,7 +170,7 @@ def test_a_contradiction_is_what_chi_square_rises_by_once_a_unit_is_joined(
         by_itself = Dense(states, (k,), priors=False).solved()[1]
         told = system().contradiction(k)
         # Directions of which a unit tells a thousandth of what the others do are left out.
-        monkeypatch.setattr(module, '_TELLS', 1e-9)
+        monkeypatch.setattr(module, '_INFORMATIVE', 1e-9)
         square, freedom = system().contradiction(k)
         monkeypatch.undo()
         assert 3 <= told[1] < freedom

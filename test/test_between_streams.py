@@ -91,7 +91,7 @@ def beside(angles: list[float], times: list[float]) -> list[float]:
     middles = [5, 15, 25, 35]
     held._segments = [Segment((m - 6) * NS, (m + 6) * NS, mean_of(NONE)) for m in middles]
     held._slips = [MountShift(m * NS, 0.1) for m in middles]
-    held._drop_unseen()
+    held._drop_hidden()
     kept = [(s.start + s.end) / 2 / NS for s in held._segments]
     assert [slip.instant / NS for slip in held._slips] == kept
     gone = [(r.start // NS, r.end // NS) for r in held._rejected]

@@ -430,7 +430,7 @@ def scattering(
     instability: Floats | None = None,
     fast: tuple[bool, bool] = (False, False),
     step: float = 0.0,
-    untold: tuple[str, ...] = (),
+    confounded: tuple[str, ...] = (),
     by_hand: bool = False,
 ) -> list[str]:
     """Return what is said of an estimate that found positioning errors and drifts."""
@@ -450,7 +450,7 @@ def scattering(
         plan=SimpleNamespace(by_hand=by_hand),
     )
     found: Any = SimpleNamespace(equations=SimpleNamespace(evidence=evidence), scatter=scatter)
-    return joint_findings._scattering(found, untold)
+    return joint_findings._scattering(found, confounded)
 
 
 def test_positioning_errors_are_told_from_a_tenth_of_what_is_stated() -> None:
@@ -461,7 +461,7 @@ def test_positioning_errors_are_told_from_a_tenth_of_what_is_stated() -> None:
     (sentence,) = scattering(joints=3 * ARCSEC, stated=2 * ARCSEC)
     assert "(the table's description states 2 arcsec)" in sentence
     assert scattering(joints=0.19 * ARCSEC, stated=2 * ARCSEC) == []
-    assumed = SimpleNamespace(assumed={'positioning'})
+    assumed = SimpleNamespace(not_stated={'positioning'})
     (sentence,) = scattering(joints=3 * ARCSEC, stated=2 * ARCSEC, table=assumed)
     assert '(2 arcsec are assumed of the table)' in sentence
     # Within a step of the encoders they do not tell; beyond it they would.
@@ -469,9 +469,9 @@ def test_positioning_errors_are_told_from_a_tenth_of_what_is_stated() -> None:
     assert sentence.endswith('encoders come in steps of 0.001 deg, which hide as much.')
     (sentence,) = scattering(joints=4 * ARCSEC, step=0.001 * DEG)
     assert sentence.endswith('the standard deviations allow for them.')
-    (sentence,) = scattering(joints=3 * ARCSEC, untold=('joint axes that wobble (wobble)',))
+    (sentence,) = scattering(joints=3 * ARCSEC, confounded=('joint axes that wobble (wobble)',))
     assert 'be distinguished from joint axes that wobble (wobble). A second session' in sentence
-    assert scattering(untold=('joint axes that wobble (wobble)',)) == []
+    assert scattering(confounded=('joint axes that wobble (wobble)',)) == []
     (sentence,) = scattering(stops=5 * ARCSEC)
     assert sentence.startswith('Attitude errors of the whole table, 5 arcsec about each axis')
     assert scattering(stops=0.19 * ARCSEC, stated=2 * ARCSEC) == []

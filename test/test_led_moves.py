@@ -17,10 +17,10 @@ from imu_calib.observation.gyro_paths import GyroPath, followed
 from imu_calib.observation.moves import (
     LinkedMove,
     Moves,
+    _informative,
     _off,
     _rounding,
     _second_order,
-    _telling,
     coning_variance,
 )
 from imu_calib.observation.velocity_increments import (
@@ -185,10 +185,10 @@ def test_a_velocity_tells_where_it_knows_force_to_ten_times_the_rest(
     rounding = np.full(6, 2e-4)
     walk = np.mean(WALK[3:] ** 2) * 0.5
     pulse = np.sqrt((1e-4 * 100 * 0.5**2 - 2e-4 - walk) * 6) * size
-    found = _telling(move(accel_pulse=pulse), rounding, rest(0, 10), WALK)
+    found = _informative(move(accel_pulse=pulse), rounding, rest(0, 10), WALK)
     assert (found.velocity_steps is not None) is tells
     alone = move(velocity_steps=None)
-    assert _telling(alone, rounding, rest(0, 10), WALK) is alone
+    assert _informative(alone, rounding, rest(0, 10), WALK) is alone
 
 
 # Where a move leads
@@ -270,7 +270,7 @@ def test_a_velocity_is_the_sum_of_its_steps() -> None:
     steps, felt = gained(MODEL, moves, 0)
     (found,) = moves.velocity_increments(MODEL)
     assert found is not None
-    np.testing.assert_allclose(found.felt, felt, atol=1e-12)
+    np.testing.assert_allclose(found.specific_force, felt, atol=1e-12)
     np.testing.assert_allclose(found.steps, steps, atol=1e-12)
     np.testing.assert_allclose(found.velocity, sum(steps), atol=1e-12)
     displacement, before = np.zeros(3), np.zeros(3)

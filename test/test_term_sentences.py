@@ -11,7 +11,13 @@ import pytest
 from imu_calib.estimation import term_tests
 from imu_calib.estimation.score import Family, Score
 from imu_calib.estimation.search import Found
-from imu_calib.estimation.term_tests import TermState, TermTest, findings, summary, untold_errors
+from imu_calib.estimation.term_tests import (
+    TermState,
+    TermTest,
+    confounded_errors,
+    findings,
+    summary,
+)
 from imu_calib.model import PARAMETERS, Parameter
 from imu_calib.model.session_terms import Course, session_term
 from imu_calib.model.terms import ACCEL_CUBIC, GYRO_ASYMMETRY, GYRO_CUBIC
@@ -271,7 +277,7 @@ def test_errors_of_the_table_are_untold_where_outputs_are_too_few_to_test_them()
         Family('zeros'): score(0.0, np.ones(2), rank=0),
         CUBIC: score(9.0, np.ones(3), rank=3, freedom=2),
     }
-    assert untold_errors(searched(scores=scores)) == ('joint axes that wobble (wobble)',)
+    assert confounded_errors(searched(scores=scores)) == ('joint axes that wobble (wobble)',)
 
 
 def drift(**more: Any) -> TermTest:

@@ -16,9 +16,9 @@ from imu_calib.estimation.outliers import (
     MOST_OUTLIERS,
     _fall,
     candidates,
+    downweighted,
     turns_disagree,
-    turns_weighed_down,
-    weighed_down,
+    turns_downweighted,
 )
 from imu_calib.estimation.score import WhitenedResiduals
 from imu_calib.observation.layout import OutputLayout
@@ -202,7 +202,7 @@ def test_turns_that_scatter_weigh_less_by_axis_and_channel() -> None:
     left[[1, 4, 7, 19, 22]] = 6.0
     # Channel x of the turns about z, too little.
     left[[9, 12, 15]] = 2.0
-    found, largest = turns_weighed_down(Turning(left), np.zeros(2))  # type: ignore[arg-type]
+    found, largest = turns_downweighted(Turning(left), np.zeros(2))  # type: ignore[arg-type]
     assert largest == pytest.approx(36.0)
     wanted = np.ones(24)
     wanted[[1, 4, 7, 19, 22]] = 36.0
@@ -213,7 +213,7 @@ def test_turns_that_scatter_weigh_less_by_axis_and_channel() -> None:
 def test_what_is_taken_up_leaves_a_degree_less() -> None:
     left = np.zeros(24)
     left[[0, 3, 6, 18, 21]] = [0.0, 6.0, 6.0, 6.0, 6.0]
-    _, largest = turns_weighed_down(Turning(left), np.zeros(2))  # type: ignore[arg-type]
+    _, largest = turns_downweighted(Turning(left), np.zeros(2))  # type: ignore[arg-type]
     assert largest == pytest.approx(4 * 36.0 / 4)
 
 
@@ -224,7 +224,7 @@ def test_less_than_one_degree_tells_nothing() -> None:
     # Four of five outputs, and half of the fifth.
     taken[[1, 4, 7, 19], range(4)] = 1.0
     taken[[22, 2], 4] = 1.0
-    found, largest = turns_weighed_down(Turning(left, taken=taken), np.zeros(5))  # type: ignore[arg-type]
+    found, largest = turns_downweighted(Turning(left, taken=taken), np.zeros(5))  # type: ignore[arg-type]
     assert found.inflation is None
     assert largest == 1.0
 
@@ -233,14 +233,14 @@ def test_less_than_one_degree_tells_nothing() -> None:
 def test_they_do_where_chance_hardly_makes_them(times: float, weighs: bool) -> None:
     left = np.zeros(24)
     left[[1, 4, 7, 19, 22]] = np.sqrt(times * chi2.isf(_UNLIKE, 5) / 5)
-    found, largest = turns_weighed_down(Turning(left), np.zeros(2))  # type: ignore[arg-type]
+    found, largest = turns_downweighted(Turning(left), np.zeros(2))  # type: ignore[arg-type]
     assert (found.inflation is not None) is weighs
     assert (largest > 1.0) is weighs
 
 
 def test_weights_of_the_same_outputs_multiply() -> None:
-    once = weighed_down(Turning(np.zeros(24)), np.array([2, 5]), 4.0)  # type: ignore[arg-type]
-    twice = weighed_down(once, np.array([5, 6]), 2.0)
+    once = downweighted(Turning(np.zeros(24)), np.array([2, 5]), 4.0)  # type: ignore[arg-type]
+    twice = downweighted(once, np.array([5, 6]), 2.0)
     assert twice.inflation is not None
     assert twice.inflation[[1, 2, 5, 6]].tolist() == [1.0, 4.0, 8.0, 2.0]
     assert once.inflation is not None

@@ -21,7 +21,7 @@ from ..metadata import (
     described_site,
     imu_key,
     serial_key,
-    tells_site,
+    states_site,
 )
 from ..model import AUTO_TERMS, Term, asks_for_search, named_terms
 from ..model.session_terms import Change, split_terms
@@ -292,7 +292,7 @@ def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> S
     """
     if stated.latitude is not None:
         return stated.site(stated.latitude)
-    if by_hand and stated.gravity is not None and not tells_site(recording.custom_data):
+    if by_hand and stated.gravity is not None and not states_site(recording.custom_data):
         return replace(stated, latitude_std=VAGUE / DEG).site(_ANYWHERE)
     own = described_site(recording.custom_data, str(recording.path))
     height, gravity = stated.height, stated.gravity

@@ -68,7 +68,7 @@ def open_recording(path: str | AnyPath, sha256: str | None = None) -> Recording:
 
 def _open_all(paths: Sequence[AnyPath], scratch: Scratch, losses: Losses) -> list[Storage]:
     """Open all files; one that cannot be opened is a loss if another one can."""
-    opened = [_open_or_tell(path, scratch, losses) for path in paths]
+    opened = [_open_or_error(path, scratch, losses) for path in paths]
     storages = [storage for storage in opened if not isinstance(storage, RecordingError)]
     problems = [error for error in opened if isinstance(error, RecordingError)]
     if not storages:
@@ -78,7 +78,7 @@ def _open_all(paths: Sequence[AnyPath], scratch: Scratch, losses: Losses) -> lis
     return storages
 
 
-def _open_or_tell(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage | RecordingError:
+def _open_or_error(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage | RecordingError:
     try:
         return open_storage(path, scratch, losses)
     except RecordingError as error:

@@ -293,9 +293,9 @@ class HandCalibrator:
 def _lost_turns(evidence: Evidence, session: Segmented) -> list[str]:
     """List the turns between holds that are not used, with reason and remedy."""
     segments = evidence.segments
-    told = {link.first for link in evidence.links.links}
+    linked = {link.first for link in evidence.links.links}
     why = {lost.start: lost.reason for lost in session.lost_moves}
-    lost = [k for k in range(len(segments) - 1) if k not in told]
+    lost = [k for k in range(len(segments) - 1) if k not in linked]
     if not lost:
         return []
     by_reason: dict[str, list[str]] = {}

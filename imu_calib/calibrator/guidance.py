@@ -28,7 +28,7 @@ _GYRO_BIAS_WIDTH = 1.0 * DEG
 """rad/s, likewise."""
 _ACCEL_BIAS_WIDTH = 0.5
 """m/s^2, likewise."""
-_TOLD = 0.5
+_DETERMINED = 0.5
 """Ratio of std to prior std below which a session has determined a parameter."""
 
 CHECKED = 2 * FEWEST
@@ -197,4 +197,4 @@ def _widths() -> Floats:
 
 def _deviations(rows: Floats) -> Floats:
     std = np.sqrt(np.diag(Information.of(rows).covariance)[: len(ESTIMATES)])
-    return np.where(std < _TOLD * _widths(), std, np.nan)
+    return np.where(std < _DETERMINED * _widths(), std, np.nan)

@@ -225,7 +225,7 @@ class Decoder:
         """Count missing frames; return how many of the missing counts are other messages."""
         counter = self._format.counter
         assert counter is not None
-        if counter.tells_direction:
+        if counter.is_signed:
             back = (steps > counter.modulus // 2) | (steps == 0)
             self.counts.restarts += int(back.sum())
             steps = np.where(back, counter.step, steps)

@@ -147,7 +147,7 @@ class FrameCounter:
         return self.modulus / self.step
 
     @property
-    def tells_direction(self) -> bool:
+    def is_signed(self) -> bool:
         """Whether a step back can be distinguished from a long gap."""
         return self.modulus >= 2**16
 

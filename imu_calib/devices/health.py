@@ -17,7 +17,7 @@ from .format import FrameFormat
 from .gravity import Gravity
 from .source import SourceState
 
-_REMEMBERED = 10.0
+_KEPT = 10.0
 """s for which an event is reported."""
 _RATE_SPAN = 2.0
 """s: a rate counted over it is accurate to one sample in it."""
@@ -224,7 +224,7 @@ class Health:
         if self._gap is not None:
             self._events['gap'] = f'Frames are missing for {self._gap:.3g} s.', steady
             self._gap = None
-        self._events = {k: v for k, v in self._events.items() if steady - v[1] < _REMEMBERED}
+        self._events = {k: v for k, v in self._events.items() if steady - v[1] < _KEPT}
 
     def _stream(
         self, state: SourceState, counts: Counts, clock: DeviceClock, now: int, steady: float

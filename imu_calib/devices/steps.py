@@ -101,7 +101,7 @@ class Stepper:
             ticks = self._time.steps(time, self._ticks) * self._time.unit
             self._ticks = int(time[-1])
         if self._counter is not None and counter is not None:
-            signed = self._counter.tells_direction
+            signed = self._counter.is_signed
             counts = differences(counter, self._count, self._counter.modulus, signed=signed)
             if not signed:
                 # Repeated frames were removed: an equal count is a whole turn.

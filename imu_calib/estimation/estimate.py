@@ -31,11 +31,11 @@ from .outliers import (
     Outlier,
     RejectedMove,
     candidates,
+    downweighted,
     find_outlier,
     moves_that_fit,
     turns_disagree,
-    turns_weighed_down,
-    weighed_down,
+    turns_downweighted,
 )
 from .score import with_parameters
 
@@ -161,7 +161,7 @@ def estimate(
         equations = resting
     found = _without_outliers(equations, state, turns=True)
     if turns_disagree(evidence, found.outliers):
-        equations, scatter = turns_weighed_down(equations, state)
+        equations, scatter = turns_downweighted(equations, state)
         found = _without_outliers(equations, state, turns=False)
         found = replace(found, turns_scatter=scatter)
     between = doubt_of_time_constant(found.equations, found.state)
@@ -184,7 +184,7 @@ def _without_outliers(equations: Equations, state: Floats, *, turns: bool) -> Es
         if found is None:
             break
         outliers.append(found)
-        equations = weighed_down(equations, found.rows, 1 + found.chi_square)
+        equations = downweighted(equations, found.rows, 1 + found.chi_square)
         plain = fit(equations, state)
         scatter = excess(equations, plain)
         weighted = with_scatter(equations, scatter)

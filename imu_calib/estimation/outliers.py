@@ -154,7 +154,7 @@ def _judged(
     return tuple(kept), tuple(astray)
 
 
-def turns_weighed_down(equations: Equations, state: Floats) -> tuple[Equations, float]:
+def turns_downweighted(equations: Equations, state: Floats) -> tuple[Equations, float]:
     """Weight turns by their scatter, each channel about each axis separately.
 
     Returns:
@@ -170,7 +170,7 @@ def turns_weighed_down(equations: Equations, state: Floats) -> tuple[Equations, 
             rows = outputs[axes == axis, channel]
             freedom, square = float(free[rows].sum()), float(left[rows] @ left[rows])
             if freedom >= 1 and scipy.special.chdtrc(freedom, square) < _UNLIKE:
-                equations = weighed_down(equations, rows, square / freedom)
+                equations = downweighted(equations, rows, square / freedom)
                 largest = max(largest, square / freedom)
     return equations, largest
 
@@ -196,7 +196,7 @@ def turns_disagree(evidence: Evidence, outliers: Sequence[Outlier]) -> bool:
     )
 
 
-def weighed_down(equations: Equations, rows: NDArray[np.intp], factor: float) -> Equations:
+def downweighted(equations: Equations, rows: NDArray[np.intp], factor: float) -> Equations:
     """Return the equations with the variances of some outputs, (k,) of them, times a factor."""
     inflation = np.ones(len(equations.outputs))
     if equations.inflation is not None:
@@ -262,7 +262,7 @@ def find_outlier(
     best: Outlier | None = None
     for index in worst:
         name, rows = candidates[index]
-        without = weighed_down(plain, rows, _LEFT_OUT)
+        without = downweighted(plain, rows, _LEFT_OUT)
         others = with_scatter(plain, excess(without, fit(without, state), suspecting=True))
         here = fit(others, state)
         square, rank, freedom = _fall(others, here, rows)

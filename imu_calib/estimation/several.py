@@ -34,7 +34,7 @@ _ROUNDS = 30
 """Most steps: the estimate of each single unit is within its deviations of the solution."""
 _CONVERGED = 1e-6
 """Standard deviations by which a last step may move any unknown."""
-_TELLS = 1e-3
+_INFORMATIVE = 1e-3
 """Of the information of the other units and the priors on a direction: with less, a unit cannot
 contradict them in it. A tenth of a percent of information is 0.05 % of a deviation."""
 _CHANCE = 1e-6
@@ -316,9 +316,9 @@ class _System:
         half = whitened(self._reduced[k].common.T * scale[:, None])
         ratios, vectors = np.linalg.eigh(half @ half.T)
         pull = vectors.T @ whitened(self._reduced[k].pull * scale)
-        tells = ratios > _TELLS
-        square = (1 + ratios[tells]) * pull[tells] ** 2 / ratios[tells]
-        return float(square.sum()), int(tells.sum())
+        informative = ratios > _INFORMATIVE
+        square = (1 + ratios[informative]) * pull[informative] ** 2 / ratios[informative]
+        return float(square.sum()), int(informative.sum())
 
     def table_seen(self) -> TableSeen:
         """Return the estimate of the table."""

@@ -42,7 +42,7 @@ _RECORD = (
 )
 """Advice that separates drifts from effects of the temperature."""
 
-_TEMPERATURE_TELLS = (
+_BY_TEMPERATURE = (
     'let the temperature rise and fall during the session, or let the unit run for an hour before '
     'it where the temperature stays'
 )
@@ -183,7 +183,7 @@ def findings(search: Search) -> list[str]:
     return [*(_found(one, table) for one in search.found), *broken_off, *_likely(search)]
 
 
-def untold_errors(search: Search) -> tuple[str, ...]:
+def confounded_errors(search: Search) -> tuple[str, ...]:
     """Return a sentence on observed errors of the table with too few outputs to be tested."""
     return tuple(
         f'{_TABLE_WORDS[family.name]} ({family.name})'
@@ -214,10 +214,10 @@ def _likely(search: Search) -> list[str]:
     ]
     allowed = f': the standard deviations of {", ".join(names)} allow for it' if names else ''
     recorded = any(family.course is Course.THERMAL for family in search.probability)
-    tell = _TEMPERATURE_TELLS if recorded else _RECORD
+    remedy = _BY_TEMPERATURE if recorded else _RECORD
     return [
         f'The session hints at {words}, with a probability of {min(total, 0.99):.2g}, and does not '
-        f'show it well enough to estimate it{allowed}. To tell, {tell}.'
+        f'show it well enough to estimate it{allowed}. To tell, {remedy}.'
     ]
 
 
@@ -249,10 +249,10 @@ def _found(found: Found, table: Table | None) -> str:
         if found.rivals:
             names = ' or '.join(rival.name for rival in found.rivals)
             courses = {family.course, *(rival.course for rival in found.rivals)}
-            tell = _TEMPERATURE_TELLS if Course.THERMAL in courses else _RECORD
+            remedy = _BY_TEMPERATURE if Course.THERMAL in courses else _RECORD
             text += (
                 f' {names} would explain it as well, and the standard deviations allow for that. '
-                f'To tell, {tell}.'
+                f'To tell, {remedy}.'
             )
         return text
     assert family.term is not None

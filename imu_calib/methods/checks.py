@@ -50,7 +50,7 @@ _WELL_KNOWN_CLOCKS = 5e-6
 """Of the rate: below it, K_g is still known to 5 ppm."""
 _LEAST_EARTH_RATE = 0.01 * DEG_H
 """rad/s: effect of a latitude that is wrong by some hundredths of a degree."""
-_TOLD = 0.2
+_DETERMINED = 0.2
 """Of the Earth's rate: with a larger uncertainty, the latitude has one of over ten degrees."""
 
 
@@ -212,7 +212,7 @@ def check_latitude(
             'not fit the static dwells (saturated turns, clocks that differ, drift).'
         )
     fits = ''
-    if total_std < _TOLD * EARTH_RATE:
+    if total_std < _DETERMINED * EARTH_RATE:
         fits = f' It fits a latitude of {seen / DEG:.1f} +- {total_std / total / DEG:.1f} deg.'
     raise WrongLatitude(
         f'The data contradicts the latitude {site.latitude / DEG:.2f} deg: {text}.{fits}',

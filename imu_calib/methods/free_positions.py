@@ -59,7 +59,7 @@ _WIDENED = 0.01
 """Probability of chance below which a group's noise is enlarged: three sound sessions in a hundred
 are widened. Held-out lengths of the Xsens of docs/real_recordings.md were off by up to 3.5 times
 the stated deviation with 1e-3, and by up to 2.4 with this."""
-_TOLD = 0.5
+_DETERMINED = 0.5
 """Degrees of freedom from which on a group shows its scatter: below, its residuals are rounding of
 the fit. A judgement."""
 _OUTLYING = 6.0
@@ -471,7 +471,7 @@ def _scatter(state: _State) -> tuple[Floats, Floats, Floats]:
     for k in range(3):
         as_known = np.where(np.arange(3) == k, 1.0, state.scatter)
         square, free = _left_of(state.scattering(as_known), k)
-        if free > _TOLD:
+        if free > _DETERMINED:
             chances[k] = scipy.special.chdtrc(free, square)
         if chances[k] < _WIDENED:
             square, freedom[k] = _left_of(state, k)
@@ -526,10 +526,10 @@ def _outstanding_turn(state: _State, basis: Floats, left: Floats, limit: float) 
     others, free = _studentised(
         kept - seen @ weight @ seen.transpose(0, 2, 1), left + seen @ weight @ left[worst]
     )
-    told = (free > 0) & (np.arange(len(moves)) != worst)
+    usable = (free > 0) & (np.arange(len(moves)) != worst)
     if freedom[worst] == 0 or np.einsum('kii->', kept) - freedom[worst] < _JUDGING:
         return None
-    usual = float(np.median(others[told] / _MEDIANS[free[told]]))
+    usual = float(np.median(others[usable] / _MEDIANS[free[usable]]))
     return worst if sizes[worst] > limit * max(1 / float(state.scatter[2]), usual) else None
 
 

@@ -19,7 +19,7 @@ from ..estimation.converge import NotConverged
 from ..estimation.estimate import Estimate, estimate
 from ..estimation.exact_table import as_the_best, contradicted, exactness_findings
 from ..estimation.search import Search, search_terms
-from ..estimation.term_tests import findings, tested, untold_errors
+from ..estimation.term_tests import confounded_errors, findings, tested
 from ..model import Term, parameters_of
 from ..model.session_terms import Change, Course
 from ..observation.equations import Equations
@@ -84,7 +84,7 @@ def concluded(search: Search, terms: tuple[Term, ...], changes: tuple[Change, ..
     Raises:
         NotObservable: The data contradicts itself.
     """
-    found = _concluded(search.estimate, untold_errors(search))
+    found = _concluded(search.estimate, confounded_errors(search))
     return replace(
         found,
         covariance=found.covariance + search.doubt,
@@ -150,10 +150,10 @@ def _check_that_no_latitude_converges(evidence: Evidence) -> None:
         return
 
 
-def _concluded(found: Estimate, untold: Sequence[str] = ()) -> Solution:
+def _concluded(found: Estimate, confounded: Sequence[str] = ()) -> Solution:
     """Check an estimate: axes, latitude, residuals.
 
-    `untold` names errors of the table that positioning errors may be in fact.
+    `confounded` names errors of the table that positioning errors may be in fact.
     """
     equations, evidence = found.equations, found.equations.evidence
     model = equations.model(found.state)
@@ -176,7 +176,7 @@ def _concluded(found: Estimate, untold: Sequence[str] = ()) -> Solution:
         float(np.sqrt(earth_covariance[2, 2])),
         found.condition,
         (
-            *estimate_findings(found, untold),
+            *estimate_findings(found, confounded),
             *far_scales(model),
             *clock_finding(evidence),
             *encoder_finding(evidence),

@@ -16,7 +16,7 @@ from ..observation.session_model import Nuisance
 from ..units import ARCSEC, DEG, DEG_H, MICRO_G, significant
 from .checks import turns_scatter_finding
 
-_TELLING = 0.1
+_SIGNIFICANT = 0.1
 """Of the stated values: positioning errors below it change no deviation by more than half a
 percent, biases that drift by so much more by no more than a tenth."""
 _OF_ATTITUDE = {'gyros': 'g_sensitivity', 'accelerometers': 'accel_cross'}
@@ -25,10 +25,10 @@ _NAMED = 3
 """Moves named in a sentence; users inspect the first ones."""
 
 
-def estimate_findings(found: Estimate, untold: Sequence[str]) -> list[str]:
+def estimate_findings(found: Estimate, confounded: Sequence[str]) -> list[str]:
     """Return the findings on an estimate, in sentences.
 
-    `untold` names errors of the table that positioning errors may be in fact.
+    `confounded` names errors of the table that positioning errors may be in fact.
     """
     notes = []
     if found.outliers:
@@ -55,7 +55,7 @@ def estimate_findings(found: Estimate, untold: Sequence[str]) -> list[str]:
             f'{significant(level / ARCSEC, 3)} arcsec to which it was taken to be level.'
         )
     notes += [_constant(found)] if found.constant else []
-    return [*notes, *temperature_finding(found), *_scattering(found, untold)]
+    return [*notes, *temperature_finding(found), *_scattering(found, confounded)]
 
 
 def _leaning(found: Estimate, outlier: Outlier) -> str:
@@ -123,7 +123,7 @@ def _ways(moves: Sequence[RejectedMove]) -> str:
     return f'from position {names}{more}'
 
 
-def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
+def _scattering(found: Estimate, confounded: Sequence[str] = ()) -> list[str]:
     """Report scatter beyond the noise and beyond the files of table and data sheet."""
     evidence, scatter = found.equations.evidence, found.scatter
     notes = []
@@ -142,21 +142,21 @@ def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
             'standard deviations allow for it, and for as much in the turns. Hold the unit, or a '
             'box that it is fixed to, against something level; free positions need no level holds.'
         )
-    elif joints > _TELLING * evidence.positioning:
+    elif joints > _SIGNIFICANT * evidence.positioning:
         notes.append(
             f'Positioning errors of {significant(joints / ARCSEC)} arcsec, which encoders do not '
             f'show, explain the scatter of the residuals ({known}): the standard deviations allow '
             f'for them.{_in_steps(joints, evidence)}'
         )
-    if stops > _TELLING * max(joints, evidence.positioning) and not evidence.plan.by_hand:
+    if stops > _SIGNIFICANT * max(joints, evidence.positioning) and not evidence.plan.by_hand:
         notes.append(
             f'Attitude errors of the whole table, {significant(stops / ARCSEC)} arcsec about each '
             'axis and others at each stop, explain the scatter of the residuals: the standard '
             'deviations allow for it.'
         )
-    if notes and untold:
+    if notes and confounded:
         notes[-1] += (
-            f' In so few positions they cannot be distinguished from {" and ".join(untold)}. A '
+            f' In so few positions they cannot be distinguished from {" and ".join(confounded)}. A '
             'second session at the same positions would show which: the same residuals mean the '
             'axes and the encoders, others the stops. So would stops at more angles of each joint.'
         )
@@ -165,7 +165,7 @@ def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
         ('accelerometers', 3, MICRO_G, 'ug'),
     ):
         drift, stated_of = scatter.bias_drift[first], evidence.instability[first]
-        if drift > (1 + _TELLING) * stated_of:
+        if drift > (1 + _SIGNIFICANT) * stated_of:
             stated = f'{significant(stated_of / unit, 3)} {symbol}' if stated_of else 'none'
             if scatter.fast_drift[first // 3]:
                 notes.append(

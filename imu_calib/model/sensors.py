@@ -237,7 +237,7 @@ class SensorModel:
 
         With terms, both triads are inverted together: rounding of one may affect the other.
         """
-        if self.linear and not self.gyros_feel_force:
+        if self.linear and not self.gyros_sense_force:
             return self.gyro.vector().tobytes()
         return self.fingerprint()
 
@@ -296,7 +296,7 @@ class SensorModel:
         return linear + self.extra_slopes(np.concatenate([rate, force], axis=-1))
 
     @property
-    def gyros_feel_force(self) -> bool:
+    def gyros_sense_force(self) -> bool:
         """Whether the gyros respond to specific force."""
         felt = any(p.degree_in_force for channel, _, p in self._products if channel < len(AXES))
         return felt or bool(self.g_sensitivity.any())

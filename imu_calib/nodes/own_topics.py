@@ -11,7 +11,7 @@ from ..middleware import Node
 from . import qos
 from .publishers import OnePublisher
 
-_REMEMBERED = 256
+_KEPT = 256
 """Most messages that may be on their way back to the node that sent them."""
 
 
@@ -34,7 +34,7 @@ class OwnTopics:
         on_foreign: Callable[[str, bytes], None],
     ) -> None:
         self._on_foreign = on_foreign
-        self._sent: deque[bytes] = deque(maxlen=_REMEMBERED)
+        self._sent: deque[bytes] = deque(maxlen=_KEPT)
         for name, kind in own.items():
             hear = partial(self._hear, name)
             node.create_subscription(kind, name, hear, qos.own_topic(), raw=True)

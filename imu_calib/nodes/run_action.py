@@ -49,9 +49,9 @@ class RunAction:
         self._goal: Any = None
         self._calibrations: dict[str, Any] = {}
         self._progress: Any = None
-        self._since = self._told_at = 0.0
+        self._since = self._sent_at = 0.0
         self._cancelled_at = 0
-        self._told: tuple[Any, ...] = ()
+        self._sent: tuple[Any, ...] = ()
         self._refused = ''
         node.create_subscription(
             messages.ImuCalibration, 'calibration', self._on_calibration, qos.results()
@@ -151,7 +151,7 @@ class RunAction:
 
     def _follow(self, now: float) -> None:
         state = self._sequencer.state()
-        self._tell(now, state)
+        self._send_feedback(now, state)
         if state.phase is Phase.DONE:
             self._await_result(now)
             return
@@ -191,11 +191,11 @@ class RunAction:
             found, key=lambda c: order.index(c.serial_number) if c.serial_number in order else -1
         )
 
-    def _tell(self, now: float, state: Any) -> None:
+    def _send_feedback(self, now: float, state: Any) -> None:
         summary = self._sequencer.summary
-        if summary == self._told and now - self._told_at < _FEEDBACK_PERIOD:
+        if summary == self._sent and now - self._sent_at < _FEEDBACK_PERIOD:
             return
-        self._told, self._told_at = summary, now
+        self._sent, self._sent_at = summary, now
         feedback = actions.RunCalibration.Feedback(
             step=state.step,
             steps=state.steps,

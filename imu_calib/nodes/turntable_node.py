@@ -147,7 +147,7 @@ class TurntableNode(Node):
         self._action = RunAction(self, self._sequencer, self._start, self._at_once)
         self.create_timer(min(_PERIOD, self._pacing.seconds), self._go_on, clock=self._steady)
         self.create_timer(_LOOK_PERIOD, self._look_around, clock=self._steady)
-        self._tell()
+        self._publish_state_when_due()
         self._look_around()
 
     def stop(self) -> Sequence[Any]:
@@ -212,7 +212,7 @@ class TurntableNode(Node):
         if self._autostart:
             self._start_by_itself()
         self._send_what_is_due(now)
-        self._tell()
+        self._publish_state_when_due()
         self._action.look(now)
 
     def _watch(self, now: float) -> None:
@@ -267,7 +267,7 @@ class TurntableNode(Node):
         if self._controller is not None:
             self._controller.follow(setpoint, self._steady.now().nanoseconds * 1e-9)
 
-    def _tell(self) -> None:
+    def _publish_state_when_due(self) -> None:
         """Publish the state when it changes, and periodically."""
         now = self._steady.now().nanoseconds * 1e-9
         sequencer = self._sequencer
@@ -393,7 +393,7 @@ class TurntableNode(Node):
     def _at_once(self) -> None:
         """Send setpoint and state now."""
         self._send_what_is_due(self._steady.now().nanoseconds * 1e-9)
-        self._tell()
+        self._publish_state_when_due()
 
 
 def _holds(payload: bytes) -> bool:

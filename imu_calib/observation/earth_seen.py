@@ -16,7 +16,7 @@ _FEWEST = 3
 """Static dwells: three in two attitudes determine six unknowns by nine readings."""
 _CONTRADICTION = 5.0
 """Standard deviations: exceeded by chance in one of 1.7 million sessions."""
-_TELLS = np.radians(10.0)
+_DETERMINED = np.radians(10.0)
 """rad: a latitude with a larger uncertainty is not reported, as in `methods.checks`."""
 
 
@@ -55,9 +55,9 @@ def latitude_seen(up: float, std: float) -> tuple[float, float] | None:
         std: Its standard deviation, rad/s.
     """
     latitude = float(np.arcsin(np.clip(up / EARTH_RATE, -1.0, 1.0)))
-    slope = EARTH_RATE * max(float(np.cos(latitude)), float(np.sin(_TELLS)))
+    slope = EARTH_RATE * max(float(np.cos(latitude)), float(np.sin(_DETERMINED)))
     found = std / slope
-    return (latitude, found) if found < _TELLS else None
+    return (latitude, found) if found < _DETERMINED else None
 
 
 def contradicts(up: float, std: float, stated: float) -> bool:

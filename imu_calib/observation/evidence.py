@@ -34,7 +34,7 @@ UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
 """Largest amount by which the cosine of a vertical axis is below one: 18 deg, beyond any error of a
 table and less than half of the 45 deg to the next attitude of any plan."""
-_REMEMBERED = 30
+_CACHED = 30
 """Ten at each of three states: that of the last step, and two from which the next fits start."""
 _WEIGHED = 6
 """Covariance, and equations by it, of two solutions used alternately and of the last step."""
@@ -159,7 +159,7 @@ class Evidence:
     @cached_property
     def state_cache(self) -> deque[tuple[Any, ...]]:
         """Cached results at the last few states (`Equations`)."""
-        return deque(maxlen=_REMEMBERED)
+        return deque(maxlen=_CACHED)
 
     @cached_property
     def weighed(self) -> deque[tuple[Any, ...]]:

@@ -69,17 +69,17 @@ class GyroPath:
         if any(force is not None for *_, force in motions):
             known = np.array([np.zeros(3) if force is None else force for *_, force in motions])
             each = np.repeat(known, [len(one) for one in seconds], axis=0).T
-            felt = each[0] * middles[0] + each[1] * middles[1] + each[2] * middles[2]
-            forces = np.split(np.ascontiguousarray(felt.T), ends)
-            if model.gyros_feel_force:
+            specific_force = each[0] * middles[0] + each[1] * middles[1] + each[2] * middles[2]
+            forces = np.split(np.ascontiguousarray(specific_force.T), ends)
+            if model.gyros_sense_force:
                 rates, middles, wholes = _led(outputs, seconds, model, forces)
         # An error over an interval acts as one in its middle, to the second order of its angle.
         transfer = product(middles, np.asarray(np.linalg.inv(model.gyro.response))[..., None])
         first = (np.ascontiguousarray(np.moveaxis(each, -1, 0)) for each in (middles, transfer))
         parts = (np.split(each, ends) for each in (rates, *first))
         return tuple(
-            cls(rate, felt, each, whole, axes, error)
-            for rate, axes, error, felt, each, whole in zip(
+            cls(rate, specific_force, each, whole, axes, error)
+            for rate, axes, error, specific_force, each, whole in zip(
                 *parts, forces, seconds, wholes, strict=True
             )
         )
@@ -113,8 +113,10 @@ def _led(
 ) -> tuple[Floats, Floats, Floats]:
     """Return rates (n, 3), rotations (3, 3, n) from the middle of each interval, the whole ones."""
     # Specific force matters only with g-sensitivity; terms are inverted for all outputs at once.
-    felt = np.zeros((1, 3)) if model.linear and not model.gyros_feel_force else np.vstack(forces)
-    _, accel = model.predict(np.zeros(3), felt)
+    specific_force = (
+        np.zeros((1, 3)) if model.linear and not model.gyros_sense_force else np.vstack(forces)
+    )
+    _, accel = model.predict(np.zeros(3), specific_force)
     rates, _ = model.compensate(outputs, accel)
     counts = [len(each) for each in seconds]
     halves = rotations_last(rates * (np.concatenate(seconds) / -2)[:, None])

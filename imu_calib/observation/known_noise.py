@@ -70,8 +70,8 @@ def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
     """
     statistics = [s.statistics for s in segments]
     counts = np.array([[len(b) for b in s.blocks[3:]] for s in statistics]).reshape(-1, 3)
-    told = (counts.min(axis=1) == counts.max(axis=1)) & (counts[:, 0] > 1)
-    where = np.flatnonzero(told)
+    uniform = (counts.min(axis=1) == counts.max(axis=1)) & (counts[:, 0] > 1)
+    where = np.flatnonzero(uniform)
     if len(where) < 3:
         return segments
     ups = np.array([statistics[k].mean[3:] for k in where])

@@ -85,13 +85,13 @@ def advice(equations: Equations) -> str:
         equations, words = tried[best]
         pending.append(words)
         still_open = lacking_parameters(equations)
-        told_now = [
+        determined = [
             p.name
             for p, was, is_open in zip(PARAMETERS, open_now, still_open, strict=True)
             if was and not is_open
         ]
-        if told_now:
-            said.append(f'{" and ".join(pending)} ({", ".join(told_now)})')
+        if determined:
+            said.append(f'{" and ".join(pending)} ({", ".join(determined)})')
             pending, open_now = [], still_open
         if not open_now.any():
             break

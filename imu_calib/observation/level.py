@@ -24,7 +24,7 @@ Accelerometers = Callable[[Evidence], Triad]
 _SURE = 5.0
 """Standard deviations of a significant tilt: exceeded in two axes once in 270 000 sessions."""
 
-_TELLING = 0.5
+_SIGNIFICANT = 0.5
 """An error of so many standard deviations gets a sentence and widens them, by 12 %; smaller ones
 are negligible against them."""
 
@@ -103,7 +103,7 @@ def widened_for_tilt(
     std = np.sqrt(np.diag(covariance)[own])
     ratio = np.divide(np.abs(bias), std, out=np.zeros(12), where=std > 0)
     worst = int(np.argmax(ratio))
-    if ratio[worst] < _TELLING:
+    if ratio[worst] < _SIGNIFICANT:
         return covariance, []
     widened = covariance.copy()
     widened[own, own] += np.outer(bias, bias)

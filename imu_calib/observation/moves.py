@@ -60,7 +60,7 @@ dwell's: beyond it a move adds less than a hundredth to what the dwell before it
 _LEVEL = np.array([1.0, 1.0, 0.0])
 """Effect of a rotation of the axes on gravity: none along it."""
 
-_REMEMBERED = 4
+_CACHED = 4
 """Models whose integrated moves are cached: a search uses two solutions alternately, and the step
 to the next from either."""
 
@@ -153,7 +153,7 @@ class Moves:
             encoders = sum(segments[end].attitude_error ** 2 for end in (first, second))
             # A hand does not hold a rate: samples rounded one by one average out.
             rounding = np.zeros(6) if free else _rounding(move, segments[first])
-            telling = move if coarse else _telling(move, rounding, segments[first], walk)
+            telling = move if coarse else _informative(move, rounding, segments[first], walk)
             cut = wrong * gravity * _second_order(move)
             links.append(
                 LinkedMove(first, second, telling, rounding, encoders, coning_variance(move), cut)
@@ -175,11 +175,11 @@ class Moves:
 
     def paths(self, model: SensorModel) -> tuple[GyroPath, ...]:
         """Return the moves by a model's gyros."""
-        return _remembered(self._paths, model.gyros_fingerprint(), lambda: self._led(model))
+        return _cached(self._paths, model.gyros_fingerprint(), lambda: self._led(model))
 
     def velocity_increments(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
         """Return the velocities gained by a model's accelerometers; None where not used."""
-        return _remembered(self._thrusts, model.fingerprint(), lambda: self._gained(model))
+        return _cached(self._thrusts, model.fingerprint(), lambda: self._gained(model))
 
     def _led(self, model: SensorModel) -> tuple[GyroPath, ...]:
         """Integrate the moves."""
@@ -194,8 +194,10 @@ class Moves:
         paths = self.paths(model)
         gained = [link.move.velocity_steps for link in self.links]
         known = [one for one in gained if one is not None]
-        felt = iter(VelocityIncrement.of_each(known, [paths[k] for k in self.with_accels], model))
-        return tuple(None if one is None else next(felt) for one in gained)
+        specific_force = iter(
+            VelocityIncrement.of_each(known, [paths[k] for k in self.with_accels], model)
+        )
+        return tuple(None if one is None else next(specific_force) for one in gained)
 
     def _pushes(self, model: SensorModel) -> list[VelocityIncrement]:
         """Return the velocities of the moves whose accelerometers are used, `_pushed` of them."""
@@ -271,10 +273,10 @@ class Moves:
         slopes = np.zeros((len(pushes), 3, len(parameters)))
         slopes[..., gyros] = leant[:, :, by.channels[gyros], by.index[gyros]]
         slopes[..., accels] = -pushed[:, :, by.channels[accels] - len(AXES), by.index[accels]]
-        felt = np.array([push.pushed_by_felt for push in pushes])
+        specific_force = np.array([push.pushed_by_force for push in pushes])
         for k, parameter in enumerate(parameters):
             if parameter in _LINEAR:
-                slopes[..., k] = -felt[:, :, parameter.row, parameter.column]
+                slopes[..., k] = -specific_force[:, :, parameter.row, parameter.column]
         if own:
             places, delay = by_places(pushes), by_delay(pushes)
             for k, p in zip(indices_of(own, parameters), own, strict=True):
@@ -454,13 +456,13 @@ class Moves:
         return np.hstack([np.ones((len(self), 3)), along])
 
 
-def _remembered(memo: dict[bytes, Led], key: bytes, worked_out: Callable[[], Led]) -> Led:
+def _cached(memo: dict[bytes, Led], key: bytes, worked_out: Callable[[], Led]) -> Led:
     """Return the cached result for a model, or compute it; the oldest is dropped.
 
     A model whose term has zero coefficients gives the same result as one without the term.
     """
     if key not in memo:
-        if len(memo) == _REMEMBERED:
+        if len(memo) == _CACHED:
             del memo[next(iter(memo))]
         memo[key] = worked_out()
     return memo[key]
@@ -475,7 +477,7 @@ def _transposed(matrices: Floats) -> Floats:
     return np.swapaxes(matrices, -1, -2)
 
 
-def _telling(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> Move:
+def _informative(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> Move:
     """Return a move without its velocity, if that adds little to the rest before it."""
     if move.velocity_steps is None:
         return move

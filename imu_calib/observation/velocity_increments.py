@@ -51,14 +51,14 @@ class VelocityIncrement:
         path: The rotation.
         model: The sensors.
         beside: (n, 3) outputs by biases and terms, m/s^2.
-        felt: (n, 3) mean specific force of each step, m/s^2.
+        specific_force: (n, 3) mean specific force of each step, m/s^2.
         steps: (n, 3) velocity of each step, body axes at the end, m/s.
     """
 
     path: GyroPath
     model: SensorModel
     beside: Floats
-    felt: Floats
+    specific_force: Floats
     steps: Floats
 
     @classmethod
@@ -79,12 +79,14 @@ class VelocityIncrement:
         terms = replace(model, terms=alone).extra(np.hstack([rates, forces]))[:, 3:]
         beside = terms + model.accel.bias
         outputs = velocity / seconds[:, None] - beside
-        felt = np.einsum('ij,nj->ni', np.linalg.inv(model.accel.response), outputs)
+        specific_force = np.einsum('ij,nj->ni', np.linalg.inv(model.accel.response), outputs)
         mean = np.einsum('ij,nj->ni', np.linalg.inv(model.gyro.response), means)
-        half_way = felt + cross(mean, felt + cross(mean, felt) / 2)
+        half_way = specific_force + cross(mean, specific_force + cross(mean, specific_force) / 2)
         steps = np.einsum('nij,nj->ni', axes, half_way) * seconds[:, None]
         ends = np.cumsum([len(path.seconds) for path in paths])[:-1]
-        parts = zip(paths, *(np.split(x, ends) for x in (beside, felt, steps)), strict=True)
+        parts = zip(
+            paths, *(np.split(x, ends) for x in (beside, specific_force, steps)), strict=True
+        )
         return tuple(cls(path, model, *mine) for path, *mine in parts)
 
     @cached_property
@@ -107,8 +109,10 @@ class VelocityIncrement:
             change = _change(self.path.rates, self.path.seconds)
             back = self.path.rates - change * (seconds / 2)
             turned = rotations(-back * seconds) - np.eye(3)
-            felt = np.einsum('nij,nj->ni', turned, self.felt) * self.path.seconds[:, None]
-            found += np.einsum('nij,nj->i', self.path.axes, felt)
+            specific_force = (
+                np.einsum('nij,nj->ni', turned, self.specific_force) * self.path.seconds[:, None]
+            )
+            found += np.einsum('nij,nj->i', self.path.axes, specific_force)
         return found
 
     @cached_property
@@ -142,9 +146,9 @@ class VelocityIncrement:
         return np.asarray(answer.T @ summed(self._timed_axes, products))
 
     @cached_property
-    def pushed_by_felt(self) -> Floats:
+    def pushed_by_force(self) -> Floats:
         """The same by the whole specific force: for scale factors and misalignments."""
-        return self.pushed(self.felt)
+        return self.pushed(self.specific_force)
 
     @cached_property
     def by_seconds(self) -> Floats:
@@ -152,8 +156,8 @@ class VelocityIncrement:
 
         The pulses are constant, but the subtracted biases and terms grow.
         """
-        felt = self.beside @ np.linalg.inv(self.model.accel.response).T
-        return -np.asarray(np.einsum('nij,nj->i', self._timed_axes, felt))
+        specific_force = self.beside @ np.linalg.inv(self.model.accel.response).T
+        return -np.asarray(np.einsum('nij,nj->i', self._timed_axes, specific_force))
 
 
 def by_delay(thrusts: Sequence[VelocityIncrement]) -> Floats:
@@ -166,7 +170,7 @@ def by_delay(thrusts: Sequence[VelocityIncrement]) -> Floats:
         thrusts: m of one model.
     """
     rates, axes, seconds, starts = _joined(thrusts)
-    crossed = cross(rates, np.concatenate([t.felt for t in thrusts])) * seconds[:, None]
+    crossed = cross(rates, np.concatenate([t.specific_force for t in thrusts])) * seconds[:, None]
     return -np.asarray(np.add.reduceat(np.einsum('nij,nj->ni', axes, crossed), starts))
 
 

@@ -240,7 +240,7 @@ _GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ..
     ),
 )
 """Heading, and rows: name, text, and the keys that they cover."""
-_TOLD = {key for _, rows in _GROUPS for _, _, keys in rows for key in keys}
+_SHOWN = {key for _, rows in _GROUPS for _, _, keys in rows for key in keys}
 
 
 def provenance(calibration: Calibration) -> str:
@@ -256,7 +256,7 @@ def provenance(calibration: Calibration) -> str:
     per_channel = _per_channel(facts)
     if per_channel:
         parts.append(tag('div', tag('h3', 'By channel') + per_channel, class_='whole across'))
-    others = {k: v for k, v in facts.items() if k not in _TOLD | _ELSEWHERE | {'versions'}}
+    others = {k: v for k, v in facts.items() if k not in _SHOWN | _ELSEWHERE | {'versions'}}
     others = {k: v for k, v in others.items() if k not in {row[0] for row in _PER_CHANNEL}}
     further = [*_flat(others), ('software', _versions(facts))]
     shown = named_rows([(name, text) for name, text in further if text])

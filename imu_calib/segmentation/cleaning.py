@@ -20,7 +20,7 @@ _SHIFT = 5.0
 """Standard deviations of the angle of a turned mount: exceeded by 6e-7 of Gaussian ones."""
 _LEAST_SHIFT = 0.005 * DEG
 """rad: 18 arcsec, three times the assumed positioning error of a table (table_errors)."""
-_TOLD_APART = _SHIFT**2
+_ONE_SIDED = _SHIFT**2
 """Samples of one sign whose sum exceeds the root of the sum of their squares by `_SHIFT`: with
 fewer no test distinguishes a turn from vibration."""
 _HALF = 0.5
@@ -223,7 +223,7 @@ def _one_way(samples: Floats, total: Floats, turned: Floats, pulses: Floats) -> 
     free = samples - (total - turned) / len(samples)
     flips = len(samples) * (_FLIPPING * pulses) ** 2
     squares = np.maximum(np.sum(free**2, axis=0) - flips, 0.0)
-    many = np.sum(np.abs(free), axis=0) ** 2 > _TOLD_APART * np.sum(free**2, axis=0)
+    many = np.sum(np.abs(free), axis=0) ** 2 > _ONE_SIDED * np.sum(free**2, axis=0)
     return np.asarray(~many | (np.abs(turned) >= _SHIFT * np.sqrt(squares)))
 
 

@@ -61,7 +61,7 @@ _SURELY_SEEN = 3
 motion matches another by chance, but not three in a row."""
 _NEAR = 0.5
 """s: clocks this close are compared motion by motion, in a second of rest on either side."""
-_TELLING = 10 * DEG
+_SIGNIFICANT = 10 * DEG
 """rad: longer motions determine the offset of the clocks."""
 
 
@@ -169,7 +169,7 @@ class Segmenter:
         if tracker is not None:
             self._pending.extend(tracker.finish())
         self._work(last=True)
-        self._drop_unseen()
+        self._drop_hidden()
         if self._clocks_unknown:
             self._drop_all()
         self._retime()
@@ -387,7 +387,7 @@ class Segmenter:
         compared = clock_sample(
             samples.stamp, turned, motion.stamp + self._reference_ns, motion.position[:, joint]
         )
-        if travel[joint] > _TELLING:
+        if travel[joint] > _SIGNIFICANT:
             self._compared.append(compared is not None and abs(compared.offset) < _NEAR)
         if compared is None:
             return
@@ -428,7 +428,7 @@ class Segmenter:
             else:
                 self._rejected.append(thing)
 
-    def _drop_unseen(self) -> None:
+    def _drop_hidden(self) -> None:
         """Drop dwells next to a motion that the gyros did not see: clocks are apart."""
         instants = np.array([instant for instant, _ in self._seen_motions])
         angles = np.array([seen.angle for _, seen in self._seen_motions])
@@ -443,14 +443,14 @@ class Segmenter:
         unseen = np.maximum(angles, times) < _SEEN
         unseen = np.concatenate([[False], unseen & ~frozen, [False]])
 
-        def beside_unseen(instant: float) -> bool:
+        def beside_hidden(instant: float) -> bool:
             after = int(np.searchsorted(instants, instant))
             return bool(unseen[after] or unseen[after + 1])
 
-        self._slips = [slip for slip in self._slips if not beside_unseen(slip.instant)]
+        self._slips = [slip for slip in self._slips if not beside_hidden(slip.instant)]
         kept = []
         for segment in self._segments:
-            if beside_unseen((segment.start + segment.end) / 2):
+            if beside_hidden((segment.start + segment.end) / 2):
                 reason = (
                     'the gyros do not show the motion next to it that the joint states show '
                     '(clocks that jump, or are about a second apart)'

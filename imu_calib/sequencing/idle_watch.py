@@ -43,7 +43,7 @@ class IdleWatch:
         self._last = self._origin = None if at is None else at.angles
         self._fault = ''
         self._joint = ''
-        self._told = 0.0
+        self._reported = 0.0
         self.moves = False
         self.text = ''
         self.way = 0.0
@@ -69,9 +69,9 @@ class IdleWatch:
             self.moves = False
             self._standing = Standing(self._table, self._rules, now)
             self._standing.keep(now.angles)
-        elif self.text and self.way < _NEWS * self._told:
+        elif self.text and self.way < _NEWS * self._reported:
             return False
-        self._told = self.way
+        self._reported = self.way
         self.text = self._words()
         return True
 

@@ -63,7 +63,7 @@ class Lead:
         self._course: Course | None = None
         self._start = 0
         self._covered = 0.0
-        self._told = -math.inf
+        self._sent = -math.inf
 
     def piece(self, setpoint: Setpoint, at: Feedback) -> Piece | None:
         """Return the trajectory to send with a setpoint, None while the last one suffices.
@@ -118,9 +118,9 @@ class Lead:
         content = (setpoint.mode,)
         now = setpoint.stamp * 1e-9
         # Once at rest the controller holds by itself.
-        if content == self._content and (at.still or now < self._told + _RENEWAL):
+        if content == self._content and (at.still or now < self._sent + _RENEWAL):
             return None
-        self._content, self._told = content, now
+        self._content, self._sent = content, now
         if (setpoint.stamp - at.stamp) * 1e-9 > _OLD:
             return self._cut_short(setpoint)
         self._course = None

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from .node import Node
 
-_REMEMBERED = 16
+_KEPT = 16
 """Number of ended goals whose results may still be requested."""
 _NONE, _REJECTED, _UNKNOWN, _TERMINATED = range(4)
 """Return codes of action_msgs/srv/CancelGoal."""
@@ -125,7 +125,7 @@ class GoalServer:
         response = self._kind.Impl.GetResultService.Response(status=int(status), result=result)
         goal.answer.set_result(response)
         ended = [k for k, g in self._goals.items() if g.status in ENDS]
-        for identity in ended[:-_REMEMBERED]:
+        for identity in ended[:-_KEPT]:
             del self._goals[identity]
         self._publish_status()
 

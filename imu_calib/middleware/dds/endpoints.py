@@ -41,15 +41,15 @@ class _TopicEnd:
         self.topic_name = topic
         self.qos_profile = qos
         self._end = end
-        self._tell = None if events is None else events.incompatible_qos
+        self._notify = None if events is None else events.incompatible_qos
 
     def tend(self) -> None:
         """Report mismatches of quality of service: to the callback, else in the log."""
         info = self._end.incompatible()
         if info is None:
             return
-        if self._tell is not None:
-            self._tell(info)
+        if self._notify is not None:
+            self._notify(info)
         else:
             kinds = {int(kind): kind.name for kind in QoSPolicyKind}
             policy = kinds.get(info.last_policy_kind, 'another')
