@@ -431,6 +431,34 @@ def test_an_output_folder_that_does_not_exist(cli: CommandLine, recorded: Path) 
     assert (code, 'is a folder, expected the name of a file' in text) == (2, True)
 
 
+def test_a_recording_is_not_written_over(cli: CommandLine, recorded: Path, tmp_path: Path) -> None:
+    bag = copied(recorded, tmp_path)
+    kept = storage(bag).read_bytes()
+    (tmp_path / 'link.yaml').symlink_to(storage(bag))
+    for given in (bag, storage(bag)):
+        for output in (storage(bag), tmp_path / 'link.yaml'):
+            assert cli('calibrate', given, '-o', output)[0] == 2
+            assert storage(bag).read_bytes() == kept
+
+
+def test_an_input_is_not_written_over(
+    cli: CommandLine, of_good: Calibration, tmp_path: Path
+) -> None:
+    file, link = tmp_path / 'mine.yaml', tmp_path / 'link.yaml'
+    of_good.save(file)
+    kept = file.read_bytes()
+    link.symlink_to(file)
+    for output in (file, link):
+        for words in (['report', file], ['export', file, '--format', 'c']):
+            code, text = cli(*words, '-o', output)
+            assert (code, 'is an input of the command' in text) == (2, True)
+            assert file.read_bytes() == kept
+    imu = tmp_path / 'imu.yaml'
+    imu.write_text(text_of('imus', 'fog_medium'))
+    assert cli('plans', '--optimise', 30, '--imu', imu, '-o', imu)[0] == 2
+    assert imu.read_text() == text_of('imus', 'fog_medium')
+
+
 @pytest.mark.parametrize(
     ('content', 'sentence'),
     [

@@ -269,7 +269,7 @@ def test_the_command_writes_and_says_what_is_lost(
     ] == {'calibration': str(file)}
     assert main(['export', str(file), '--format', 'imucal', '-o', str(tmp_path / 'x')]) == 2
     assert main(['export', str(file), '--format', 'c', '-o', str(file)]) == 2
-    assert 'is the calibration itself' in capsys.readouterr().err
+    assert 'is an input of the command' in capsys.readouterr().err
 
 
 def test_a_gyro_only_calibration_says_so() -> None:

@@ -53,7 +53,7 @@ def export(
     if isinstance(calibration, str | Path):
         path = user_path(calibration).absolute()
     target = None if output is None else user_path(output)
-    if target is not None and target.absolute() == path:
+    if target is not None and path is not None and target.resolve() == path.resolve():
         raise InputError(f'`output`: {target} is the calibration itself.')
     loaded, name = as_applied(calibration if path is None else path)
     combined = isinstance(loaded, ThermalCalibration) and len(loaded.calibrations) > 1

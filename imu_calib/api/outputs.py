@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from ..bags.files import is_storage
 from ..errors import InputError
 from ..paths import user_path
 from .named import Named
@@ -16,12 +17,15 @@ def output_path(output: Named) -> Path:
     """Return the path of a file to be written.
 
     Raises:
-        InputError: Its folder does not exist, or it is itself a folder.
+        InputError: Its folder does not exist, it is a folder itself, or a recording, which nobody
+            can make again.
 
     """
     path = _below_a_folder(output)
     if path.is_dir():
         raise InputError(f'{path}: is a folder, expected the name of a file.')
+    if path.is_file() and is_storage(path.resolve()):
+        raise InputError(f'{path} exists already; recordings are not overwritten.')
     return path
 
 

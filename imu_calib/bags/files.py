@@ -78,7 +78,7 @@ def find_files(path: AnyPath, losses: Losses) -> Found:
         return Found((path,), Metadata())
     if not path.is_dir():
         raise RecordingError(f'{path}: no such recording; expected a rosbag2 folder or file.')
-    present = sorted((p for p in path.iterdir() if _is_storage(p)), key=_natural)
+    present = sorted((p for p in path.iterdir() if is_storage(p)), key=_natural)
     metadata = read_metadata(path)
     if not present:
         held = ', '.join(sorted(p.name for p in path.iterdir())[:8]) or 'nothing'
@@ -115,7 +115,8 @@ def _listed(
     return tuple(paths)
 
 
-def _is_storage(path: AnyPath) -> bool:
+def is_storage(path: AnyPath) -> bool:
+    """Say whether a file has the name of a recording, compressed or not."""
     return _bare(path.name).endswith(_STORAGE)
 
 

@@ -9,9 +9,11 @@ import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NoReturn
 
 from ..errors import ImuCalibError, InputError
+from ..paths import user_path
 from ..units import point_for_comma
 from ..version import version
 from .interruption import INTERRUPTED, KIND, WORDS, clear_interrupt
@@ -147,6 +149,7 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
     as_json = getattr(arguments, 'json', False)
     command = arguments.command
     try:
+        _keep_inputs(arguments)
         outcome = arguments.run(arguments) or Outcome()
         if as_json:
             write_document(command, outcome)
@@ -187,6 +190,29 @@ def _loaded(argv: Sequence[str]) -> argparse.Namespace:
     finally:
         gc.freeze()
         gc.enable()
+
+
+def _keep_inputs(arguments: argparse.Namespace) -> None:
+    """Refuse to write over a file that the command reads, under whatever name.
+
+    Raises:
+        InputError: An output is one of the inputs.
+
+    """
+    given = {name: _words_of(value) for name, value in vars(arguments).items()}
+    outputs = [path for path in map(user_path, given.pop('output', [])) if path.is_file()]
+    if not outputs:
+        return
+    inputs = [path for words in given.values() for path in map(Path, words) if path.is_file()]
+    for output in outputs:
+        if any(output.samefile(path) for path in inputs):
+            raise InputError(f'--output: {output} is an input of the command: name another file.')
+
+
+def _words_of(value: object) -> list[str]:
+    """Return the words of an option that takes one or several."""
+    words = value if isinstance(value, list) else [value]
+    return [word for word in words if isinstance(word, str) and '\0' not in word]
 
 
 def _ended(command: str, as_json: bool, code: int, text: str, kind: str) -> int:
