@@ -127,6 +127,8 @@ def test_options_that_do_not_go_together_are_refused_before_anything_starts(tmp_
         (['--control'], '--control is for the page in the browser'),
         (['--web-host', '0.0.0.0'], '--web-host is for the page'),
         (['--web', '70000'], 'expected a port'),
+        (['--speed', '-1'], '--speed: found -1, expected 0 or more'),
+        (['--speed', 'nan'], '--speed: found nan, expected 0 or more'),
     ):
         assert main(['stand', 'twelve_position', '-o', str(folder), *words]) == 2
         assert said in re.sub(r'\s+', ' ', capsys.readouterr().err)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 from ..api.named import load_truth
@@ -188,6 +189,8 @@ def _check(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration
     They are keyed by serial number; for a single unit by an empty name.
     """
     web_page.check(arguments)
+    if not (arguments.speed >= 0 and math.isfinite(arguments.speed)):
+        raise InputError(f'--speed: found {arguments.speed:g}, expected 0 or more.')
     if arguments.imus:
         return _check_several(arguments, words)
     _check_baud(arguments)
