@@ -259,6 +259,10 @@ def test_only_calibrations_of_one_unit_are_compared(contents: Contents) -> None:
     foreign = replace(own, imu=replace(own.imu, id='another'))
     with pytest.raises(InputError, match=r"b\.yaml: is of unit 'another', expected 'fog_medium'"):
         repeated([own, foreign], ['a.yaml', 'b.yaml'])
+    one, two = replace(own, serial_number='A1'), replace(own, serial_number='A2')
+    with pytest.raises(InputError, match=r'b\.yaml: serial_number: found A2, expected A1'):
+        repeated([one, two], ['a.yaml', 'b.yaml'])
+    assert repeated([own, two], ['a.yaml', 'b.yaml'])
     scaled = replace(own, imu=replace(own.imu, accel=replace(own.imu.accel, scale_factor=0.02)))
     with pytest.raises(InputError, match='nominal scale factors'):
         repeated([own, scaled], ['a.yaml', 'b.yaml'])

@@ -124,6 +124,12 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
             raise InputError(
                 f'{name}: is of unit {other.imu.id!r}, expected {first.imu.id!r} as {names[0]}.'
             )
+        serials = first.serial_number, other.serial_number
+        if all(serials) and serials[0] != serials[1]:
+            raise InputError(
+                f'{name}: serial_number: found {serials[1]}, expected {serials[0]} as {names[0]}: '
+                'repeatability is that of one unit.'
+            )
         scales = [
             (c.imu.units.value, c.imu.gyro.scale_factor, c.imu.accel.scale_factor)
             for c in (first, other)
