@@ -118,7 +118,8 @@ def test_progress_is_shown_and_terms_are_left_out_where_that_is_asked(folder: Pa
     [
         ({'plan': 'no_such'}, InputError, "No plan is called 'no_such'; there are: .*twelve_pos"),
         ({'imu_topic': '/else'}, InputError, 'topic /else: .* are: /imu/pulses'),
-        ({'azimuth': float('nan')}, InputError, '`azimuth`: found nan, expected degrees'),
+        ({'azimuth': float('nan')}, InputError, '`azimuth`: found nan deg, expected -360 to 360'),
+        ({'azimuth': 1000.0}, InputError, '`azimuth`: found 1000 deg, expected -360 to 360'),
         ({'serial': '7', 'latitude': 95.0}, InputError, 'latitude'),
         ({'plan': 'six_position'}, InputError, 'setpoints of the recording are of plan twelve'),
         ({'latitude': -60.0}, NotObservable, 'latitude'),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from numbers import Real
 from typing import TYPE_CHECKING
@@ -169,8 +168,8 @@ class Stated:
         """
         if self.azimuth is None:
             return table
-        if not math.isfinite(self.azimuth):
-            raise InputError(f'`azimuth`: found {self.azimuth}, expected degrees.')
+        if not abs(self.azimuth) <= 360:
+            raise InputError(f'`azimuth`: found {self.azimuth:g} deg, expected -360 to 360.')
         return replace(table, azimuth=self.azimuth * DEG)
 
 
