@@ -128,6 +128,7 @@ def test_options_that_do_not_go_together_are_refused_before_anything_starts(tmp_
         (['--web-host', '0.0.0.0'], '--web-host is for the page'),
         (['--web', '70000'], 'expected a port'),
         (['--speed', '-1'], '--speed: found -1, expected 0 or more'),
+        (['--azimuth', 'nan'], '--azimuth: found nan deg, expected -360 to 360'),
         (['--speed', 'nan'], '--speed: found nan, expected 0 or more'),
     ):
         assert main(['stand', 'twelve_position', '-o', str(folder), *words]) == 2

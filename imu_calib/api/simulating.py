@@ -32,12 +32,11 @@ from ..stream import (
     TemperatureBlock,
 )
 from ..turntable import Table, load_table
-from ..units import DEG
 from .keywords import AtSite, with_keywords
 from .named import Named, as_imu, load_truth
 from .outputs import new_folder, whole_or_not_at_all
 from .progress import Progress, silent
-from .stated import TRUE_TABLE, Stated
+from .stated import TRUE_TABLE, Stated, azimuth_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -170,12 +169,12 @@ def options_of(
     """Return how a simulated stand differs from its descriptions; arguments as for `simulate`.
 
     Raises:
-        InputError: The file is broken, or a date or a temperature is invalid.
+        InputError: The file is broken, or an azimuth, a date or a temperature is none.
 
     """
     options = StandOptions(
-        azimuth=(azimuth or 0.0) * DEG,
-        # A uniform error of this half width has the table's stated standard deviation.
+        azimuth=azimuth_of(azimuth or 0.0),
+        # A uniform error of this half width has the standard deviation that the table states.
         positioning_error=0.0 if table is None else math.sqrt(3) * table.positioning,
         bias_instability=bias_instability,
     )

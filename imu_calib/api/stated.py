@@ -168,9 +168,19 @@ class Stated:
         """
         if self.azimuth is None:
             return table
-        if not abs(self.azimuth) <= 360:
-            raise InputError(f'`azimuth`: found {self.azimuth:g} deg, expected -360 to 360.')
-        return replace(table, azimuth=self.azimuth * DEG)
+        return replace(table, azimuth=azimuth_of(self.azimuth))
+
+
+def azimuth_of(degrees: float) -> float:
+    """Return an azimuth in rad.
+
+    Raises:
+        InputError: It is no angle, or beyond a turn.
+
+    """
+    if not abs(degrees) <= 360:
+        raise InputError(f'`azimuth`: found {degrees:g} deg, expected -360 to 360.')
+    return degrees * DEG
 
 
 def plan_of(stated: Stated, recording: Recording, streams: Streams) -> Plan | None:

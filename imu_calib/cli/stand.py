@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 from ..api.named import load_truth
+from ..api.stated import azimuth_of
 from ..calibration import Calibration
 from ..devices import Baud, FrameFormat, check_port, choose_baud, is_serial, load_format, too_slow
 from ..earth import LUOYANG
@@ -191,6 +192,7 @@ def _check(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration
     web_page.check(arguments)
     if not (arguments.speed >= 0 and math.isfinite(arguments.speed)):
         raise InputError(f'--speed: found {arguments.speed:g}, expected 0 or more.')
+    azimuth_of(arguments.azimuth)
     if arguments.imus:
         return _check_several(arguments, words)
     _check_baud(arguments)
