@@ -213,6 +213,10 @@ def test_catalogue_lists_filters_and_exports(
     capsys.readouterr()
     assert main(['catalogue', str(done), *asked]) == 0
     assert capsys.readouterr().out.split()[:2] == ['n', 'avg(K_gx)']
+    # A word of SQL is a column, and numbers have their units.
+    assert main(['catalogue', str(done), '--columns', 'serial,at, K_gx,D_gx,temperature']) == 0
+    heading = capsys.readouterr().out.split('\n')[0]
+    assert heading.split() == 'serial at K_gx [1] D_gx [rad/s] temperature [degC]'.split()
     assert main(['catalogue', str(done), '--sql', 'select nothing']) == 2
     assert 'nothing' in capsys.readouterr().err
     assert main(['catalogue', str(done), '--sql', f"select * from '{csv}'"]) == 2

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
+from rich.text import Text
 
 from ..errors import InputError
-from ..fleet.catalogue import Catalogue, rows_of
+from ..fleet.catalogue import Catalogue, rows_of, schema
 from .row_files import row_file, write_rows
 from .terminal import OUTPUT
 
@@ -49,13 +51,14 @@ def run(arguments: argparse.Namespace) -> None:
         raise InputError('--sql is a whole query: leave --where and --columns out.')
     catalogue = Catalogue(arguments.catalogue)
     default = '*' if path is not None else ', '.join(_SHOWN)
-    columns = default if arguments.columns is None else arguments.columns
+    columns = _quoted(default if arguments.columns is None else arguments.columns)
     where = f' where {arguments.where}' if arguments.where else ''
     found = catalogue.query(
         arguments.sql or f'select {columns} from rows{where} order by date, recording'
     )
     if path is None:
-        _show(found)
+        # What a query of one's own computes under a column's name may have another unit.
+        _show(found, {} if arguments.sql else _units())
     else:
         rows = [{name: _plain(one) for name, one in row.items()} for row in rows_of(found)]
         write_rows(path, found.column_names, rows, rows)
@@ -66,11 +69,24 @@ def _rows(found: pa.Table) -> str:
     return f'{found.num_rows} row{"" if found.num_rows == 1 else "s"}'
 
 
-def _show(found: pa.Table) -> None:
+def _quoted(columns: str) -> str:
+    """Put names of columns in quotes: `at` and `values` are words of SQL."""
+    names = set(schema().names)
+    parts = columns.split(',')
+    return ','.join(f'"{part.strip()}"' if part.strip() in names else part for part in parts)
+
+
+def _units() -> dict[str, str]:
+    """Return the units of the columns that have one: DuckDB hands on no metadata."""
+    units = {one.name: (one.metadata or {}).get(b'unit', b'').decode() for one in schema()}
+    return {name: unit for name, unit in units.items() if unit}
+
+
+def _show(found: pa.Table, units: Mapping[str, str]) -> None:
     table = Table(box=None, pad_edge=False)
-    for one in found.schema:
-        unit = (one.metadata or {}).get(b'unit', b'').decode()
-        table.add_column(f'{one.name} [{unit}]' if unit else one.name)
+    for name in found.column_names:
+        # As text: a unit in brackets is taken for a style otherwise.
+        table.add_column(Text(f'{name} [{units[name]}]' if name in units else name))
     for row in rows_of(found):
         table.add_row(*(_text(value) for value in row.values()))
     OUTPUT.print(table, markup=False)
