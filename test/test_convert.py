@@ -389,6 +389,9 @@ def test_two_topics_say_at_which_rates_they_come(tmp_path: Path) -> None:
     assert 'come with 200 Hz and are read at the stamps of the gyros, 200 Hz' in done.findings[0]
     with pytest.raises(InputError, match='recording of rosbag2 already'):
         imu_calib.convert(bag, tmp_path / 'other')
+    (tmp_path / 'none').mkdir()
+    with pytest.raises(InputError, match='none is a folder without a recording'):
+        imu_calib.convert(tmp_path / 'none', tmp_path / 'other')
     with pytest.raises(InputError, match='no topic /none'):
         imu_calib.convert(bag, tmp_path / 'other', gyro_topic='/none', accel_topic='/a')
     with pytest.raises(InputError, match='exists already'):

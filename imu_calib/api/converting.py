@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 from ..bags import AnyPath, RecordingError, local, located, open_recording
+from ..bags.files import is_storage
 from ..cdr import Kind
 from ..errors import InputError
 from ..extras import require
@@ -77,6 +78,8 @@ def convert(
             raise InputError(f'`{given[0]}` names columns of a text file; {path} is a recording.')
         if path.suffix == '.bag':
             return _from_ros1(path, target)
+        if path.is_dir() and not any(is_storage(file) for file in path.iterdir()):
+            raise InputError(f'{path} is a folder without a recording; name a file to convert.')
         if gyro_topic is None or accel_topic is None:
             raise InputError(
                 f'{path} is a recording of rosbag2 already. Where gyros and accelerometers are on '
