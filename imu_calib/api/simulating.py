@@ -169,12 +169,12 @@ def options_of(
     """Return how a simulated stand differs from its descriptions; arguments as for `simulate`.
 
     Raises:
-        InputError: The file is broken, or an azimuth, a date or a temperature is none.
+        InputError: The file is broken, or an azimuth, a date or a temperature is invalid.
 
     """
     options = StandOptions(
         azimuth=azimuth_of(azimuth or 0.0),
-        # A uniform error of this half width has the standard deviation that the table states.
+        # A uniform error of this half width has the table's stated standard deviation.
         positioning_error=0.0 if table is None else math.sqrt(3) * table.positioning,
         bias_instability=bias_instability,
     )
