@@ -58,7 +58,7 @@ def page(contents: Contents) -> str:
             _parameters(contents),
             _changes(contents.calibration),
             section('Terms', *terms_section(calibration)),
-            section('Uncertainty budget', *budget_section(calibration), kind='page'),
+            section('Uncertainty budget', *budget_section(calibration)),
             _course(contents.result),
             _residuals(contents),
             _noise(contents),
