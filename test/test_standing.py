@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,10 @@ import pytest
 
 import imu_calib
 from imu_calib import ImuCalibError, InputError, NotObservable
-from imu_calib.cli import resume
+from imu_calib.api.stated import TRUE_TABLE
+from imu_calib.cli import resume, stand_session
 from imu_calib.cli.main import main
+from imu_calib.share import named_file
 
 try:
     from live import LIMIT, short_plan
@@ -53,3 +56,17 @@ def test_it_says_what_the_command_says(tmp_path: Path, capsys: pytest.CaptureFix
     assert capsys.readouterr().err == f'imu-calib stand: {refused.value}\n'
     assert 'need north' in str(refused.value)
     assert not (tmp_path / 'stand').exists()
+
+
+def test_a_simulated_table_with_errors_that_its_description_lacks_is_said(tmp_path: Path) -> None:
+    """Misalignments are then tens of standard deviations off: a beginner must know why."""
+    exact = argparse.Namespace(table='three_axis')
+    assert stand_session._of_true_table(exact, tmp_path) == []
+    (tmp_path / TRUE_TABLE).write_text('')
+    (sentence,) = stand_session._of_true_table(exact, tmp_path)
+    assert f'the errors of {tmp_path / TRUE_TABLE}' in sentence
+    assert 'its description, three_axis, states none' in sentence
+    described = tmp_path / 'mine.yaml'
+    shipped = named_file('tables', 'three_axis').read_text()
+    described.write_text(shipped.replace('simulated: true', ''))
+    assert stand_session._of_true_table(argparse.Namespace(table=str(described)), tmp_path) == []

@@ -186,8 +186,20 @@ def _print_result(
         f'\n{calibration.provenance["samples"]} samples, {outcome.duration:.0f} s of the stand in '
         f'{seconds:.0f} s; recording: {folder / resume.JOURNAL}, result: {folder / resume.RESULT}'
     )
-    sentence_list('Worth knowing', calibration.findings)
+    sentence_list('Worth knowing', [*_of_true_table(arguments, folder), *calibration.findings])
     return []
+
+
+def _of_true_table(arguments: argparse.Namespace, folder: Path) -> list[str]:
+    """Say which comparison with the truth shows errors of a table that is described as exact."""
+    table = load_table(arguments.table)
+    if not (table.too_fine and (folder / TRUE_TABLE).exists()):
+        return []
+    return [
+        f'The simulated table has the errors of {folder / TRUE_TABLE}, and its description, '
+        f'{table.name}, states none: error/std of the parameters above contains them. Copy the '
+        'description, leave out simulated, state what the table has, and give it by --table.'
+    ]
 
 
 def _network(arguments: argparse.Namespace) -> dict[str, str]:

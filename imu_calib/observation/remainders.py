@@ -36,8 +36,8 @@ to its variance."""
 _EVEN = 0.5
 """Largest standard deviation of a count, pulses, for which six are enough: beyond it phases cover
 more than a turn, which thirty-two sample evenly."""
-_MANY = np.sqrt(2) * scipy.special.erfinv((2 * np.arange(32) + 1) / 32 - 1)
-"""The same, by the medians of thirty-two equal parts."""
+_MANY = 32
+"""Equal parts of a normal distribution whose medians represent it beyond that."""
 
 _RANK = 1e-3
 """Least singular value of the inputs of a triad, of the largest: dwells and turns are nearly at
@@ -119,7 +119,7 @@ def remainder_covariance(
         held = edges[:, :, channel]
         counted = np.append(0.0, np.cumsum(outputs[:, channel] * seconds)) / pulse[channel]
         off = doubt[channel] / pulse[channel]
-        rates = _RATES if off * times[-1] < _EVEN else _MANY
+        rates = _RATES if off * times[-1] < _EVEN else _medians()
         faster = np.outer(rates * off, times)
         phases = 2j * np.pi * harmonics[:, None, None] * (counted + faster)
         sums = np.exp(phases) @ held
@@ -127,3 +127,8 @@ def remainder_covariance(
         independent = (1 / 12 - share.sum()) * held.T @ held
         found += pulse[channel] ** 2 * (following + independent)
     return found
+
+
+def _medians() -> Floats:
+    """Return the medians of `_MANY` equal parts of a normal distribution, standard deviations."""
+    return np.asarray(scipy.special.ndtri((2 * np.arange(_MANY) + 1) / (2 * _MANY)))
