@@ -90,6 +90,14 @@ def test_another_nominal_scale_factor_is_no_difference_of_the_unit() -> None:
     assert all(abs(float(row[2])) < 1e-9 for row in rows(first, second).values())
 
 
+def test_two_units_are_said_to_be_two() -> None:
+    """A unit without a serial number, the truth of a simulation for one, may be any."""
+    first, second = (replace(unit(), serial_number=n) for n in ('A1004', 'A1005'))
+    (finding,) = compare(first, second, unit()).findings
+    assert 'different units, with the serial numbers A1004 and A1005' in finding
+    assert compare(first, first, unit()).findings == ()
+
+
 def test_pulses_and_si_are_not_compared(tmp_path: Path) -> None:
     first = unit()
     second = replace(first, imu=replace(first.imu, units=Units.SI))

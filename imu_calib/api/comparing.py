@@ -183,11 +183,13 @@ def compare(
             'Not all are in the same frame: a calibration in the hand is in the axes of its '
             'accelerometers, one from a table in those of the table; E and K differ by that alone.'
         )
-    return Compared(
-        called,
-        beside,
-        tuple(findings),
-    )
+    serials = dict.fromkeys(c.serial_number for c in own if c.serial_number)
+    if len(serials) > 1:
+        findings.append(
+            f'These are different units, with the serial numbers {" and ".join(serials)}: the '
+            'differences are those between units.'
+        )
+    return Compared(called, beside, tuple(findings))
 
 
 def _single(calibration: Result | AnyCalibration | Named) -> Calibration:

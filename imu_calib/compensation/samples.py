@@ -17,9 +17,9 @@ class Mark(IntFlag):
     """Condition of a sample that its user must know; any number of them."""
 
     GYRO_RANGE = 1
-    """A gyro is at the end of its range: the rate is unknown."""
+    """A gyro is at the end of its range, so that the rate is unknown."""
     ACCEL_RANGE = 2
-    """An accelerometer is at the end of its range: the specific force is unknown."""
+    """An accelerometer is at the end of its range, so that the specific force is unknown."""
     RATE = 4
     """Faster than the unit was rotated in its calibration."""
     TEMPERATURE = 8
