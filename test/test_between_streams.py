@@ -104,6 +104,31 @@ def beside(angles: list[float], times: list[float]) -> list[float]:
     return kept
 
 
+def test_a_dwell_that_repeats_the_sample_of_a_frozen_motion_is_frozen_itself() -> None:
+    """Of the last of four motions one sample is all there is; so it is of the dwell before it."""
+    values = np.zeros((60, 6))
+    values[:, 3] = 9.0
+    sound = np.random.default_rng(0).normal(size=(60, 6))
+    held = reader()
+    held._seen_motions = [(10.0 * NS * (k + 1), ShareSeen(1.0, 1.0)) for k in range(3)]
+    held._seen_motions.append((40.0 * NS, ShareSeen(0.1, 0.1)))
+    held._repetitions = [Repetition.of(part, part) for part in (*[sound] * 3, values)]
+    assert np.array_equal(held._repetitions[3].sample, values[0])
+    # The mean of samples that are alike, by an interval that is a little off; others; and the same
+    # far from the frozen motion.
+    means = [values[0], values[0], 1.0001 * values[0], values[0] + [0, 1e-4, 0, 0, 0, 0]]
+    middles = [5, 15, 35, 45]
+    held._segments = [
+        Segment((m - 3) * NS, (m + 3) * NS, mean_of(mean))
+        for m, mean in zip(middles, means, strict=True)
+    ]
+    held._drop_hidden()
+    assert [s.start // NS + 3 for s in held._segments] == [5, 15, 45]
+    (gone,) = held._rejected
+    assert gone.start == 32 * NS
+    assert gone.reason == 'its samples are frozen, repeating the one of the motion next to it'
+
+
 @pytest.mark.parametrize(
     ('angles', 'times', 'kept'),
     [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,10 @@ _CHANCE = 1e-9
 
 _AROUND = 32
 """Samples before and after a repetition that show whether codes are noisy."""
+
+_SAME = 1e-3
+"""Relative difference of a dwell's mean from one sample: a choice, far above that of two estimates
+of the sample interval. A channel that repeats zero has a mean of zero."""
 
 _NOISY = 4
 """Different codes among them by which a channel is noisy: one at the edge between two codes shows
@@ -68,18 +72,33 @@ class Repetition:
         samples: Number of samples.
         share: Share of samples that repeat the one before.
         longest: Most of these in a row.
+        sample: (6,) the one repeated so, rad/s and m/s^2; NaN for none.
     """
 
     samples: int
     share: float
     longest: int
+    sample: Floats = field(default_factory=lambda: np.full(6, np.nan))
 
     @classmethod
-    def of(cls, values: Floats) -> Repetition:
-        """Count the repetitions in (n, 6) values as delivered; at least 2."""
+    def of(cls, values: Floats, rates: Floats) -> Repetition:
+        """Count the repetitions in (n, 6) values as delivered; at least 2.
+
+        Args:
+            values: As delivered.
+            rates: (n, 6) the same, rad/s and m/s^2.
+        """
         same = all_in_row(values[1:] == values[:-1])
         edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
-        return cls(len(values), float(same.mean()), int(np.diff(edges)[::2].max(initial=0)))
+        lengths = np.diff(edges)[::2]
+        if not len(lengths):
+            return cls(len(values), 0.0, 0)
+        most = int(lengths.argmax())
+        return cls(len(values), float(same.mean()), int(lengths[most]), rates[edges[2 * most]])
+
+    def goes_on_in(self, mean: Floats) -> bool:
+        """Return whether a dwell with a mean output (6,), rad/s and m/s^2, repeats the sample."""
+        return bool((np.abs(mean - self.sample) <= _SAME * np.abs(self.sample)).all())
 
     def beyond_chance(self, share: float) -> bool:
         """Return whether the longest repetition exceeds chance, `share` for each."""

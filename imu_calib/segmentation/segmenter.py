@@ -369,7 +369,8 @@ class Segmenter:
             if seen is not None:
                 middle = (motion.start + motion.end) / 2 + self._offset_ns
                 self._seen_motions.append((middle, seen))
-                self._repetitions.append(Repetition.of(values))
+                rates = samples.increments / samples.period
+                self._repetitions.append(Repetition.of(values, rates))
         self._take(read_turns(around, motion, self._table, self._offset_ns))
 
     def _note_lost(self, whole: Bridged, start: int, end: int) -> None:
@@ -447,10 +448,20 @@ class Segmenter:
             after = int(np.searchsorted(instants, instant))
             return bool(unseen[after] or unseen[after + 1])
 
+        def frozen_too(segment: Segment) -> bool:
+            after = int(np.searchsorted(instants, (segment.start + segment.end) / 2))
+            beside = range(max(after - 1, 0), min(after + 1, len(frozen)))
+            mean = segment.statistics.mean
+            return any(frozen[k] and self._repetitions[k].goes_on_in(mean) for k in beside)
+
         self._slips = [slip for slip in self._slips if not beside_hidden(slip.instant)]
         kept = []
         for segment in self._segments:
-            if beside_hidden((segment.start + segment.end) / 2):
+            if frozen_too(segment):
+                # By itself it may be of a sensor without noise.
+                reason = 'its samples are frozen, repeating the one of the motion next to it'
+                self._rejected.append(Rejected(segment.start, segment.end, reason))
+            elif beside_hidden((segment.start + segment.end) / 2):
                 reason = (
                     'the gyros do not show the motion next to it that the joint states show '
                     '(clocks that jump, or are about a second apart)'
