@@ -94,7 +94,9 @@ class Repetition:
         if not len(lengths):
             return cls(len(values), 0.0, 0)
         most = int(lengths.argmax())
-        return cls(len(values), float(same.mean()), int(lengths[most]), rates[edges[2 * most]])
+        # A copy: a view would keep all samples of the motion.
+        repeated = rates[edges[2 * most]].copy()
+        return cls(len(values), float(same.mean()), int(lengths[most]), repeated)
 
     def goes_on_in(self, mean: Floats) -> bool:
         """Return whether a dwell with a mean output (6,), rad/s and m/s^2, repeats the sample."""
