@@ -441,6 +441,7 @@ class Segmenter:
         frozen = self._frozen_motions() & (np.maximum(angles, times) < _SEEN)
         if frozen.any():
             self._frozen = int(frozen.sum()), round(float(instants[frozen][0]))
+            self._drop_frozen(instants, frozen)
         unseen = np.maximum(angles, times) < _SEEN
         unseen = np.concatenate([[False], unseen & ~frozen, [False]])
 
@@ -448,24 +449,35 @@ class Segmenter:
             after = int(np.searchsorted(instants, instant))
             return bool(unseen[after] or unseen[after + 1])
 
-        def frozen_too(segment: Segment) -> bool:
-            after = int(np.searchsorted(instants, (segment.start + segment.end) / 2))
-            beside = range(max(after - 1, 0), min(after + 1, len(frozen)))
-            mean = segment.statistics.mean
-            return any(frozen[k] and self._repetitions[k].goes_on_in(mean) for k in beside)
-
         self._slips = [slip for slip in self._slips if not beside_hidden(slip.instant)]
         kept = []
         for segment in self._segments:
-            if frozen_too(segment):
-                # By itself it may be of a sensor without noise.
-                reason = 'its samples are frozen, repeating the one of the motion next to it'
-                self._rejected.append(Rejected(segment.start, segment.end, reason))
-            elif beside_hidden((segment.start + segment.end) / 2):
+            if beside_hidden((segment.start + segment.end) / 2):
                 reason = (
                     'the gyros do not show the motion next to it that the joint states show '
                     '(clocks that jump, or are about a second apart)'
                 )
+                self._rejected.append(Rejected(segment.start, segment.end, reason))
+            else:
+                kept.append(segment)
+        self._segments = kept
+
+    def _drop_frozen(self, instants: Floats, frozen: NDArray[np.bool_]) -> None:
+        """Drop dwells that repeat the sample of a frozen motion next to them.
+
+        A dwell that repeats one sample may otherwise be that of a sensor without noise.
+
+        Args:
+            instants: (m,) middles of the motions, ns.
+            frozen: (m,) which of them are frozen.
+        """
+        kept = []
+        for segment in self._segments:
+            after = int(np.searchsorted(instants, (segment.start + segment.end) / 2))
+            beside = range(max(after - 1, 0), min(after + 1, len(frozen)))
+            mean = segment.statistics.mean
+            if any(frozen[k] and self._repetitions[k].goes_on_in(mean) for k in beside):
+                reason = 'its samples are frozen, repeating the one of the motion next to it'
                 self._rejected.append(Rejected(segment.start, segment.end, reason))
             else:
                 kept.append(segment)
