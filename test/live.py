@@ -137,13 +137,13 @@ class Stand:
     def state(self):
         return self.states[-1] if self.states else State()
 
-    def reaches(self, *phases, step=None, seconds=60.0):
+    def reaches(self, *phases, step=None, seconds=60.0, since=None):
         """Wait until the table's leader is in one of the phases, at a step or beyond.
 
         A phase that comes and goes between two looks counts: a turn takes less than a busy machine
-        may need to look again.
+        may need to look again. So does one that came since so many states, where they are given.
         """
-        newest = max(0, len(self.states) - 1)
+        newest = max(0, len(self.states) - 1) if since is None else since
 
         def been():
             return any(

@@ -41,9 +41,14 @@ OWNERS = {
 def test_two_publishers_or_an_emergency_stop_the_table_and_spoofed_words_complete_nothing(
     tmp_path,
 ):
-    """So it goes by a device whose clock drifts. After an emergency stop all is run anew."""
+    """So it goes by a device whose clock drifts. After an emergency stop all is run anew.
+
+    Slow enough that steps are left when a stranger is seen.
+    """
     waits = {'watchdog_timeout': LEASE + 10.0, 'feedback_timeout': LEASE + 10.0}
-    with Stand(tmp_path, stand_node={'clock_drift': 100.0}, turntable_node=waits) as stand:
+    with Stand(
+        tmp_path, '--speed', '30', stand_node={'clock_drift': 100.0}, turntable_node=waits
+    ) as stand:
         for topic in KINDS:
             assert stand.reaches(*MOVES, step=1)
             with stranger(topic):
