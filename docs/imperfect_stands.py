@@ -52,7 +52,7 @@ CAUSES = {
     'accelerometer scatter': 'accelerometers .*scatter from dwell to dwell',
     'temperature': 'temperature moved',
     'north': 'gyros see north',
-    'course': 'The session (?:shows|hints at) .*(trend|warm_up)',
+    'course': 'The session (?:shows|hints at) .*(trend|warm_up|step)',
     'clock set': 'its clock was set',
     'clocks apart': 'clock of the IMU is .* that of the table',
     'late': 'are stamped late',
@@ -220,6 +220,18 @@ CONDITIONS = {
     'warm-up': Condition(
         'temperature: {warm_up: {gyro: 0.1 deg/h, accelerometer: 50 ug}}', _DRIFT, bound=None
     ),
+    'biases step by 0.05 deg/h and 50 ug': Condition(
+        'bias_step: {time: 9 min, gyro: [0.05 deg/h, -0.035 deg/h, 0.06 deg/h], '
+        'accelerometer: [50 ug, -35 ug, 60 ug]}',
+        _DRIFT,
+        bound=None,
+    ),
+    'biases step by 1 deg/h and 0.2 mg': Condition(
+        'bias_step: {time: 7 min, gyro: [1 deg/h, -0.7 deg/h, 1.2 deg/h], '
+        'accelerometer: [200 ug, -150 ug, 250 ug]}',
+        _DRIFT,
+        bound=None,
+    ),
     **{
         name: Condition(causes=(name, *_SCATTERS.get(name, ())), term=name, bound=None)
         for name in SIZES
@@ -277,6 +289,7 @@ def truth(unit: SensorModel, options: StandOptions, duration: float) -> Floats:
     """Return the 24 parameters that a session should find: in the mean, by the table's clock."""
     times = np.linspace(0.0, duration, 1000)
     kelvin = float(options.warming.excess(times).mean())
+    stepped = float((times >= options.bias_step.time).mean())
     faded = float(np.exp(-times / options.warm_up.time_constant).mean())
     drift, fading = options.thermal_drift, options.warm_up
     gyro, accel = unit.gyro, unit.accel
@@ -284,10 +297,16 @@ def truth(unit: SensorModel, options: StandOptions, duration: float) -> Floats:
     accel_scale = (1 + kelvin * np.broadcast_to(drift.accel_scale, 3))[:, None]
     eye = np.eye(3)
     gyro_bias = (
-        gyro.bias + kelvin * np.asarray(drift.gyro_bias) + faded * np.asarray(fading.gyro_bias)
+        gyro.bias
+        + kelvin * np.asarray(drift.gyro_bias)
+        + faded * np.asarray(fading.gyro_bias)
+        + stepped * np.asarray(options.bias_step.gyro_bias)
     )
     accel_bias = (
-        accel.bias + kelvin * np.asarray(drift.accel_bias) + faded * np.asarray(fading.accel_bias)
+        accel.bias
+        + kelvin * np.asarray(drift.accel_bias)
+        + faded * np.asarray(fading.accel_bias)
+        + stepped * np.asarray(options.bias_step.accel_bias)
     )
     return SensorModel(
         Triad(gyro_scale * gyro.response - eye, gyro_bias),

@@ -98,7 +98,11 @@ _ROWS = {
     Source.GRAVITY: ('B', 'gravity', 'gravity at the site'),
     Source.LATITUDE: ('B', 'latitude', 'latitude of the site'),
     Source.SCATTER: ('A', 'scatter', 'scatter of the residuals beyond all that'),
-    Source.TIME_CONSTANT: ('A', 'warm-up', 'time constant of a warm-up, by its likelihood'),
+    Source.TIME_CONSTANT: (
+        'A',
+        'warm-up',
+        'time constant of a warm-up or instant of a step, by its likelihood',
+    ),
     Source.TEMPERATURE: (
         'B',
         'temperature',

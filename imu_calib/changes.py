@@ -32,6 +32,7 @@ class Changes:
         covariance: (k, k) of them.
         cross: (n, k) covariance of the parameters of the sensors and them.
         time_constant: Of a warm-up, s; NaN without one.
+        instant: Of a step, s by the stamps of the table; NaN without one.
     """
 
     changes: tuple[Change, ...]
@@ -39,6 +40,7 @@ class Changes:
     covariance: Floats
     cross: Floats
     time_constant: float = float('nan')
+    instant: float = float('nan')
 
     @property
     def std(self) -> Floats:
@@ -93,6 +95,8 @@ class Changes:
         }
         if np.isfinite(self.time_constant):
             found['time_constant'] = float(self.time_constant)
+        if np.isfinite(self.instant):
+            found['instant'] = float(self.instant)
         return found
 
 
@@ -119,9 +123,10 @@ def read_changes(section: Section, parameters: Sequence[Parameter]) -> Changes:
     k = len(coefficients)
     covariance = section.array('covariance', (k, k))
     cross = section.array('cross_covariance', (len(parameters), k))
-    time_constant = section.number('time_constant', float('nan'))
+    shapes = (section.number(key, float('nan')) for key in ('time_constant', 'instant'))
+    read = Changes(tuple(coefficients), np.array(values), covariance, cross, *shapes)
     section.finish()
-    return Changes(tuple(coefficients), np.array(values), covariance, cross, time_constant)
+    return read
 
 
 def sentence(changes: Changes) -> str:

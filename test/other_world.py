@@ -93,6 +93,8 @@ class Unit:
         gyro_growth, accel_growth: Of the responses per second, 1/s.
         gyro_fade, accel_fade: Of the biases at the start, rad/s and m/s^2.
         fading: They go by exp(-t / fading), s.
+        gyro_step, accel_step: Added to the biases from `stepping` on, rad/s and m/s^2.
+        stepping: s.
         terms: What the channels add to that.
 
     """
@@ -117,6 +119,9 @@ class Unit:
     gyro_fade: Vector = NOTHING
     accel_fade: Vector = NOTHING
     fading: float = 1.0
+    gyro_step: Vector = NOTHING
+    accel_step: Vector = NOTHING
+    stepping: float = math.inf
     terms: Terms | None = None
 
 
@@ -620,6 +625,7 @@ def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[
     walks = [w * math.sqrt(dt) for w in [unit.gyro_walk] * 3 + [unit.accel_walk] * 3]
     changes = unit.gyro_growth or unit.accel_growth or any(unit.gyro_drift + unit.accel_drift)
     changes = changes or any(unit.gyro_fade + unit.accel_fade)
+    changes = changes or unit.stepping < math.inf
     given: tuple[Vector, Vector] | None = None
     swung = Swung(world.shaking)
     for k, (turned, _, _, _) in enumerate(felt(world, unit.rate, 0.0)):
@@ -816,13 +822,21 @@ def _changed(answers: list[float], unit: Unit, since: float, dt: float) -> list[
     """What the answers have become so long after the start."""
     outputs = []
     for c, answer in enumerate(answers):
-        growth, bias, drift, fade = (
-            (unit.gyro_growth, unit.gyro_d, unit.gyro_drift, unit.gyro_fade)
+        growth, bias, drift, fade, step = (
+            (unit.gyro_growth, unit.gyro_d, unit.gyro_drift, unit.gyro_fade, unit.gyro_step)
             if c < 3
-            else (unit.accel_growth, unit.accel_d, unit.accel_drift, unit.accel_fade)
+            else (
+                unit.accel_growth,
+                unit.accel_d,
+                unit.accel_drift,
+                unit.accel_fade,
+                unit.accel_step,
+            )
         )
         grown = answer + growth * since * (answer - bias[c % 3] * dt)
         left = fade[c % 3] * math.exp(-since / unit.fading)
+        if since >= unit.stepping:
+            left += step[c % 3]
         outputs.append(grown + (drift[c % 3] * since + left) * dt)
     return outputs
 

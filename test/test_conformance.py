@@ -373,7 +373,7 @@ def test_a_message_keeps_what_follows_time_or_temperature(course: Course) -> Non
     covariance = np.array([[4.0, 1.0], [1.0, 9.0]]) * 1e-10
     calibration = replace(
         known(model, spread_of(model), **provenance()),
-        changes=Changes(changes, np.array([2e-5, -3e-4]), covariance, cross, 120.0),
+        changes=Changes(changes, np.array([2e-5, -3e-4]), covariance, cross, 120.0, 1.7e9),
     )
     message = calibration_message(calibration, 0, 'imu_link', Time(nanoseconds=1).to_msg())
     found = calibration_of(message).changes
@@ -382,11 +382,11 @@ def test_a_message_keeps_what_follows_time_or_temperature(course: Course) -> Non
     assert found.values.tolist() == [2e-5, -3e-4]
     assert found.covariance.tolist() == covariance.tolist()
     assert found.cross.tolist() == cross.tolist()
-    assert found.time_constant == 120.0
+    assert (found.time_constant, found.instant) == (120.0, 1.7e9)
     for field, value, words in (
         ('change_units', ['furlong', *message.change_units[1:]], 'furlong'),
         ('change_cross_covariance', message.change_cross_covariance[:-1], r'2, 2, 4, 47\] numbers'),
-        ('change_terms', ['tide', 'tide'], "found 'tide', expected trend, warm_up, thermal"),
+        ('change_terms', ['tide', 'tide'], "found 'tide', expected trend, warm_up, step, thermal"),
         ('change_of', ['Z_gx', 'D_az'], 'Z_gx'),
     ):
         kept = getattr(message, field)

@@ -16,8 +16,11 @@ from imu_calib.observation.modulation import (
     check_temperature,
     columns,
     courses,
+    instant_of,
     rates,
     reference,
+    seconds_of,
+    shapes,
     spans,
     stated_changes,
     temperatures,
@@ -60,6 +63,8 @@ def at(course: Course, seconds: Floats) -> Floats:
         return seconds
     if course is Course.WARM_UP:
         return np.exp(-seconds / (TAU * WHOLE))
+    if course is Course.STEP:
+        return np.where(seconds > TAU * WHOLE, 1.0, 0.0)
     return np.interp(seconds, [0.0, 60.0], [20.0, 22.0])
 
 
@@ -73,12 +78,15 @@ def test_parts_are_timed_from_the_first() -> None:
     assert ends.tolist() == [b for _, b in PARTS]
 
 
-@pytest.mark.parametrize('course', [Course.TREND, Course.WARM_UP])
+@pytest.mark.parametrize('course', [Course.TREND, Course.WARM_UP, Course.STEP])
 def test_a_course_is_its_mean_over_a_part_less_that_over_the_session(course: Course) -> None:
     usual = at(course, instants(0.0, WHOLE)).mean()
     wanted = [at(course, instants(*part)).mean() - usual for part in PARTS]
     found = courses(session(), course, TAU)
-    np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-8)
+    # A step is off by half of one of the hundred thousand instants.
+    np.testing.assert_allclose(
+        found, wanted, rtol=1e-8, atol=1e-5 if course is Course.STEP else 1e-8
+    )
 
 
 def test_a_temperature_counts_from_the_sessions_mean() -> None:
@@ -103,6 +111,24 @@ def test_a_rate_is_by_how_much_a_course_rises_over_a_part() -> None:
         )
         wanted = (late - early) / ((end - begin) / 2)
         assert rates(held, Course.THERMAL, TAU)[k] == pytest.approx(wanted, abs=1e-8)
+
+
+def test_the_rate_of_a_step_is_that_of_the_line_through_it() -> None:
+    held = session()
+    for k, part in enumerate(PARTS):
+        seconds = instants(*part)
+        wanted = np.polyfit(seconds - seconds.mean(), at(Course.STEP, seconds), 1)[0]
+        assert rates(held, Course.STEP, TAU)[k] == pytest.approx(wanted, abs=1e-6)
+
+
+def test_a_step_is_tried_where_parts_begin_and_in_their_middle() -> None:
+    held = session()
+    # One part at least lies before and one after it: the first dwell ends at 40 s.
+    wanted = [40.0, 45.0, 50.0, 70.0, 100.0]
+    assert (shapes(held, Course.STEP) * WHOLE).tolist() == pytest.approx(wanted)
+    assert shapes(held, Course.TREND).tolist() == [1.0]
+    assert instant_of(held, 0.5) == EPOCH + 56 * NS
+    assert seconds_of(held, 0.5) == 56.0
 
 
 def test_a_coefficient_acts_through_the_parameters_that_it_changes() -> None:

@@ -179,6 +179,7 @@ def calibrations():
         # One row for each of the 24: those of the accelerometers are there as well.
         'cross_covariance': [[0.0]] * 24,
         'time_constant': 600.0,
+        'instant': 1.7e9,
     }
     gyros['provenance'] |= ORIGIN
     yield gyros, [('uncertainty_budget',), ('session_terms',), ('provenance',)]

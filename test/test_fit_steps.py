@@ -313,7 +313,7 @@ def test_changes_that_a_session_does_not_tell_go_or_are_refused() -> None:
     assert changing.with_changes(twice, ()) == (twice, ())
     found, left = changing.with_changes(twice, session_term('trend'))
     assert (found.changes, left) == (session_term('trend'), ())
-    assert found.time_constant == 0.25
+    assert found.shape == 0.25
     once = session()
     few = replace(once.evidence, segments=once.evidence.segments[:1], turns=())
     with pytest.raises(NotObservable) as refused:
@@ -360,7 +360,7 @@ def test_a_scale_factor_is_told_to_a_thousandth_over_the_session(
 
 
 def test_a_coefficient_changes_by_all_of_its_course() -> None:
-    equations = replace(Equations(warmed()), time_constant=0.5)
+    equations = replace(Equations(warmed()), shape=0.5)
     rise = changing.change_of(equations, change(Course.THERMAL, 'K_a'))
     assert rise == pytest.approx(4.0, rel=0.1)
     whole = changing.change_of(equations, change(Course.WARM_UP, 'K_a'))
@@ -370,20 +370,20 @@ def test_a_coefficient_changes_by_all_of_its_course() -> None:
 
 def test_the_time_constant_is_the_one_that_explains_most_and_is_doubted_by_the_others() -> None:
     plain = Equations(warmed())
-    warming = replace(plain, changes=session_term('warm_up'), time_constant=0.5)
+    warming = replace(plain, changes=session_term('warm_up'), shape=0.5)
     true = np.append(fit.fit(plain, fit.start(plain)), [2e-5] * 3 + [2e-2] * 3 + [1e-3] * 2)
     outputs = warming.predict(true)
-    there = replace(plain, changes=session_term('warm_up'), time_constant=0.25)
+    there = replace(plain, changes=session_term('warm_up'), shape=0.25)
     object.__setattr__(there, 'outputs', outputs)
-    found, state = stubbed(there, outputs, changing.with_time_constant, true)
-    assert found.time_constant == 0.5
+    found, state = stubbed(there, outputs, changing.with_shape, true)
+    assert found.shape == 0.5
     assert state[:24] == pytest.approx(true[:24], abs=1e-6)
     assert state[-8:] == pytest.approx(true[-8:], rel=1e-3, abs=1e-7)
     # Beside the others of the grid, by so much as they explain the outputs.
-    doubt = stubbed(there, outputs, changing.doubt_of_time_constant, state)
+    doubt = stubbed(there, outputs, changing.doubt_of_shape, state)
     off, squares = [], []
     for fraction in [2 ** (k / 2) for k in range(-8, 3)]:
-        one = replace(there, time_constant=fraction)
+        one = replace(there, shape=fraction)
         jacobian, left = stubbed(one, outputs, Equations.whitened, state)
         step = np.linalg.lstsq(jacobian, left, rcond=1e-13)[0]
         off.append(step)
@@ -391,8 +391,8 @@ def test_the_time_constant_is_the_one_that_explains_most_and_is_doubted_by_the_o
     weights = np.exp(-0.5 * np.array(squares))
     wanted = sum(w * np.outer(o, o) for w, o in zip(weights, off, strict=True)) / weights.sum()
     assert doubt[:24, :24] == pytest.approx(wanted[:24, :24], rel=1e-2, abs=1e-3 * wanted.max())
-    assert changing.with_time_constant(plain, true[:-8]) == (plain, pytest.approx(true[:-8]))
-    assert changing.doubt_of_time_constant(plain, true[:-8]) is None
+    assert changing.with_shape(plain, true[:-8]) == (plain, pytest.approx(true[:-8]))
+    assert changing.doubt_of_shape(plain, true[:-8]) is None
 
 
 def stubbed(there: Equations, outputs: Floats, call: Any, state: Floats) -> Any:

@@ -19,6 +19,7 @@ from imu_calib.imu import load_imu
 from imu_calib.model import SensorModel
 from imu_calib.plan import Plan
 from imu_calib.simulation import (
+    BiasStep,
     Delivery,
     SimulatedStand,
     StandOptions,
@@ -298,7 +299,7 @@ def test_a_frozen_device_repeats_one_sample_and_loses_what_it_counted() -> None:
 # What warms up, and what shakes.
 
 
-def test_biases_fade_and_follow_the_temperature_as_stated() -> None:
+def test_biases_fade_step_and_follow_the_temperature_as_stated() -> None:
     quiet = replace(EXACT, noise=False, quantise=False)
     stamps, still = imu(quiet, perfect=True)
     seconds = (stamps - stamps[0]) * 1e-9
@@ -310,6 +311,12 @@ def test_biases_fade_and_follow_the_temperature_as_stated() -> None:
     wanted = start * np.exp(-seconds / 120.0)[:, None] * per_sample
     # The first interval begins within a sample of time zero: 0.01 s of 120.
     assert np.abs(warm - still - wanted).max() < 2e-4 * np.abs(wanted).max()
+    step = BiasStep(30.0, (0.1 * DEG_H, 0.0, -0.2 * DEG_H), 50 * MICRO_G)
+    _, stepped = imu(replace(quiet, bias_step=step), perfect=True)
+    after = start * (seconds > 30.0)[:, None] * per_sample
+    # But for the sample in which it comes.
+    apart = np.abs(seconds - 30.0) > 0.015
+    assert np.abs(stepped - still - after)[apart].max() < 2e-4 * np.abs(after).max()
     drift = ThermalDrift(gyro_bias=1 * DEG_H, accel_bias=(MICRO_G, 0.0, 0.0))
     ramp = replace(quiet, warming=Warming(ramp=0.01), thermal_drift=drift)
     _, hot = imu(ramp, perfect=True)
@@ -378,6 +385,8 @@ WRONG = {
     'samples: {frozen: {every: 3 min}}': "frozen: the key 'for' is missing",
     'stamps: {bunch: 2.5}': 'bunch: found 2.5, expected a whole number',
     'stamps: {jitter: 3}': 'jitter: found 3',
+    'bias_step: {gyro: 3 deg/h}': "bias_step: the key 'time' is missing",
+    'bias_step: {time: -3 s}': 'time: found -3 s, expected 0 or more',
     'temperature: {gyro: {bias: [1 (deg/h)/K, 2 (deg/h)/K]}}': 'bias: found 2 figures, expected 3',
     'noise: 1': 'unknown key',
 }

@@ -268,6 +268,37 @@ def test_biases_that_fade_put_no_parameter_off(grade: str) -> None:
         assert [f for f in found.findings if re.search('warm_up|trend|drift', f)]
 
 
+@pytest.mark.parametrize(('grade', 'at'), [('navigation', 0.31), ('medium', 0.62)])
+def test_biases_that_step_are_found_with_the_instant(grade: str, at: float) -> None:
+    """In the middle of a dwell or of a motion, as it comes."""
+    unit, size = {'medium': (MEDIUM, 10.0), 'navigation': (NAVIGATION, 1.0)}[grade]
+    turned = tuple(size * d * DEG_H for d in (0.1, -0.07, 0.12))
+    pushed = tuple(size * d * MICRO_G for d in (50.0, -40.0, 60.0))
+    end = schedule(World())[-1].end + World().dwell
+    stepping = replace(unit, gyro_step=turned, accel_step=pushed, stepping=at * end)
+    found = fed(World(), stepping, look=True).finish().calibration
+    mean = replace(
+        unit,
+        gyro_d=tuple(d + (1 - at) * s for d, s in zip(unit.gyro_d, turned, strict=True)),
+        accel_d=tuple(d + (1 - at) * s for d, s in zip(unit.accel_d, pushed, strict=True)),
+    )
+    off = errors(found, mean)  # type: ignore[arg-type]
+    assert np.abs(off).max() < 4.5, np.round(off, 1)
+    assert found.changes is not None
+    assert [c.name for c in found.changes.changes] == [
+        *(f'D_g{a}' for a in 'xyz'),
+        *(f'D_a{a}' for a in 'xyz'),
+    ]
+    far = (found.changes.values - np.array([*turned, *pushed])) / found.changes.std
+    assert np.abs(far).max() < 4.5, np.round(far, 1)
+    # To within a part of the session without outputs: the longest motion.
+    longest = max(m.end - m.start for m in schedule(World()))
+    assert abs(found.changes.instant - EPOCH - at * end) < longest
+    said = [f for f in found.findings if re.search('The session shows', f)]
+    assert len(said) == 1
+    assert 'biases that step at one instant (step,' in said[0]
+
+
 def test_a_move_in_which_the_samples_froze_keeps_no_session_from_its_answer(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

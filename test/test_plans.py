@@ -323,7 +323,8 @@ def test_what_a_plan_tells_of_a_trend_is_what_its_session_states() -> None:
     found = forecast_changes(bare, setup, unit)
     names = [f'{one.changes[0].course.value}:{one.changes[0].name}' for one in found]
     kinds = ('D_gx', 'D_ax', 'K_g', 'K_a')
-    assert names == [f'{course}:{kind}' for course in ('trend', 'warm_up') for kind in kinds]
+    wanted = [f'{course}:{kind}' for course in ('trend', 'warm_up') for kind in kinds]
+    assert names == [*wanted, 'step:D_gx', 'step:D_ax']
 
     def std(of: Estimate) -> Floats:
         return np.sqrt(np.diag(of.covariance))

@@ -25,7 +25,7 @@ from imu_calib.estimation.score import (
     families,
     log_f,
     most_significant,
-    times_of,
+    shapes_of,
     with_parameters,
 )
 from imu_calib.estimation.search import (
@@ -54,7 +54,7 @@ from imu_calib.units import ARCMIN, ARCSEC, DEG, MICRO_G
 
 CUBIC, SENSES = Family('gyro_cubic', GYRO_CUBIC), Family('gyro_asymmetry', GYRO_ASYMMETRY)
 OF_ACCELS = Family('accel_cubic', ACCEL_CUBIC)
-TREND, WARM_UP, THERMAL = (Family(c.value, course=c) for c in Course)
+TREND, WARM_UP, STEP, THERMAL = (Family(c.value, course=c) for c in Course)
 WOBBLE = Family('wobble')
 LN10 = 2.302585092994046
 
@@ -115,7 +115,7 @@ def stated(errors: TableErrors | None = None, **more: Any) -> Equations:
 def test_what_is_off_is_every_term_course_and_error_that_the_session_can_tell_of() -> None:
     still = [term.name for term in TERMS if not Family(term.name, term).held]
     assert not {'size_effect', 'delay'} & set(still)
-    assert [f.name for f in families(stated())] == [*still, 'trend', 'warm_up']
+    assert [f.name for f in families(stated())] == [*still, 'trend', 'warm_up', 'step']
     on = stated(TableErrors(wobble=1e-5), changes=session_term('trend'))
     on, _ = with_parameters(on, on.nominal(), GYRO_CUBIC.parameters)
     assert [f.name for f in families(on)] == [
@@ -141,8 +141,9 @@ def test_families_know_what_they_are() -> None:
     assert Family('delay', delay).held == {delay.kind}
     assert CUBIC.held == frozenset()
     # Of a warm-up half octaves from a sixteenth of the session to twice its length.
-    assert times_of(WARM_UP) == pytest.approx([2 ** (k / 2) for k in range(-8, 3)])
-    assert times_of(TREND) == times_of(CUBIC) == [1.0]
+    halves = [2 ** (k / 2) for k in range(-8, 3)]
+    assert shapes_of(WARM_UP, stated()) == pytest.approx(halves)
+    assert shapes_of(TREND, stated()).tolist() == shapes_of(CUBIC, stated()).tolist() == [1.0]
 
 
 def test_outputs_judge_what_they_feel() -> None:
@@ -186,7 +187,7 @@ def test_scatter_is_what_is_left_once_a_family_explains_what_it_can(
     # Of the table's errors it is free, 300 arcseconds, and the others are as stated.
     assert with_error.evidence.table.errors == TableErrors(zeros=1e-4, wobble=300 * ARCSEC)
     assert same is state
-    assert (warming.changes, warming.time_constant) == (session_term('warm_up'), 0.25)
+    assert (warming.changes, warming.shape) == (session_term('warm_up'), 0.25)
     # One step of the least squares from where it would be without.
     jacobian, left = warming.whitened(np.append(state, np.zeros(8)))
     step = np.linalg.lstsq(jacobian, left, rcond=None)[0]
@@ -198,7 +199,7 @@ def test_scatter_is_what_is_left_once_a_family_explains_what_it_can(
 def test_patterns_are_what_the_largest_useful_coefficients_do() -> None:
     equations = stated(TableErrors(zeros=1e-4))
     state = equations.nominal()
-    found = columns_of([CUBIC, OF_ACCELS, WOBBLE, TREND, WARM_UP], equations, state)
+    found = columns_of([CUBIC, OF_ACCELS, WOBBLE, TREND, WARM_UP, STEP], equations, state)
     for family in (CUBIC, OF_ACCELS):
         ((columns, sizes),) = found[family]
         on, longer = with_parameters(equations, state, family.parameters)
@@ -215,6 +216,8 @@ def test_patterns_are_what_the_largest_useful_coefficients_do() -> None:
     wobbling = stated(TableErrors(wobble=ARCMIN))
     assert columns == pytest.approx(wobbling.by_table(state))
     assert [len(found[f]) for f in (TREND, WARM_UP)] == [1, 11]
+    assert len(found[STEP]) == len(shapes_of(STEP, equations))
+    assert {columns.shape[1] for columns, _ in found[STEP]} == {6}
     ((columns, sizes),) = found[TREND]
     # From the first to the last biases may go by 0.1 deg/s and 0.1 g, scale factors by 0.1 %.
     drifting = replace(equations, changes=session_term('trend'))

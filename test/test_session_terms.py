@@ -202,8 +202,8 @@ def test_the_outputs_change_as_parameters_of_each_stretch_would(drifting: Eviden
 
 
 def test_derivatives_are_those_of_the_prediction(drifting: Evidence) -> None:
-    for text in ('trend', 'warm_up', 'thermal'):
-        equations = Equations(drifting, changes=split_terms(text)[1], time_constant=0.25)
+    for text in ('trend', 'warm_up', 'step', 'thermal'):
+        equations = Equations(drifting, changes=split_terms(text)[1], shape=0.25)
         state = equations.nominal()
         found = equations.jacobian(state)[:, equations.changing]
         for k in range(len(equations.changes)):
@@ -282,7 +282,7 @@ def test_a_warm_up_fades_at_a_rate_that_is_found(warming: tuple[Evidence, Floats
     assert np.abs(off(found, wanted)).max() < FAR
     first, last = ends(evidence)
     # The next two of the grid, factors of the square root of two.
-    assert found.equations.time_constant * (last - first) == pytest.approx(241.0, rel=0.5)
+    assert found.equations.shape * (last - first) == pytest.approx(241.0, rel=0.5)
     # What the grid leaves of its doubt is a source of the budget, which adds up.
     shares = found.shares()
     total = sum(share.covariance for share in shares.values())
@@ -413,7 +413,7 @@ def test_names_of_terms() -> None:
         split_terms('trend,warm_up')
     with pytest.raises(InputError, match="found 'K_b', expected D_g, D_a"):
         split_terms('thermal:K_b')
-    with pytest.raises(InputError, match='trend, warm_up, thermal'):
+    with pytest.raises(InputError, match='trend, warm_up, step, thermal'):
         named_terms('trends')
     with pytest.raises(InputError, match='twelve_position estimates its own'):
         method('twelve_position', (), split_terms('trend')[1])

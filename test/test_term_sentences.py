@@ -28,6 +28,7 @@ LN10 = 2.302585092994046
 CUBIC = Family('gyro_cubic', GYRO_CUBIC)
 TREND = Family('trend', course=Course.TREND)
 WARM_UP = Family('warm_up', course=Course.WARM_UP)
+STEP = Family('step', course=Course.STEP)
 THERMAL = Family('thermal', course=Course.THERMAL)
 WOBBLE = Family('wobble')
 BY_NAME = {p.name: p for p in PARAMETERS}
@@ -51,8 +52,12 @@ def searched(
 ) -> Any:
     """A search by 24 parameters, all known to the same deviation."""
     covariance = std**2 * np.eye(30)
-    evidence = SimpleNamespace(table=table)
-    equations = SimpleNamespace(parameters=PARAMETERS, sensors=24, evidence=evidence)
+    begin = 1_700_000_000 * 10**9
+    whole = SimpleNamespace(start=begin, end=begin + 120 * 10**9)
+    evidence = SimpleNamespace(
+        table=table, segments=[whole], turns=[], links=SimpleNamespace(links=[])
+    )
+    equations = SimpleNamespace(parameters=PARAMETERS, sensors=24, evidence=evidence, shape=0.5)
     return SimpleNamespace(
         broken_off=False,
         found=found,
@@ -89,6 +94,13 @@ def score(statistic: float, deviation: Any, rank: int = 3, freedom: float = 1e9)
             'The session shows parameters that drift evenly with time (trend, by chance once in '
             '10^3 sessions): it is estimated. warm_up or gyro_cubic would explain it as well, and '
             f'the standard deviations allow for that. {TO_TELL}',
+        ),
+        (
+            Found(STEP, -12 * LN10),
+            'The session shows biases that step at one instant (step, by chance once in 10^12 '
+            'sessions): it is estimated. It is at 2023-11-14 22:14:20.000 UTC. Biases step where a '
+            'unit is switched off and on, or is struck; if it was neither, one of its sensors is '
+            'not stable. The biases stated are the mean over the session.',
         ),
         (
             Found(TREND, -5 * LN10, rivals=(THERMAL,)),

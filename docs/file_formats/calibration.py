@@ -158,6 +158,7 @@ _CHANGES = [
     Key('covariance', _ROWS, 'of the coefficients', REQUIRED),
     Key('cross_covariance', _ROWS, 'of the parameters (rows) and the coefficients', REQUIRED),
     Key('time_constant', _NUMBER, 'of a warm-up, s'),
+    Key('instant', _NUMBER, 'of a step, s by the stamps of the table'),
 ]
 _CLOCK = [
     Key('name', text(), 'node whose stamps the clock makes', REQUIRED),

@@ -193,6 +193,11 @@ _WARM_UP = [
     _channels('accelerometer', D.ACCELERATION, 'biases at the start', '0 ug'),
     _size('time_constant', 'of their decay', D.TIME, f'{WarmUp().time_constant:g} s', 'above 0'),
 ]
+_BIAS_STEP = [
+    Key('time', quantity(D.TIME, '0 or more'), 'from the start of the session to it', REQUIRED),
+    _channels('gyro', D.RATE, 'added to the biases from then on', '0 deg/h'),
+    _channels('accelerometer', D.ACCELERATION, 'added to the biases from then on', '0 ug'),
+]
 _TEMPERATURE = [
     Key('offset', quantity(D.TEMPERATURE), 'at the start, above 25 degrees Celsius', '0 K'),
     Key('ramp', quantity(D.TEMPERATURE_RATE), 'steady change', '0 K/h'),
@@ -224,6 +229,7 @@ KEYS = [
     Key('samples', mapping(_SAMPLES, words=_BELOW), 'on their way'),
     Key('mounting', mapping(_MOUNTING, words=_BELOW), 'of the unit on the table'),
     Key('temperature', mapping(_TEMPERATURE, words=_BELOW), 'of the unit'),
+    Key('bias_step', mapping(_BIAS_STEP, words=_BELOW), 'of a unit that is switched off and on'),
 ]
 
 TABLES: Tables = {
@@ -238,6 +244,7 @@ TABLES: Tables = {
     'temperature': _TEMPERATURE,
     'gyro': _drift(D.RATE_PER_KELVIN, '0 (deg/h)/K'),
     'warm_up': _WARM_UP,
+    'bias_step': _BIAS_STEP,
 }
 VALUE = mapping(KEYS)
 TITLE = 'Imperfections of a simulated stand'

@@ -1,4 +1,4 @@
-"""Which changes a session determines, and the time constant of a warm-up.
+"""Which changes a session determines, time constants of warm-ups and instants of steps.
 
 Source: docs/mathematics.md, 'Terms of a session'.
 """
@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..errors import NotObservable
@@ -21,7 +22,7 @@ from ..observation.information import (
     nominal_information,
     segments_in_words,
 )
-from ..observation.modulation import TIME_CONSTANTS, check_temperature, courses
+from ..observation.modulation import check_temperature, courses, shapes
 from ..stream import Floats
 from .converge import least_squares
 
@@ -30,7 +31,11 @@ USEFUL_CHANGE = 1e-3
 see `information`."""
 
 _QUARTER = 0.25
-"""The time constant for which a plan is evaluated, as a fraction of the session."""
+"""Time constant or instant for which a plan is evaluated, as a fraction of the session."""
+
+_FINE = 17
+"""Instants that are tried between the neighbours of the best: eight times as dense as before. It is
+repeated while that lowers chi-square by more than one, what its noise is."""
 
 _STEPS = 100
 """Most steps of each fit; one that has not converged by then raises."""
@@ -53,7 +58,7 @@ def with_changes(
         return equations, ()
     if any(c.course is Course.THERMAL for c in changes):
         check_temperature(equations.evidence)
-    changing = replace(equations, changes=tuple(changes), time_constant=_QUARTER)
+    changing = replace(equations, changes=tuple(changes), shape=_QUARTER)
     known, parameters = _determined(changing)
     if known.all() and parameters.all():
         return changing, ()
@@ -82,7 +87,7 @@ def _determined(equations: Equations) -> tuple[NDArray[np.bool_], NDArray[np.boo
 
 def change_of(equations: Equations, change: Change) -> float:
     """Return the change of the parameters by a coefficient of one during the session."""
-    return float(np.ptp(courses(equations.evidence, change.course, equations.time_constant)))
+    return float(np.ptp(courses(equations.evidence, change.course, equations.shape)))
 
 
 def _refusal(equations: Equations, known: NDArray[np.bool_], parameters: NDArray[np.bool_]) -> str:
@@ -100,49 +105,82 @@ def _refusal(equations: Equations, known: NDArray[np.bool_], parameters: NDArray
     )
 
 
-def with_time_constant(equations: Equations, state: Floats) -> tuple[Equations, Floats]:
-    """Choose the likeliest time constant of a warm-up, and solve with it.
+def with_shape(equations: Equations, state: Floats) -> tuple[Equations, Floats]:
+    """Choose the likeliest time constant of a warm-up or instant of a step, and solve with it.
 
     Args:
-        equations: With or without a warm-up.
+        equations: With or without such a course.
         state: (n,) to start from.
     """
-    if not _warming(equations):
+    course = _shaped(equations)
+    if course is None:
         return equations, state
-    best: tuple[float, Equations, Floats] | None = None
-    for fraction in TIME_CONSTANTS.tolist():
-        there = replace(equations, time_constant=fraction)
-        found = least_squares(state, there.whitened, np.add, _STEPS)
-        left = there.whitened(found)[1]
-        if best is None or float(left @ left) < best[0]:
-            best = float(left @ left), there, found
-    assert best is not None
-    return best[1], best[2]
+    tried = shapes(equations.evidence, course)
+    there = replace(equations, shape=float(tried[len(tried) // 2]))
+    found = least_squares(state, there.whitened, np.add, _STEPS)
+    tried, _, squares = _by_shape(equations, found, course)
+    best = replace(equations, shape=float(tried[np.argmin(squares)]))
+    return best, least_squares(found, best.whitened, np.add, _STEPS)
 
 
-def doubt_of_time_constant(equations: Equations, state: Floats) -> Floats | None:
-    """Return the scatter of the state over likely time constants, (n, n); None without a warm-up.
+def doubt_of_shape(equations: Equations, state: Floats) -> Floats | None:
+    """Return the scatter of the state over likely time constants or instants, (n, n).
 
-    Each is weighted by its likelihood; the outputs are linear in the coefficients, so that one step
-    leads to each.
+    Each is weighted by its likelihood, and an instant by the part of the session that it stands
+    for. None without a warm-up or a step.
     """
-    if not _warming(equations):
+    course = _shaped(equations)
+    if course is None:
         return None
-    steps, squares = [], []
-    for fraction in TIME_CONSTANTS.tolist():
-        there = replace(equations, time_constant=fraction)
-        start = state.copy()
-        start[equations.changing] = 0.0
-        jacobian, left = there.whitened(start)
-        step = Information.of(jacobian).gain @ left
-        remains = left - jacobian @ step
-        steps.append(start + step - state)
-        squares.append(float(remains @ remains))
-    weights = np.exp(-0.5 * (np.array(squares) - min(squares)))
+    tried, states, squares = _by_shape(equations, state, course)
+    weights = np.exp(-0.5 * (squares - squares.min()))
+    if course is Course.STEP:
+        weights *= np.gradient(tried)
     weights /= weights.sum()
-    off = np.array(steps)
+    off = states - state
     return np.asarray(np.einsum('k,ki,kj->ij', weights, off, off))
 
 
-def _warming(equations: Equations) -> bool:
-    return any(c.course is Course.WARM_UP for c in equations.changes)
+def _shaped(equations: Equations) -> Course | None:
+    """Return the course of the equations that has a shape to be found."""
+    courses = {change.course for change in equations.changes}
+    return next((c for c in (Course.WARM_UP, Course.STEP) if c in courses), None)
+
+
+def _by_shape(equations: Equations, state: Floats, course: Course) -> tuple[Floats, Floats, Floats]:
+    """Return shapes (k,), the states (k, n) with each, and chi-square (k,) there.
+
+    The outputs are linear in the coefficients, so that one step leads to each, and without them
+    they are the same for every shape. An instant is searched for ever closer about the best.
+    """
+    start = state.copy()
+    start[equations.changing] = 0.0
+    jacobian, left = equations.whitened(start)
+    jacobian = jacobian.copy()
+    factor, derivatives = equations.factor(start), equations.jacobian(start)
+
+    def stepped(shape: float) -> tuple[Floats, float]:
+        there = replace(equations, shape=shape)
+        moved = there.columns(equations.changes, derivatives)
+        jacobian[: len(moved), equations.changing] = scipy.linalg.solve_triangular(
+            factor, moved, lower=True, check_finite=False
+        )
+        step = Information.of(jacobian).gain @ left
+        remains = left - jacobian @ step
+        return start + step, float(remains @ remains)
+
+    tried = shapes(equations.evidence, course)
+    found = [stepped(shape) for shape in tried.tolist()]
+    states = np.array([state for state, _ in found])
+    squares = np.array([square for _, square in found])
+    gain = np.inf if course is Course.STEP else 0.0
+    while gain > 1.0:
+        k = int(np.argmin(squares))
+        around = np.linspace(tried[max(0, k - 1)], tried[min(k + 1, len(tried) - 1)], _FINE)
+        found = [stepped(shape) for shape in around.tolist()]
+        tried = np.concatenate([tried, around])
+        order = np.argsort(tried, kind='stable')
+        states = np.concatenate([states, [state for state, _ in found]])[order]
+        before, squares = squares[k], np.append(squares, [square for _, square in found])[order]
+        tried, gain = tried[order], before - squares.min()
+    return tried, states, squares

@@ -23,7 +23,7 @@ from ..observation.information import Information
 from ..observation.positioning_errors import NO_POSITIONING_ERRORS
 from ..observation.session_model import Nuisance
 from ..stream import Floats
-from .changing import doubt_of_time_constant, with_changes, with_time_constant
+from .changing import doubt_of_shape, with_changes, with_shape
 from .excess_scatter import ExcessScatter, excess
 from .fit import check_observable, fit, headed, levelled, start, with_scatter
 from .outliers import (
@@ -147,7 +147,7 @@ def estimate(
         parameters=tuple(p for p in parameters if p not in moving),
         evidence=evidence.with_moves(()),
     )
-    resting, state = with_time_constant(resting, start(resting))
+    resting, state = with_shape(resting, start(resting))
     state = fit(resting, state)
     resting = headed(levelled(resting, state), state)
     state = fit(resting, state)
@@ -164,7 +164,7 @@ def estimate(
         equations, scatter = turns_downweighted(equations, state)
         found = _without_outliers(equations, state, turns=False)
         found = replace(found, turns_scatter=scatter)
-    between = doubt_of_time_constant(found.equations, found.state)
+    between = doubt_of_shape(found.equations, found.state)
     covariance = found.covariance if between is None else found.covariance + between
     return replace(
         found, covariance=covariance, rejected_moves=astray, constant=constant, between=between

@@ -33,8 +33,8 @@ from ..model.motion import motion_parameters
 from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..observation.equations import Equations
 from ..observation.information import Information, useful_limit, with_nominal_attitudes
-from ..observation.modulation import TIME_CONSTANTS, warms
 from ..observation.modulation import columns as modulated
+from ..observation.modulation import shapes, warms
 from ..stream import Floats
 from ..table_errors import TableErrors
 from ..units import ARCMIN, ARCSEC, DEG, MICRO_G
@@ -107,7 +107,7 @@ class Family:
         errors = replace(others, **{self.name: size})
         return replace(equations, evidence=equations.evidence.with_table_errors(errors))
 
-    def scatter(self, equations: Equations, state: Floats, time_constant: float) -> ExcessScatter:
+    def scatter(self, equations: Equations, state: Floats, shape: float) -> ExcessScatter:
         """Return the scatter beyond noise that remains with the family on.
 
         Scatter that is estimated without a missing term absorbs the term, and hides it.
@@ -115,10 +115,10 @@ class Family:
         Args:
             equations: Without the family.
             state: (n,) their solution.
-            time_constant: Of a warm-up, as a fraction of the session.
+            shape: As in `modulation.shapes`.
         """
         if self.course is not None:
-            there = replace(equations, changes=self.changes, time_constant=time_constant)
+            there = replace(equations, changes=self.changes, shape=shape)
             start = np.concatenate([state, np.zeros(len(self.changes))])
             return excess(there, stepped(there, start))
         if self.term is None:
@@ -155,7 +155,7 @@ Pattern = tuple[Floats, Floats]
 def columns_of(
     found: Sequence[Family], equations: Equations, state: Floats
 ) -> dict[Family, tuple[Pattern, ...]]:
-    """Return the patterns of families: one, or for a warm-up one for each time constant.
+    """Return the patterns of families: one, or one for each shape of a course.
 
     Nominal attitudes are used: information in the last digits of an encoder is ignored.
     """
@@ -166,7 +166,8 @@ def columns_of(
     for family in found:
         if family.course is not None:
             base = slopes[:, len(parameters) :]
-            result[family] = tuple(_changing(ideal, family, base, t) for t in times_of(family))
+            tried = shapes_of(family, equations).tolist()
+            result[family] = tuple(_changing(ideal, family, base, shape) for shape in tried)
         elif family.term is None:
             table = equations.evidence.table
             stated = 0.0 if table is None else getattr(table.errors, family.name)
@@ -181,19 +182,19 @@ def columns_of(
     return result
 
 
-def times_of(family: Family) -> list[float]:
-    """Return the time constants that a term of the session may have, fractions of the session."""
-    return TIME_CONSTANTS.tolist() if family.course is Course.WARM_UP else [1.0]
+def shapes_of(family: Family, equations: Equations) -> Floats:
+    """Return the shapes that a term of the session may have; 1 for others."""
+    return np.ones(1) if family.course is None else shapes(equations.evidence, family.course)
 
 
-def _changing(ideal: Equations, family: Family, derivatives: Floats, time: float) -> Pattern:
+def _changing(ideal: Equations, family: Family, derivatives: Floats, shape: float) -> Pattern:
     """Return the pattern of a term of the session, (m, n) derivatives by the 24 parameters given.
 
     Scale factors that cannot be separated from it would depend on the last digits of the others:
     directions that no output shows are left out with them.
     """
-    there = replace(ideal, changes=family.changes, time_constant=time)
-    columns = modulated(ideal.evidence, family.changes, derivatives, PARAMETERS, time)
+    there = replace(ideal, changes=family.changes, shape=shape)
+    columns = modulated(ideal.evidence, family.changes, derivatives, PARAMETERS, shape)
     sizes = [_largest(change) / change_of(there, change) for change in family.changes]
     return columns * sizes, np.array(sizes)
 

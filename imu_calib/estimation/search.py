@@ -25,7 +25,7 @@ from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.information import determined, nominal_information
 from ..stream import Floats
-from .changing import with_changes, with_time_constant
+from .changing import with_changes, with_shape
 from .converge import NotConverged
 from .estimate import Estimate, estimate
 from .fit import fit
@@ -38,7 +38,7 @@ from .score import (
     families,
     most_significant,
     scores_of,
-    times_of,
+    shapes_of,
     values_of,
 )
 from .undecided_drifts import UndecidedDrifts, undecided
@@ -168,7 +168,7 @@ class _Model:
             here = replace(here, changes=tuple(kept))
             return here, np.concatenate([there, list(kept.values())])
         here, _ = with_changes(replace(here, changes=()), self.changes)
-        return with_time_constant(here, np.concatenate([there, np.zeros(len(here.changes))]))
+        return with_shape(here, np.concatenate([there, np.zeros(len(here.changes))]))
 
 
 def search_terms(
@@ -308,8 +308,8 @@ def _under_own_scatter(
     for k, family in enumerate(suspect):
         if k % _AT_ONCE == 0 and any(scores[f].log_p < _limit(open_ones) for f in suspect[:k]):
             return scores | {f: replace(scores[f], statistic=0.0) for f in suspect[k:]}
-        time = times_of(family)[scores[family].chosen]
-        scattering = family.weighed(equations, family.scatter(equations, state, time))
+        shape = float(shapes_of(family, equations)[scores[family].chosen])
+        scattering = family.weighed(equations, family.scatter(equations, state, shape))
         scores[family] = WhitenedResiduals.of(scattering, state).score(family, columns[family])
     return scores
 

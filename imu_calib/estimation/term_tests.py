@@ -8,8 +8,10 @@ from enum import Enum
 import numpy as np
 
 from ..budget import PROBABILITY
+from ..instants import at
 from ..model import Parameter, Term, terms_of
 from ..model.session_terms import Change, Course, largest, names_of
+from ..observation.modulation import instant_of
 from ..stream import Floats
 from ..turntable import Table
 from ..units import ARCSEC, significant
@@ -42,11 +44,20 @@ _RECORD = (
 )
 """Advice that separates drifts from effects of the temperature."""
 
+_STEPPED = (
+    'Biases step where a unit is switched off and on, or is struck; if it was neither, one of its '
+    'sensors is not stable. The biases stated are the mean over the session.'
+)
+"""What a step means."""
+
 _BY_TEMPERATURE = (
     'let the temperature rise and fall during the session, or let the unit run for an hour before '
     'it where the temperature stays'
 )
 """The same where it was recorded."""
+
+_REPEAT = 'calibrate it again, and leave it switched on'
+"""The same where biases may have stepped."""
 
 _BROKEN_OFF = (
     'The search for further terms was stopped: with the terms that it tried the least squares did '
@@ -180,7 +191,7 @@ def findings(search: Search) -> list[str]:
     """Return sentences on the families found in addition to those requested."""
     broken_off = [_BROKEN_OFF] if search.broken_off else []
     table = search.before_search.equations.evidence.table
-    return [*(_found(one, table) for one in search.found), *broken_off, *_likely(search)]
+    return [*(_found(one, search, table) for one in search.found), *broken_off, *_likely(search)]
 
 
 def confounded_errors(search: Search) -> tuple[str, ...]:
@@ -201,11 +212,12 @@ def _likely(search: Search) -> list[str]:
     total = sum(search.probability.values())
     if total <= _SAID:
         return []
-    words = ' or '.join(
-        f'{family.course.words} ({family.name})'
+    courses = [
+        family.course
         for family, share in search.probability.items()
         if family.course is not None and share > _WORTH_NAMING * total
-    )
+    ]
+    words = ' or '.join(f'{course.words} ({course.value})' for course in courses)
     n = search.estimate.equations.sensors
     variances = np.diag(search.estimate.covariance)[:n]
     wider = np.sqrt(1 + np.diag(search.by_drifts) / variances) > 1 + _WIDER
@@ -215,13 +227,15 @@ def _likely(search: Search) -> list[str]:
     allowed = f': the standard deviations of {", ".join(names)} allow for it' if names else ''
     recorded = any(family.course is Course.THERMAL for family in search.probability)
     remedy = _BY_TEMPERATURE if recorded else _RECORD
+    if courses == [Course.STEP]:
+        remedy = _REPEAT
     return [
         f'The session hints at {words}, with a probability of {min(total, 0.99):.2g}, and does not '
         f'show it well enough to estimate it{allowed}. To tell, {remedy}.'
     ]
 
 
-def _found(found: Found, table: Table | None) -> str:
+def _found(found: Found, search: Search, table: Table | None) -> str:
     family = found.family
     chance = f'by chance once in 10^{max(3, round(-found.log_p / _LN10))} sessions'
     if family.of_table:
@@ -246,6 +260,9 @@ def _found(found: Found, table: Table | None) -> str:
     if family.course is not None:
         words = family.course.words
         text = f'The session shows {words} ({family.name}, {chance}): it is estimated.'
+        if family.course is Course.STEP:
+            equations = search.estimate.equations
+            text += f' It is at {at(instant_of(equations.evidence, equations.shape))}. {_STEPPED}'
         if found.rivals:
             names = ' or '.join(rival.name for rival in found.rivals)
             courses = {family.course, *(rival.course for rival in found.rivals)}

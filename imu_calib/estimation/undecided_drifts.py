@@ -1,9 +1,9 @@
 """Drifts that a session neither shows nor excludes: the probability and effect of each.
 
-A drift of the scale factors with the session's time that is too small to be detected still moves
-them by several standard deviations. So every course has prior odds, the session's evidence raises
-or lowers them, and the effect of the course on the parameters enters their covariance with the
-resulting probability (Bayesian model averaging).
+A drift of the scale factors with the session's time, or a step of the biases, that is too small to
+be detected still moves parameters by several standard deviations. So every course has prior odds,
+the session's evidence raises or lowers them, and the effect of the course on the parameters enters
+their covariance with the resulting probability (Bayesian model averaging).
 
 Sources: Liang et al. 2008, J. Am. Statist. Assoc. 103, 410 (the prior of the coefficients); Hoeting
 et al. 1999, Statist. Sci. 14, 382; docs/mathematics.md, 'Terms that are missing'.
@@ -22,8 +22,8 @@ from ..stream import Floats
 from .score import Family, Score
 
 _ODDS = 1 / 20
-"""Prior odds of each of two courses against none: ten to one for none, a judgement: one session in
-eleven drifts."""
+"""Prior odds of each of three courses against none: twenty to three for none, a judgement: one
+session in eight drifts or steps."""
 
 _LEAST = 1e-9
 """Chi-square below which the integrals are evaluated at this value: they are smooth there."""

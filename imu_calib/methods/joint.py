@@ -7,6 +7,7 @@ Source: docs/mathematics.md, 'Joint estimate'.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -24,7 +25,7 @@ from ..model import Term, parameters_of
 from ..model.session_terms import Change, Course
 from ..observation.equations import Equations
 from ..observation.evidence import Evidence
-from ..observation.modulation import spans
+from ..observation.modulation import instant_of, seconds_of
 from ..observation.session_model import Nuisance
 from ..stream import Floats
 from .checks import (
@@ -192,14 +193,15 @@ def _changes(found: Estimate) -> Changes | None:
     if not equations.changes:
         return None
     own, sensors = equations.changing, slice(0, equations.sensors)
-    warming = any(c.course is Course.WARM_UP for c in equations.changes)
-    _, ends = spans(equations.evidence)
+    courses = {c.course for c in equations.changes}
+    shaped = equations.evidence, equations.shape
     return Changes(
         equations.changes,
         found.state[own],
         found.covariance[own, own],
         found.covariance[sensors, own],
-        equations.time_constant * float(ends.max()) if warming else float('nan'),
+        seconds_of(*shaped) if Course.WARM_UP in courses else math.nan,
+        instant_of(*shaped) * 1e-9 if Course.STEP in courses else math.nan,
     )
 
 

@@ -20,8 +20,7 @@ from ..units import significant
 from .kinds import ParameterKind, Unit
 from .parameters import PARAMETERS, Parameter
 
-BY_DEFAULT = ('D_g', 'D_a', 'K_g', 'K_a')
-"""The parameters that a term of a session changes by default."""
+_ALL = ('D_g', 'D_a', 'K_g', 'K_a')
 _SECONDS_PER_HOUR = 3600.0
 """Engineers write drifts per hour."""
 
@@ -33,6 +32,8 @@ class Course(Enum):
     """Time, s, from the middle of the session."""
     WARM_UP = 'warm_up'
     """exp(-t / tau) since the session began, less its mean; tau is found on a grid."""
+    STEP = 'step'
+    """0 before an instant and 1 after it, less its mean; the instant is found on a grid."""
     THERMAL = 'thermal'
     """Temperature, K, from the session's mean."""
 
@@ -42,13 +43,28 @@ class Course(Enum):
         return {
             Course.TREND: 'parameters that drift evenly with time',
             Course.WARM_UP: 'parameters that settle as the unit warms up',
+            Course.STEP: 'biases that step at one instant',
             Course.THERMAL: 'parameters that follow the temperature',
         }[self]
 
     @property
     def per(self) -> str:
         """The unit by which a coefficient is divided, in SI, with the sign of division."""
-        return {Course.TREND: '/s', Course.WARM_UP: '', Course.THERMAL: '/K'}[self]
+        return {Course.TREND: '/s', Course.WARM_UP: '', Course.STEP: '', Course.THERMAL: '/K'}[self]
+
+    @property
+    def by_default(self) -> tuple[str, ...]:
+        """The parameters that it changes by default.
+
+        A step is of the biases: a unit that is switched on again has others, by far more of its
+        stated noise than its scale factors change.
+        """
+        return {
+            Course.TREND: _ALL,
+            Course.WARM_UP: _ALL,
+            Course.STEP: ('D_g', 'D_a'),
+            Course.THERMAL: _ALL,
+        }[self]
 
     @property
     def shown_per(self) -> tuple[str, float]:
@@ -56,6 +72,7 @@ class Course(Enum):
         return {
             Course.TREND: (' per h', 1 / _SECONDS_PER_HOUR),
             Course.WARM_UP: ('', 1.0),
+            Course.STEP: ('', 1.0),
             Course.THERMAL: (' per K', 1.0),
         }[self]
 
@@ -93,8 +110,8 @@ class Change:
         return self.parameters[0].kind is ParameterKind.SCALE_FACTOR_ERROR
 
 
-LOOKED_FOR = (Course.TREND, Course.WARM_UP)
-"""Courses possible in every session, and searched for; both at once are refused.
+LOOKED_FOR = (Course.TREND, Course.WARM_UP, Course.STEP)
+"""Courses possible in every session, and searched for; two at once are refused.
 
 The temperature is also searched for if a session records one that changes.
 """
@@ -107,7 +124,7 @@ def session_term(text: str) -> tuple[Change, ...]:
     """Return the coefficients of a term: 'trend', or with the parameters, as 'trend:D_a+K_ax'.
 
     D_g and D_a stand for the three biases of a triad, K_g and K_a for its common scale factors;
-    without parameters, all four are taken.
+    without parameters, those of `Course.by_default` are taken.
 
     Raises:
         InputError: No such term, or no such parameter.
@@ -115,7 +132,7 @@ def session_term(text: str) -> tuple[Change, ...]:
     name, _, acts_on = text.partition(':')
     course = Course(name)
     if not acts_on:
-        return tuple(c for of in BY_DEFAULT for c in _changes(course, of, asked=False))
+        return tuple(c for of in course.by_default for c in _changes(course, of, asked=False))
     return tuple(
         dict.fromkeys(c for of in acts_on.split('+') for c in _changes(course, of, asked=True))
     )
@@ -128,7 +145,7 @@ def split_terms(text: str) -> tuple[str, tuple[Change, ...]]:
         The rest of the list, or 'none', and the coefficients.
 
     Raises:
-        InputError: A name is wrong, or trend and warm-up are combined.
+        InputError: A name is wrong, or two courses with time are combined.
     """
     if not isinstance(text, str):
         raise InputError(f'`terms`: found {text!r}, expected names in a text, with commas between.')
@@ -136,10 +153,11 @@ def split_terms(text: str) -> tuple[str, tuple[Change, ...]]:
     mine = [name for name in names if name.partition(':')[0] in SESSION_TERMS]
     others = ','.join(name for name in names if name not in mine)
     changes = tuple(dict.fromkeys(c for name in mine for c in session_term(name)))
-    if {Course.TREND, Course.WARM_UP} <= {c.course for c in changes}:
+    with_time = [course.value for course in LOOKED_FOR if course in {c.course for c in changes}]
+    if len(with_time) > 1:
         raise InputError(
-            'Terms: found trend and warm_up, expected one of them: over one session a slow warm-up '
-            'is a trend, and the two cannot be told apart.'
+            f'Terms: found {" and ".join(with_time)}, expected one of them: over one session a '
+            'slow warm-up is a trend, a fast one is a step, and they cannot be told apart.'
         )
     return others or 'none', changes
 

@@ -224,6 +224,7 @@ def _add_changes(message: Any, changes: Changes | None) -> None:
     message.change_covariance = changes.covariance.ravel().tolist()
     message.change_cross_covariance = changes.cross.ravel().tolist()
     message.change_time_constant = float(changes.time_constant)
+    message.change_instant = float(changes.instant)
 
 
 def _changes(message: Any) -> Changes | None:
@@ -261,6 +262,7 @@ def _changes(message: Any) -> Changes | None:
         np.array(message.change_covariance, dtype=float).reshape(count, count),
         np.array(message.change_cross_covariance, dtype=float).reshape(size, count),
         float(message.change_time_constant),
+        float(message.change_instant),
     )
 
 
@@ -310,7 +312,7 @@ def _empty(imu: ImuSpec, status: int, text: str, frame_id: str, stamp: Any) -> A
     message.random_walk = [math.nan] * 6
     for name in ('reference', 'lowest', 'highest'):
         setattr(message, f'{name}_temperature', math.nan)
-    message.highest_rate = message.change_time_constant = math.nan
+    message.highest_rate = message.change_time_constant = message.change_instant = math.nan
     return message
 
 

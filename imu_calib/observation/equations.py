@@ -254,7 +254,7 @@ class Equations(SessionModel):
         return (
             self.parameters,
             self.changes,
-            self.time_constant,
+            self.shape,
             self.levelled,
             self.any_heading,
             self.positioning,

@@ -30,6 +30,21 @@ TIME_CONSTANTS = 2.0 ** np.arange(-4, 1.5, 0.5)
 within the first dwell, and a longer one is a trend."""
 
 
+def shapes(evidence: Evidence, course: Course) -> Floats:
+    """Return the grid of what shapes a course: time constant or instant, (k,) of the session.
+
+    A step is tried where each part of the session begins and in its middle, with at least one
+    before and one after it; 1 for a course without a shape.
+    """
+    if course is Course.WARM_UP:
+        return TIME_CONSTANTS
+    if course is not Course.STEP:
+        return np.ones(1)
+    starts, ends = spans(evidence)
+    tried = np.unique(np.concatenate([starts, (starts + ends) / 2]))
+    return np.asarray(tried[(tried >= ends.min()) & (tried <= starts.max())] / ends.max())
+
+
 def spans(evidence: Evidence) -> tuple[Floats, Floats]:
     """Return start and end of each dwell, turn and move, (s + t + m,) s since the first began."""
     starts, ends = _instants(evidence)
@@ -44,47 +59,70 @@ def _instants(evidence: Evidence) -> tuple[Stamps, Stamps]:
     return starts, np.array([part.end for part in parts], dtype=np.int64)
 
 
-def courses(evidence: Evidence, course: Course, time_constant: float) -> Floats:
+def seconds_of(evidence: Evidence, shape: float) -> float:
+    """Return what a fraction of the session lasts, s: the time constant of a warm-up."""
+    return shape * float(spans(evidence)[1].max(initial=0.0))
+
+
+def instant_of(evidence: Evidence, shape: float) -> int:
+    """Return the instant at a fraction of the session, ns by the stamps: that of a step."""
+    return int(_instants(evidence)[0].min()) + round(1e9 * seconds_of(evidence, shape))
+
+
+def courses(evidence: Evidence, course: Course, shape: float) -> Floats:
     """Return the means of a course over each dwell, turn and move, (s + t + m,).
 
     Args:
         evidence: The session.
         course: Which.
-        time_constant: Of a warm-up, as a fraction of the session.
+        shape: As in `shapes`.
     """
     starts, ends = spans(evidence)
     whole = float(ends.max(initial=0.0))
     if course is Course.TREND:
         return np.asarray((starts + ends) / 2 - whole / 2)
     if course is Course.WARM_UP:
-        tau = time_constant * whole
-        mean = -time_constant * np.expm1(-1 / time_constant)
+        tau = seconds_of(evidence, shape)
+        mean = -shape * np.expm1(-1 / shape)
         lasting = np.maximum(ends - starts, 1e-9) / tau
         return np.asarray(np.exp(-starts / tau) * -np.expm1(-lasting) / lasting - mean)
+    if course is Course.STEP:
+        return np.asarray(shape - _before(evidence, shape))
     return temperatures(evidence) - reference(evidence)
 
 
-def rates(evidence: Evidence, course: Course, time_constant: float) -> Floats:
+def rates(evidence: Evidence, course: Course, shape: float) -> Floats:
     """Return the slope of a course over each dwell, turn and move, (s + t + m,) per s.
 
     Args:
         evidence: The session.
         course: Which.
-        time_constant: Of a warm-up, as a fraction of the session.
+        shape: As in `shapes`.
     """
     starts, ends = spans(evidence)
     lasting = np.maximum(ends - starts, 1e-9)
     if course is Course.TREND:
         return np.ones_like(starts)
     if course is Course.WARM_UP:
-        tau = time_constant * float(ends.max(initial=0.0))
+        tau = seconds_of(evidence, shape)
         return np.asarray(np.exp(-starts / tau) * np.expm1(-lasting / tau) / lasting)
+    if course is Course.STEP:
+        # The line through a step by least squares.
+        share = _before(evidence, shape)
+        return np.asarray(6 * share * (1 - share) / lasting)
     assert evidence.temperature is not None
     first, last = _instants(evidence)
     half = np.asarray((last - first) // 2, dtype=np.int64)
     early = evidence.temperature.over(first, first + half)
     late = evidence.temperature.over(first + half, last)
     return np.asarray((late - early) / (lasting / 2))
+
+
+def _before(evidence: Evidence, instant: float) -> Floats:
+    """Return the share of each part of a session (n,) that lies before a fraction of it."""
+    starts, ends = spans(evidence)
+    passed = seconds_of(evidence, instant) - starts
+    return np.clip(passed / np.maximum(ends - starts, 1e-9), 0.0, 1.0)
 
 
 def temperatures(evidence: Evidence) -> Floats:
@@ -133,7 +171,7 @@ def columns(
     changes: Sequence[Change],
     derivatives: Floats,
     parameters: Sequence[Parameter],
-    time_constant: float,
+    shape: float,
     along: Callable[[Evidence, Course, float], Floats] = courses,
 ) -> Floats:
     """Return the derivatives of the outputs by coefficients, (m, k).
@@ -143,11 +181,11 @@ def columns(
         changes: The k coefficients.
         derivatives: (m, n) of the outputs by parameters.
         parameters: Parameters of the first columns of these.
-        time_constant: Of a warm-up, as a fraction of the session.
+        shape: As in `shapes`.
         along: `courses`; or `rates`, for slopes of the outputs within their segment, per s.
     """
     found = np.zeros((len(derivatives), len(changes)))
-    known = {c: along(evidence, c, time_constant) for c in {change.course for change in changes}}
+    known = {c: along(evidence, c, shape) for c in {change.course for change in changes}}
     for k, change in enumerate(changes):
         own = [parameters.index(p) for p in change.parameters]
         course = known[change.course][evidence.layout.segment]

@@ -64,13 +64,13 @@ class SessionModel:
         evidence: The session, in the time of its table (`timebase`).
         parameters: Of the sensors, in the order of the state, at its beginning.
         changes: Coefficients by which parameters change during the session: the end of the state.
-        time_constant: Of a warm-up among them, as a fraction of the session.
+        shape: Time constant of a warm-up or instant of a step, as a fraction of the session.
     """
 
     evidence: Evidence
     parameters: tuple[Parameter, ...] = PARAMETERS
     changes: tuple[Change, ...] = ()
-    time_constant: float = 1.0
+    shape: float = 1.0
 
     @property
     def sensors(self) -> int:
@@ -149,7 +149,7 @@ class SessionModel:
         self, what: Hashable, state: Floats, worked_out: Callable[[Any, Floats], Value]
     ) -> Value:
         """Return the cached result for a state (n,), or compute it from these and it."""
-        key = (what, state.tobytes(), self.time_constant)
+        key = (what, state.tobytes(), self.shape)
         # Most requests are for the last state.
         for known, parameters, changes, value in reversed(self.evidence.state_cache):
             if known == key and parameters is self.parameters and changes is self.changes:
@@ -282,11 +282,11 @@ class SessionModel:
             changes: The k coefficients.
             derivatives: (m, n) by the parameters of the sensors, as `jacobian` begins.
         """
-        return columns(self.evidence, changes, derivatives, self.parameters, self.time_constant)
+        return columns(self.evidence, changes, derivatives, self.parameters, self.shape)
 
     def slopes(self, state: Floats) -> Floats:
         """Return the slopes of outputs within their segment, (m,) per s, by changing parameters."""
-        jacobian, known = self.jacobian(state), (self.parameters, self.time_constant)
+        jacobian, known = self.jacobian(state), (self.parameters, self.shape)
         found = columns(self.evidence, self.changes, jacobian, *known, rates)
         return np.asarray(found @ state[self.changing])
 

@@ -12,7 +12,7 @@ from ..estimation.changing import with_changes
 from ..methods import JOINT
 from ..model import AXES, TERMS, Parameter, SensorModel, Term, terms_of
 from ..model.motion import has_motion_terms
-from ..model.session_terms import BY_DEFAULT, LOOKED_FOR, Change, Course, session_term
+from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..observation.equations import Equations
 from ..observation.modulation import warms
 from ..stream import Floats
@@ -121,7 +121,7 @@ def forecast_changes(
     return tuple(
         _of_changes(session_term(f'{course.value}:{kind}'), plain, before, truth, extra)
         for course in (*LOOKED_FOR, *([Course.THERMAL] if warms(found.evidence) else []))
-        for kind in BY_DEFAULT
+        for kind in course.by_default
     )
 
 

@@ -9,6 +9,7 @@ from rich.table import Table
 
 from ..alignment import SCALE, SHOWN
 from ..calibration import Calibration
+from ..instants import at
 from ..model import AXES, TERMS, Parameter
 from ..plain_table import plain_table
 
@@ -71,6 +72,8 @@ def change_note(calibration: Calibration) -> str:
     fading = ''
     if np.isfinite(changes.time_constant):
         fading = f' The warm-up fades with {changes.time_constant:.0f} s.'
+    if np.isfinite(changes.instant):
+        fading = f' The step is at {at(round(changes.instant * 1e9))}.'
     return (
         'K, E and D are those of the mean over the session. Their course during the session is not '
         f'part of the compensation.{fading}'

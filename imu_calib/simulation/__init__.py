@@ -3,6 +3,7 @@
 from .imperfections import load_imperfections, read_imperfections
 from .imu import SimulatedImu
 from .options import (
+    BiasStep,
     Delivery,
     ImuOptions,
     Shake,
@@ -21,6 +22,7 @@ from .table import SimulatedTable, TableState
 from .true_table import TableSizes, TrueJoint, TrueTable
 
 __all__ = [
+    'BiasStep',
     'Delivery',
     'ImuOptions',
     'SeveralOnTable',

@@ -1,4 +1,4 @@
-"""Read the file of a stand's imperfections: table, stamps, samples, vibration, temperature."""
+"""Read the file of a stand's imperfections: table, stamps, samples, vibration, biases."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from ..share import named_file
 from ..turntable import Table
 from ..units import Dimension
 from .options import (
+    BiasStep,
     Channels,
     Shake,
     StandOptions,
@@ -56,6 +57,7 @@ def read_imperfections(
         'samples': _samples,
         'mounting': _mounting,
         'temperature': _temperature,
+        'bias_step': _bias_step,
     }
     for key, read in readers.items():
         if not section.has(key):
@@ -214,6 +216,15 @@ def _temperature(part: Section, options: StandOptions) -> StandOptions:
         )
         s.finish()
     return replace(options, warming=warming, thermal_drift=drift, warm_up=fading)
+
+
+def _bias_step(part: Section, options: StandOptions) -> StandOptions:
+    step = BiasStep(
+        part.quantity('time', Dimension.TIME, least=0),
+        _channels(part, 'gyro', Dimension.RATE),
+        _channels(part, 'accelerometer', Dimension.ACCELERATION),
+    )
+    return replace(options, bias_step=step)
 
 
 def _size(

@@ -15,7 +15,7 @@ from ..model.motion import delay, places
 from ..stream import Floats, ImuBlock, SkewBlock, Stamps, Units
 from .delivery import DeliveryLine
 from .motion import Motion
-from .options import ImuOptions, ThermalDrift, WarmUp
+from .options import BiasStep, ImuOptions, ThermalDrift, WarmUp
 
 
 class _Channels:
@@ -255,6 +255,11 @@ class SimulatedImu:
             left = np.exp(-middle / fading.time_constant)[:, None]
             gyro = gyro + left * fading.gyro_bias
             accel = accel + left * fading.accel_bias
+        step = self.options.bias_step
+        if step != BiasStep():
+            after = (middle >= step.time)[:, None]
+            gyro = gyro + after * step.gyro_bias
+            accel = accel + after * step.accel_bias
         return gyro, accel
 
     def _channels(self, rng: np.random.Generator, triad: str) -> _Channels:

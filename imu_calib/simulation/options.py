@@ -125,6 +125,22 @@ class WarmUp:
     time_constant: float = 600.0
 
 
+@dataclass(frozen=True)
+class BiasStep:
+    """Biases that change at one instant, as those of a unit that is switched off and on do.
+
+    Attributes:
+        time: s since the start; infinite for none.
+        gyro_bias: Added from then on, to all channels alike or to each, rad/s.
+        accel_bias: The same, m/s^2.
+
+    """
+
+    time: float = math.inf
+    gyro_bias: Channels = 0.0
+    accel_bias: Channels = 0.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class Delivery:
     """Delivery of samples from the sensors to the recorder.
@@ -168,6 +184,7 @@ class ImuOptions:
         clock_rate_error: Relative rate error of the device clock (50e-6 is 50 ppm fast).
         imu_stamp_jitter: Standard deviation of the stamps, s; at most 0.45 of a sample.
         warm_up: Decaying biases.
+        bias_step: Biases from an instant on.
         delivery: Delivery of the samples.
         frame_id: Of the samples.
 
@@ -187,6 +204,7 @@ class ImuOptions:
     clock_rate_error: float = 0.0
     imu_stamp_jitter: float = 0.0
     warm_up: WarmUp = field(default_factory=WarmUp)
+    bias_step: BiasStep = field(default_factory=BiasStep)
     delivery: Delivery = field(default_factory=Delivery)
     frame_id: str = 'imu_link'
 
