@@ -32,6 +32,9 @@ _UP = np.array([0.0, 0.0, 1.0])
 """Up, in east, north, up."""
 _REACH_TOLERANCE = 1e-6
 """rad: rounding of rotation matrices in plans."""
+FARTHEST = 1e6 * TURN
+"""rad: larger encoder angles are refused, of continuous joints too. Beyond, two neighbouring
+doubles are further apart than 1e-9 rad, the rounding of `Table.check`."""
 _WORST_CLOCK = 1e-3
 """Ten times the largest error of plain quartz: a larger number is in another unit."""
 _LETTERS = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
@@ -264,10 +267,11 @@ class Table:
             InputError: Names joint, value and limit.
         """
         for joint, angle, rate in zip(self.joints, angles, rates, strict=True):
-            if not (joint.lower - 1e-9 <= angle <= joint.upper + 1e-9):
+            lower, upper = max(joint.lower, -FARTHEST), min(joint.upper, FARTHEST)
+            if not (lower - 1e-9 <= angle <= upper + 1e-9):
                 raise InputError(
                     f'{where}: joint {joint.name} at {angle / DEG:g} deg, table {self.name} '
-                    f'allows {joint.lower / DEG:g} to {joint.upper / DEG:g} deg.'
+                    f'allows {lower / DEG:g} to {upper / DEG:g} deg.'
                 )
             if not abs(rate) <= joint.max_rate * (1 + 1e-9):
                 raise InputError(

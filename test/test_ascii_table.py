@@ -8,6 +8,7 @@ import socket
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import processes
@@ -128,6 +129,16 @@ def test_hold_stops_and_what_the_controller_refused_is_not_tried_again(follower)
         (turn(), Reading(np.array([0, 0.1, 0]), np.zeros(3)), 'from rest at its angles'),
         (setpoint(1, Mode.RATE, (0, 0, 0), (0, 5, 5), 1.0), REST, 'whole turns of one joint'),
         (setpoint(1, Mode.RATE, (0, 0, 0), (0, 0, 500), 1.0), REST, '500'),
+        (setpoint(1, Mode.RATE, (0, 0, 0), (0, 0, math.nan), 1.0), REST, 'joint inner at nan deg'),
+        (setpoint(1, Mode.RATE, (0, 0, 0), (), 1.0), REST, 'not those of its 3 joints'),
+        (setpoint(1, Mode.RATE, (0, 0, 0), (0, 0, 20), 1e300), REST, 'at 3.6e+302 deg'),
+        (setpoint(angles=(0, math.inf, 0)), REST, 'joint middle at inf deg'),
+        (setpoint(angles=(0, -math.inf, 0)), REST, 'joint middle at -inf deg'),
+        (setpoint(angles=(math.nan, 0, 0)), REST, 'joint outer at nan deg'),
+        (setpoint(angles=(0, 0, 1e300)), REST, 'joint inner at 1e+300 deg'),
+        (setpoint(angles=(0, 0)), REST, 'not those of its 3 joints'),
+        (replace(setpoint(), joints=('outer', 'outer', 'inner')), REST, 'names a joint twice'),
+        (replace(setpoint(), joints=('outer', 'wheel', 'inner')), REST, "found joint 'wheel'"),
     ],
 )
 def test_what_a_table_must_not_do_is_refused(follower, wrong, at, words):

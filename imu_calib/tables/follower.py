@@ -126,8 +126,12 @@ class Follower:
         goal, rates = at.angles.copy(), np.zeros(len(at.angles))
         names = list(self._table.names)
         count = len(setpoint.joints)
-        if len(setpoint.angles) != count or len(setpoint.rates) not in {0, count}:
+        # Only a POSITION does without rates.
+        few = {count} if setpoint.mode is Mode.RATE else {0, count}
+        if len(setpoint.angles) != count or len(setpoint.rates) not in few:
             raise InputError(f'{where}: its angles or rates are not those of its {count} joints.')
+        if len(set(setpoint.joints)) != count:
+            raise InputError(f'{where}: it names a joint twice.')
         for k, name in enumerate(setpoint.joints):
             if name not in names:
                 raise InputError(f'{where}: found joint {name!r}, expected {", ".join(names)}.')
