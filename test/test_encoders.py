@@ -147,3 +147,27 @@ def test_a_wrap_may_be_five_degrees_off_what_the_table_can_have_turned() -> None
             found = taken(block([0, 20], [(0.0, 0.0, 0.0), (to, 0.0, 0.0)]))
             expected = to - sign * 2 * math.pi if wraps else to
             assert found[1].angles[0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize('wild', [math.inf, -math.inf, math.nan])
+def test_a_rate_that_is_no_number_is_that_of_the_angles(wild: float) -> None:
+    angles = [(0.001 * k, 0.0, 0.0) for k in range(20)]
+    found = taken(block([10 * k for k in range(20)], angles, [(wild, 0.5, 0.0)] * 20))
+    assert found[0].rates == (0.0, 0.5, 0.0)
+    assert found[-1].rates == pytest.approx((0.1, 0.5, 0.0))
+
+
+def test_the_mean_rates_are_those_of_the_angles_over_a_tenth_of_a_second() -> None:
+    times = np.arange(31) * 0.01
+    angles = [(float(t * t), 0.0, 0.0) for t in times]
+    found = taken(block([10 * k for k in range(31)], angles, [(2.0, 0.0, 0.0)] * 31))
+    assert found[0].means == ()
+    assert found[-1].means == pytest.approx((0.3 + 0.2, 0.0, 0.0))
+
+
+@pytest.mark.parametrize('far', [1e308, -1e308, 7e6, -7e6])
+def test_an_angle_that_no_table_has_is_refused(far: float) -> None:
+    mine = encoders()
+    list(mine.take(block([0], [(0.0, 0.0, 0.0)])))
+    with pytest.raises(FeedbackError, match='as the angle of joint middle'):
+        list(mine.take(block([10], [(0.0, far, 0.0)])))

@@ -1,5 +1,6 @@
 """The sequencer leads the simulated table: whatever goes wrong, the table stands at the end."""
 
+import math
 import re
 from contextlib import suppress
 from copy import deepcopy
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 
 from imu_calib.errors import InputError
 from imu_calib.plan import RateTest, load_plan
-from imu_calib.sequencing import Feedback, Lead, Overtaken, Phase, Rules, Sequencer
+from imu_calib.sequencing import Encoders, Feedback, Lead, Overtaken, Phase, Rules, Sequencer
 from imu_calib.simulation.options import TableOptions
 from imu_calib.simulation.table import SimulatedTable
 from imu_calib.stream import JointBlock, Mode, Setpoint
@@ -919,6 +920,54 @@ def test_a_hold_is_the_way_to_the_nearest_stopping_point():
     assert piece.course.time.tolist() == pytest.approx([60 / 200 + 0.1])
     assert piece.course.angles[0, 0] == pytest.approx(1.0 + 60 * DEG * 0.4 / 2)
     assert lead.piece(setpoint(Mode.HOLD, stamp=int(3e9)), at()) is None
+
+
+def reported(rate, angles, wild, joint=0, count=20):
+    """The last of joint states at 100 Hz whose angles go at a rate, and which report another."""
+    encoders = Encoders(TABLE, 1e-4, 0.5)
+    stamps = EPOCH + 10_000_000 * np.arange(count)
+    course = np.tile(angles, (count, 1)).astype(float)
+    course[:, joint] += 0.01 * rate * np.arange(count)
+    rates = np.zeros((count, 3))
+    rates[:, joint] = wild
+    *_, last = encoders.take(JointBlock(stamps, TABLE.names, course, rates))
+    return last
+
+
+@pytest.mark.parametrize('wild', [10.0, 1e9, math.inf, -10.0])
+def test_a_stop_from_a_rate_in_another_unit_is_no_motion(wild):
+    last = reported(10 * DEG, (0.0, 0.0, 0.0), wild)
+    (stop,) = Lead(TABLE).piece(setpoint(Mode.HOLD, stamp=last.stamp - EPOCH), last).course.angles
+    # From 10 deg/s, and at most 10 deg/s more, as 200 deg/s^2 allow in half of the window.
+    assert np.abs(stop - last.angles).max() <= 20 * DEG * (20 / 200 + 0.1) / 2 + 1e-9
+
+
+def test_a_stop_from_a_jump_of_an_encoder_that_reports_no_rate_is_no_motion():
+    encoders = Encoders(TABLE, 1e-4, 0.5)
+    course = np.zeros((20, 3))
+    course[15:, 0] = 0.3
+    stamps = EPOCH + 10_000_000 * np.arange(20)
+    *_, last = encoders.take(JointBlock(stamps, TABLE.names, course, np.zeros((20, 3))))
+    piece = Lead(TABLE).piece(setpoint(Mode.HOLD, stamp=last.stamp - EPOCH), last)
+    assert piece.course.angles.tolist() == [[0.3, 0.0, 0.0]]
+
+
+def test_a_stop_from_the_first_joint_state_is_from_a_rate_that_the_table_has():
+    last = reported(0.0, (0.0, 0.0, 0.0), 1e9, count=1)
+    (stop,) = Lead(TABLE).piece(setpoint(Mode.HOLD), last).course.angles
+    fastest = TABLE.joints[0].max_rate
+    assert stop[0] == pytest.approx(
+        fastest * (fastest / TABLE.joints[0].max_acceleration + 0.1) / 2
+    )
+
+
+@pytest.mark.parametrize(('angle', 'end'), [(0.9, 1.0), (1.0, 1.0), (1.4, 1.4)])
+def test_a_stop_is_no_way_beyond_the_limits_and_none_back(angle, end):
+    outer = replace(TABLE.joints[0], lower=-1.0, upper=1.0)
+    table = replace(TABLE, joints=(outer, *TABLE.joints[1:]))
+    fast = at(angles=(angle, 0.0, 0.0), rates=(200 * DEG, 0.0, 0.0), still=False)
+    (stop,) = Lead(table).piece(setpoint(Mode.HOLD), fast).course.angles
+    assert stop[0] == pytest.approx(end)
 
 
 def test_a_hold_is_told_again_every_second_while_the_table_moves():

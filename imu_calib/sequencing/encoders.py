@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from ..errors import InputError
 from ..stream import JointBlock
-from ..turntable import TURN, Table
+from ..turntable import FARTHEST, TURN, Table
 from ..units import DEG
 
 WINDOW = 0.1
@@ -36,6 +36,8 @@ class Feedback:
         angles: (k,) in the table's order, continuous, rad.
         rates: (k,) rad/s, as reported, else derived from the angles.
         still: Whether no joint has moved over the last tenth of a second.
+        means: (k,) mean rates over the last tenth of a second by the angles alone, rad/s; empty for
+            the first one.
 
     """
 
@@ -44,6 +46,7 @@ class Feedback:
     angles: tuple[float, ...]
     rates: tuple[float, ...]
     still: bool
+    means: tuple[float, ...] = ()
 
 
 class Encoders:
@@ -77,7 +80,7 @@ class Encoders:
         topic.
 
         Raises:
-            FeedbackError: An angle is NaN, or the stamps jump back.
+            FeedbackError: An angle is no number or beyond `FARTHEST`, or the stamps jump back.
 
         """
         joints = block.of(self._table.names)
@@ -100,18 +103,15 @@ class Encoders:
             raise FeedbackError(f'The stamps of the joint states jump back by {back * 1e-9:.3g} s.')
 
     def _follow(self, stamp: int, angles: list[float], rates: list[float]) -> Feedback:
-        if not all(map(math.isfinite, angles)):
-            name, angle = next(
-                (name, angle)
-                for name, angle in zip(self._table.names, angles, strict=True)
-                if not math.isfinite(angle)
-            )
+        strange = [k for k, angle in enumerate(angles) if not abs(angle) <= FARTHEST]
+        if strange:
+            name, angle = self._table.names[strange[0]], angles[strange[0]]
             raise FeedbackError(f'The joint states give {angle} as the angle of joint {name}.')
         past = self._past
         if not past:
             angles = [angle + turns for angle, turns in zip(angles, self._turns, strict=True)]
             past.append((stamp, tuple(angles)))
-            first = tuple(0.0 if math.isnan(rate) else rate for rate in rates)
+            first = tuple(rate if math.isfinite(rate) else 0.0 for rate in rates)
             return Feedback(stamp, 0.0, tuple(angles), first, False)
         gap = (stamp - past[-1][0]) * 1e-9
         angles = self._unwrapped(angles, past[-1][1], gap)
@@ -121,14 +121,12 @@ class Encoders:
         span = (stamp - since) * 1e-9
         changes = [now - then for now, then in zip(angles, before, strict=True)]
         still = stamp - since >= _WINDOW and max(map(abs, changes)) <= self._quiet
-        rates_of_joints = tuple(rates)
-        if any(map(math.isnan, rates)):
-            rates_of_joints = tuple(
-                change / span if math.isnan(rate) else rate
-                for rate, change in zip(rates, changes, strict=True)
-            )
+        means = tuple(change / span for change in changes)
+        known = tuple(
+            rate if math.isfinite(rate) else mean for rate, mean in zip(rates, means, strict=True)
+        )
         past.append((stamp, tuple(angles)))
-        return Feedback(stamp, gap, tuple(angles), rates_of_joints, still)
+        return Feedback(stamp, gap, tuple(angles), known, still, means)
 
     def _unwrapped(self, angles: list[float], last: tuple[float, ...], gap: float) -> list[float]:
         """Add whole turns where an angle jumps by about a turn, more than the joint can turn.

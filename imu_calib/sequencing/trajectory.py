@@ -17,9 +17,9 @@ import numpy as np
 
 from ..courses import Course, moving
 from ..errors import ImuCalibError
-from ..stream import Mode, Setpoint
+from ..stream import Floats, Mode, Setpoint
 from ..turntable import TURN, Table
-from .encoders import Feedback
+from .encoders import WINDOW, Feedback
 
 _LEAD = 0.1
 """s from sending the first piece of a motion to its start."""
@@ -98,11 +98,26 @@ class Lead:
 
     def _stop(self, at: Feedback) -> Piece:
         """Return the course to the nearest stopping point, from the present position."""
-        times = [abs(r) / a for r, a in zip(at.rates, self._accelerations, strict=True)]
+        angles, rates = np.array(at.angles), self._credible(at)
         # Slightly longer than the shortest time: the joint state is some milliseconds old.
-        time = max(times) + _SOONEST_STOP
-        goal = np.array(at.angles) + np.array(at.rates) * time / 2
+        time = float((np.abs(rates) / self._accelerations).max()) + _SOONEST_STOP
+        lower = np.minimum([joint.lower for joint in self._table.joints], angles)
+        upper = np.maximum([joint.upper for joint in self._table.joints], angles)
+        goal = np.clip(angles + rates * time / 2, lower, upper)
         return Piece(0, Course(np.array([time]), goal[None], np.zeros((1, len(goal)))))
+
+    def _credible(self, at: Feedback) -> Floats:
+        """Return the (k,) reported rates, or lower ones if the angles show less, rad/s.
+
+        A stop from too high a rate is a motion, of many turns if deg/s were reported as rad/s. A
+        joint at its highest acceleration is ahead of its mean rate by half of the change.
+        """
+        rates, means = np.array(at.rates), np.zeros(len(at.rates))
+        ahead = np.array(self._rates)
+        if at.means:
+            means, ahead = np.array(at.means), np.array(self._accelerations) * WINDOW / 2
+        shown = np.clip(rates, means - ahead, means + ahead)
+        return np.clip(shown, np.minimum(rates, 0.0), np.maximum(rates, 0.0))
 
     def _begin(self, setpoint: Setpoint, at: Feedback) -> None:
         goal, rates = list(setpoint.angles), list(self._rates)
