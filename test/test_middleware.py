@@ -570,6 +570,8 @@ def test_a_killed_subscriber_costs_the_others_nothing_but_time(domain, rmw):
 
 
 LAST_WORD = """
+import signal
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 from imu_calib.middleware import *
 latched = QoSProfile(depth=1)
 class Table(Node):
@@ -585,7 +587,7 @@ raise SystemExit(0 if run(Table, args=[]) else 3)
 """
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_a_node_after_its_last_message(node, number):
     got = []
     node.create_subscription(ros.messages.String, 'state', lambda m: got.append(m.data), 100)
@@ -594,6 +596,35 @@ def test_a_signal_ends_a_node_after_its_last_message(node, number):
     process.send_signal(number)
     assert spun(node, lambda: got[-1] == 'stopped')
     finish(process)
+
+
+def test_a_node_that_is_to_outlive_its_terminal_does(node):
+    got = []
+    node.create_subscription(ros.messages.String, 'state', lambda m: got.append(m.data), 100)
+    process = start(LAST_WORD.replace('SIG_DFL', 'SIG_IGN'))
+    assert spun(node, lambda: 'moving' in got), process.stderr
+    process.send_signal(signal.SIGHUP)
+    got.clear()
+    assert spun(node, lambda: len(got) > 10)
+    assert set(got) == {'moving'}
+    process.send_signal(signal.SIGINT)
+    finish(process)
+
+
+def test_a_node_whose_terminal_is_gone_goes_on_and_says_its_last_word(node):
+    got = []
+    node.create_subscription(ros.messages.String, 'state', lambda m: got.append(m.data), 100)
+    says = "self.publisher.publish(messages.String(data='"
+    process = start(LAST_WORD.replace(says, f"self.get_logger().error('a line') or {says}"))
+    assert spun(node, lambda: 'moving' in got)
+    process.stderr.close()
+    got.clear()
+    assert spun(node, lambda: len(got) > 10)
+    process.send_signal(signal.SIGHUP)
+    assert spun(node, lambda: got[-1] == 'stopped')
+    process.stderr = None
+    process.communicate(timeout=patience())
+    assert process.returncode == 0
 
 
 def test_signals_that_come_on_top_of_each_other_end_a_node_too(domain):

@@ -58,7 +58,7 @@ def run(
     done: Callable[[Any], bool] | None = None,
     ends: bool = False,
 ) -> bool:
-    """Spin a node until SIGINT, SIGTERM, shutdown, or until it is done.
+    """Spin a node until SIGINT, SIGTERM, SIGHUP, shutdown, or until it is done.
 
     The signal's handler only sets a flag. Then `node.stop()`, if the node has it, publishes its
     last messages and returns their publishers. When their subscriptions have acknowledged, the node
@@ -104,7 +104,11 @@ def _handle(handler: Callable[..., None]) -> dict[signal.Signals, Any]:
     """Install a handler; return the former ones. Only the main thread receives signals."""
     if threading.current_thread() is not threading.main_thread():
         return {}
-    return {n: signal.signal(n, handler) for n in (signal.SIGINT, signal.SIGTERM)}
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    # A terminal that is closed, or a lost ssh, sends SIGHUP; nohup ignores it, and means it.
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        numbers.append(signal.SIGHUP)
+    return {n: signal.signal(n, handler) for n in numbers}
 
 
 def _warn_of_namesakes(node: Any) -> None:

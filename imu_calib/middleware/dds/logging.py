@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from contextlib import suppress
 from enum import IntEnum
 from functools import partialmethod
 
@@ -44,8 +45,10 @@ class Logger:
             return
         sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
         line = f'[{severity.name}] [{sec}.{nanosec:09d}] [{self.name}]: {message}\n'
-        sys.stderr.write(line)
-        sys.stderr.flush()
+        # A closed terminal or pipe must not end a node that leads a table.
+        with suppress(OSError):
+            sys.stderr.write(line)
+            sys.stderr.flush()
 
     debug = partialmethod(_write, LoggingSeverity.DEBUG)
     info = partialmethod(_write, LoggingSeverity.INFO)
