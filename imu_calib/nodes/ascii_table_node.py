@@ -85,6 +85,13 @@ class AsciiTableNode(Node):
             )
         return []
 
+    def destroy_node(self) -> None:
+        """Stop the table too if the context ended before the node: then `stop` is not called."""
+        # A node that a wrong parameter ended as it began has no control.
+        if hasattr(self, '_control'):
+            self._control.stop(_PATIENCE)
+        super().destroy_node()
+
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
