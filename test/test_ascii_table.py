@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import processes
 import pytest
-from loopback import environment, until
+from loopback import environment, start, until
 from test_turntable_node import PLAN
 from test_turntable_node import TABLE as NIMBLE
 
@@ -418,6 +418,49 @@ def test_without_a_heartbeat_nothing_moves_and_its_silence_is_a_stop(bench):
     bench.lead(FAR)
     bench.until(lambda: False, 0.2)
     assert bench.controller.count('MOVE') == 3
+
+
+@pytest.mark.parametrize('bench', [('stop_required:=true',)], indirect=True)
+def test_a_heartbeat_that_says_stop_once_is_a_stop(bench):
+    beat = bench.leader.create_publisher(ros.messages.Bool, 'heartbeat', 10)
+    timer = bench.leader.create_timer(
+        0.05, lambda: beat.publish(ros.messages.Bool(data=True)), clock=STEADY
+    )
+    assert bench.until(lambda: bench.leader.says('source', 0, 'one source'))
+    bench.lead(FAR)
+    assert bench.until(lambda: bench.controller.count('MOVE') == 3)
+    before = bench.stops()
+    for clear in (False, True):
+        beat.publish(ros.messages.Bool(data=clear))
+    assert bench.until(lambda: bench.stops() > before)
+    # Its leader did not notice, and is not followed when the heartbeat is as before.
+    assert not bench.until(lambda: bench.controller.count('MOVE') > 3, 1.5)
+    timer.cancel()
+
+
+UNHEARD = """
+import sys
+from imu_calib import middleware as ros
+from imu_calib.nodes.ascii_table_node import AsciiTableNode
+class Cut(AsciiTableNode):
+    def __init__(self):
+        super().__init__()
+        steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
+        self.create_timer(0.5, ros.try_shutdown, clock=steady)
+ros.run(Cut)
+"""
+
+
+def test_the_table_stops_when_the_context_is_gone_before_the_node(monkeypatch):
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    controller = Controller()
+    process = start(UNHEARD, '--ros-args', '-p', f'port:={controller.url}')
+    _, errors = process.communicate()
+    assert process.returncode == 0, errors
+    assert controller.count('STATE') > 2
+    assert controller.lines[-1] == 'STOP'
+    controller.close()
 
 
 class Slow:

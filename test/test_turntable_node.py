@@ -387,6 +387,81 @@ def test_without_a_heartbeat_nothing_starts_and_its_silence_holds_the_table(sess
     session.reaches(Phase.TURNING)
 
 
+def test_a_heartbeat_that_says_stop_once_holds_the_table(session):
+    session.turn_at(90).open(stop_required=True, **PATIENT)
+    beat = session.watcher.create_publisher(ros.messages.Bool, 'heartbeat', 10)
+    clear, stop = (ros.messages.Bool(data=data) for data in (True, False))
+    session.watcher.create_timer(0.05, lambda: beat.publish(clear), clock=STEADY)
+    assert session.until(lambda: session.press('start')[0])
+    session.reaches(Phase.TURNING)
+    for message in (stop, clear):
+        beat.publish(message)
+    session.reaches(Phase.PAUSED)
+    assert 'The heartbeat on /heartbeat says stop.' in session.watcher.states[-1].reason
+    assert session.ends_stopped()
+
+
+def test_two_heartbeats_hold_the_table(session):
+    """The silence of one would not be noticed."""
+    session.turn_at(90).open(stop_required=True, **PATIENT)
+    clear = ros.messages.Bool(data=True)
+
+    def beats(node):
+        beat = node.create_publisher(ros.messages.Bool, 'heartbeat', 10)
+        node.create_timer(0.05, lambda: beat.publish(clear), clock=STEADY)
+
+    beats(session.watcher)
+    assert session.until(lambda: session.press('start')[0])
+    session.reaches(Phase.TURNING)
+    door = ros.Node('door')
+    session.executor.add_node(door)
+    beats(door)
+    session.reaches(Phase.PAUSED)
+    reason = session.watcher.states[-1].reason
+    assert '2 publishers are on /heartbeat: /door, /watcher.' in reason
+    assert session.ends_stopped()
+
+
+def test_a_start_that_waited_for_a_node_that_hung_moves_nothing(session):
+    session.turn_at(90).open(with_node=False)
+    process = session.start(feedback_timeout=30.0)
+    client = session.watcher.buttons['start']
+    says = session.watcher.says
+    assert session.until(lambda: says('joint states', 0, 'are received'))
+    assert session.until(client.service_is_ready)
+    os.kill(process.pid, signal.SIGSTOP)
+    future = client.call_async(ros.Trigger.Request())
+    assert not session.until(future.done, 1.0)
+    os.kill(process.pid, signal.SIGCONT)
+    assert session.until(future.done)
+    assert not future.result().success
+    assert 'did not run for a while' in future.result().message
+    assert not session.until(lambda: not session.table.at_rest(), 0.5)
+    # Asked again, it starts.
+    assert session.until(lambda: session.press('start')[0])
+    session.reaches(Phase.TURNING)
+
+
+@pytest.mark.parametrize('name', ['watchdog_timeout', 'calibrator_timeout', 'feedback_timeout'])
+@pytest.mark.parametrize('value', ['.inf', '.nan'])
+def test_a_watchdog_without_an_end_is_refused(session, name, value):
+    with pytest.raises(InputError, match=name):
+        session.open(**{name: value})
+
+
+def test_a_stamp_beyond_what_a_header_can_state_stops_the_table(session):
+    session.turn_at(90).open(**PATIENT)
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    assert session.press('start')[0]
+    session.reaches(Phase.TURNING)
+    late = ros.messages.JointState(name=list(NAMES), position=[0.0] * 3)
+    late.header.stamp.sec, late.header.stamp.nanosec = 2**31 - 1, 2**32 - 1
+    session.table.joints.publish(late)
+    session.reaches(Phase.PAUSED)
+    assert 'stamped 2147483651 s after 1970' in session.watcher.states[-1].reason
+    assert session.ends_stopped()
+
+
 def test_a_stop_that_is_taken_back_on_its_topic_alone_stays_pressed(session):
     session.turn_at(90).open(autostart=True, **PATIENT)
     session.reaches(Phase.TURNING)

@@ -45,7 +45,11 @@ def declare(
         low, high = -(2**62) if lower is None else lower, 2**62 if upper is None else upper
         described.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
     try:
-        return node.declare_parameter(name, default, described).value
+        value = node.declare_parameter(name, default, described).value
     except Exception as error:
         # The two runtimes raise the same error for a wrong type, different ones for a wrong range.
         raise InputError(f'Parameter {name}: {error}') from error
+    if ranged and not math.isfinite(value):
+        # A time that never ends is no watchdog, and NaN is within the range for rclpy.
+        raise InputError(f'Parameter {name}: found {value}, expected a finite number.')
+    return value

@@ -13,7 +13,8 @@ from .declared import declare
 class Heartbeat:
     """Subscribes to std_msgs/Bool on `heartbeat` if the parameter stop_required is set.
 
-    The table may move after true; it must not after false, or without messages. The subscription is
+    The table may move after true; it must not after false, or without messages. A false counts for
+    the timeout at least, so that nobody who asks from time to time misses it. The subscription is
     best effort, to match every publisher, and volatile, so that earlier messages do not count.
 
     Args:
@@ -37,7 +38,7 @@ class Heartbeat:
             upper=5.0,
         )
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._heard_at, self._clear = -math.inf, True
+        self._heard_at = self._refused_at = -math.inf
         self._topic = node.resolve_topic_name('heartbeat')
         self.required = required
         if required:
@@ -48,13 +49,16 @@ class Heartbeat:
         """Why nothing may move, in a sentence; else empty."""
         if not self.required:
             return ''
-        if self._steady.now().nanoseconds * 1e-9 - self._heard_at > self._timeout:
+        now = self._steady.now().nanoseconds * 1e-9
+        if now - self._heard_at > self._timeout:
             return (
                 f'No heartbeat on {self._topic} for {self._timeout:g} s: the table is stopped, and '
                 'nothing starts without one (stop_required).'
             )
-        return '' if self._clear else f'The heartbeat on {self._topic} says stop.'
+        stops = now - self._refused_at <= self._timeout
+        return f'The heartbeat on {self._topic} says stop.' if stops else ''
 
     def _hear(self, message: Any) -> None:
         self._heard_at = self._steady.now().nanoseconds * 1e-9
-        self._clear = bool(message.data)
+        if not message.data:
+            self._refused_at = self._heard_at

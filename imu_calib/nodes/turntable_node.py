@@ -45,6 +45,9 @@ _STATE_PERIOD = 0.5
 _LOOK_PERIOD = 0.1
 """s between checks of the publishers: at 90 deg/s a table turns by 9 deg meanwhile. A judgement;
 the answer to a foreign setpoint does not wait for the check."""
+_OVERDUE = 1.0
+"""s after a silence of this node in which requests may still be of that time: each takes a round of
+the executor, of milliseconds. A judgement."""
 _LAST_HOLDS = 3
 """HOLDs sent as the node ends: two may be lost."""
 _LAST_ROUNDS = 20
@@ -101,7 +104,8 @@ class TurntableNode(Node):
         self._controller = self._declare_output()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._malformed = Malformed()
-        self._fed_at = self._steady.now().nanoseconds * 1e-9
+        self._fed_at = self._ran_at = self._steady.now().nanoseconds * 1e-9
+        self._woke_at = -math.inf
         self._published: tuple[Any, ...] = ()
         self._published_at = -math.inf
 
@@ -131,7 +135,10 @@ class TurntableNode(Node):
             'turntable/setpoint': messages.TurntableSetpoint,
             'turntable/state': messages.TurntableState,
         }
-        others = 'turntable/joint_states', 'calibration/progress', 'estop'
+        others = ['turntable/joint_states', 'calibration/progress', 'estop']
+        if self._heartbeat.required:
+            # The heartbeat of one would hide the silence of another.
+            others.append('heartbeat')
         self._own = OwnTopics(self, own, others, self._on_foreign)
         alone = partial(self._own.is_alone, 'calibration/progress')
         self._calibrator = CalibratorProgress(
@@ -205,6 +212,9 @@ class TurntableNode(Node):
     def _go_on(self) -> None:
         """Check the clocks, advance, and send setpoints that are due."""
         now = self._steady.now().nanoseconds * 1e-9
+        if now - self._ran_at > self._watchdog:
+            self._woke_at = now
+        self._ran_at = now
         self._watch(now)
         if self._sequencer.fault:
             # After a fault a person must look before anything moves.
@@ -361,7 +371,7 @@ class TurntableNode(Node):
         return self._answer(response, self._release)
 
     def _on_start(self, request: Any, response: Any) -> Any:  # noqa: ARG002
-        return self._answer(response, self._sequencer.start)
+        return self._answer(response, self._start)
 
     def _on_pause(self, request: Any, response: Any) -> Any:  # noqa: ARG002
         return self._answer(response, self._call_off or self._sequencer.pause)
@@ -386,6 +396,13 @@ class TurntableNode(Node):
         return response
 
     def _start(self) -> str:
+        """Start, unless the node did not run: a request of then is not one of now."""
+        now = self._steady.now().nanoseconds * 1e-9
+        if now - self._ran_at > self._watchdog or now - self._woke_at < _OVERDUE:
+            raise InputError(
+                'This node did not run for a while, and the request may be as old: nothing '
+                'starts. Ask again.'
+            )
         said = self._sequencer.start()
         self._autostart = False
         return said
