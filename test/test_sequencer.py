@@ -619,6 +619,20 @@ def test_a_start_that_waits_for_the_calibrator_is_called_off():
     assert {s.mode for s in stand.sent} == {Mode.HOLD}
 
 
+def test_a_start_that_waits_for_the_calibrator_waits_for_what_else_is_awaited():
+    stand = Stand(rules=SUPERVISED)
+    stand.tick()
+    stand.sequencer.start()
+    stand.sequencer.forbid('controller', 'No controller.', awaited=True)
+    for _ in range(20):
+        stand.sequencer.set_calibrator_present(True)
+        assert stand.tick().phase is Phase.IDLE
+    assert stand.sent == []
+    stand.sequencer.forbid('controller', '', awaited=True)
+    stand.sequencer.set_calibrator_present(True)
+    stand.run(lambda state: state.phase is Phase.MOVING, 1.0)
+
+
 def test_the_word_of_a_calibrator_that_is_ahead_of_the_table_does_not_count():
     stand = supervised()
     stand.run(lambda state: stand.sequencer.reviewing)

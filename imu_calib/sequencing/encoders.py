@@ -18,6 +18,9 @@ WINDOW = 0.1
 _WINDOW = round(WINDOW * 1e9)
 """ns."""
 
+_LATEST = 2**31 * 10**9 - 1
+"""ns: the largest stamp of a header. A message may exceed it with more than 1e9 ns in a second."""
+
 _JITTER = 5 * DEG
 """Largest change of angle between two joint states that stamp jitter may cause."""
 
@@ -80,7 +83,8 @@ class Encoders:
         topic.
 
         Raises:
-            FeedbackError: An angle is no number or beyond `FARTHEST`, or the stamps jump back.
+            FeedbackError: An angle is no number or beyond `FARTHEST`; a stamp jumps back, or is
+                later than a header can state.
 
         """
         joints = block.of(self._table.names)
@@ -103,6 +107,8 @@ class Encoders:
             raise FeedbackError(f'The stamps of the joint states jump back by {back * 1e-9:.3g} s.')
 
     def _follow(self, stamp: int, angles: list[float], rates: list[float]) -> Feedback:
+        if stamp > _LATEST:
+            raise FeedbackError(f'The joint states are stamped {stamp * 1e-9:.0f} s after 1970.')
         strange = [k for k, angle in enumerate(angles) if not abs(angle) <= FARTHEST]
         if strange:
             name, angle = self._table.names[strange[0]], angles[strange[0]]

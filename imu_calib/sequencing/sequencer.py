@@ -241,7 +241,9 @@ class Sequencer:
         self._supervision.hear(heard)
         if not self._supervision.heard:
             self.fail(reason or 'The calibrator is silent.')
-        elif self._stage is _Stage.WAITING and not self._obstacles.calibrator:
+        elif self._stage is _Stage.WAITING and not (
+            self._obstacles.calibrator or self._obstacles.forbidden
+        ):
             if not self._obstacles.feedback:
                 self._go()
             elif self._waits_from is _Stage.PAUSED:

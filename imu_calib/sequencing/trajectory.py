@@ -117,7 +117,7 @@ class Lead:
         if at.means:
             means, ahead = np.array(at.means), np.array(self._accelerations) * WINDOW / 2
         shown = np.clip(rates, means - ahead, means + ahead)
-        return np.clip(shown, np.minimum(rates, 0.0), np.maximum(rates, 0.0))
+        return np.asarray(np.clip(shown, np.minimum(rates, 0.0), np.maximum(rates, 0.0)))
 
     def _begin(self, setpoint: Setpoint, at: Feedback) -> None:
         goal, rates = list(setpoint.angles), list(self._rates)
