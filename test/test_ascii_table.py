@@ -1,6 +1,7 @@
 """ascii_table_node against a scripted controller on a socket, and its rules without one."""
 
 import contextlib
+import itertools
 import math
 import os
 import signal
@@ -144,6 +145,21 @@ def test_hold_stops_and_what_the_controller_refused_is_not_tried_again(follower)
 def test_what_a_table_must_not_do_is_refused(follower, wrong, at, words):
     assert follower.command(wrong, 0, 0.0, at) == ()
     assert words in follower.refusal
+
+
+def test_what_is_refused_on_the_way_stops_the_table_once(follower):
+    """Repeated, it would keep the earlier motion alive."""
+    assert len(follower.command(setpoint(), 0, 0.0, REST)) == 3
+    wrong = setpoint(1, Mode.RATE, (0, 0, 0), (0, 0, 500), 1.0)
+    assert follower.command(wrong, 0, 0.1, REST) == (Stop(),)
+    assert follower.command(wrong, 0, 0.2, REST) == ()
+    assert '500 deg/s' in follower.refusal
+    assert len(follower.command(setpoint(), 0, 0.3, REST)) == 3
+
+
+@pytest.mark.parametrize(('age', 'moves'), [(0.49, 3), (0.51, 0), (-0.49, 3), (-0.51, 0)])
+def test_a_setpoint_is_neither_older_nor_newer_than_its_age(follower, age, moves):
+    assert len(follower.command(setpoint(stamp=NS), NS + round(age * NS), 0.0, REST)) == moves
 
 
 # --- the node and a controller -----------------------------------------------------------------
@@ -305,11 +321,23 @@ def test_an_order_that_the_controller_refuses_stops_all_axes_and_is_said(bench):
     assert (bench.controller.count('MOVE'), bench.stops()) == (1, before + 1)
 
 
+def test_an_order_whose_answer_cannot_be_read_is_a_broken_line(bench):
+    bench.controller.script['MOVE'] = 'O?K'
+    before = bench.stops()
+    bench.lead(setpoint())
+    assert bench.until(lambda: bench.leader.says('controller', 2, 'reply to an order cannot be'))
+    assert bench.stops() > before
+    assert bench.controller.count('MOVE') == 1
+
+
 def test_a_controller_that_falls_silent_is_told_to_stop_and_met_anew(bench):
     bench.lead(setpoint(angles=(0, 9000, 0)))
     assert bench.until(lambda: bench.controller.count('MOVE') == 3)
+    asked = bench.controller.count('STATE')
     bench.controller.silent = True
     assert bench.until(lambda: bench.controller.lines[-1] == 'STOP')
+    # The first question without an answer; another may have been answered meanwhile.
+    assert bench.controller.count('STATE') - asked <= 2
     assert bench.until(lambda: bench.leader.says('controller', 2, "no reply to 'STATE'"))
     bench.lead(None)
     bench.controller.silent = False
@@ -321,6 +349,22 @@ def test_a_controller_that_hangs_up_is_said_and_called_again(bench):
     bench.controller.line.shutdown(socket.SHUT_RDWR)
     assert bench.until(lambda: bench.leader.says('controller', 2, 'is lost'))
     assert bench.until(lambda: bench.leader.says('controller', 0, 'answers'))
+
+
+def test_after_a_hang_up_a_position_is_gone_on_with_and_no_turn(bench):
+    bench.lead(FAR)
+    assert bench.until(lambda: bench.controller.count('MOVE') == 3)
+    bench.controller.line.shutdown(socket.SHUT_RDWR)
+    assert bench.until(lambda: bench.controller.count('MOVE') == 6)
+    bench.lead(setpoint(mode=Mode.HOLD))
+    assert bench.until(lambda: bench.controller.goals == bench.controller.angles)
+    at = bench.controller.angles
+    assert bench.until(lambda: bench.controller.lines[-3:] == ['STATE'] * 3)
+    bench.lead(turn(angles=at))
+    assert bench.until(lambda: bench.controller.count('MOVE') == 9)
+    bench.controller.line.shutdown(socket.SHUT_RDWR)
+    assert bench.until(lambda: bench.leader.says('setpoints', 2, 'is not resumed'))
+    assert bench.controller.count('MOVE') == 9
 
 
 def test_an_error_that_nobody_foresaw_stops_the_table_and_does_not_end_its_control(bench):
@@ -406,9 +450,11 @@ def test_without_a_heartbeat_nothing_moves_and_its_silence_is_a_stop(bench):
     bench.until(lambda: False, 1.0)
     bench.lead(FAR)
     assert bench.until(lambda: bench.controller.count('MOVE') == 3)
-    before = bench.stops()
+    before, asked = bench.stops(), bench.controller.count('STATE')
     timer.cancel()
     assert bench.until(lambda: bench.stops() > before)
+    # Within a second, at 50 a second.
+    assert bench.controller.count('STATE') - asked <= 50
     assert bench.until(lambda: bench.leader.says('source', 2, 'No heartbeat'))
     # It is back, and says stop.
     bench.lead(None)
@@ -418,6 +464,24 @@ def test_without_a_heartbeat_nothing_moves_and_its_silence_is_a_stop(bench):
     bench.lead(FAR)
     bench.until(lambda: False, 0.2)
     assert bench.controller.count('MOVE') == 3
+
+
+@pytest.mark.parametrize('bench', [('stop_required:=true', 'setpoint_timeout:=2.0')], indirect=True)
+def test_a_heartbeat_that_says_stop_is_no_matter_of_the_next_setpoint(bench):
+    beat = bench.leader.create_publisher(ros.messages.Bool, 'heartbeat', 10)
+    timer = bench.leader.create_timer(
+        0.05, lambda: beat.publish(ros.messages.Bool(data=True)), clock=STEADY
+    )
+    assert bench.until(lambda: bench.leader.says('source', 0, 'one source'))
+    bench.lead(FAR)
+    assert bench.until(lambda: bench.controller.count('MOVE') == 3)
+    bench.lead(None)
+    timer.cancel()
+    before, asked = bench.stops(), bench.controller.count('STATE')
+    beat.publish(ros.messages.Bool(data=False))
+    assert bench.until(lambda: bench.stops() > before)
+    # Within a second, at 50 a second; the silence of its leader alone is a stop after two.
+    assert bench.controller.count('STATE') - asked <= 50
 
 
 @pytest.mark.parametrize('bench', [('stop_required:=true',)], indirect=True)
@@ -463,11 +527,23 @@ def test_the_table_stops_when_the_context_is_gone_before_the_node(monkeypatch):
     controller.close()
 
 
+def test_of_two_publishers_that_no_message_tells_apart_every_message_is_of_another(bench):
+    rival = bench.leader.create_publisher(
+        ros.messages.TurntableSetpoint, 'turntable/setpoint', qos.command()
+    )
+    assert bench.until(lambda: len(bench.node._commands._listed()) == 2)
+    assert len({bench.node._commands._known() for _ in range(5)}) == 5
+    bench.leader.destroy_publisher(rival)
+    assert bench.until(lambda: len(bench.node._commands._listed()) == 1)
+    assert len({bench.node._commands._known() for _ in range(5)}) == 1
+
+
 class Slow:
     """A line on which what is told to move takes three seconds, by a clock of its own."""
 
     def __init__(self):
         self.lines, self.ahead = [], 0.0
+        self.state = itertools.repeat('STATE 0 0 0 0 0 0')
 
     def monotonic(self):
         return time.monotonic() + self.ahead
@@ -476,7 +552,7 @@ class Slow:
         self.lines.append(text)
         if text.startswith('MOVE'):
             self.ahead += 3.0
-        return 'STATE 0 0 0 0 0 0' if text == 'STATE' else 'OK'
+        return next(self.state) if text == 'STATE' else 'OK'
 
     def close(self):
         """Nothing is to be closed."""
@@ -495,6 +571,36 @@ def test_orders_that_are_held_up_midway_are_not_gone_on_with(monkeypatch, follow
     first = next(k for k, text in enumerate(line.lines) if text.startswith('MOVE'))
     assert line.lines[first + 1] == 'STOP'
     assert sum(text.startswith('MOVE') for text in line.lines) == 1
+
+
+def test_a_reading_is_stamped_in_the_middle_between_question_and_answer(follower):
+    clock = itertools.count(0, 100)
+    at_work = control.Control(Slow, follower, TABLE.names, lambda: next(clock), 0.001)
+    at_work.start()
+    assert until(lambda: len(at_work._readings) > 3)
+    assert at_work.stop(5.0)
+    assert at_work.take().stamp[:3].tolist() == [50, 250, 450]
+
+
+def test_the_third_bad_answer_in_a_row_is_another_device(follower):
+    line = Slow()
+    line.state = iter(['STATE 0 0 0 0 0 0', 'STAT', '?', 'STATE 0 0 0 0 0 0', *'abcdef'])
+    at_work = control.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
+    at_work.start()
+    assert until(lambda: at_work.status.breaks == 1)
+    assert at_work.stop(5.0)
+    head = ['STOP', 'WATCHDOG 1.000']
+    assert line.lines[:10] == [*head, *['STATE'] * 7, 'STOP']
+
+
+def test_what_was_wanted_before_the_line_was_open_moves_nothing(follower):
+    line = Slow()
+    at_work = control.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
+    at_work.command(setpoint())
+    at_work.start()
+    assert until(lambda: line.lines.count('STATE') > 5)
+    assert at_work.stop(5.0)
+    assert not any(text.startswith('MOVE') for text in line.lines)
 
 
 @pytest.mark.repeats

@@ -1,5 +1,7 @@
 """turntable_node in front of ros2_control: a table that follows goals of its action alone."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import test_turntable_node as stand
@@ -131,6 +133,21 @@ def test_a_goal_that_is_aborted_stops_the_table(led, code, words):
     angles = session.controller.state(session.table.stamp())[0]
     for goal in session.controller.goals[goals:]:
         np.testing.assert_allclose(goal.points[-1].positions, angles, atol=1 * DEG)
+
+
+@pytest.mark.parametrize(
+    ('code', 'phase'),
+    [('PATH_TOLERANCE_VIOLATED', Phase.PAUSED), ('INVALID_GOAL', Phase.TURNING)],
+)
+def test_a_goal_that_was_replaced_may_end_in_any_way_but_off_its_path(led, code, phase):
+    session = turning(led())
+    kind = session.controller.kind.Result
+    answer = ros.actions.FollowJointTrajectory.Result(error_code=getattr(kind, code))
+    ended = SimpleNamespace(status=ros.GoalStatus.ABORTED, result=answer)
+    session.node._controller._on_result(0, SimpleNamespace(result=lambda: ended))
+    state = session.node._sequencer.state()
+    assert state.phase is phase
+    assert state.reason.endswith('the path tolerance is violated.') == (phase is Phase.PAUSED)
 
 
 def test_another_client_of_the_controller_stops_the_table(led):

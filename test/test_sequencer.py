@@ -319,6 +319,10 @@ def test_a_table_that_passes_its_goal_is_stopped():
     begin = np.array(stand.sequencer.state().angles)
     stand.plant = lambda time, angles, rates: (angles + 0.02 * (angles - begin), rates)
     assert abs(goal - begin)[0] > 30 * DEG
+    stand.run(lambda state: state.phase is Phase.PAUSED)
+    # The tolerance, and what the fastest joint goes within the joint states of one tick.
+    over = abs(stand.sequencer.state().angles[0] - begin[0]) - abs(goal - begin)[0]
+    assert 0.5 * DEG < over < 0.5 * DEG + 400 * DEG * PERIOD * stand.block
     pauses(stand, 'outer', 'passed its goal')
 
 
@@ -327,6 +331,7 @@ def test_a_joint_beyond_its_limits_is_stopped():
     middle = replace(middle, lower=-100 * DEG, upper=100 * DEG)
     stand = moving(Stand(table=replace(TABLE, joints=(outer, middle, inner))))
     stand.plant = shifted(middle=170 * DEG)
+    assert stand.tick().phase is Phase.PAUSED
     pauses(stand, 'middle', 'is at 170.000 deg, beyond its limits of -100 to 100 deg')
 
 
@@ -398,6 +403,7 @@ def test_without_joint_states_the_table_is_held_and_a_start_is_refused():
 def test_joint_states_that_are_no_numbers_stop_the_table():
     stand = moving(Stand())
     stand.plant = lambda time, angles, rates: (angles * np.nan, rates)
+    assert stand.tick().phase is Phase.PAUSED
     pauses(stand, 'nan as the angle of joint')
     recovers(stand)
 
@@ -436,6 +442,7 @@ def test_stamps_that_jump_back_stop_the_table():
     stand = moving(Stand())
     block = JointBlock(np.array([EPOCH - 10**9]), TABLE.names, np.zeros((1, 3)), np.zeros((1, 3)))
     assert not stand.sequencer.take(block)
+    assert stand.sequencer.state().phase is Phase.PAUSED
     pauses(stand, 'jump back')
     recovers(stand)
 
@@ -461,6 +468,25 @@ def test_an_interrupted_turn_is_repeated_from_where_it_starts():
     assert modes(stand, 1) == [Mode.RATE, Mode.HOLD, Mode.POSITION, Mode.RATE]
     assert stand.refusals == []
     assert stand.stands()
+
+
+def test_a_turn_that_had_not_begun_is_not_gone_on_with_from_where_the_table_seems_to_be():
+    stand = Stand().started()
+    stand.phase(Phase.TURNING)
+    stand.sequencer.pause()
+    stand.tick()
+    stand.sequencer.start()
+    stand.phase(Phase.DWELLING)
+    assert modes(stand, 1)[-2:] == [Mode.POSITION, Mode.RATE]
+
+
+def test_a_turn_that_starts_off_its_angles_goes_there_first():
+    stand = Stand().started()
+    stand.phase(Phase.SETTLING)
+    # Further than an arrival, and less than what counts as a motion.
+    stand.plant = shifted(middle=0.03 * DEG)
+    stand.run(lambda state: state.step == 1)
+    assert modes(stand, 1) == [Mode.POSITION]
 
 
 def test_a_pause_while_the_table_still_brakes_may_be_taken_back_at_once():
@@ -514,6 +540,22 @@ def test_the_emergency_stop_holds_and_its_release_moves_nothing():
     stand.sequencer.start()
     stand.phase(Phase.DONE)
     assert stand.stands()
+
+
+def test_a_stop_that_is_said_again_changes_nothing_and_hides_nothing():
+    """A button repeats it ten times a second, and meanwhile somebody turns the table."""
+    stand = Stand()
+    for _ in range(40):
+        stand.tick()
+    stand.sequencer.emergency(True)
+    revision = stand.sequencer.revision
+    for k in range(40):
+        if k == 20:
+            stand.plant = shifted(middle=1 * DEG)
+        stand.sequencer.emergency(True)
+        state = stand.tick()
+    assert stand.sequencer.revision == revision
+    assert 'Joint middle moves while it is to stand' in state.reason
 
 
 @pytest.mark.parametrize('stop', ['emergency', 'pause then emergency'])

@@ -84,8 +84,10 @@ class Follower:
                 raise InputError(f'{_where(setpoint)}: a turn that was broken off is not resumed.')
             orders = self._moves(setpoint, at)
         except InputError as error:
+            # What moved until then is not what its leader wants now.
+            moves, self._stopped = not self._stopped, True
             self._rejected, self.refusal = True, str(error)
-            return ()
+            return (Stop(),) if moves else ()
         self._stopped = False
         return orders
 
