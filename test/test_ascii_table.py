@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import math
 import os
+import select
 import signal
 import socket
 import sys
@@ -23,7 +24,7 @@ from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.nodes import qos
 from imu_calib.simulation.tracks import Track, trapezoid
 from imu_calib.stream import Mode, Setpoint, SetpointBlock
-from imu_calib.tables import Follower, Move, Reading, Stop, control
+from imu_calib.tables import Follower, Line, Move, Reading, Stop, control
 from imu_calib.turntable import load_table
 
 # ROS reads this when it loads its messages.
@@ -580,6 +581,26 @@ def test_a_reading_is_stamped_in_the_middle_between_question_and_answer(follower
     assert until(lambda: len(at_work._readings) > 3)
     assert at_work.stop(5.0)
     assert at_work.take().stamp[:3].tolist() == [50, 250, 450]
+
+
+def test_an_answer_to_an_earlier_question_is_none_to_this_one():
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        line = Line(f'socket://127.0.0.1:{server.getsockname()[1]}', 0, 5.0)
+        other, _ = server.accept()
+        with contextlib.closing(line), other, other.makefile('rw') as controller:
+            controller.write('LATE\r\n')
+            controller.flush()
+            assert until(lambda: select.select([line._port._socket], [], [], 0)[0])
+
+            def answer():
+                controller.readline()
+                controller.write('OK\r\n')
+                controller.flush()
+
+            answers = threading.Thread(target=answer)
+            answers.start()
+            assert line.ask('STOP') == 'OK'
+            answers.join()
 
 
 def test_the_third_bad_answer_in_a_row_is_another_device(follower):

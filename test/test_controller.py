@@ -10,7 +10,7 @@ from joint_trajectory_server import ACTION, JointTrajectoryServer
 
 from imu_calib import middleware as ros
 from imu_calib.cdr import encode_joints
-from imu_calib.sequencing import Phase
+from imu_calib.sequencing import Overtaken, Phase
 from imu_calib.stream import JointBlock
 from imu_calib.units import DEG
 
@@ -133,6 +133,20 @@ def test_a_goal_that_is_aborted_stops_the_table(led, code, words):
     angles = session.controller.state(session.table.stamp())[0]
     for goal in session.controller.goals[goals:]:
         np.testing.assert_allclose(goal.points[-1].positions, angles, atol=1 * DEG)
+
+
+def test_a_piece_that_comes_too_late_ends_the_run(led, monkeypatch):
+    session = turning(led())
+    lead = session.node._controller._lead
+    piece = lead.piece
+
+    def late(setpoint, at):
+        if setpoint.mode is not stand.Mode.HOLD:
+            raise Overtaken('The table brakes already.')
+        return piece(setpoint, at)
+
+    monkeypatch.setattr(lead, 'piece', late)
+    assert stops(session, 'The table brakes already.')
 
 
 @pytest.mark.parametrize(

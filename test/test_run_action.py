@@ -177,6 +177,19 @@ def test_a_pause_keeps_the_goal_and_a_goal_may_go_on_with_what_was_paused(sessio
     assert client.cancel(handle) == 1
 
 
+def test_a_goal_that_is_refused_leaves_what_was_paused(session):
+    client = Client(session.turn_at(90).open(**stand.PATIENT))
+    assert session.press('start')[0]
+    session.reaches(Phase.TURNING)
+    assert session.press('pause')[0]
+    session.node._sequencer.forbid('door', 'The door is open.')
+    status, result = client.end(client.run()[1])
+    assert (status, result.message) == (Status.ABORTED, 'The door is open.')
+    assert session.watcher.phase is Phase.PAUSED
+    session.node._sequencer.forbid('door', '')
+    assert session.press('start') == (True, 'Resumes with step 1.')
+
+
 def finished(session, state, status):
     """Play the calibrator's last words."""
     publisher = session.watcher.create_publisher(

@@ -10,6 +10,7 @@ import pytest
 
 from imu_calib.errors import InputError
 from imu_calib.plan import Step, load_plan
+from imu_calib.sequencing.obstacles import Obstacles
 from imu_calib.sequencing.steps import check, end_of, held, laid_out, motion_time, setpoint_of
 from imu_calib.stream import Mode
 from imu_calib.turntable import TURN, load_table
@@ -89,3 +90,25 @@ def test_the_way_home_of_a_plan_is_where_the_table_stood():
     np.testing.assert_array_equal(home.angles, start)
     assert (home.mode, home.dwell, home.turns) == (Mode.POSITION, 0.0, 0)
     assert not home.rates.any()
+
+
+@pytest.mark.parametrize(('turns', 'fits'), [(1, True), (2, False)])
+def test_a_turn_ends_within_the_limits_of_its_joint(turns, fits):
+    joints = (replace(TABLE.joints[0], lower=-1.0, upper=2.5 * TURN), *TABLE.joints[1:])
+    turn, table = step(rates=(60 * DEG, 0.0, 0.0), turns=turns), replace(TABLE, joints=joints)
+    if fits:
+        check(turn, table)
+    else:
+        with pytest.raises(InputError, match='joint outer at 1080 deg'):
+            check(turn, table)
+
+
+def test_what_forbids_is_new_once():
+    obstacles = Obstacles()
+    assert obstacles.forbid('estop', '') is False
+    assert [obstacles.forbid('estop', 'Two.') for _ in range(2)] == [True, False]
+    assert obstacles.forbid('estop', 'Three.') is True
+    assert obstacles.forbid('door', 'Open.') is True
+    assert obstacles.forbidden == 'Three. Open.'
+    assert obstacles.forbid('estop', '') is False
+    assert obstacles.forbidden == 'Open.'

@@ -573,6 +573,24 @@ def test_joint_states_that_cease_stop_the_table(session):
     session.reaches(Phase.TURNING)
 
 
+@pytest.mark.parametrize('frozen', [False, True])
+def test_joint_states_of_others_and_repeated_ones_are_no_word_of_the_table(session, frozen):
+    session.turn_at(90).open(autostart=True, watchdog_timeout=2.0, feedback_timeout=30.0)
+    session.reaches(Phase.TURNING)
+    session.table.silent = True
+    other = ros.messages.JointState(name=['door', 'lid'], position=[0.0] * 2)
+    if frozen:
+        other = ros.messages.JointState(name=list(NAMES), position=[0.0] * 3)
+        last = session.node._sequencer.feedback.stamp
+        other.header.stamp = ros.Time(nanoseconds=last).to_msg()
+    session.watcher.create_timer(0.05, lambda: session.table.joints.publish(other), clock=STEADY)
+    session.reaches(Phase.PAUSED)
+    reason = session.watcher.states[-1].reason
+    assert reason.startswith('No joint state from the table for 2 s.')
+    assert ('that name door, lid are ignored' in reason) != frozen
+    assert session.ends_stopped()
+
+
 def test_a_calibrator_is_waited_for_and_has_steps_repeated(session):
     session.open(supervised=True, autostart=True, use_sim_time=True, watchdog_timeout=5.0)
     session.table.run_ahead(10)
@@ -833,6 +851,37 @@ def test_a_setpoint_of_a_stranger_is_answered_by_hold_at_once(session):
     assert not session.press('start')[0]
     stranger.destroy_node()
     assert session.ends_stopped()
+
+
+@pytest.mark.parametrize(('mode', 'answers'), [(Mode.RATE, 3), (Mode.POSITION, 3), (Mode.HOLD, 0)])
+def test_each_movement_that_a_stranger_asks_for_is_answered_and_no_hold_is(session, mode, answers):
+    session.open(**PATIENT)
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    still = (0.0,) * 3
+    order = Setpoint(session.table.stamp(), 'mine', 0, '', mode, NAMES, still, still, 1.0, 0.0)
+    (payload,) = encode_setpoints(SetpointBlock((order,))).payloads()
+    # The first one is a fault, whose HOLD is due.
+    session.node._on_foreign('turntable/setpoint', bytes(payload))
+    sent = []
+    session.node._send = sent.append
+    session.node._send_what_is_due = lambda _: None
+    for _ in range(3):
+        session.node._on_foreign('turntable/setpoint', bytes(payload))
+    assert [s.mode for s in sent] == [Mode.HOLD] * answers
+
+
+def test_setpoints_are_no_older_than_the_joint_states_they_answer(session):
+    """The table's clock may be ahead, or /clock late: it refuses what seems old."""
+    session.open(watchdog_timeout=30.0)
+    session.table.silent = True
+    assert session.until(lambda: session.table.joints.get_subscription_count() > 0)
+    ahead = session.table.stamp() + 100 * 10**9
+    block = JointBlock(np.array([ahead]), NAMES, np.zeros((1, 3)), np.zeros((1, 3)))
+    for payload in encode_joints(block).payloads():
+        session.table.joints.publish(payload)
+    assert session.until(lambda: session.press('start')[0])
+    assert session.until(lambda: session.table.setpoints)
+    assert session.table.setpoints[-1].stamp == ahead
 
 
 @pytest.mark.parametrize(
