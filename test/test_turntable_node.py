@@ -1,5 +1,6 @@
 """turntable_node against a simulated table as a second node, on the wire."""
 
+import errno
 import math
 import os
 import signal
@@ -23,6 +24,7 @@ from imu_calib.units import DEG
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib import middleware as ros
+    from imu_calib.nodes import stop
     from imu_calib.nodes.turntable_node import TurntableNode
     from imu_calib.sequencing import Phase
 except ImuCalibError as error:
@@ -558,6 +560,32 @@ def test_where_a_stop_could_not_be_kept_the_table_stays_stopped(session):
     assert session.until(lambda: session.press('start')[0])
 
 
+def test_where_the_disk_is_full_a_stop_counts_as_pressed_and_stays(tmp_path, monkeypatch):
+    write = stop._write
+
+    def full(path, text):
+        raise OSError(errno.ENOSPC, 'No space left on device')
+
+    monkeypatch.setattr(stop, '_write', full)
+    record = stop.StopRecord(tmp_path, 'domain 1 /turntable_node')
+    assert record.pressed
+    assert 'No space left on device' in record.trouble
+    with pytest.raises(InputError, match='the table stays stopped'):
+        record.release()
+    assert record.pressed
+    # There is room: what was pressed is released, and what is pressed again is kept.
+    monkeypatch.setattr(stop, '_write', write)
+    record.release()
+    assert (record.pressed, record.trouble) == (False, '')
+    monkeypatch.setattr(stop, '_write', full)
+    record.press('a button')
+    assert (record.pressed, bool(record.trouble)) == (True, True)
+    monkeypatch.setattr(stop, '_write', write)
+    record.press('a button')
+    assert record.trouble == ''
+    assert stop.StopRecord(tmp_path, 'domain 1 /turntable_node').pressed
+
+
 def test_joint_states_that_cease_stop_the_table(session):
     session.turn_at(90).open(autostart=True)
     session.reaches(Phase.TURNING)
@@ -851,6 +879,31 @@ def test_a_setpoint_of_a_stranger_is_answered_by_hold_at_once(session):
     assert not session.press('start')[0]
     stranger.destroy_node()
     assert session.ends_stopped()
+
+
+@pytest.mark.parametrize('button', ['pause', 'abort'])
+def test_a_start_by_itself_that_is_called_off_does_not_come(session, button):
+    session.open(autostart=True, **PATIENT)
+    session.table.silent = True
+    words = 'The plan does not start by itself any more.'
+    assert session.press(button) == (True, words)
+    session.table.silent = False
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    assert not session.until(lambda: session.watcher.phase is not Phase.IDLE, 0.5)
+    assert not session.node._autostart
+    assert session.press('start')[0]
+
+
+def test_a_pressed_stop_is_answered_by_hold_before_anything_else_is_done(session):
+    session.turn_at(90).open(**PATIENT)
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    assert session.press('start')[0]
+    session.reaches(Phase.TURNING)
+    sent = []
+    session.node._send = sent.append
+    session.node._estop._record.press = sent.append
+    session.node._estop._hear(True)
+    assert [getattr(one, 'mode', one) for one in sent] == [Mode.HOLD, 'heard on /estop']
 
 
 @pytest.mark.parametrize(('mode', 'answers'), [(Mode.RATE, 3), (Mode.POSITION, 3), (Mode.HOLD, 0)])
