@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib import middleware as ros
     from imu_calib.nodes import stop
+    from imu_calib.nodes.calibrator_progress import CalibratorProgress
     from imu_calib.nodes.turntable_node import TurntableNode
     from imu_calib.sequencing import Phase
 except ImuCalibError as error:
@@ -958,6 +960,28 @@ def test_progress_that_cannot_be_the_calibrators_completes_nothing(session, spoo
     assert session.node._sequencer.reviewing
     session.watcher.calibrate(session.table.stamp())
     session.reaches(Phase.DONE)
+
+
+@pytest.mark.parametrize('alone', [True, False])
+def test_progress_counts_of_one_publisher_only(alone):
+    said = []
+    sequencer = SimpleNamespace(
+        plan=SimpleNamespace(name='tiny'),
+        review=lambda stamp, steps: said.append(('review', stamp, steps)),
+        skip_done=lambda seen, steps: said.append(('done', seen, steps)),
+        set_calibrator_fault=lambda _: None,
+        set_calibrator_present=lambda heard, _: said.append(heard),
+    )
+    diagnostics = SimpleNamespace(report=lambda *_: None)
+    progress = CalibratorProgress(sequencer, diagnostics, 1.0, lambda _: alone)
+    message = ros.messages.CalibrationProgress(plan='tiny', step=4, repeat_steps=[2])
+    message.header.stamp.sec = 7
+    assert progress.take(message, 10.0)
+    assert said == [('review', 7 * 10**9, [2]), ('done', 4, [2])] * alone
+    # That somebody is there is heard in any case; what he says is not believed.
+    progress.look(11.0)
+    progress.look(11.1)
+    assert said[-2:] == [True, False]
 
 
 def test_progress_of_another_plan_keeps_no_calibrator_alive(session):
