@@ -352,6 +352,7 @@ def test_a_controller_that_hangs_up_is_said_and_called_again(bench):
     assert bench.until(lambda: bench.leader.says('controller', 0, 'answers'))
 
 
+@pytest.mark.parametrize('bench', [('setpoint_timeout:=2.0',)], indirect=True)
 def test_after_a_hang_up_a_position_is_gone_on_with_and_no_turn(bench):
     bench.lead(FAR)
     assert bench.until(lambda: bench.controller.count('MOVE') == 3)
@@ -477,6 +478,8 @@ def test_a_heartbeat_that_says_stop_is_no_matter_of_the_next_setpoint(bench):
     bench.lead(FAR)
     assert bench.until(lambda: bench.controller.count('MOVE') == 3)
     bench.lead(None)
+    # No setpoint is on its way any more.
+    bench.until(lambda: False, 0.2)
     timer.cancel()
     before, asked = bench.stops(), bench.controller.count('STATE')
     beat.publish(ros.messages.Bool(data=False))

@@ -472,12 +472,14 @@ def test_an_interrupted_turn_is_repeated_from_where_it_starts():
 
 def test_a_turn_that_had_not_begun_is_not_gone_on_with_from_where_the_table_seems_to_be():
     stand = Stand().started()
+    stand.link = lambda setpoint: None if setpoint.mode is Mode.RATE else setpoint
     stand.phase(Phase.TURNING)
     stand.sequencer.pause()
     stand.tick()
+    stand.link = lambda setpoint: setpoint
     stand.sequencer.start()
     stand.phase(Phase.DWELLING)
-    assert modes(stand, 1)[-2:] == [Mode.POSITION, Mode.RATE]
+    assert modes(stand, 1) == [Mode.RATE, Mode.HOLD, Mode.POSITION, Mode.RATE]
 
 
 def test_a_turn_that_starts_off_its_angles_goes_there_first():

@@ -962,6 +962,43 @@ def test_progress_that_cannot_be_the_calibrators_completes_nothing(session, spoo
     session.reaches(Phase.DONE)
 
 
+@pytest.mark.parametrize(('running', 'plan'), [(True, 'tiny'), (True, 'x'), (False, 'tiny')])
+def test_a_calibrator_that_fails_stops_a_run_whoever_it_is(running, plan):
+    failed = []
+    sequencer = SimpleNamespace(
+        plan=SimpleNamespace(name='tiny'),
+        running=running,
+        fail=failed.append,
+        review=lambda stamp, steps: None,
+        skip_done=lambda seen, steps: None,
+        set_calibrator_fault=lambda _: None,
+    )
+    diagnostics = SimpleNamespace(report=lambda *_: None)
+    progress = CalibratorProgress(sequencer, diagnostics, 1.0, lambda _: False)
+    kind = ros.messages.CalibrationProgress
+    assert progress.take(kind(plan=plan, state=kind.FAILED, text='full.'), 0.0) == (plan == 'tiny')
+    assert failed == ['The calibrator has failed: full.'] * running
+
+
+@pytest.mark.parametrize(('publishers', 'says'), [(1, False), (2, True), (0, False)])
+def test_a_stop_is_taken_back_by_its_only_publisher(publishers, says):
+    heard = []
+    count = [2]
+    node = SimpleNamespace(
+        resolve_topic_name=lambda name: f'/{name}',
+        create_subscription=lambda *_, **__: None,
+        count_publishers=lambda _: count[0],
+    )
+    topic = stop.StopTopic(node, 'estop', heard.append)
+    assert not topic.says_stop
+    topic._hear(ros.messages.Bool(data=True))
+    assert topic.says_stop
+    count[0] = publishers
+    topic._hear(ros.messages.Bool(data=False))
+    assert topic.says_stop == says
+    assert heard == [True, False]
+
+
 @pytest.mark.parametrize('alone', [True, False])
 def test_progress_counts_of_one_publisher_only(alone):
     said = []
