@@ -135,15 +135,34 @@ def test_a_goal_that_is_aborted_stops_the_table(led, code, words):
         np.testing.assert_allclose(goal.points[-1].positions, angles, atol=1 * DEG)
 
 
+@pytest.mark.parametrize(('seconds', 'known'), [(0.1, True), (0.4, False)])
+def test_a_stop_without_joint_states_is_on_the_way_where_the_tables_clock_is_ahead(
+    led, seconds, known
+):
+    """By the stamps the last joint state is of now, and the way back to it was the stop."""
+    session = turning(led())
+    controller, sequencer = session.node._controller, session.node._sequencer
+    pieces = []
+    lead = controller._lead
+    piece = lead.piece
+    lead.piece = lambda *given: pieces.append(piece(*given))
+    # No joint state comes between the two, as nothing is spun.
+    stamp = sequencer.feedback.stamp
+    controller.follow(sequencer.setpoint(stamp), 1000.0)
+    controller.follow(sequencer.hold(stamp), 1000.0 + seconds)
+    assert (pieces[-1].stamp == 0) == known
+    assert known or pieces[-1].stamp == lead._start
+
+
 def test_a_piece_that_comes_too_late_ends_the_run(led, monkeypatch):
     session = turning(led())
     lead = session.node._controller._lead
     piece = lead.piece
 
-    def late(setpoint, at):
+    def late(setpoint, at, unseen):
         if setpoint.mode is not stand.Mode.HOLD:
             raise Overtaken('The table brakes already.')
-        return piece(setpoint, at)
+        return piece(setpoint, at, unseen)
 
     monkeypatch.setattr(lead, 'piece', late)
     assert stops(session, 'The table brakes already.')

@@ -1020,12 +1020,14 @@ def test_a_stop_from_the_first_joint_state_is_from_a_rate_that_the_table_has():
 
 
 @pytest.mark.parametrize(('angle', 'end'), [(0.9, 1.0), (1.0, 1.0), (1.4, 1.4)])
-def test_a_stop_is_no_way_beyond_the_limits_and_none_back(angle, end):
+@pytest.mark.parametrize('sense', [1, -1])
+def test_a_stop_is_no_way_beyond_the_limits_and_none_back(angle, end, sense):
     outer = replace(TABLE.joints[0], lower=-1.0, upper=1.0)
     table = replace(TABLE, joints=(outer, *TABLE.joints[1:]))
-    fast = at(angles=(angle, 0.0, 0.0), rates=(200 * DEG, 0.0, 0.0), still=False)
+    rates = (sense * 200 * DEG, 0.0, 0.0)
+    fast = at(angles=(sense * angle, 0.0, 0.0), rates=rates, still=False)
     (stop,) = Lead(table).piece(setpoint(Mode.HOLD), fast).course.angles
-    assert stop[0] == pytest.approx(end)
+    assert stop[0] == pytest.approx(sense * end)
 
 
 def test_a_hold_is_told_again_every_second_while_the_table_moves():
@@ -1055,6 +1057,15 @@ def test_a_hold_without_joint_states_brakes_on_the_way():
     times = np.linspace(0.0, 1.0, 50)
     assert np.allclose(piece.course.at(times)[0], turn.course.at(times)[0])
     assert piece.course.end == pytest.approx(1.0 + 60 / 200)
+
+
+@pytest.mark.parametrize(('unseen', 'known'), [(0.19, True), (0.21, False)])
+def test_a_joint_state_is_as_old_as_the_steady_clock_says(unseen, known):
+    lead = Lead(TABLE)
+    turn = lead.piece(setpoint(Mode.RATE, rates=(60 * DEG, 0.0, 0.0)), at())
+    last = at(rates=(60 * DEG, 0.0, 0.0), still=False, stamp=10**9)
+    piece = lead.piece(setpoint(Mode.HOLD, stamp=10**9), last, unseen)
+    assert piece.stamp == (0 if known else turn.stamp)
 
 
 @pytest.mark.parametrize(('age', 'known'), [(0.05, True), (0.19, True), (0.21, False)])

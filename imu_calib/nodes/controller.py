@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from ..middleware import ActionClient, GoalStatus, Node, actions
-from ..sequencing import Lead, Overtaken, Sequencer
+from ..sequencing import Feedback, Lead, Overtaken, Sequencer
 from ..stream import Mode, Setpoint
 from .convert import trajectory_message
 from .diagnostics import Diagnostics
@@ -44,6 +44,8 @@ class Controller:
         self._asked_at: float | None = None
         self._stops = False
         self._handle: Any = None
+        self._last: Feedback | None = None
+        self._seen_at = 0.0
         self._fault = ''
 
     @property
@@ -62,12 +64,15 @@ class Controller:
         at = self._sequencer.feedback
         if at is None or not self._client.server_is_ready():
             return
+        if at is not self._last:
+            self._last, self._seen_at = at, now
+        unseen = now - self._seen_at
         try:
-            piece = self._lead.piece(setpoint, at)
+            piece = self._lead.piece(setpoint, at, unseen)
         except Overtaken as error:
             self._sequencer.fail(str(error))
             setpoint = self._sequencer.hold(setpoint.stamp)
-            piece = self._lead.piece(setpoint, at)
+            piece = self._lead.piece(setpoint, at, unseen)
         if piece is None:
             return
         self._number += 1

@@ -65,19 +65,21 @@ class Lead:
         self._covered = 0.0
         self._sent = -math.inf
 
-    def piece(self, setpoint: Setpoint, at: Feedback) -> Piece | None:
+    def piece(self, setpoint: Setpoint, at: Feedback, unseen: float = 0.0) -> Piece | None:
         """Return the trajectory to send with a setpoint, None while the last one suffices.
 
         Args:
             setpoint: As sent, checked against the table's limits; its stamp is now.
             at: The last joint state.
+            unseen: Time since it was received by the steady clock, s: a simulated clock may stand,
+                and a table's be ahead.
 
         Raises:
             Overtaken: Too late to continue the motion without a jump.
 
         """
         if setpoint.mode is Mode.HOLD:
-            return self._hold(setpoint, at)
+            return self._hold(setpoint, at, unseen)
         content = (setpoint.step, setpoint.mode, setpoint.angles, setpoint.rates)
         if content != self._content:
             self._begin(setpoint, at)
@@ -129,14 +131,14 @@ class Lead:
         self._start = setpoint.stamp + round(_LEAD * 1e9)
         self._covered = 0.0
 
-    def _hold(self, setpoint: Setpoint, at: Feedback) -> Piece | None:
+    def _hold(self, setpoint: Setpoint, at: Feedback, unseen: float) -> Piece | None:
         content = (setpoint.mode,)
         now = setpoint.stamp * 1e-9
         # Once at rest the controller holds by itself.
         if content == self._content and (at.still or now < self._sent + _RENEWAL):
             return None
         self._content, self._sent = content, now
-        if (setpoint.stamp - at.stamp) * 1e-9 > _OLD:
+        if max(unseen, (setpoint.stamp - at.stamp) * 1e-9) > _OLD:
             return self._cut_short(setpoint)
         self._course = None
         return self._stop(at)
