@@ -155,6 +155,8 @@ def test_what_is_refused_on_the_way_stops_the_table_once(follower):
     assert follower.command(wrong, 0, 0.1, REST) == (Stop(),)
     assert follower.command(wrong, 0, 0.2, REST) == ()
     assert '500 deg/s' in follower.refusal
+    # It has stopped: the silence of its leader is no other stop.
+    assert follower.watch(9.0) == ()
     assert len(follower.command(setpoint(), 0, 0.3, REST)) == 3
 
 
