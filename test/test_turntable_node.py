@@ -254,9 +254,12 @@ class Session:
     def press(self, name):
         client = self.watcher.buttons[name]
         assert self.until(client.service_is_ready)
-        future = client.call_async(ros.Trigger.Request())
-        assert self.until(future.done)
-        return future.result().success, future.result().message
+        while True:
+            future = client.call_async(ros.Trigger.Request())
+            assert self.until(future.done)
+            # A busy machine holds the node up, too.
+            if 'did not run for a while' not in future.result().message:
+                return future.result().success, future.result().message
 
     def reaches(self, phase, seconds=None):
         assert self.until(lambda: self.watcher.phase is phase, seconds), (
@@ -435,7 +438,7 @@ def test_a_start_that_waited_for_a_node_that_hung_moves_nothing(session):
     assert session.until(client.service_is_ready)
     os.kill(process.pid, signal.SIGSTOP)
     future = client.call_async(ros.Trigger.Request())
-    assert not session.until(future.done, 1.0)
+    assert not session.until(future.done, 3.0)
     os.kill(process.pid, signal.SIGCONT)
     assert session.until(future.done)
     assert not future.result().success

@@ -45,6 +45,9 @@ _STATE_PERIOD = 0.5
 _LOOK_PERIOD = 0.1
 """s between checks of the publishers: at 90 deg/s a table turns by 9 deg meanwhile. A judgement;
 the answer to a foreign setpoint does not wait for the check."""
+_ASLEEP = 2.0
+"""s without a round of this node, at least `watchdog_timeout`, after which a request is old. A
+judgement: a busy machine takes less, and a person waits as long for an answer."""
 _OVERDUE = 1.0
 """s after a silence of this node in which requests may still be of that time: each takes a round of
 the executor, of milliseconds. A judgement."""
@@ -212,7 +215,7 @@ class TurntableNode(Node):
     def _go_on(self) -> None:
         """Check the clocks, advance, and send setpoints that are due."""
         now = self._steady.now().nanoseconds * 1e-9
-        if now - self._ran_at > self._watchdog:
+        if now - self._ran_at > max(_ASLEEP, self._watchdog):
             self._woke_at = now
         self._ran_at = now
         self._watch(now)
@@ -398,7 +401,7 @@ class TurntableNode(Node):
     def _start(self) -> str:
         """Start, unless the node did not run: a request of then is not one of now."""
         now = self._steady.now().nanoseconds * 1e-9
-        if now - self._ran_at > self._watchdog or now - self._woke_at < _OVERDUE:
+        if now - self._ran_at > max(_ASLEEP, self._watchdog) or now - self._woke_at < _OVERDUE:
             raise InputError(
                 'This node did not run for a while, and the request may be as old: nothing '
                 'starts. Ask again.'
