@@ -113,9 +113,9 @@ def rate_of(stamps: Stamps) -> float:
 def resampling(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
     """Return the rates between which the accelerometers were interpolated, as text."""
     lost = len(gyro) - len(within)
-    left = f'; {lost} samples of the gyros have no such line and are left out' if lost else ''
+    loss = f'; {lost} samples of the gyros have no such line and are left out' if lost else ''
     return (
         f'The accelerometers come with {rate_of(accel):.4g} Hz and are read at the stamps of the '
         f'gyros, {rate_of(gyro):.4g} Hz, on straight lines between their samples, which smooths '
-        f'their noise{left}.'
+        f'their noise{loss}.'
     )

@@ -74,8 +74,8 @@ class Monitor:
 
         """
         until = time.monotonic() + seconds
-        while (left := until - time.monotonic()) > 0:
-            ros.spin_once(self._node, timeout_sec=left)
+        while (remaining := until - time.monotonic()) > 0:
+            ros.spin_once(self._node, timeout_sec=remaining)
         self._words.show()
 
     @property

@@ -60,12 +60,12 @@ def view(shown: Snapshot, now: datetime, width: int, units: Sequence[UnitRow] = 
 
 def _course(shown: Snapshot, now: datetime) -> Rows:
     """Return the bar, the step and the remaining time, or that these are not known yet."""
-    left, rests_on = time_left(shown, now)
+    remaining, rests_on = time_left(shown, now)
     table = shown.table
     step = 'waiting'
     if table is not None and table.steps:
         step = f'step {min(table.step + 1, table.steps)} of {table.steps}'
-    words = [f'{left} left' if left[0].isdigit() else left, rests_on]
+    words = [f'{remaining} left' if remaining[0].isdigit() else remaining, rests_on]
     line = Rows.grid(padding=(0, 1))
     line.add_row(
         step,

@@ -435,7 +435,7 @@ def _by_rivals(current: Estimate, found: Found) -> Floats:
     mine = set(found.family.parameters)
     common = [k for k, p in enumerate(equations.parameters) if p not in mine]
     own = [k for k, p in enumerate(equations.parameters) if p in mine]
-    left = current_chi_square(equations, current.state)
+    chi_square = current_chi_square(equations, current.state)
     model = _Model(
         equations.evidence, equations.parameters, equations.changes, equations.doubts
     ).without(found.family)
@@ -446,7 +446,7 @@ def _by_rivals(current: Estimate, found: Found) -> Floats:
         except NotObservable:
             continue
         kept = indices_of([equations.parameters[k] for k in common], other.parameters)
-        weight = 1 / (1 + np.exp(min(50.0, (current_chi_square(other, state) - left) / 2)))
+        weight = 1 / (1 + np.exp(min(50.0, (current_chi_square(other, state) - chi_square) / 2)))
         off = np.zeros(n)
         off[common] = state[kept] - current.state[common]
         off[own] = -current.state[own]
@@ -456,5 +456,5 @@ def _by_rivals(current: Estimate, found: Found) -> Floats:
 
 def current_chi_square(equations: Equations, state: Floats) -> float:
     """Return chi-square at a state."""
-    left = equations.whitened(state)[1]
-    return float(left @ left)
+    residuals = equations.whitened(state)[1]
+    return float(residuals @ residuals)

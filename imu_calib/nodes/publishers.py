@@ -60,8 +60,8 @@ class OnePublisher:
         heard_two = now - self._heard_two_at <= _FRESH
         if len(listed) < 2:
             self._since = None
-            left = f'A node that has gone since published on {self.topic}. {_HELD}'
-            return left if heard_two else ''
+            gone = f'A node that has gone since published on {self.topic}. {_HELD}'
+            return gone if heard_two else ''
         self._since = now if self._since is None else self._since
         if not (heard_two or self._are_two(listed, now - self._since)):
             return ''

@@ -252,9 +252,9 @@ def _truth(name: str) -> SensorModel:
 def _seeded(file: str, seed: int, without: str) -> list[tuple[MountedUnit, int]]:
     """Return the present units with their seeds, which do not depend on excluded ones."""
     units = load_units(file)
-    left = remaining(units, without)
+    kept = remaining(units, without)
     pairs = zip(units, spread_seeds(units, seed), strict=True)
-    return [(unit, own) for unit, own in pairs if unit in left]
+    return [(unit, own) for unit, own in pairs if unit in kept]
 
 
 class _Pace:

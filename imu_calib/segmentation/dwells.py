@@ -58,8 +58,8 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
         return []
 
     def again(part: slice | NDArray[np.bool_], left_out: Stamps) -> list[_Found]:
-        left = samples.at(part), values[part], angles, attitude, attitude_error
-        return read_dwell(sensor, *left, left_out=left_out)
+        arguments = samples.at(part), values[part], angles, attitude, attitude_error
+        return read_dwell(sensor, *arguments, left_out=left_out)
 
     saturated = sensor.saturated(values, samples)
     # A saturated value repeats itself, too.

@@ -224,7 +224,7 @@ def joined(samples: Samples) -> _Steps:
         counts.astype(float),
         np.full(len(first), samples.period),
         np.append(samples.pulse[:3], pulse[3:]),
-        np.array([_left_by_filling(samples, triad) for triad in (_GYROS, _ACCELEROMETERS)]),
+        np.array([_filling_variance(samples, triad) for triad in (_GYROS, _ACCELEROMETERS)]),
     )
 
 
@@ -242,7 +242,7 @@ def _half_way(angle: Floats, velocity: Floats) -> Floats:
     return np.asarray(velocity + third / 24)
 
 
-def _left_by_filling(samples: Samples, triad: slice) -> float:
+def _filling_variance(samples: Samples, triad: slice) -> float:
     """Return the variance of a sum due to gaps filled by a line from side to side, SI^2.
 
     Of the angle or the velocity of a triad. Over h intervals the error of the trapezium is f'' h^3
@@ -265,7 +265,7 @@ def _left_by_filling(samples: Samples, triad: slice) -> float:
         bends = np.vstack([np.diff(part, n=2, axis=0) for part in beside] or [np.zeros((0, 3))])
         square = float((bends**2).sum(axis=1).max(initial=0.0))
         h = stop - start + 1
-        left = square * (h**3 / 12) ** 2
+        variance = square * (h**3 / 12) ** 2
         if start >= 2 and stop + 2 <= len(sums):
             before, after = sums[start - 1] - sums[start - 2], sums[stop + 1] - sums[stop]
             if triad == _GYROS:
@@ -273,6 +273,6 @@ def _left_by_filling(samples: Samples, triad: slice) -> float:
             else:
                 apart = sums[stop] - sums[start - 1] - h * (before + after) / 2
                 share = h**2 / 12
-            left = max(left, float(apart @ apart) * share)
-        total += left
+            variance = max(variance, float(apart @ apart) * share)
+        total += variance
     return total

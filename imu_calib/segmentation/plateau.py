@@ -227,8 +227,8 @@ def _bends(
     basis, triangle = np.linalg.qr(design)
     inverse = np.linalg.inv(triangle) @ basis.swapaxes(1, 2)
     parts = np.einsum('ijk,ik->ij', inverse, y)
-    left = y - np.einsum('ijk,ik->ij', design, parts)
-    scatter = np.sqrt((left**2).sum(axis=1) / max(1, cells - _DEGREE - 1))
+    residuals = y - np.einsum('ijk,ik->ij', design, parts)
+    scatter = np.sqrt((residuals**2).sum(axis=1) / max(1, cells - _DEGREE - 1))
     bend = np.hypot(parts[:, 2], parts[:, 3])
     seeming = np.sqrt((inverse[:, 2:] ** 2).sum(axis=(1, 2)))
     return bend, _BENT * scatter * seeming + _BENT_AT_MOST * _SEED

@@ -160,7 +160,7 @@ def _read_turn(
         up,
         rate_error=turns.rate_error,
         up_error=up_error,
-        level=_level_left(part, start, turns),
+        level=_level_share(part, start, turns),
         skewed=None if skewed is None else skewed[0],
         each=(each if skewed is not None else each[:, :3]) if count > 1 else None,
         angles=angles,
@@ -312,7 +312,7 @@ def _between(
     return statistics, np.array(each)
 
 
-def _level_left(samples: Samples, start: float, turns: WholeTurns) -> float:
+def _level_share(samples: Samples, start: float, turns: WholeTurns) -> float:
     """Return the share of a level rate that does not average out where cuts fall within samples.
 
     In body axes a level rate rotates by w dt within a sample. A sample shared at the fraction c
@@ -330,5 +330,5 @@ def _level_left(samples: Samples, start: float, turns: WholeTurns) -> float:
 def _line_origin(samples: Samples) -> float:
     """Return the first stamp on the line through all stamps, ns."""
     n = len(samples.stamp)
-    left = samples.stamp - samples.stamp[0] - np.arange(n) * samples.period * 1e9
-    return float(samples.stamp[0]) + float(left.mean())
+    lateness = samples.stamp - samples.stamp[0] - np.arange(n) * samples.period * 1e9
+    return float(samples.stamp[0]) + float(lateness.mean())

@@ -124,16 +124,16 @@ class Run:
 
     def seconds_left(self, at: Feedback | None) -> float:
         """Return the expected time to the end of the plan, s."""
-        left = self.itinerary.seconds_left()
+        seconds = self.itinerary.seconds_left()
         if self.leg not in _WITHIN_A_STEP or at is None:
-            return left
+            return seconds
         elapsed = (at.stamp - self._since) * 1e-9
         now = {
             Leg.MOVING: self.itinerary.seconds_of_current(),
             Leg.SETTLING: self._rules.settle + self._dwell,
             Leg.DWELLING: self._dwell,
         }
-        return left + max(now[self.leg] - elapsed, 0.0)
+        return seconds + max(now[self.leg] - elapsed, 0.0)
 
     @property
     def _dwell(self) -> float:

@@ -130,32 +130,32 @@ class Watch:
             return (
                 f'{where}, beyond its limits of {joint.lower / DEG:g} to {joint.upper / DEG:g} deg.'
             )
-        left = (way.goal - angle) * way.sign
+        remaining = (way.goal - angle) * way.sign
         if way.distance <= self._rules.arrival:
             stray = min(_STRAY * self._rules.arrival, allowed)
-            return _strays(joint, angle, way.goal) if abs(left) > stray else ''
-        if left < -allowed:
+            return _strays(joint, angle, way.goal) if abs(remaining) > stray else ''
+        if remaining < -allowed:
             return f'{where}, it has passed its goal of {way.goal / DEG:.3f} deg.'
-        if left > way.best + allowed:
+        if remaining > way.best + allowed:
             return f'{where} and moves away from its goal of {way.goal / DEG:.3f} deg.'
-        way.best = min(way.best, left)
+        way.best = min(way.best, remaining)
         return ''
 
     def _stalled(self, way: _Way, angle: float, stamp: int) -> str:
-        left = abs(way.goal - angle)
+        remaining = abs(way.goal - angle)
         since, then = way.mark
-        if left <= self._rules.arrival or then - left >= min(way.progress, then / 2):
-            way.mark = stamp, left
+        if remaining <= self._rules.arrival or then - remaining >= min(way.progress, then / 2):
+            way.mark = stamp, remaining
         elif (stamp - since) * 1e-9 > way.patience:
-            if left <= self._rules.overshoot:
+            if remaining <= self._rules.overshoot:
                 return (
                     f'Joint {way.joint.name} stops at {angle / DEG:.4f} deg, '
-                    f'{left / DEG:.4f} deg off its goal '
+                    f'{remaining / DEG:.4f} deg off its goal '
                     f'(tolerance {self._rules.arrival / DEG:g} deg).'
                 )
             return (
                 f'Joint {way.joint.name} stalls at {angle / DEG:.3f} deg moving to '
-                f'{way.goal / DEG:.3f} deg: {(then - left) / DEG:.3f} deg in '
+                f'{way.goal / DEG:.3f} deg: {(then - remaining) / DEG:.3f} deg in '
                 f'{(stamp - since) * 1e-9:.1f} s.'
             )
         return ''

@@ -167,12 +167,12 @@ def _with_missing_terms(system: TriadSystem, without: Fit) -> Fit:
             return without
         best, larger = _best(begun, fit.chi_square)
         count = len(larger.sensors.parameters) - len(system.sensors.parameters)
-        left = best.freedom - len(larger.sensors.parameters)
+        freedom = best.freedom - len(larger.sensors.parameters)
         # With few dwells, many terms fit any error.
-        if left < 1 or best.spare < _ENOUGH:
+        if freedom < 1 or best.spare < _ENOUGH:
             return without
-        ratio = (fit.chi_square - best.chi_square) / count / (best.chi_square / left)
-        if scipy.special.fdtrc(count, left, ratio) > _EXPLAINED:
+        ratio = (fit.chi_square - best.chi_square) / count / (best.chi_square / freedom)
+        if scipy.special.fdtrc(count, freedom, ratio) > _EXPLAINED:
             return without
         fit, system = best, larger
     return fit

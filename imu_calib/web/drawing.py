@@ -40,14 +40,14 @@ _OF_TERMS = {term.kind for term in TERMS}
 def banner(shown: Snapshot, now: datetime) -> str:
     """Return the present activity, the remaining time, and the progress."""
     first = headline(shown)
-    left, rests_on = time_left(shown, now)
+    remaining, rests_on = time_left(shown, now)
     table = shown.table
     where = ''
     if table is not None and table.steps and shown.outcome is Outcome.OPEN:
         where = f'step {min(table.step + 1, table.steps)} of {table.steps}'
     words = tag('h2', sign(first.level) + escape(first.now))
     words += tag('p', escape(first.detail), class_='detail') if first.detail else ''
-    time = tag('span', 'time left', class_='small') + tag('strong', escape(left))
+    time = tag('span', 'time left', class_='small') + tag('strong', escape(remaining))
     time += tag('span', escape(rests_on) or ' ', class_='small')
     share = f'{100 * min(max(shown.share, 0.0), 1.0):.1f}%'
     bar = tag('div', tag('div', ' ', style=f'width: {share}'), class_='bar', role='progressbar')

@@ -119,16 +119,16 @@ def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
         return '0 s', f'it took {in_words(shown.elapsed)}'
     if not shown.expected.table:
         return 'as you hold it', f'{in_words(shown.elapsed)} so far'
-    left = shown.wall_seconds_left
-    if shown.table is None or math.isnan(left):
+    remaining = shown.wall_seconds_left
+    if shown.table is None or math.isnan(remaining):
         return 'time left not known', ''
     if shown.table.phase in {Phase.PAUSED, Phase.ABORTED, Phase.IDLE}:
         paused = shown.table.phase is Phase.PAUSED
-        return in_words(left), 'once it goes on' if paused else 'once it is started'
-    text = f'ends at {ends_at(left, now)}'
+        return in_words(remaining), 'once it goes on' if paused else 'once it is started'
+    text = f'ends at {ends_at(remaining, now)}'
     if shown.speed > _WHOLE:
         text += f' ({shown.speed:.0f} times real time)'
-    return in_words(left), text
+    return in_words(remaining), text
 
 
 def joint_words(table: TableState) -> list[tuple[str, str, str]]:
