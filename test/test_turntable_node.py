@@ -836,7 +836,7 @@ def test_a_calibrator_is_given_its_time_and_no_more(session, timeout):
         return session.watcher.phase is Phase.TURNING
 
     assert session.until(turning)
-    steady = node._steady = FakeSteady(node._calibrator._heard_at + timeout - 1e-3)
+    steady = node._steady = FakeSteady(node._calibrator._received_at + timeout - 1e-3)
     node._fed_at = steady.seconds
     node._go_on()
     assert node._sequencer.running

@@ -37,24 +37,24 @@ class Heartbeat:
             upper=5.0,
         )
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._heard_at, self._clear = -math.inf, True
+        self._received_at, self._clear = -math.inf, True
         self._topic = node.resolve_topic_name('heartbeat')
         self.required = required
         if required:
-            node.create_subscription(messages.Bool, 'heartbeat', self._hear, qos.sensor_data())
+            node.create_subscription(messages.Bool, 'heartbeat', self._receive, qos.sensor_data())
 
     @property
     def words(self) -> str:
         """Why nothing may move, in a sentence; else empty."""
         if not self.required:
             return ''
-        if self._steady.now().nanoseconds * 1e-9 - self._heard_at > self._timeout:
+        if self._steady.now().nanoseconds * 1e-9 - self._received_at > self._timeout:
             return (
                 f'No heartbeat on {self._topic} for {self._timeout:g} s: the table is stopped, and '
                 'nothing starts without one (stop_required).'
             )
         return '' if self._clear else f'The heartbeat on {self._topic} says stop.'
 
-    def _hear(self, message: Any) -> None:
-        self._heard_at = self._steady.now().nanoseconds * 1e-9
+    def _receive(self, message: Any) -> None:
+        self._received_at = self._steady.now().nanoseconds * 1e-9
         self._clear = bool(message.data)

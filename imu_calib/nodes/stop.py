@@ -33,7 +33,7 @@ class StopRecord:
     def __init__(self, folder: Path, key: str) -> None:
         self.path = folder / f'stop_{re.sub("[^A-Za-z0-9]+", "_", key).strip("_")}'
         self._trouble = ''
-        self.pressed = self._look()
+        self.pressed = self._is_pressed()
 
     @property
     def trouble(self) -> str:
@@ -60,7 +60,7 @@ class StopRecord:
             raise InputError(self._trouble)
         self.pressed = False
 
-    def _look(self) -> bool:
+    def _is_pressed(self) -> bool:
         self._try(self._probe)
         return bool(self._trouble) or self._exists()
 
@@ -160,7 +160,7 @@ class StopTopic:
         self._offered: set[tuple[Any, Any]] = set()
         self._listen(qos.sensor_data())
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Subscribe with each newly offered quality of service."""
         for publisher in self._node.get_publishers_info_by_topic(self.topic):
             self._listen(qos.as_offered(publisher.qos_profile))
@@ -173,7 +173,7 @@ class StopTopic:
         # A subscription that does not match a publisher is meant for another one.
         events = ros.SubscriptionEventCallbacks(incompatible_qos=lambda _: None)
         self._node.create_subscription(
-            messages.Bool, self.topic, self._hear, profile, event_callbacks=events
+            messages.Bool, self.topic, self._receive, profile, event_callbacks=events
         )
 
     @property
@@ -181,7 +181,7 @@ class StopTopic:
         """Whether a present publisher sent stop and has not cancelled it since."""
         return self._says_stop and self._node.count_publishers(self.topic) > 0
 
-    def _hear(self, message: Any) -> None:
+    def _receive(self, message: Any) -> None:
         if message.data:
             self._says_stop = True
         elif self._node.count_publishers(self.topic) < 2:
@@ -209,7 +209,7 @@ class EmergencyStop:
         )
         self._released = f'The emergency stop is released; nothing moves before {name}/start.'
         self._record = StopRecord(folder, f'domain {domain_id()} {name}')
-        self._topic = StopTopic(node, 'estop', self._hear)
+        self._topic = StopTopic(node, 'estop', self._receive)
 
     @property
     def obstacle(self) -> str:
@@ -226,9 +226,9 @@ class EmergencyStop:
         """The file of the saved stop."""
         return str(self._record.path)
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Subscribe to new publishers of a stop."""
-        self._topic.look()
+        self._topic.check()
 
     def release(self) -> str:
         """Release the stop; return the effect as text.
@@ -247,7 +247,7 @@ class EmergencyStop:
         self._record.release()
         return self._released
 
-    def _hear(self, stop: bool) -> None:
+    def _receive(self, stop: bool) -> None:
         if stop:
             self._on_press()
             self._record.press(f'heard on {self._topic.topic}')

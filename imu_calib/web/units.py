@@ -81,7 +81,7 @@ class UnitsBoard:
     def __init__(self, units: Mapping[str, ShownUnit]) -> None:
         self._units = dict(units)
         self.each = {name: Board(unit.expected) for name, unit in units.items()}
-        self.whole = Board(_of_all([unit.expected for unit in units.values()]))
+        self.common = Board(_of_all([unit.expected for unit in units.values()]))
         self._present: frozenset[str] | None = None
 
     @property
@@ -91,12 +91,12 @@ class UnitsBoard:
 
     def take_state(self, message: Any, now: float) -> None:
         """Take imu_calib_msgs/TurntableState."""
-        for board in (self.whole, *self.each.values()):
+        for board in (self.common, *self.each.values()):
             board.take_state(message, now)
 
     def take_progress(self, message: Any, now: float) -> None:
         """Take imu_calib_msgs/CalibrationProgress of all units."""
-        self.whole.take_progress(message, now)
+        self.common.take_progress(message, now)
         self._present = frozenset(message.serial_numbers)
         if message.state == message.FINISHED:
             missed = any(
@@ -105,11 +105,11 @@ class UnitsBoard:
                 if not self._is_left_out(name)
             )
             outcome = Outcome.INCOMPLETE if missed else Outcome.DONE
-            self.whole.take_end(outcome, message.text)
+            self.common.take_end(outcome, message.text)
 
     def take_diagnostics(self, message: Any, now: float) -> None:
         """Take diagnostic_msgs/DiagnosticArray: reports on one unit also go to its board."""
-        self.whole.take_diagnostics(message, now)
+        self.common.take_diagnostics(message, now)
         for sentence in sentences_of(message):
             for name, board in self.each.items():
                 own = self._as_its_own(sentence, name)
@@ -136,7 +136,7 @@ class UnitsBoard:
 
     def snapshot(self, now: float, name: str = '') -> Snapshot:
         """Return the state of a unit at a moment; without a name of all."""
-        return (self.each[name] if name else self.whole).snapshot(now)
+        return (self.each[name] if name else self.common).snapshot(now)
 
     def rows(self, now: float) -> tuple[UnitRow, ...]:
         """Return the state of each unit at a moment."""
