@@ -113,8 +113,8 @@ def compensate(
         stated = Stated(imu=imu, serial=serial)
         spec = _check_unit(loaded, name, stated, recording, topic)
         target = _target(output_topic, recording, topic)
-        whole = _all_stamps(recording, topic, first_of(loaded).imu.sample_rate, progress)
-        compensator = Compensator(loaded, whole.instants())
+        stamps = _all_stamps(recording, topic, first_of(loaded).imu.sample_rate, progress)
+        compensator = Compensator(loaded, stamps.instants())
         beside = _take_aside(compensator, recording, topic, progress)
         meant = described_anew(
             recording.custom_data,
@@ -146,7 +146,7 @@ def compensate(
             stream.taken,
             stream.given,
             {mark: compensator.counts[mark] for mark in Mark if compensator.counts[mark]},
-            (*_findings(stream), *whole.words(), *recording.losses),
+            (*_findings(stream), *stamps.words(), *recording.losses),
         )
 
 
@@ -262,12 +262,12 @@ def _all_stamps(
     recording: Recording, topic: Topic, rate: float | None, progress: Progress
 ) -> WholeStream:
     """Read the stamps of all samples, which determine when each was taken."""
-    whole = WholeStream(rate)
+    stamps = WholeStream(rate)
     with progress('reading') as show:
         for _, block in recording.read({topic.name: Kind.IMU}, show):
             if isinstance(block, ImuBlock):
-                whole.take(block)
-    return whole
+                stamps.take(block)
+    return stamps
 
 
 def _take_aside(

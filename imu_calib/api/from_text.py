@@ -67,24 +67,24 @@ def from_text(
             'or both in pulses, or both in counts.'
         )
     data = described(imu, raw)
-    said: list[str] = []
+    sentences: list[str] = []
     if accel_text is None:
         times, (rates, forces) = _sound(stamps, rates, forces)
-        said = _left_out(text, len(stamps) - len(times))
+        sentences = _left_out(text, len(stamps) - len(times))
     else:
         forces_at = _stamps(accel_text, accel_stamp or stamp, None)
         known, (forces,) = _sound(forces_at, forces)
         wanted, (rates,) = _sound(stamps, rates)
-        said += _left_out(text, len(stamps) - len(wanted))
-        said += _left_out(accel_text, len(forces_at) - len(known))
-        before = len(said)
-        times, rates, forces = _of_two(wanted, rates, known, forces, said, exactly=bool(raw))
-        if len(said) > before:
+        sentences += _left_out(text, len(stamps) - len(wanted))
+        sentences += _left_out(accel_text, len(forces_at) - len(known))
+        before = len(sentences)
+        times, rates, forces = _of_two(wanted, rates, known, forces, sentences, exactly=bool(raw))
+        if len(sentences) > before:
             data |= interpolation_description(SI, rate_of(known))
     if not len(times):
         raise InputError(f'{text.path}: no row holds a number in each of the columns named.')
     if not raw and (seen := against_si(forces, rates)):
-        said.append(
+        sentences.append(
             f'By the units that are stated {seen}: check the columns and units of `gyro` and '
             '`accel`.'
         )
@@ -108,7 +108,7 @@ def from_text(
         for topic, kind, messages, at in others:
             writer.write(topic, kind.type_name, messages, at)
             counts[topic] = len(at)
-    return Converted(target, counts, tuple(said))
+    return Converted(target, counts, tuple(sentences))
 
 
 def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
@@ -118,7 +118,13 @@ def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
 
 
 def _of_two(
-    stamps: Stamps, rates: Floats, known: Stamps, forces: Floats, said: list[str], *, exactly: bool
+    stamps: Stamps,
+    rates: Floats,
+    known: Stamps,
+    forces: Floats,
+    sentences: list[str],
+    *,
+    exactly: bool,
 ) -> tuple[Stamps, Floats, Floats]:
     """Return rates and forces of two files at the stamps of the rates; describe it in `said`."""
     shared = np.isin(stamps, known)
@@ -137,22 +143,22 @@ def _of_two(
         )
     times, read, within = read_at(known, forces, stamps)
     if not shared.all():
-        said.append(resampling(stamps, known, within))
+        sentences.append(resampling(stamps, known, within))
     return times, rates[within], read
 
 
 def _left_out(text: Text, rows: int) -> list[str]:
-    said = []
+    sentences = []
     if text.broken:
         lines = counted(text.broken, 'line')
         verb = 'is no row' if text.broken == 1 else 'are not rows'
-        said.append(f'{lines} of {text.path.name} {verb} of numbers; left out.')
+        sentences.append(f'{lines} of {text.path.name} {verb} of numbers; left out.')
     if rows:
         verb = 'holds' if rows == 1 else 'hold'
-        said.append(
+        sentences.append(
             f'{counted(rows, "row")} {verb} no number in a column that is needed; left out.'
         )
-    return said
+    return sentences
 
 
 def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:

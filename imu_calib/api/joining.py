@@ -42,7 +42,7 @@ def joined(
         InputError: The topics hold too few samples, or pulses; or the joined topic exists.
 
     """
-    said = described(imu, set())
+    statements = described(imu, set())
     rates, forces = read(path, gyro_topic), read(path, accel_topic)
     for columns in (rates, forces):
         if (unit := next(iter(columns.units.values()))) in RAW_UNITS:
@@ -65,7 +65,7 @@ def joined(
     counts = {SI: len(block)}
     with open_recording(path) as recording:
         _refuse_taken(recording, taken)
-        data = {**recording.custom_data, **said}
+        data = {**recording.custom_data, **statements}
         findings = list(recording.losses)
         if not np.isin(stamps, accel_at).all():
             data |= interpolation_description(SI, rate_of(accel_at))

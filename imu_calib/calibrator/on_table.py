@@ -43,9 +43,9 @@ class Calibrator:
     def __init__(self, setup: Setup) -> None:
         check_plan(setup.method_name, setup.plan, setup.site)
         self._setup = setup
-        asked = setup.method_name, setup.terms, setup.changes
-        self._solver = method(*asked, look=setup.search_terms)
-        self._glance = provisional(*asked)
+        arguments = setup.method_name, setup.terms, setup.changes
+        self._solver = method(*arguments, look=setup.search_terms)
+        self._glance = provisional(*arguments)
         self._segmenter = Segmenter(setup.imu, setup.table)
         self._gathered: tuple[tuple[object, ...], Evidence] | None = None
 

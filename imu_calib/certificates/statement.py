@@ -161,11 +161,11 @@ def _results(
         if not calibration.std[k] > 0:
             continue
         value, limit = float(calibration.values[k]), specification.limit(parameter)
-        said = None
+        decision = None
         if fields.rule is not None and limit is not None:
-            said = decide(value, float(expanded[k]), limit, fields.rule)
+            decision = decide(value, float(expanded[k]), limit, fields.rule)
         numbers = (float(expanded[k]), float(factor[k]), float(freedom[k]))
-        found.append(Stated(parameter, value, *numbers, limit, said))
+        found.append(Stated(parameter, value, *numbers, limit, decision))
     return tuple(found)
 
 

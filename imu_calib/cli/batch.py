@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     @contextmanager
     def begun(text: str) -> Iterator[Show]:
-        arguments.last_word = (
+        arguments.closing_line = (
             f'What was done is in {arguments.catalogue}: the same command continues from there.'
         )
         try:

@@ -49,7 +49,7 @@ def follow(processes: Processes, words: Words) -> Outcome:
             progress = monitor.progress
             if progress is not None and progress.state != progress.WAITING:
                 display.update(view(progress, monitor.refusal))
-                shown = _said(progress.text, shown)
+                shown = _print_changed(progress.text, shown)
             elif time.monotonic() > deadline:
                 raise InputError('The session does not start: the IMU sends nothing.')
             if _entered():
@@ -97,7 +97,7 @@ def reached(progress: Any) -> str:
     return ', '.join(words)
 
 
-def _said(text: str, shown: str) -> str:
+def _print_changed(text: str, shown: str) -> str:
     """Print new text if the output is not a terminal; countdowns are omitted."""
     if not ERRORS.is_terminal and text != shown and not text.startswith('Hold still'):
         OUTPUT.print(text, markup=False)

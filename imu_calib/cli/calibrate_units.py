@@ -75,10 +75,12 @@ def _show(found: UnitResults, judged: Mapping[str, Conformity]) -> None:
             style='bold',
         )
         print_whole(seen_table(found.table))
-    said = {u.serial_number: u.result.calibration.findings for u in solved if u.result is not None}
-    everywhere = _common(list(said.values()))
+    by_serial = {
+        u.serial_number: u.result.calibration.findings for u in solved if u.result is not None
+    }
+    everywhere = _common(list(by_serial.values()))
     sentence_list('Worth knowing about all units', everywhere)
-    for serial, findings in said.items():
+    for serial, findings in by_serial.items():
         own = [sentence for sentence in findings if sentence not in everywhere]
         sentence_list(f'Worth knowing about {serial}', own)
 

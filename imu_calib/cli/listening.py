@@ -67,5 +67,5 @@ def _decided(source: Source, reception: Reception, words: Words, node: str) -> b
     words.show()
     if state.ended:
         # A short recording: no more data will come.
-        return reception.health.heard and not chunks
+        return reception.health.has_frames and not chunks
     return reception.health.judged or (state.open and silent and not came)

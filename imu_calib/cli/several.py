@@ -197,8 +197,8 @@ def print_results(
         rows.add_row(*cells)
     OUTPUT.print(rows)
     # Missing data of the site or the table is reported for every unit alike.
-    said = [f'{", ".join(of)}: {finding}' for finding, of in findings.items()]
-    sentence_list('Worth knowing', said)
+    sentences = [f'{", ".join(of)}: {finding}' for finding, of in findings.items()]
+    sentence_list('Worth knowing', sentences)
     return missing
 
 

@@ -154,7 +154,7 @@ def run(
     finally:
         if resume.unfinished(folder):
             name = arguments.resume or arguments.output
-            arguments.last_word = f'To go on with it: {resume.command(name)}'
+            arguments.closing_line = f'To go on with it: {resume.command(name)}'
     if missing or not outcome.finished:
         raise NotObservable(outcome.text)
 
@@ -363,7 +363,7 @@ def _follow(
     ):
         several_units = len(board.names) if isinstance(board, UnitsBoard) else 0
         deadline = time.monotonic() + _START + _START_OF_EACH * several_units
-        said = ''
+        shown = ''
         while True:
             monitor.spin(0.1)
             processes.check()
@@ -374,10 +374,12 @@ def _follow(
                 return Outcome(*monitor.outcome, monitor.duration)
             if monitor.stopped and not control:
                 return Outcome(False, f'The table has stopped. {monitor.stopped}', monitor.duration)
-            if monitor.stopped != said:
-                said = monitor.stopped
-                if said:
-                    text = f'The table has stopped. {said} Go on from the page, or end with Ctrl-C.'
+            if monitor.stopped != shown:
+                shown = monitor.stopped
+                if shown:
+                    text = (
+                        f'The table has stopped. {shown} Go on from the page, or end with Ctrl-C.'
+                    )
                     ERRORS.print(text, style='yellow', markup=False)
             if not monitor.begun and time.monotonic() > deadline:
                 raise InputError(f'The stand does not start: {monitor.text}.')

@@ -147,9 +147,9 @@ def _along(kernel: Floats, z: Floats, ratios: Floats) -> Floats:
         return np.full(len(ratios), -0.5 * square)
     if len(z) < 2:
         return _by_eigenvectors(kernel, z, ratios)
-    diagonal, beside = _tridiagonal(kernel, z)
+    diagonal, off_diagonal = _tridiagonal(kernel, z)
     # Uncoupled matrices form one tridiagonal matrix.
-    parted = np.append(beside, 0.0)
+    parted = np.append(off_diagonal, 0.0)
     pivots, _, failed = scipy.linalg.lapack.dpttrf(
         1 + np.outer(ratios, diagonal).ravel(), np.outer(ratios, parted).ravel()[:-1]
     )
@@ -167,10 +167,10 @@ def _tridiagonal(kernel: Floats, z: Floats) -> tuple[Floats, Floats]:
         by = scipy.linalg.blas.dsymv(2 / square, kernel, across, lower=1)
         by -= across * (float(across @ by) / square)
         kernel = scipy.linalg.blas.dsyr2(-1.0, across, by, a=kernel, lower=1)
-    _, diagonal, beside, _, _ = scipy.linalg.lapack.dsytrd(
+    _, diagonal, off_diagonal, _, _ = scipy.linalg.lapack.dsytrd(
         kernel, lower=1, lwork=_BLOCK * len(kernel)
     )
-    return diagonal[::-1], beside[::-1]
+    return diagonal[::-1], off_diagonal[::-1]
 
 
 def _by_eigenvectors(kernel: Floats, z: Floats, ratios: Floats) -> Floats:

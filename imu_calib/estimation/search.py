@@ -384,10 +384,10 @@ def _concluded(
     columns = columns_of(off, equations, state)
     residuals = WhitenedResiduals.of(equations, state)
     of_session = [f for f in off if f.course is not None]
-    beside = residuals
+    with_drift = residuals
     if of_session and current.scatter.absent_drift:
-        beside = WhitenedResiduals.of(of_session[0].weighed(equations, current.scatter), state)
-    drifting = {f: beside.scores(f, columns[f]) for f in of_session}
+        with_drift = WhitenedResiduals.of(of_session[0].weighed(equations, current.scatter), state)
+    drifting = {f: with_drift.scores(f, columns[f]) for f in of_session}
     others = {f: columns[f] for f in off if f not in of_session}
     scores = scores_of(others, equations, state)
     scores |= {f: most_significant(its) for f, its in drifting.items()}

@@ -77,12 +77,12 @@ def _sound(sessions: Sessions) -> tuple[list[str], list[int]]:
         (numbered & ~dated, 'no date. State it in the manifest'),
         (numbered & dated & ~estimated, 'no estimated parameter'),
     )
-    said = [
+    sentences = [
         f'{int(which.sum())} of {len(which)} sessions are ignored: they have {why}.'
         for which, why in reasons
         if which.any()
     ]
-    return said, np.flatnonzero(dated & numbered & estimated).tolist()
+    return sentences, np.flatnonzero(dated & numbered & estimated).tolist()
 
 
 def _prior(units: list[list[int]], sessions: Sessions) -> Prior:

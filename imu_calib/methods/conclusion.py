@@ -180,10 +180,10 @@ def conclude(
     if accel is not None and accelerometers is not None and not evidence.plan.by_hand:
         tilt = _tilt(accel)
         rate, earth = tilt.levelled(rate, earth)
-        tilted, said = widened_for_tilt(evidence, model.accel, widened, accelerometers, tilt)
+        tilted, sentences = widened_for_tilt(evidence, model.accel, widened, accelerometers, tilt)
         beyond[Source.TILT] = Share.known(tilted - widened)
         widened = tilted
-        notes += said
+        notes += sentences
     residuals = _residuals(evidence, gyro, accel)
     notes += _outstanding(residuals)
     notes += _off_positions(evidence)

@@ -76,7 +76,7 @@ def advice(equations: Equations) -> str:
     scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0] = 1.0
     pending: list[str] = []
-    said: list[str] = []
+    requirements: list[str] = []
     open_now = lacking_parameters(equations)
     for _ in range(_MOST):
         tried = [(_with(equations, thing), words) for words, thing in additions]
@@ -91,11 +91,11 @@ def advice(equations: Equations) -> str:
             if was and not is_open
         ]
         if determined:
-            said.append(f'{" and ".join(pending)} ({", ".join(determined)})')
+            requirements.append(f'{" and ".join(pending)} ({", ".join(determined)})')
             pending, open_now = [], still_open
         if not open_now.any():
             break
-    return f'It would take {"; ".join(said)}.' if said else ''
+    return f'It would take {"; ".join(requirements)}.' if requirements else ''
 
 
 def _additions(evidence: Evidence) -> list[Addition]:

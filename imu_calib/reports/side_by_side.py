@@ -60,7 +60,7 @@ def side_by_side(calibrations: Sequence[Calibration]) -> SideBySide:
     return SideBySide(in_scale, parameters, only, *agreement(in_scale, parameters))
 
 
-def comparison_table(beside: SideBySide, names: Sequence[str]) -> Table:
+def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
     """Return calibrations side by side, in the units and the order of Cao 2022's Table 1.
 
     That table gives K as a deviation of the scale factor, S - S0 = -S0 K / (1 + K), and names
@@ -69,11 +69,11 @@ def comparison_table(beside: SideBySide, names: Sequence[str]) -> Table:
     names are printed.
 
     Args:
-        beside: The calibrations.
+        compared: The calibrations.
         names: Their names.
 
     """
-    calibrations, found, std = beside.calibrations, beside.agreement, beside.std
+    calibrations, found, std = compared.calibrations, compared.agreement, compared.std
     two = len(calibrations) == 2
     numbers = (*names, *(('difference', 'in std') if two else ('chi-square',)))
     sides = f'll{"r" * len(numbers)}ll'

@@ -259,10 +259,10 @@ def _filling_variance(samples: Samples, triad: slice) -> float:
     edges = np.flatnonzero(np.diff(lost.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     total = 0.0
     for start, stop in edges.tolist():
-        beside = [
+        neighbours = [
             sums[a:b] for a, b in ((start - _BESIDE, start), (stop, stop + _BESIDE)) if a >= 0
         ]
-        bends = np.vstack([np.diff(part, n=2, axis=0) for part in beside] or [np.zeros((0, 3))])
+        bends = np.vstack([np.diff(part, n=2, axis=0) for part in neighbours] or [np.zeros((0, 3))])
         square = float((bends**2).sum(axis=1).max(initial=0.0))
         h = stop - start + 1
         variance = square * (h**3 / 12) ** 2

@@ -410,10 +410,10 @@ class Segmenter:
         self._off_grid.update(stamp[steps].tolist())
         # Starts at most half a fillable gap, and a sample, before the step.
         around = round(LONGEST / float(np.median(np.diff(stamp)) * 1e-9)) // 2 + 1
-        beside = np.zeros(len(stamp), dtype=bool)
+        adjacent = np.zeros(len(stamp), dtype=bool)
         for k in steps:
-            beside[max(0, k - around) : k + around] = True
-        return stamp[~beside], values[~beside], late[~beside]
+            adjacent[max(0, k - around) : k + around] = True
+        return stamp[~adjacent], values[~adjacent], late[~adjacent]
 
     def _take(self, found: Sequence[Segment | Turn | FreeMotion | MountShift | Rejected]) -> None:
         """Store what was found, each kind in order."""
@@ -474,9 +474,9 @@ class Segmenter:
         kept = []
         for segment in self._segments:
             after = int(np.searchsorted(instants, (segment.start + segment.end) / 2))
-            beside = range(max(after - 1, 0), min(after + 1, len(frozen)))
+            adjacent = range(max(after - 1, 0), min(after + 1, len(frozen)))
             mean = segment.statistics.mean
-            if any(frozen[k] and self._repetitions[k].goes_on_in(mean) for k in beside):
+            if any(frozen[k] and self._repetitions[k].goes_on_in(mean) for k in adjacent):
                 reason = 'its samples are frozen, repeating the one of the motion next to it'
                 self._rejected.append(Rejected(segment.start, segment.end, reason))
             else:

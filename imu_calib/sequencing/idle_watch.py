@@ -49,14 +49,14 @@ class IdleWatch:
         self.way = 0.0
         self.rate = 0.0
 
-    def look(self, now: Feedback) -> bool:
+    def check(self, now: Feedback) -> bool:
         """Take a joint state; return whether there is a new report."""
         last, self._last = self._last, now.angles
         if self._standing.rest is None and not 0 < now.gap <= self._rules.feedback_timeout:
             # The motion in the meantime is unknown.
             self._standing = Standing(self._table, self._rules, now)
         if not self.moves:
-            stands, fault = self._standing.look(now)
+            stands, fault = self._standing.check(now)
             if stands and not self.text:
                 self._origin = self._standing.rest
             if not fault:

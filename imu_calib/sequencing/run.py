@@ -102,7 +102,7 @@ class Run:
         """Process a joint state; return a sentence on a fault, or nothing."""
         if not self.orders.under_way:
             return ''
-        there, fault = self.orders.look(now)
+        there, fault = self.orders.check(now)
         return fault or self._go_on(now, there)
 
     def review(self, stamp: int, repeat_steps: Sequence[int], at: Feedback) -> str:

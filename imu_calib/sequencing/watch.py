@@ -102,7 +102,7 @@ class Watch:
         """Turns at rate so far; 0 without a turn."""
         return 0.0 if self._turn is None else self._turn.done
 
-    def look(self, now: Feedback) -> tuple[bool, str]:
+    def check(self, now: Feedback) -> tuple[bool, str]:
         """Return whether the table has arrived, and a sentence on any fault."""
         arrived = now.still
         for way, angle in zip(self._ways, now.angles, strict=True):
@@ -111,7 +111,7 @@ class Watch:
                 return False, fault
             arrived &= abs(way.goal - angle) <= self._rules.arrival
         if self._turn is not None:
-            fault = self._turn.look(now.stamp)
+            fault = self._turn.check(now.stamp)
             if fault:
                 return False, fault
         # Without joint states it is unknown whether the table is at rest; the longest gap is
@@ -190,7 +190,7 @@ class _TurnRate:
         turned = (self._way.distance - self._way.best - TURN / 2) / TURN
         return min(max(turned, 0.0), float(self._turns))
 
-    def look(self, stamp: int) -> str:
+    def check(self, stamp: int) -> str:
         if not 0 < self.done < self._turns:
             return ''
         if self._mark is None:
@@ -246,7 +246,7 @@ class Standing:
         """Assume that the table is at rest at (k,) angles, rad."""
         self._rest = goal
 
-    def look(self, now: Feedback) -> tuple[bool, str]:
+    def check(self, now: Feedback) -> tuple[bool, str]:
         """Return whether the table is at rest, and a sentence on any fault."""
         if self._begin is None:
             self._begin = now.stamp

@@ -33,7 +33,7 @@ class OneSource:
     def __init__(self, timeout: float) -> None:
         self._timeout = timeout
         self._source: bytes | None = None
-        self._heard_at = self._second_at = self._refused_at = -math.inf
+        self._received_at = self._second_at = self._refused_at = -math.inf
         self._forbidden = ''
         self._followed: Setpoint | None = None
         self.words = ''
@@ -66,10 +66,10 @@ class OneSource:
             steady: Monotonic time, s.
 
         """
-        if source != self._source and steady - self._heard_at <= self._timeout:
+        if source != self._source and steady - self._received_at <= self._timeout:
             self._second_at = steady
         else:
-            self._source, self._heard_at = source, steady
+            self._source, self._received_at = source, steady
         if setpoint.mode is Mode.HOLD:
             return self._stand(setpoint, steady)
         words = self._objection(steady)

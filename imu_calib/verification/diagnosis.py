@@ -355,8 +355,8 @@ def _another_unit(system: TriadSystem, values: Floats, factor: Floats, name: str
             '(the search did not converge). Calibrate this recording, and compare the two.'
         )
     determined = np.flatnonzero(fit.std < _DETERMINED * np.diag(_wide(system)))
-    beside = replace(fit, delta=apart, std=np.hypot(fit.std, np.linalg.norm(factor, axis=1)))
-    far = _far(system.sensors.parameters, beside, determined.tolist())
+    changed = replace(fit, delta=apart, std=np.hypot(fit.std, np.linalg.norm(factor, axis=1)))
+    far = _far(system.sensors.parameters, changed, determined.tolist())
     if len(far) >= _HALF * len(determined):
         return Diagnosis(
             f'No single mistake explains the {name}, other parameters do: {len(far)} of the '

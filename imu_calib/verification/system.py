@@ -217,9 +217,9 @@ class TriadSystem:
         if self.up is not None:
             return self._noise_at_rest
         state, deviations = np.append(values, self._known), self.equations.prior[1]
-        besides = self.equations.jacobian(state)[:, len(values) :] * deviations
-        besides = besides[:, ~self._free[: len(deviations)]]
-        covariance = self.equations.covariance(state) + besides @ besides.T
+        further = self.equations.jacobian(state)[:, len(values) :] * deviations
+        further = further[:, ~self._free[: len(deviations)]]
+        covariance = self.equations.covariance(state) + further @ further.T
         rows = self._mine.reshape(-1, 3)
         found = covariance[rows[:, :, None], rows[:, None, :]]
         return np.asarray(found * self._widened[::3, None, None] ** 2)
@@ -325,8 +325,8 @@ class TriadSystem:
             if key not in known:
                 others = [one[k:] for one in opposite]
                 columns, residuals = self._whitened(values + factor @ point[:k], point[k:], *others)
-                by_parameters, besides = np.split(columns, [len(values)], axis=1)
-                columns = np.hstack([by_parameters @ factor, besides])
+                by_parameters, further = np.split(columns, [len(values)], axis=1)
+                columns = np.hstack([by_parameters @ factor, further])
                 prior = np.eye(k, columns.shape[1])
                 known[key] = np.vstack([columns, prior]), np.append(residuals, -point[:k])
             return known[key]

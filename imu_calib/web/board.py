@@ -21,7 +21,7 @@ _NS = 1e-9
 
 
 @dataclass
-class _Heard:
+class _LastMessage:
     """Time of the last message of a node, by the steady clock."""
 
     at: float | None = None
@@ -52,7 +52,7 @@ class Board:
             dict(zip(predicted, expected.predicted, strict=True)),
             expected.specification,
         )
-        self._table, self._calibrator = _Heard(), _Heard()
+        self._table, self._calibrator = _LastMessage(), _LastMessage()
         self._parts: dict[str, Sentence] = {}
         self._nodes: dict[str, float] = {}
         self._pace = Pace()

@@ -89,12 +89,12 @@ def diagnostics(shown: Snapshot) -> str:
     return tag('ul', rows, class_='sentences') if rows else tag('p', 'Nothing yet.', class_='muted')
 
 
-def _sentence(said: Sentence, *, with_figures: bool = False) -> str:
-    text = tag('b', escape(said.source)) + tag('span', escape(said.text))
-    if with_figures and said.figures:
-        figures = ', '.join(f'{name} {value}' for name, value in said.figures)
+def _sentence(sentence: Sentence, *, with_figures: bool = False) -> str:
+    text = tag('b', escape(sentence.source)) + tag('span', escape(sentence.text))
+    if with_figures and sentence.figures:
+        figures = ', '.join(f'{name} {value}' for name, value in sentence.figures)
         text += tag('span', escape(figures), class_='small')
-    return tag('li', sign(said.level) + tag('div', text), class_=_LEVELS[said.level])
+    return tag('li', sign(sentence.level) + tag('div', text), class_=_LEVELS[sentence.level])
 
 
 _UNIT_HEADINGS = (
@@ -312,20 +312,20 @@ def streams(shown: Snapshot, imu: ImuSpec | None) -> str:
     """Return rates, gaps and temperature, or the request to select a unit."""
     if imu is None:
         return _CHOOSE
-    said = {s.source.rpartition('/')[2]: s for s in shown.sentences}
-    device = said.get('imu_node: stream')
+    by_source = {s.source.rpartition('/')[2]: s for s in shown.sentences}
+    device = by_source.get('imu_node: stream')
     seen = shown.streams or Streams()
     rate = device.figure('rate') if device else ''
     if rate in {'', 'unknown'}:
         rate = 'not known' if math.isnan(seen.rate) else f'{seen.rate:.2f} Hz'
     nominal = 'not stated' if imu.sample_rate is None else f'{imu.sample_rate:g} Hz'
     lost = device.figure('lost frames') if device else ''
-    heard = said.get('calibrator_node: stream')
+    received = by_source.get('calibrator_node: stream')
     celsius = 'not measured' if math.isnan(shown.celsius) else f'{shown.celsius:.2f} \u00b0C'
     pairs = [
         ('sample rate', rate),
         ('by the data sheet', nominal),
-        ('samples taken', heard.figure('samples') if heard else '-'),
+        ('samples taken', received.figure('samples') if received else '-'),
         ('lost on the way', f'{lost} frames' if lost else f'{seen.missing} by the stamps'),
         ('temperature', celsius),
     ]

@@ -15,7 +15,7 @@ from .snapshot import Expected, Outcome, Sentence, Snapshot
 
 _CALIBRATOR = 'calibrator_node: '
 _DEVICE = 'imu_node: stream'
-_HEARD_BY = ('calibrator_node: stream', _DEVICE, 'imu_node')
+_STREAM_SOURCES = ('calibrator_node: stream', _DEVICE, 'imu_node')
 """Nodes that report on a unit's samples; the last if its own node is silent."""
 
 
@@ -144,9 +144,11 @@ class UnitsBoard:
 
     def _row(self, name: str, shown: Snapshot) -> UnitRow:
         unit = self._units[name]
-        said = {s.source.rpartition('/')[2]: s for s in shown.sentences}
-        device = said.get(_DEVICE)
-        level, words = self._words(name, shown, [said.get(part) for part in _HEARD_BY])
+        sentences = {s.source.rpartition('/')[2]: s for s in shown.sentences}
+        device = sentences.get(_DEVICE)
+        level, words = self._state_text(
+            name, shown, [sentences.get(part) for part in _STREAM_SOURCES]
+        )
         return UnitRow(
             name,
             unit.serial_number,
@@ -160,8 +162,8 @@ class UnitsBoard:
             furthest(shown.rows),
         )
 
-    def _words(
-        self, name: str, shown: Snapshot, said: Sequence[Sentence | None]
+    def _state_text(
+        self, name: str, shown: Snapshot, sentences: Sequence[Sentence | None]
     ) -> tuple[Severity, str]:
         if self._is_left_out(name):
             return Severity.WARN, 'Left out'
@@ -172,10 +174,10 @@ class UnitsBoard:
         }
         if shown.outcome in ends:
             return ends[shown.outcome]
-        heard = [one for one in said if one is not None]
-        if not heard:
+        received = [one for one in sentences if one is not None]
+        if not received:
             return Severity.WARN, 'Not heard yet'
-        worst = max(heard, key=lambda one: one.level)
+        worst = max(received, key=lambda one: one.level)
         return worst.level, 'Samples come in' if worst.level is Severity.OK else worst.text
 
 

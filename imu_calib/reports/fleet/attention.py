@@ -372,6 +372,6 @@ def _outliers(fleet: Fleet) -> Iterator[Matter]:
 
 def remarks(fleet: Fleet) -> str:
     """Return further remarks on the whole catalogue."""
-    said = {stand_sentence(shift) for shift in fleet.history.stands.shifts}
-    rest = bullets([sentence for sentence in fleet.history.findings if sentence not in said])
+    shown = {stand_sentence(shift) for shift in fleet.history.stands.shifts}
+    rest = bullets([sentence for sentence in fleet.history.findings if sentence not in shown])
     return tag('h3', 'On the catalogue') + rest if rest else ''
