@@ -89,7 +89,7 @@ def test_the_command_line_shows_both(tmp_path: Path, capsys: pytest.CaptureFixtu
     shown = ' '.join(capsys.readouterr().out.split())
     assert 'joint: 12 static dwells' in shown
     assert 'closed form twelve_position' in shown
-    assert 'allow for bias drift of' in shown
+    assert 'include bias drift of' in shown
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from imu_calib.units import DEG
 
 TABLE = load_table('three_axis')
 RULES = Rules()  # arrives within 0.01 deg, so that what stands may stray by 0.05 deg
-NOT_LED = 'while the table was not led'
+NOT_LED = 'without a command'
 
 
 def at(seconds, outer=0.0, middle=0.0, rate=0.0, gap=0.05, still=False):
@@ -44,13 +44,13 @@ def test_what_a_joint_does_is_told_as_it_begins_as_it_doubles_and_as_it_stands()
             assert watch.moves
             assert watch.text == (
                 'Joint outer moves while it is to stand at 0.000 deg: it is at -0.060 deg. '
-                f'Joint outer went {way:.2f} deg, at up to 1 deg/s, {NOT_LED}; it still moves.'
+                f'Joint outer moved {way:.2f} deg, at up to 1 deg/s, {NOT_LED}; it still moves.'
             )
     assert told == [0.06, 0.121, 0.25]
     # On the way back it has gone no further.
     assert not watch.check(at(1.1, outer=-0.1, rate=2.0))
     assert watch.check(at(1.2, outer=-0.1))
-    assert watch.text.endswith(f'went 0.30 deg, at up to 2 deg/s, {NOT_LED}; it stands again.')
+    assert watch.text.endswith(f'moved 0.30 deg, at up to 2 deg/s, {NOT_LED}; it stands again.')
     assert (watch.moves, watch.way, watch.rate) == (
         False,
         pytest.approx(0.3 * DEG),
@@ -62,13 +62,13 @@ def test_what_a_joint_does_is_told_as_it_begins_as_it_doubles_and_as_it_stands()
     assert not watch.check(at(1.4, outer=-0.2))
     assert watch.moves
     assert watch.check(at(1.5, outer=-0.7))
-    assert f'went 0.70 deg, at up to 2 deg/s, {NOT_LED}; it still moves.' in watch.text
+    assert f'moved 0.70 deg, at up to 2 deg/s, {NOT_LED}; it still moves.' in watch.text
 
 
 def test_the_joint_that_went_furthest_is_named():
     watch = standing()
     assert watch.check(at(0.2, outer=0.06, middle=0.05))
-    assert 'Joint outer went 0.06 deg' in watch.text
+    assert 'Joint outer moved 0.06 deg' in watch.text
     assert watch.check(at(0.3, outer=0.06, middle=0.5))
     assert 'Joint middle went 0.50 deg' in watch.text
 
@@ -99,7 +99,7 @@ def test_a_table_that_is_still_moving_after_its_time_to_stop_is_told():
     for k in range(1, 50):
         assert not watch.check(at(0.1 * k, outer=k, rate=10.0))
     assert watch.check(at(5.2, outer=52.0, rate=10.0))
-    assert watch.text.startswith('The table still moves 5.2 s after it was told to stand.')
+    assert watch.text.startswith('The table still moves 5.2 s after the command to stand still.')
 
 
 @pytest.mark.parametrize(('gap', 'again'), [(0.5, False), (0.51, True), (0.0, True)])

@@ -121,7 +121,9 @@ def test_a_file_that_ends_anywhere_gives_what_is_whole_of_it(scanned: Scanned) -
         assert kept[:sure] == [one.index for one in chunks[:sure]]
         assert kept[sure:] == [None] * (len(whole) - sure)
         where = f'is cut off at byte {last} of {size}' if ends_within else 'has no footer'
-        known = f'; the data up to log time {10 + 2 * len(whole)}.000 s is whole' if whole else ''
+        known = (
+            f'; the data up to log time {10 + 2 * len(whole)}.000 s is complete' if whole else ''
+        )
         assert losses == [f'a.mcap {where}: its recorder did not finish{known}.']
 
 

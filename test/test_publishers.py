@@ -74,7 +74,7 @@ def test_two_that_are_heard_live_whatever_they_are_called():
 def test_somebody_who_is_heard_and_gone_is_told_for_a_while():
     topic, _ = watched(publisher('plc'))
     topic.note_two_sources(1.0)
-    assert 'A node that has gone since published on /estop' in topic.fault(1.1)
+    assert 'A second node published on /estop and has ended since' in topic.fault(1.1)
     assert topic.fault(9.0) == ''
 
 

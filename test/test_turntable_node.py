@@ -354,7 +354,7 @@ def test_the_emergency_stop_holds_and_refuses_a_start_until_it_is_released(sessi
     assert 'call /turntable_node/release' in why
     released, why = session.press('release')
     assert not released
-    assert why == 'A publisher on /estop still says stop: release it there first.'
+    assert why == 'A publisher on /estop still publishes stop: release it there first.'
     session.watcher.estop.publish(ros.messages.Bool(data=False))
     assert session.until(lambda: session.press('release')[0])
     # Neither what was said on the topic nor the release starts anything, autostart or not.
@@ -424,7 +424,7 @@ def test_a_pressed_stop_outlives_the_node_that_was_killed(session, said):
     assert {s.mode for s in session.table.setpoints[before:]} == {Mode.HOLD}
     assert not session.press('start')[0]
     if said:
-        assert 'still says stop' in session.press('release')[1]
+        assert 'still publishes stop' in session.press('release')[1]
         estop.publish(ros.messages.Bool(data=False))
     assert session.until(lambda: session.press('release')[0])
     assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.5)
@@ -710,7 +710,7 @@ def test_a_table_that_a_stranger_turns_is_held_and_it_is_said_how_far_and_how_fa
     session.table.force(tuple(at + np.array([360 * DEG, 0.0, 0.0])))
     assert session.until(lambda: session.table.turned(at) > 1 * DEG)
     session.table.deaf = False
-    assert session.until(lambda: session.watcher.says('plan', 2, 'while the table was not led'))
+    assert session.until(lambda: session.watcher.says('plan', 2, 'without a command'))
     assert session.watcher.phase is phase
     assert session.until(
         lambda: session.table.setpoints and session.table.setpoints[-1].mode is Mode.HOLD

@@ -74,7 +74,10 @@ def against_si(force: Floats, rate: Floats) -> str:
     finite = np.abs(rate[np.isfinite(rate).all(axis=1)])
     fastest = float(finite.max()) if len(finite) else 0.0
     if fastest > _FASTEST:
-        return f'the gyros read up to {fastest:.0f}, more than any turns in rad/s; deg/s would do'
+        return (
+            f'the gyros read up to {fastest:.0f}, faster than any IMU turns in rad/s; '
+            'deg/s is possible'
+        )
     return ''
 
 

@@ -150,8 +150,8 @@ def documented(opened: Opened, result: Result) -> Result:
 def _interpolated(rate: float) -> str:
     return (
         f'The accelerometers were recorded at {rate:.4g} Hz and interpolated at the stamps of the '
-        f'gyros: over less than {2 / rate:.2g} s their noise looks smaller than it is. Parameters '
-        'and standard deviations rest on longer times.'
+        f'gyros: over less than {2 / rate:.2g} s their noise seems smaller than it is. Parameters '
+        'and standard deviations use longer times, and are not affected.'
     )
 
 

@@ -126,13 +126,13 @@ def _of_two(
     *,
     exactly: bool,
 ) -> tuple[Stamps, Floats, Floats]:
-    """Return rates and forces of two files at the stamps of the rates; describe it in `said`."""
+    """Return rates and forces of two files at the stamps of the rates; add to `sentences`."""
     shared = np.isin(stamps, known)
     if exactly and not shared.all():
         raise InputError(
             f'The rows of `accel_file` have other times than {int((~shared).sum())} of the '
-            f'{len(stamps)} rows of the gyros, and pulses or counts lie on no line between two '
-            'samples: state the columns in SI units, or shared times.'
+            f'{len(stamps)} rows of the gyros, and pulses or counts cannot be interpolated '
+            'between samples: state the columns in SI units, or shared times.'
         )
     order = np.argsort(known, kind='stable')
     known, forces = known[order], forces[order]
@@ -174,8 +174,8 @@ def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
     latest = float(np.nanmax(np.abs(times), initial=0.0)) * 1e-9
     if latest > _LAST_SECOND:
         raise InputError(
-            f'`stamp` {stamp}: a row is {latest:.3g} s from 1970, more than a message can say: '
-            f'another unit of {", ".join(_STAMP)}?'
+            f'`stamp` {stamp}: a row is {latest:.3g} s from 1970, more than a message can hold: '
+            f'is it in another unit of {", ".join(_STAMP)}?'
         )
     stamps = np.asarray(np.rint(times[:, 0]))
     _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: `stamp` {stamp}')
@@ -199,7 +199,7 @@ def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
     if len(wrong) > _BACKWARDS * len(intervals):
         first = int(wrong[0])
         raise InputError(
-            f'{column}: the time does not grow in {len(wrong)} of {len(intervals)} intervals '
+            f'{column}: the time does not increase in {len(wrong)} of {len(intervals)} intervals '
             f'between rows, first from {stamps[first] * 1e-9:.6f} s to '
             f'{stamps[first + 1] * 1e-9:.6f} s; at most {_BACKWARDS:.0%} may be so. Name the '
             'column of the time, written with all its digits and in its order, or give `rate` '

@@ -186,7 +186,7 @@ class _Scanner:
             # Its message index may be cut off as well, which would hide topics without one.
             chunks[-1].index = chunks[-1].counts = None
         until = max((chunk.end_ns for chunk in chunks if not chunk.cut), default=None)
-        known = f'; the data up to log time {until / 1e9:.3f} s is whole' if until else ''
+        known = f'; the data up to log time {until / 1e9:.3f} s is complete' if until else ''
         where = (
             f'is cut off at byte {self.cut_at} of {position}' if self.cut_at else 'has no footer'
         )

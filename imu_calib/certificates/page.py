@@ -223,7 +223,7 @@ def _conformity(certificate: Certificate) -> str:
     fields, worst = certificate.fields, certificate.conformity
     if fields.rule is None:
         return section(
-            'Conformity', paragraph('No statement of conformity was asked for, and none is made.')
+            'Conformity', paragraph('No statement of conformity was requested, and none is made.')
         )
     if worst is None:
         return section('Conformity', paragraph(_MISSING, 'missing'))

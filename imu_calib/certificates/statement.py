@@ -104,7 +104,7 @@ def certificate_of(
     lacking = missing(fields, dcc=dcc, limits=specification is not None)
     if lacking and not draft:
         raise InputError(
-            f'{fields.where}: {len(lacking)} of the things that a certificate needs '
+            f'{fields.where}: {len(lacking)} of the entries that a certificate needs '
             f'{"is" if len(lacking) == 1 else "are"} missing: '
             f'{"; ".join(lacking)}. State them, or write a draft (`draft`), which is marked as one.'
         )

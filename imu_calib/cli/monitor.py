@@ -97,7 +97,7 @@ class Monitor:
     def text(self) -> str:
         """One line on the present state."""
         if self._state is None:
-            return 'turntable_node has not been heard'
+            return 'no message of turntable_node has come'
         state, progress = self._state, self._progress
         words = [f'step {state.step + 1} of {state.steps}'] if state.steps else ['waiting']
         if state.position_id:

@@ -183,7 +183,7 @@ class Processes:
         """Return the last line that a node wrote."""
         text = self._file(node, 'log').read_text(encoding='utf-8', errors='replace')
         lines = [line for line in text.splitlines() if line.strip()]
-        return lines[-1] if lines else 'it said nothing'
+        return lines[-1] if lines else 'it wrote nothing'
 
 
 def private_network() -> dict[str, str]:

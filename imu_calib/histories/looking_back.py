@@ -143,8 +143,8 @@ def _of_serials(units: Mapping[tuple[str, str], list[int]]) -> list[str]:
 def _of_limits(by_type: Mapping[str, object], limits: Mapping[str, Floats]) -> list[str]:
     without = [i for i in by_type if i not in limits or not np.isfinite(limits[i]).any()]
     return [
-        f'No specification of {imu or "a type without a name"} is known: nothing says when its '
-        'units are due. Add the section specification to its file (docs/files/imu.md).'
+        f'No specification of {imu or "a type without a name"} is known: when its units '
+        'are due cannot be computed. Add the section specification to its file (docs/files/imu.md).'
         for imu in without
     ]
 

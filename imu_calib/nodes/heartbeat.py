@@ -53,7 +53,7 @@ class Heartbeat:
                 f'No heartbeat on {self._topic} for {self._timeout:g} s: the table is stopped, and '
                 'nothing starts without one (stop_required).'
             )
-        return '' if self._clear else f'The heartbeat on {self._topic} says stop.'
+        return '' if self._clear else f'The heartbeat on {self._topic} is false, which means stop.'
 
     def _receive(self, message: Any) -> None:
         self._received_at = self._steady.now().nanoseconds * 1e-9

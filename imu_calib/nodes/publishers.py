@@ -60,7 +60,7 @@ class OnePublisher:
         two_sources = now - self._two_sources_at <= _FRESH
         if len(listed) < 2:
             self._since = None
-            gone = f'A node that has gone since published on {self.topic}. {_HELD}'
+            gone = f'A second node published on {self.topic} and has ended since. {_HELD}'
             return gone if two_sources else ''
         self._since = now if self._since is None else self._since
         if not (two_sources or self._are_two(listed, now - self._since)):

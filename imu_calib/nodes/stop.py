@@ -242,7 +242,7 @@ class EmergencyStop:
             raise InputError('The emergency stop is not pressed.')
         if self._topic.says_stop:
             raise InputError(
-                f'A publisher on {self._topic.topic} still says stop: release it there first.'
+                f'A publisher on {self._topic.topic} still publishes stop: release it there first.'
             )
         self._record.release()
         return self._released

@@ -84,7 +84,7 @@ class TurntableStateIntake:
             stamp = state.header.stamp
             for session in sessions.all:
                 session.table_done(stamp.sec * 1_000_000_000 + stamp.nanosec)
-        text = f'{self.topic} says DONE, which is ignored: {refusal}.'
+        text = f'{self.topic} reports DONE, which is ignored: {refusal}.'
         self._diagnostics.report(
             'turntable state',
             Level.WARN if refusal else Level.OK,

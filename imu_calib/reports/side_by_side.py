@@ -121,7 +121,7 @@ def agreement_lines(found: Agreement, count: int) -> list[str]:
 
     """
     if not found.total_freedom:
-        return ['None of them states a deviation: nothing says which difference is significant.']
+        return ['None of them states standard deviations: significance cannot be tested.']
     rule = (
         f'A parameter differs where its chi-square ({count - 1} degree{"s" * (count > 2)} of '
         f'freedom) comes by chance less often than once in {1 / found.limit:.0f}: of a hundred '

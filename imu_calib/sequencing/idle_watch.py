@@ -98,6 +98,6 @@ class IdleWatch:
     def _words(self) -> str:
         end = 'it stands again' if not self.moves else 'it still moves'
         return (
-            f'{self._fault} Joint {self._joint} went {self.way / DEG:.2f} deg, at up to '
-            f'{self.rate / DEG:.3g} deg/s, while the table was not led; {end}.'
+            f'{self._fault} Joint {self._joint} moved {self.way / DEG:.2f} deg, at up to '
+            f'{self.rate / DEG:.3g} deg/s, without a command; {end}.'
         )

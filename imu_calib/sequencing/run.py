@@ -160,7 +160,7 @@ class Run:
             return self._finish(now)
         if self.leg is Leg.REVIEWING and elapsed > self._rules.repeat_wait:
             self.remark = (
-                f'The calibrator did not say within {self._rules.repeat_wait:g} s '
+                f'The calibrator did not report within {self._rules.repeat_wait:g} s '
                 'whether steps are to be repeated.'
             )
             return self._begin(self.itinerary.home, now)

@@ -58,7 +58,7 @@ class Sequencer:
 
     def __init__(self, plan: Plan, table: Table, rules: Rules | None = None) -> None:
         if plan.by_hand:
-            raise InputError(f'Plan {plan.name} is turned by hand, there is no table in it.')
+            raise InputError(f'Plan {plan.name} is for a unit in the hand, without a table.')
         for joint in table.joints:
             if not (math.isfinite(joint.max_rate) and math.isfinite(joint.max_acceleration)):
                 raise InputError(

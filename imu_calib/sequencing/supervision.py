@@ -35,7 +35,7 @@ class Supervision:
         """
         if not self.needed:
             raise InputError(
-                'To resume a session the parameter supervised must be true: the calibrator says '
+                'To resume a session the parameter supervised must be true: the calibrator reports '
                 'which steps it lacks.'
             )
         self._resumes = True

@@ -261,7 +261,7 @@ class Standing:
             self._rest, self.led = now.angles, False
             return True, ''
         if elapsed > self._allowed:
-            return False, f'The table still moves {elapsed:.1f} s after it was told to stand.'
+            return False, f'The table still moves {elapsed:.1f} s after the command to stand still.'
         return False, ''
 
 

@@ -194,7 +194,9 @@ class Board:
         if self._state.outcome is Outcome.OPEN:
             found += [
                 Sentence(
-                    node, Severity.ERROR, f'Nothing was heard for {in_words(passed)}: has it ended?'
+                    node,
+                    Severity.ERROR,
+                    f'No message has come for {in_words(passed)}: has it ended?',
                 )
                 for node, passed in silent.items()
             ]

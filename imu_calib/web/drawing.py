@@ -77,7 +77,7 @@ def troubles(shown: Snapshot) -> str:
     if not shown.wrong:
         if not shown.sentences:
             over = shown.outcome is not Outcome.OPEN
-            text = 'The nodes have ended.' if over else 'No node has said anything yet.'
+            text = 'The nodes have ended.' if over else 'No node has reported yet.'
             return tag('p', text, class_='muted')
         return tag('p', sign(Severity.OK) + 'Nothing is wrong.', class_='right')
     return tag('ul', ''.join(_sentence(s) for s in shown.wrong), class_='sentences')

@@ -176,7 +176,7 @@ class UnitsBoard:
             return ends[shown.outcome]
         received = [one for one in sentences if one is not None]
         if not received:
-            return Severity.WARN, 'Not heard yet'
+            return Severity.WARN, 'No message yet'
         worst = max(received, key=lambda one: one.level)
         return worst.level, 'Samples come in' if worst.level is Severity.OK else worst.text
 

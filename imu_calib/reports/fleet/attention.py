@@ -97,7 +97,7 @@ def _stands(fleet: Fleet) -> Iterator[Matter]:
         sentences = [stand_sentence(shift) for shift in shifts]
         sentences.append(
             'Check levelling, zeros and alignment before the next unit is calibrated there; what '
-            'is said of units below is said with the shift taken off.'
+            'is stated of units below is corrected for the shift.'
         )
         yield Matter('Stands that are off', 'fail', sentences)
 
