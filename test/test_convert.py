@@ -136,7 +136,8 @@ def logged(times: list[str]) -> str:
             't:s',
             r'log.csv: `stamp` t:s: the time does not increase in 199 of 199 intervals between '
             r'rows, first from 1700000000.000000 s to 1700000000.000000 s; at most 1% may be so. '
-            r'Name the column of the time, written with all its digits and in its order, or give `rate`',
+            r'Name the column of the time, written with all its digits and in its order, or give '
+            r'`rate`',
         ),
         (
             [f'{2 - k / 100:.2f}' for k in range(100)],
