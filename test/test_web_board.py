@@ -30,10 +30,10 @@ from imu_calib.web import drawing
 from imu_calib.web.board import Board
 from imu_calib.web.expectation import expectation
 from imu_calib.web.samples import Dwells
+from imu_calib.web.sentences import headline, time_left
 from imu_calib.web.shape import table_shape
 from imu_calib.web.snapshot import Outcome
 from imu_calib.web.style import STYLE
-from imu_calib.web.words import headline, time_left
 
 FOG = load_imu('fog_medium')
 SETUP = Setup(FOG, load_plan('twelve_position'), load_table('three_axis'), Site.at(0.6))

@@ -15,9 +15,9 @@ from rich.text import Text
 from ..errors import InputError
 from ..plain_table import plain_table
 from ..units import ARCMIN, PPM, significant
+from .node_reports import NodeReports
 from .processes import Outcome, Processes
 from .terminal import ERRORS, OUTPUT
-from .words import Words
 
 _START = 30.0
 """s for the nodes to start."""
@@ -28,7 +28,7 @@ _BAR = 24
 _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result.'
 
 
-def follow(processes: Processes, words: Words) -> Outcome:
+def follow(processes: Processes, reports: NodeReports) -> Outcome:
     """Guide a person until the session ends.
 
     Raises:
@@ -38,7 +38,7 @@ def follow(processes: Processes, words: Words) -> Outcome:
     from .monitor import watching
 
     with (
-        watching(processes, words) as monitor,
+        watching(processes, reports) as monitor,
         Live(console=ERRORS, refresh_per_second=8, transient=True) as display,
     ):
         deadline = time.monotonic() + _START

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..fleet.history import history
 from ..histories.plain import unit_rows
-from ..histories.words import listed
+from ..histories.sentences import listed
 from ..reports.histories import (
     by_urgency,
     course_table,

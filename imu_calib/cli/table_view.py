@@ -13,9 +13,9 @@ from rich.text import Text
 
 from ..devices.health import Severity
 from ..reports.convergence import Converging
+from ..web.sentences import headline, time_left
 from ..web.snapshot import Snapshot
 from ..web.units import UnitRow
-from ..web.words import headline, time_left
 
 _STYLES = {Severity.OK: 'bold', Severity.WARN: 'bold yellow', Severity.ERROR: 'bold red'}
 _BAR = 30

@@ -16,8 +16,8 @@ from .charts import chart_limits
 from .of_type import Judged, judge_type, population_of
 from .prior import Prior, prior_of
 from .results import USUAL, History, Rules, Sessions, Stands
+from .sentences import listed, stand_sentence
 from .stands import corrections, judge_stands
-from .words import listed, stand_sentence
 
 
 def look_back(sessions: Sessions, limits: Mapping[str, Floats], rules: Rules = USUAL) -> History:

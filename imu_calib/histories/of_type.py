@@ -33,9 +33,9 @@ from .results import (
     UnitHistory,
 )
 from .scatter import between, interval
+from .sentences import unit_sentences
 from .steps import Places, chance_of, find_steps, step_design
 from .trends import Lines, Slopes, fit_lines, quantile, slopes_of
-from .words import unit_sentences
 
 
 @dataclass(frozen=True, eq=False)

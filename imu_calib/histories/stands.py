@@ -19,8 +19,8 @@ from ..stream import Floats
 from .crossed import Effects, crossed, reproducibility
 from .patterns import PATTERNS, Pattern
 from .results import Rules, Stands, StandShift
+from .sentences import listed
 from .trends import quantile
-from .words import listed
 
 _MOST = 20
 """Largest number of named shifts: with more, all stands differ from each other."""

@@ -21,9 +21,9 @@ from ..sequencing import Phase
 from ..specification import COVERAGE
 from ..stream import Units
 from .samples import Streams
+from .sentences import headline, joint_words, time_left
 from .snapshot import Outcome, Sentence, Snapshot
 from .units import UnitRow
-from .words import headline, joint_words, time_left
 
 _LEVELS = {Severity.OK: 'ok', Severity.WARN: 'warn', Severity.ERROR: 'error'}
 _SIGNS = {Severity.OK: '\u2713', Severity.WARN: '!', Severity.ERROR: '\u2715'}

@@ -10,13 +10,13 @@ from urllib.parse import quote
 import numpy as np
 
 from ...histories.results import Outlier, Signal
-from ...histories.words import listed, percent, quantity, stand_sentence, step_sentence
+from ...histories.sentences import listed, percent, quantity, stand_sentence, step_sentence
 from ...model import PARAMETERS
 from ...specification import COVERAGE
 from ..html import bullets, paragraph, table
 from ..svg import tag
 from .contents import Flag, Fleet, Unit
-from .words import PLACE_OF, amount, count, day, unit_of
+from .formats import PLACE_OF, amount, count, day, unit_of
 
 MOST = 12
 """Number of cases written out; the table of units has all. A judgement: six matters fit on two

@@ -17,9 +17,9 @@ from .attention import matters, remarks
 from .bokeh_script import bokeh_script
 from .columns import sessions_data, units_data
 from .contents import Flag, Fleet
+from .formats import count, day
 from .population import counts, types
 from .style import FLEET_STYLE
-from .words import count, day
 
 
 def page(fleet: Fleet) -> str:
