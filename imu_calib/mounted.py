@@ -201,5 +201,5 @@ def _named(name: str, folder: Path | None) -> str:
     path = user_path(name)
     if folder is None or (path.suffix not in {'.yaml', '.yml'} and path.parent == Path()):
         return name
-    beside = folder / path
-    return str(beside) if beside.is_file() else name
+    candidate = folder / path
+    return str(candidate) if candidate.is_file() else name

@@ -54,7 +54,7 @@ class Compensated:
         path: The written recording.
         topic: The raw stream.
         target: The compensated stream.
-        beside: Further topics that were used: temperature, a skewed gyro.
+        further_topics: Further topics that were used: temperature, a skewed gyro.
         taken: Number of samples of the raw stream.
         given: Number of samples written.
         marked: Number of samples by mark, for instance beyond the range.
@@ -65,7 +65,7 @@ class Compensated:
     path: Path
     topic: str
     target: str
-    beside: tuple[str, ...]
+    further_topics: tuple[str, ...]
     taken: int
     given: int
     marked: Mapping[Mark, int]
@@ -115,7 +115,7 @@ def compensate(
         target = _target(output_topic, recording, topic)
         stamps = _all_stamps(recording, topic, first_of(loaded).imu.sample_rate, progress)
         compensator = Compensator(loaded, stamps.instants())
-        beside = _take_aside(compensator, recording, topic, progress)
+        further_topics = _take_aside(compensator, recording, topic, progress)
         meant = described_anew(
             recording.custom_data,
             target,
@@ -142,7 +142,7 @@ def compensate(
             written,
             topic.name,
             target,
-            tuple(beside),
+            tuple(further_topics),
             stream.taken,
             stream.given,
             {mark: compensator.counts[mark] for mark in Mark if compensator.counts[mark]},

@@ -79,8 +79,8 @@ def _course(shown: Snapshot, now: datetime) -> Rows:
 def _parameters(rows: Sequence[Converging], width: int) -> Rows:
     """Return the deviations with the plan's prediction and the limits."""
     triads = [[row for row in rows if row.parameter.triad == triad] for triad in 'ga']
-    beside = width >= _WIDE
-    if not beside:
+    wide = width >= _WIDE
+    if not wide:
         triads = [[*triads[0], *triads[1]]]
     table = Rows(box=None, pad_edge=False, header_style='bold', padding=(0, 1, 0, 0))
     for _ in triads:

@@ -62,7 +62,7 @@ def with_changes(
     known, parameters = _determined(changing)
     if known.all() and parameters.all():
         return changing, ()
-    of_choice = np.array([c.of_scale_factor and not c.asked for c in changes])
+    of_choice = np.array([c.of_scale_factor and not c.by_name for c in changes])
     gone = of_choice & (~known if parameters.all() else True)
     changing = replace(
         changing, changes=tuple(c for c, out in zip(changes, gone, strict=True) if not out)

@@ -176,6 +176,6 @@ def _tridiagonal(kernel: Floats, z: Floats) -> tuple[Floats, Floats]:
 def _by_eigenvectors(kernel: Floats, z: Floats, ratios: Floats) -> Floats:
     """Return `_along` for a kernel that rounding makes negative at large ratios."""
     values, vectors = np.linalg.eigh(kernel)
-    grown = 1 + np.outer(ratios, np.maximum(values, 0.0))
+    scaled = 1 + np.outer(ratios, np.maximum(values, 0.0))
     square = (vectors.T @ z) ** 2
-    return np.asarray(-0.5 * (np.log(grown) + square / grown).sum(axis=1))
+    return np.asarray(-0.5 * (np.log(scaled) + square / scaled).sum(axis=1))
