@@ -128,7 +128,7 @@ def test_latitude_is_asked_for_with_why_and_what_else_would_do(
     [
         ((1, 1 / STANDARD_GRAVITY), 'length of the acceleration is .* 1 would be g'),
         ((1, 1000 / STANDARD_GRAVITY), 'length of the acceleration is'),
-        ((1 / DEG, 1), 'the gyros read up to .* deg/s would do'),
+        ((1 / DEG, 1), 'the gyros read up to .* deg/s is possible'),
     ],
 )
 def test_what_is_not_in_si_is_not_taken_for_it(

@@ -70,7 +70,7 @@ def test_the_joint_that_went_furthest_is_named():
     assert watch.check(at(0.2, outer=0.06, middle=0.05))
     assert 'Joint outer moved 0.06 deg' in watch.text
     assert watch.check(at(0.3, outer=0.06, middle=0.5))
-    assert 'Joint middle went 0.50 deg' in watch.text
+    assert 'Joint middle moved 0.50 deg' in watch.text
 
 
 @pytest.mark.parametrize(
@@ -113,5 +113,5 @@ def test_what_a_table_did_while_it_was_not_seen_is_not_held_against_it(gap, agai
 def test_a_table_that_stood_before_nobody_saw_it_stands_where_it_stood():
     watch = standing()
     assert watch.check(at(9.0, outer=10.0, gap=8.0, still=True))
-    assert 'went 10.00 deg' in watch.text
+    assert 'moved 10.00 deg' in watch.text
     assert watch.text.endswith('it stands again.')

@@ -475,4 +475,4 @@ def test_a_prediction_says_what_it_takes_gravity_to_be_known_to(
         assert main([*words, *options]) == 0
         assert sentence in ' '.join(capsys.readouterr().out.split())
     assert main([*words, '--gravity', '9.8']) == 0
-    assert 'Gravity is known' not in capsys.readouterr().out
+    assert 'uncertainty of gravity' not in capsys.readouterr().out

@@ -454,7 +454,7 @@ def test_commands_carry_them_from_the_recording_to_compensation(
     assert 'Terms of the session' in Path('report.html').read_text()
     capsys.readouterr()
     assert main(['export', 'c.yaml', '--format', 'c', '-o', 'c.h']) == 0
-    assert 'follow the temperature (term thermal) is left out' in capsys.readouterr().out
+    assert 'The dependence on temperature (term thermal) is left out' in capsys.readouterr().out
     with open_recording('si') as recording:
         topic = next(t.name for t in recording.topics if t.type == Kind.IMU.type_name)
         blocks = [b for _, b in recording.read({topic: Kind.IMU})]

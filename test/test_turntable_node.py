@@ -555,7 +555,7 @@ def test_a_node_that_is_killed_leaves_a_table_that_stops(session):
     ('changes', 'words'),
     [
         ({'plan': 'none'}, "No plan is called 'none'"),
-        ({'plan': 'six_position_by_hand'}, 'turned by hand'),
+        ({'plan': 'six_position_by_hand'}, 'for a unit in the hand'),
         ({'setpoint_rate': 5.0}, 'setpoint_rate'),
         ({'output': 'light'}, "found 'light', expected 'setpoint' or 'trajectory'"),
     ],
@@ -719,7 +719,7 @@ def test_a_table_that_a_stranger_turns_is_held_and_it_is_said_how_far_and_how_fa
     assert session.until(lambda: session.watcher.says('plan', 2, 'it stands again'))
     told = session.watcher.states[-1].reason
     assert 'Joint outer moves while it is to stand at' in told
-    went, fast = (float(told.split(word)[1].split()[0]) for word in (' went ', ' up to '))
+    went, fast = (float(told.split(word)[1].split()[0]) for word in (' moved ', ' up to '))
     # Two decimals, and the encoder's own steps.
     assert went == pytest.approx(session.table.turned(at) / DEG, abs=0.02)
     assert 1 < went < 360.02
