@@ -195,7 +195,7 @@ def test_without_a_summary_nobody_knows_where_to_go_on(scanned: Scanned) -> None
     assert losses == [
         f'a.mcap holds no valid record at byte {second.start}: the rest cannot be read.',
         'a.mcap has no footer: its recorder did not finish; the data up to log time 12.000 s is '
-        'whole.',
+        'complete.',
     ]
 
 
