@@ -44,7 +44,7 @@ class Heartbeat:
             node.create_subscription(messages.Bool, 'heartbeat', self._receive, qos.sensor_data())
 
     @property
-    def words(self) -> str:
+    def reason(self) -> str:
         """Why nothing may move, in a sentence; else empty."""
         if not self.required:
             return ''

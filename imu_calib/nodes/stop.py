@@ -217,7 +217,7 @@ class EmergencyStop:
         return self._record.trouble or self._pressed
 
     @property
-    def words(self) -> str:
+    def reason(self) -> str:
         """Why nothing may move, and what to do; empty if the stop is not pressed."""
         return self.obstacle if self._record.pressed else ''
 

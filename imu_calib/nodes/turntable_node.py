@@ -138,7 +138,7 @@ class TurntableNode(Node):
             self._sequencer, self._diagnostics, calibrator_timeout, alone
         )
         self._estop = EmergencyStop(self, state_folder(folder), self._on_estop)
-        if self._estop.words:
+        if self._estop.reason:
             self._on_estop()
         self.create_service(Trigger, '~/start', self._on_start)
         self.create_service(Trigger, '~/release', self._on_release)
@@ -325,9 +325,9 @@ class TurntableNode(Node):
         self._send_what_is_due(now)
 
     def _check_heartbeat(self) -> None:
-        words = self._heartbeat.words
-        self._sequencer.forbid('heartbeat', words)
-        self._diagnostics.judge('heartbeat', words, 'The heartbeat is received.')
+        reason = self._heartbeat.reason
+        self._sequencer.forbid('heartbeat', reason)
+        self._diagnostics.judge('heartbeat', reason, 'The heartbeat is received.')
 
     def _on_foreign(self, name: str, payload: bytes) -> None:
         """Take a foreign message on this node's own topics."""
@@ -349,7 +349,7 @@ class TurntableNode(Node):
 
     def _report_stop(self) -> None:
         fine = 'The emergency stop is not pressed.'
-        self._diagnostics.judge('stop', self._estop.words, fine, kept_in=self._estop.kept_in)
+        self._diagnostics.judge('stop', self._estop.reason, fine, kept_in=self._estop.kept_in)
 
     def _release(self) -> str:
         """Release the emergency stop; no other call does."""
