@@ -393,7 +393,7 @@ def test_a_stop_that_is_taken_back_on_its_topic_alone_stays_pressed(session):
     session.watcher.estop.publish(ros.messages.Bool(data=True))
     session.reaches(Phase.ABORTED)
     session.watcher.estop.publish(ros.messages.Bool(data=False))
-    assert session.until(lambda: not session.node._estop._topic.says_stop)
+    assert session.until(lambda: not session.node._estop._topic.is_stopping)
     assert not session.press('start')[0]
     assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.5)
     assert session.ends_stopped()

@@ -260,11 +260,11 @@ class _Scanner:
         last = int(offsets[-1])
         (length,) = struct.unpack_from('<Q', buffer.data, last + 1)
         stop = last + RECORD_HEAD + length
-        self.found.chunks.append(_stretch(buffer, offsets[ops == Op.MESSAGE], position, stop))
+        self.found.chunks.append(_chunk_of(buffer, offsets[ops == Op.MESSAGE], position, stop))
         return int(position + stop)
 
 
-def _stretch(buffer: Bytes, offsets: Indices, position: int, size: int) -> Chunk:
+def _chunk_of(buffer: Bytes, offsets: Indices, position: int, size: int) -> Chunk:
     """Describe messages outside chunks as an uncompressed chunk."""
     view = [('channel', '<u2'), ('sequence', '<u4'), ('log_time', '<u8')]
     heads = np.ndarray((max(len(buffer) - 22, 0),), view, buffer, RECORD_HEAD, (1,))

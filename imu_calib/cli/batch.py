@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             raise
 
     if arguments.imus is not None:
-        options.refuse_beside_imus(arguments, 'imu', 'serial', 'imu_topic')
+        options.refuse_with_imus(arguments, 'imu', 'serial', 'imu_topic')
     keywords = options.keywords(batch, arguments)
     done = batch(
         arguments.sources, arguments.catalogue, **keywords, progress=begun, connected=_say_where

@@ -31,7 +31,7 @@ def of_several(arguments: argparse.Namespace) -> bool:
 
     """
     if arguments.imus is not None:
-        options.refuse_beside_imus(arguments, 'imu', 'serial', 'imu_topic')
+        options.refuse_with_imus(arguments, 'imu', 'serial', 'imu_topic')
         return True
     one = (arguments.imu, arguments.serial, arguments.imu_topic)
     return all(value is None for value in one) and holds_several(arguments.bag)

@@ -329,10 +329,10 @@ def _positioning(
     found = _pooled(lines)
     known = sum(drift.known for drift in still)
     # Drifts of gyros and accelerometers are tested separately: half of the evidence is not enough.
-    asked_for = any(drift.called_for for drift in still)
-    if asked_for or float(found.max()) >= known + _CALLED_FOR:
+    wanted = any(drift.called_for for drift in still)
+    if wanted or float(found.max()) >= known + _CALLED_FOR:
         found += _by_noise(triads, hypotheses, lines, variances)
-    if not asked_for and float(found.max()) < known + _CALLED_FOR:
+    if not wanted and float(found.max()) < known + _CALLED_FOR:
         return 0.0, 0.0, 0.0
     either = sum(float(np.logaddexp(drift.known, drift.unknown)) for drift in still)
     # For hypotheses that do not affect the positioning errors, all but the one known beforehand.

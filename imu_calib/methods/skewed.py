@@ -281,8 +281,8 @@ def _covariance(
     for c in range(4):
         square[c, :, c, :] = (weights[c] * variances[:, c]) @ weights[c].T
     # The encoder's rate error is common to all four channels, that of the clocks to all turns.
-    felt = (points.inputs * points.rate_error[:, None]) @ unknowns[:, :BIAS].T
-    by_rate = np.einsum('cut,tc->cut', weights, felt)
+    rate_errors = (points.inputs * points.rate_error[:, None]) @ unknowns[:, :BIAS].T
+    by_rate = np.einsum('cut,tc->cut', weights, rate_errors)
     square += np.einsum('cut,dvt->cudv', by_rate, by_rate)
     shared = unknowns * np.array([1.0, 1.0, 1.0, 0.0]) * clock
     square += np.einsum('cu,dv->cudv', shared, shared)

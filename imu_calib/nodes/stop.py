@@ -155,7 +155,7 @@ class StopTopic:
     def __init__(self, node: Any, topic: str, callback: Callable[[bool], None]) -> None:
         self._node = node
         self._callback = callback
-        self._says_stop = False
+        self._stopping = False
         self.topic: str = node.resolve_topic_name(topic)
         self._offered: set[tuple[Any, Any]] = set()
         self._listen(qos.sensor_data())
@@ -177,16 +177,16 @@ class StopTopic:
         )
 
     @property
-    def says_stop(self) -> bool:
+    def is_stopping(self) -> bool:
         """Whether a present publisher sent stop and has not cancelled it since."""
-        return self._says_stop and self._node.count_publishers(self.topic) > 0
+        return self._stopping and self._node.count_publishers(self.topic) > 0
 
     def _receive(self, message: Any) -> None:
         if message.data:
-            self._says_stop = True
+            self._stopping = True
         elif self._node.count_publishers(self.topic) < 2:
             # With two publishers the sender is unknown.
-            self._says_stop = False
+            self._stopping = False
         self._callback(bool(message.data))
 
 
@@ -240,7 +240,7 @@ class EmergencyStop:
         """
         if not self._record.pressed:
             raise InputError('The emergency stop is not pressed.')
-        if self._topic.says_stop:
+        if self._topic.is_stopping:
             raise InputError(
                 f'A publisher on {self._topic.topic} still publishes stop: release it there first.'
             )

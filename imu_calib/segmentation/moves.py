@@ -94,9 +94,9 @@ class MoveReader:
         self, samples: Samples, delivered: Floats, found: Sequence[Segment | Rejected | MountShift]
     ) -> None:
         """Add the samples of a dwell, and the segments found in it, in order."""
-        if any(isinstance(thing, MountShift) for thing in found):
+        if any(isinstance(one, MountShift) for one in found):
             self._open, self._reason = None, ''
-        for segment in (thing for thing in found if isinstance(thing, Segment)):
+        for segment in (one for one in found if isinstance(one, Segment)):
             self._add(samples, delivered, int(np.searchsorted(samples.stamp, segment.start)))
             self._close(segment)
             self._open, self._begin, self._seen, self._reason = [], segment.end, segment.end, ''

@@ -160,8 +160,8 @@ class TriadSystem:
         drifts[rows.dwell] = self.bias_drift * self.reading
         seconds = np.array([m.move.duration for m in self.evidence.links.links]).reshape(-1, 1)
         drifts[rows.move] = self.bias_drift * self.reading * seconds
-        felt = seconds[list(rows.moves_with_accels)]
-        drifts[rows.velocity] = self.bias_drift * self.reading * felt
+        durations = seconds[list(rows.moves_with_accels)]
+        drifts[rows.velocity] = self.bias_drift * self.reading * durations
         return Equations(
             self.evidence,
             self.sensors.parameters,
