@@ -477,4 +477,4 @@ def test_a_drift_is_asked_of_no_plan_as_what_it_tells_of_it_is_shown_anyway(
 ) -> None:
     asked = ['plans', 'twelve_position', '--imu', 'fog_navigation', '--terms', 'trend']
     assert main(asked) == 2
-    assert 'trend and warm_up are predicted without being named' in capsys.readouterr().err
+    assert 'trend, warm_up and step are predicted without being named' in capsys.readouterr().err

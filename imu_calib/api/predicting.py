@@ -236,8 +236,8 @@ def setup_of(stated: Stated) -> Setup:
     terms = stated.sensor_terms
     if stated.changes:
         raise InputError(
-            f'`terms`: found {stated.terms!r}, expected terms of the sensors: trend and '
-            'warm_up are predicted without being named, thermal with `temperature_rise`.'
+            f'`terms`: found {stated.terms!r}, expected terms of the sensors: trend, '
+            'warm_up and step are predicted without being named, thermal with `temperature_rise`.'
         )
     setup = Setup(imu, plan, None if plan.by_hand else table, site, stated.method, terms=terms)
     check_plan(setup.method_name, plan, site)

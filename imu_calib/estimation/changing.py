@@ -155,7 +155,7 @@ def _by_shape(equations: Equations, state: Floats, course: Course) -> tuple[Floa
     """
     start = state.copy()
     start[equations.changing] = 0.0
-    jacobian, left = equations.whitened(start)
+    jacobian, residuals = equations.whitened(start)
     jacobian = jacobian.copy()
     factor, derivatives = equations.factor(start), equations.jacobian(start)
 
@@ -165,8 +165,8 @@ def _by_shape(equations: Equations, state: Floats, course: Course) -> tuple[Floa
         jacobian[: len(moved), equations.changing] = scipy.linalg.solve_triangular(
             factor, moved, lower=True, check_finite=False
         )
-        step = Information.of(jacobian).gain @ left
-        remains = left - jacobian @ step
+        step = Information.of(jacobian).gain @ residuals
+        remains = residuals - jacobian @ step
         return start + step, float(remains @ remains)
 
     tried = shapes(equations.evidence, course)
