@@ -29,7 +29,7 @@ from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
 from imu_calib.share import named_file
 from imu_calib.simulation import ImuOptions
-from imu_calib.simulation.hand import HandSession, as_planned, the_short_way
+from imu_calib.simulation.hand import HandSession, as_planned, shortest_turns
 
 UNIT = 'mems_counts'
 PLANS = ('six_position_by_hand', 'free_positions')
@@ -50,7 +50,7 @@ def session(setup: Setup, seed: int) -> HandSession:
     if setup.method_name == FREE_POSITIONS:
         ups, seconds = zip(*((p.up, p.dwell) for p in setup.plan.positions), strict=True)
         heading = float(rng.uniform(-np.pi, np.pi))
-        return the_short_way(np.array(ups), np.array(seconds), heading=heading)
+        return shortest_turns(np.array(ups), np.array(seconds), heading=heading)
     return as_planned(setup.plan, rng)
 
 

@@ -115,8 +115,8 @@ class Calibration:
         """Return one line; `to_dataframe` has the parameters."""
         which = ' '.join([self.imu.id, self.serial_number]).strip()
         count = int(np.isfinite(self.std).sum())
-        said = counted(len(self.findings), 'finding')
-        return f'<Calibration of {which}: {count} parameters, {said}>'
+        findings = counted(len(self.findings), 'finding')
+        return f'<Calibration of {which}: {count} parameters, {findings}>'
 
     def _repr_pretty_(self, printer: Any, _: bool) -> None:
         """Show one line in a notebook: `repr` has every element of the covariance."""

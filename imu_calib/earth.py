@@ -141,9 +141,9 @@ class Site:
         if gravity is None:
             doubt = (HEIGHT_STD if height is None else 0.0) if height_std is None else height_std
             by_height = normal_gravity(latitude, level) - normal_gravity(latitude, level + doubt)
-            beside = normal_gravity(latitude + latitude_std, level)
-            beside -= normal_gravity(latitude - latitude_std, level)
-            normal = math.hypot(NORMAL_GRAVITY_STD, beside / 2)
+            by_latitude = normal_gravity(latitude + latitude_std, level)
+            by_latitude -= normal_gravity(latitude - latitude_std, level)
+            normal = math.hypot(NORMAL_GRAVITY_STD, by_latitude / 2)
             std = math.hypot(normal if gravity_std is None else gravity_std, by_height)
             here = normal_gravity(latitude, level)
             return cls(latitude, here, NORMAL_GRAVITY, std, height, latitude_std)

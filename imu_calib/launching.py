@@ -155,10 +155,10 @@ def _on_its_own() -> list[Any]:
     if os.environ.get(REACH, '').strip():
         return []
     own = kept_to(LOOPBACK)
-    said = ' '.join(f"{name}='{value}'" for name, value in own.items())
+    text = ' '.join(f"{name}='{value}'" for name, value in own.items())
     return [
         *(SetEnvironmentVariable(name, value) for name, value in own.items()),
-        LogInfo(msg=f'The stand stays on this machine. In every other terminal: export {said}'),
+        LogInfo(msg=f'The stand stays on this machine. In every other terminal: export {text}'),
     ]
 
 
@@ -268,8 +268,8 @@ def _or(word: str, check: Callable[[str], Any]) -> Callable[[str], None]:
         try:
             check(text)
         except InputError as error:
-            said = str(error).replace('expected ', f'expected {word} or ')
-            raise InputError(said) from None
+            text = str(error).replace('expected ', f'expected {word} or ')
+            raise InputError(text) from None
 
     return checked
 

@@ -151,10 +151,10 @@ def remaining(units: Sequence[MountedUnit], without: str) -> tuple[MountedUnit, 
             raise InputError(
                 f'Units to be left out: found {name!r}, expected some of {", ".join(known)}.'
             )
-    left = tuple(unit for unit in units if unit.serial_number not in names)
-    if not left:
+    kept = tuple(unit for unit in units if unit.serial_number not in names)
+    if not kept:
         raise InputError('All units are left out: there is nothing to be calibrated.')
-    return left
+    return kept
 
 
 def spread_seeds(units: Sequence[MountedUnit], seed: int) -> tuple[int, ...]:
@@ -201,5 +201,5 @@ def _named(name: str, folder: Path | None) -> str:
     path = user_path(name)
     if folder is None or (path.suffix not in {'.yaml', '.yml'} and path.parent == Path()):
         return name
-    beside = folder / path
-    return str(beside) if beside.is_file() else name
+    candidate = folder / path
+    return str(candidate) if candidate.is_file() else name

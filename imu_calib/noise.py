@@ -161,13 +161,15 @@ def _fit(points: _Points) -> ChannelNoise:
     own = np.zeros(len(Term))
     if points.pulse and not points.timed:
         own[Term.QUANTISATION] = points.pulse**2 / 12
-    left = np.maximum(points.variance - points.known, 0.0)
+    unexplained = np.maximum(points.variance - points.known, 0.0)
     squares, variances = np.zeros(len(Term)), np.full(len(Term), np.inf)
     spread_all = np.diag((points.variance + 1e-300) ** 2)
     for _ in range(_STEPS if rows.any() else 0):
         inside = np.ix_(rows, rows)
         before = squares
-        squares, variances = _non_negative(units[rows], left[rows], spread_all[inside], terms)
+        squares, variances = _non_negative(
+            units[rows], unexplained[rows], spread_all[inside], terms
+        )
         if not (squares + own).any():
             break
         spread_all = spread(len(units), points.lengths, points.period, squares + own)

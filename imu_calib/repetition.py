@@ -149,8 +149,8 @@ def run_once(study: Study, seed: int) -> Run:
     except NotObservable as error:
         return Run(seed, (), np.empty(0), np.empty(0), str(error))
     # Terms found in some sessions only are not parameters of the study.
-    asked_for = {*PARAMETERS, *setup.parameters}
-    parameters = tuple(p for p in calibration.parameters if p in asked_for)
+    wanted = {*PARAMETERS, *setup.parameters}
+    parameters = tuple(p for p in calibration.parameters if p in wanted)
     places = indices_of(parameters, calibration.parameters)
     std = calibration.std[places]
     wrong = calibration.values[places] - study.truth.values(parameters)

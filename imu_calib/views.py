@@ -132,9 +132,9 @@ def draw_residuals(calibration: Calibration) -> Picture:
     figure = empty_figure(2 * _HEIGHT, _HEIGHT)
     for triad, axes in zip(TRIADS, figure.subplots(1, 2), strict=True):
         found = [r.gyro if triad.name == 'gyro' else r.accel for r in rows]
-        left = np.array(found).reshape(-1, 3) / triad.rate_scale
+        residuals = np.array(found).reshape(-1, 3) / triad.rate_scale
         axes.axhline(0.0, color='0.7', linewidth=0.8)
-        for channel, column in zip('xyz', left.T, strict=True):
+        for channel, column in zip('xyz', residuals.T, strict=True):
             axes.plot(column, 'o', markersize=4, label=channel)
         _name(axes, [r.position for r in rows])
         axes.set_xlabel('position')

@@ -460,11 +460,11 @@ def test_without_a_heartbeat_nothing_moves_and_its_silence_is_a_stop(bench):
     # Within a second, at 50 a second.
     assert bench.controller.count('STATE') - asked <= 50
     assert bench.until(lambda: bench.leader.says('source', 2, 'No heartbeat'))
-    # It is back, and says stop.
+    # It is back, and publishes stop.
     bench.lead(None)
     clear.data = False
     timer.reset()
-    assert bench.until(lambda: bench.leader.says('source', 2, 'says stop'))
+    assert bench.until(lambda: bench.leader.says('source', 2, 'publishes stop'))
     bench.lead(FAR)
     bench.until(lambda: False, 0.2)
     assert bench.controller.count('MOVE') == 3

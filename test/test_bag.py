@@ -128,7 +128,7 @@ def test_latitude_is_asked_for_with_why_and_what_else_would_do(
     [
         ((1, 1 / STANDARD_GRAVITY), 'length of the acceleration is .* 1 would be g'),
         ((1, 1000 / STANDARD_GRAVITY), 'length of the acceleration is'),
-        ((1 / DEG, 1), 'the gyros read up to .* deg/s would do'),
+        ((1 / DEG, 1), 'the gyros read up to .* deg/s is possible'),
     ],
 )
 def test_what_is_not_in_si_is_not_taken_for_it(
@@ -234,7 +234,7 @@ def test_info_says_that_another_latitude_is_contradicted(
     capsys.readouterr()
     assert main(['info', folder, '--latitude', '-34.65']) == 0
     out = ' '.join(capsys.readouterr().out.split())
-    assert re.search(r'The gyros see the Earth turn .* fit a latitude of 3\d\.\d', out)
+    assert re.search(r'The gyros measure an Earth rate of .* show a latitude of 3\d\.\d', out)
 
 
 def test_a_simulated_session_has_the_date_and_the_temperature_that_are_stated(

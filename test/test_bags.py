@@ -41,7 +41,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin, Writer
 
 from imu_calib.bags import RecordingError, RecordingWriter, Topic, mcap, mcap_chunk, open_recording
-from imu_calib.bags.merge import STRETCH_NS
+from imu_calib.bags.merge import SPAN_NS
 from imu_calib.bags.storage import Cache
 from imu_calib.cdr import Messages, encode_imu, part
 from imu_calib.errors import InputError
@@ -117,7 +117,7 @@ def test_no_topic_runs_ahead_even_if_the_file_holds_one_after_the_other(tmp_path
         for topic, block in recording.read(KINDS):
             seen[topic] = int(stamps(block)[-1])
             behind = [t for t in seen.values() if t < START + 59 * NS]
-            assert seen[topic] - min(behind, default=seen[topic]) <= STRETCH_NS + NS
+            assert seen[topic] - min(behind, default=seen[topic]) <= SPAN_NS + NS
 
 
 def test_split_files_are_read_in_the_order_of_the_metadata(tmp_path):

@@ -154,7 +154,7 @@ def test_without_a_rule_nothing_is_stated_of_conformity(calibration: Calibration
     found = made(calibration, conformity=None)
     assert found.conformity is None
     page = certificate_page(found)
-    assert 'No statement of conformity was asked for' in page and '>fail<' not in page
+    assert 'No statement of conformity was requested' in page and '>fail<' not in page
     assert 'conformity>' not in dcc(found)
 
 
@@ -183,7 +183,7 @@ def test_what_is_missing_is_named_with_its_clause_and_not_invented(
     assert 'A &lt;lab&gt; &amp; sons' in page and '<lab>' not in page
     assert 'Draft. Missing: number (7.8.2.1 d); ' in capsys.readouterr().out
     assert main([*command[:-1], str(tmp_path / 'd.xml'), '--draft']) == 2
-    assert 'gaps have no place' in capsys.readouterr().err
+    assert 'A draft may have gaps, and a DCC may not' in capsys.readouterr().err
 
 
 def test_the_commands_of_the_page_work_with_the_example_to_copy(
@@ -232,7 +232,7 @@ def test_each_thing_that_is_asked_for_is_missed(
 ) -> None:
     document = removed(yaml.safe_load(EXAMPLE.read_text()), path)
     name = ''.join(f'[{p}]' if isinstance(p, int) else f': {p}' for p in path)[2:]
-    said = r'my\.yaml: 1 of the things that a certificate needs is missing: .*'
+    said = r'my\.yaml: 1 of the entries that a certificate needs is missing: .*'
     with pytest.raises(InputError, match=said + re.escape(name)):
         certificate_of(
             calibration,

@@ -329,7 +329,7 @@ def test_the_largest_step_is_that_of_the_best_cut(seed: int, walk: float) -> Non
     rows[2 + seed // 2 :, 0] += 3.0 * (-1) ** seed
     found = _largest_step(rows, walk)
     assert found is not None
-    got = (found.score, found.cut, found.size, found.left, found.left_by_drift)
+    got = (found.score, found.cut, found.size, found.square_about_levels, found.square_about_line)
     assert got == pytest.approx(largest_by_hand(rows, walk))
 
 

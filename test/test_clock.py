@@ -11,7 +11,7 @@ from imu_calib.stream import ImuBlock
 
 try:
     from imu_calib import middleware as ros
-    from imu_calib.nodes import hearing, qos
+    from imu_calib.nodes import qos, subscriptions
     from imu_calib.nodes.calibrator_node import CalibratorNode
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
@@ -111,7 +111,7 @@ class Bench:
 
 def test_what_waits_at_the_end_is_recorded_however_much_it_is(monkeypatch, tmp_path):
     # More than two rounds take, as after a long solve of another session.
-    count = 3 * hearing._MOST
+    count = 3 * subscriptions._MOST
     with Bench(monkeypatch, tmp_path) as bench:
         bench.tell(EPOCH)
         ros.publish_all(bench.pulses, samples(EPOCH, count).payloads())

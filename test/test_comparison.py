@@ -10,7 +10,7 @@ import pytest
 from sessions import at_one_rate, calibrate, quick_plan, session, stand, truth
 
 from imu_calib.cli.main import main
-from imu_calib.methods import closed_form_beside, default_method
+from imu_calib.methods import closed_form_of, default_method
 from imu_calib.plan import load_plan
 from imu_calib.share import named_file
 from imu_calib.turntable import load_table
@@ -33,7 +33,7 @@ from imu_calib.units import DEG, DEG_H
 def test_a_closed_form_stands_beside_a_joint_estimate(
     plan: str, name: str, beside: str | None
 ) -> None:
-    assert closed_form_beside(name, load_plan(plan)) == beside
+    assert closed_form_of(name, load_plan(plan)) == beside
 
 
 def test_a_closed_form_that_agrees_is_said_to() -> None:
@@ -89,7 +89,7 @@ def test_the_command_line_shows_both(tmp_path: Path, capsys: pytest.CaptureFixtu
     shown = ' '.join(capsys.readouterr().out.split())
     assert 'joint: 12 static dwells' in shown
     assert 'closed form twelve_position' in shown
-    assert 'allow for bias drift of' in shown
+    assert 'include bias drift of' in shown
 
 
 @pytest.mark.parametrize(

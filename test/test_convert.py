@@ -134,16 +134,21 @@ def logged(times: list[str]) -> str:
         (
             [f'{1.7e9 + k / 100:.6g}' for k in range(200)],
             't:s',
-            r'log.csv: `stamp` t:s: the time does not grow in 199 of 199 intervals between rows, '
-            r'first from 1700000000.000000 s to 1700000000.000000 s; at most 1% may be so. Name '
-            r'the column of the time, written with all its digits and in its order, or give `rate`',
+            r'log.csv: `stamp` t:s: the time does not increase in 199 of 199 intervals between '
+            r'rows, first from 1700000000.000000 s to 1700000000.000000 s; at most 1% may be so. '
+            r'Name the column of the time, written with all its digits and in its order, or give '
+            r'`rate`',
         ),
-        ([f'{2 - k / 100:.2f}' for k in range(100)], 't:s', 'does not grow in 99 of 99 intervals'),
+        (
+            [f'{2 - k / 100:.2f}' for k in range(100)],
+            't:s',
+            'does not increase in 99 of 99 intervals',
+        ),
         # Three of 199 of a time that else grows: 1.5 %.
         (
             [f'{0.5 if k in (60, 90, 120) else k / 100:.2f}' for k in range(200)],
             't:s',
-            'does not grow in 3 of 199 intervals',
+            'does not increase in 3 of 199 intervals',
         ),
         (
             [str(10_000 * k) for k in range(100)],
@@ -251,7 +256,7 @@ def recording(folder: Path, topics: dict[str, tuple[Stamps, Floats, Floats]]) ->
             {'accel': 'ax,ay,az:m/s^2'},
             'length of the acceleration is 1 in the median, not 9.8; 1 w',
         ),
-        ({'gyro': 'wx,wy,wz:rad/s'}, 'the gyros read up to 90, more than any turns in rad/s'),
+        ({'gyro': 'wx,wy,wz:rad/s'}, 'the gyros read up to 90, faster than any IMU turns in rad/s'),
     ],
 )
 def test_numbers_of_other_units_than_stated_are_said(
@@ -470,7 +475,7 @@ def test_pulses_on_two_topics_lie_on_no_line(tmp_path: Path) -> None:
     words = {'stamp': 't:s', 'gyro': 'wx,wy,wz:pulse', 'accel': 'ax,ay,az:pulse'}
     imu_calib.convert(path, tmp_path / 'bag', imu='fog_medium', **words)  # type: ignore[arg-type]
     topics = {'gyro_topic': '/imu/pulses', 'accel_topic': '/imu/pulses'}
-    with pytest.raises(InputError, match='/imu/pulses holds pulses, which lie on no line'):
+    with pytest.raises(InputError, match='/imu/pulses holds pulses, which cannot be interpolated'):
         imu_calib.convert(tmp_path / 'bag', tmp_path / 'out', **topics)  # type: ignore[arg-type]
     assert not (tmp_path / 'out').exists()
 

@@ -216,7 +216,7 @@ def test_a_file_without_footer_gives_its_whole_chunks(tmp_path, compression):
     blocks, losses = read(path)
     assert_same(blocks, samples_until(6))
     assert losses[0].startswith('bag_0.mcap has no footer')
-    assert 'up to log time 1700000005.995 s is whole' in losses[0]
+    assert 'up to log time 1700000005.995 s is complete' in losses[0]
 
 
 @pytest.mark.parametrize('length', [0, 2, 5])
@@ -327,7 +327,7 @@ def test_a_message_too_short_to_be_one_at_the_end_of_a_chunk_is_a_stated_loss(tm
         sum(len(b) for some in blocks.values() for b in some)
         == sum(map(len, samples_until(2).values())) - 1
     )
-    assert any('holds 1 messages too short to be any' in loss for loss in losses)
+    assert any('holds 1 records that are too short for a message' in loss for loss in losses)
 
 
 def write_unchunked(path, rows, footer=True):

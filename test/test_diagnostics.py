@@ -40,7 +40,7 @@ def reported(path):
 
 def spoken():
     """Return node and part of everything that the sources report."""
-    words = CHECKOUT / 'imu_calib' / 'nodes' / 'session_words.py'
+    words = CHECKOUT / 'imu_calib' / 'nodes' / 'session_reports.py'
     parts = {
         ('calibrator_node', part)
         for file in (words, *map(words.with_name, ('unit_results.py', 'turntable_state.py')))

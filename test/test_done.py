@@ -2,25 +2,25 @@
 
 import pytest
 
-from imu_calib.nodes.done import DoneWord
+from imu_calib.nodes.done import DoneCheck
 
-SAID = {'plan': 'short', 'steps': 14, 'commanded': 14, 'alone': True}
+STATE = {'plan': 'short', 'steps': 14, 'commanded': 14, 'alone': True}
 
 
 def test_done_counts_when_it_is_said_again_and_everything_speaks_for_it():
-    word = DoneWord('short', 14)
-    assert word.doubt(**SAID) == ''
-    assert not word.is_repeated
-    assert word.doubt(**SAID) == ''
-    assert word.is_repeated
+    check = DoneCheck('short', 14)
+    assert check.refusal(**STATE) == ''
+    assert not check.is_repeated
+    assert check.refusal(**STATE) == ''
+    assert check.is_repeated
 
 
 def test_done_that_its_leader_contradicts_is_said_once_again():
-    word = DoneWord('short', 14)
-    word.doubt(**SAID)
-    word.deny()
-    word.doubt(**SAID)
-    assert not word.is_repeated
+    check = DoneCheck('short', 14)
+    check.refusal(**STATE)
+    check.deny()
+    check.refusal(**STATE)
+    assert not check.is_repeated
 
 
 @pytest.mark.parametrize(
@@ -35,6 +35,6 @@ def test_done_that_its_leader_contradicts_is_said_once_again():
     ],
 )
 def test_done_that_something_speaks_against_is_doubted(wrong, words):
-    word = DoneWord('short', 14)
+    check = DoneCheck('short', 14)
     for _ in range(3):
-        assert word.doubt(**{**SAID, **wrong}) == words
+        assert check.refusal(**{**STATE, **wrong}) == words

@@ -22,6 +22,7 @@ from imu_calib.model.session_terms import Course, change, session_term
 from imu_calib.model.terms import ACCEL_CUBIC, GYRO_CUBIC
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
+from imu_calib.observation.information import Information
 from imu_calib.observation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 from imu_calib.observation.session_model import Nuisance
 from imu_calib.stream import Floats
@@ -384,7 +385,7 @@ def test_the_time_constant_is_the_one_that_explains_most_and_is_doubted_by_the_o
     off, squares = [], []
     for fraction in [2 ** (k / 2) for k in range(-8, 3)]:
         one = replace(there, shape=fraction)
-        jacobian, left = stubbed(one, outputs, Equations.whitened, state)
+        jacobian, left = stubbed(one, outputs, whitened, state)
         step = np.linalg.lstsq(jacobian, left, rcond=1e-13)[0]
         off.append(step)
         squares.append(float(((left - jacobian @ step) ** 2).sum()))
@@ -393,6 +394,43 @@ def test_the_time_constant_is_the_one_that_explains_most_and_is_doubted_by_the_o
     assert doubt[:24, :24] == pytest.approx(wanted[:24, :24], rel=1e-2, abs=1e-3 * wanted.max())
     assert changing.with_shape(plain, true[:-8]) == (plain, pytest.approx(true[:-8]))
     assert changing.doubt_of_shape(plain, true[:-8]) is None
+
+
+def test_an_instant_is_found_between_those_of_the_grid_and_doubted_by_its_neighbours() -> None:
+    evidence = warmed()
+    lasting = [replace(s, end=s.start + 40 * 10**9) for s in evidence.segments]
+    plain = Equations(replace(evidence, segments=tuple(lasting)))
+    first = plain.evidence.segments[4]
+    begin = min(p.start for p in (*plain.evidence.segments, *plain.evidence.turns))
+    end = max(p.end for p in (*plain.evidence.segments, *plain.evidence.turns))
+    # A third of the way through a dwell; the grid has its begin and its middle.
+    wanted = (2 * first.start + first.end) / 3 - begin
+    stepping = replace(plain, changes=session_term('step'), shape=wanted / (end - begin))
+    true = np.append(fit.fit(plain, fit.start(plain)), [2e-6] * 3 + [2e-3] * 3)
+    outputs = stepping.predict(true)
+    found, state = stubbed(replace(stepping, shape=0.5), outputs, changing.with_shape, true)
+    assert found.shape * (end - begin) == pytest.approx(wanted, abs=0.5e9)
+    # Chi-square is within one of its least: so are the coefficients, within their deviations.
+    jacobian, _ = stubbed(found, outputs, whitened, state)
+    std = np.sqrt(np.diag(Information.of(jacobian).covariance))
+    assert (np.abs(state - true) < std)[-6:].all()
+    doubt = stubbed(found, outputs, changing.doubt_of_shape, state)
+    # Against the integral over a fine line of instants, each with its likelihood.
+    fine = found.shape + np.linspace(-3, 3, 241) * 1e9 / (end - begin)
+    start, off, squares = np.append(state[:-6], np.zeros(6)), [], []
+    for shape in fine.tolist():
+        jacobian, left = stubbed(replace(found, shape=shape), outputs, whitened, start)
+        step = np.linalg.lstsq(jacobian, left, rcond=1e-13)[0]
+        off.append(start + step - state)
+        squares.append(float(((left - jacobian @ step) ** 2).sum()))
+    weights = np.exp(-0.5 * (np.array(squares) - min(squares)))
+    whole = sum(w * np.outer(o, o) for w, o in zip(weights, off, strict=True)) / weights.sum()
+    assert np.sqrt(np.diag(doubt)[-6:]) == pytest.approx(np.sqrt(np.diag(whole)[-6:]), rel=0.3)
+
+
+def whitened(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
+    """Look the method up when it is called, so that the stub is."""
+    return equations.whitened(state)
 
 
 def stubbed(there: Equations, outputs: Floats, call: Any, state: Floats) -> Any:

@@ -44,7 +44,7 @@ from imu_calib.segmentation.segmented import Move
 from imu_calib.segmentation.statistics import Samples
 from imu_calib.segmentation.stillness import StillnessTracker
 from imu_calib.simulation import ImuOptions
-from imu_calib.simulation.hand import HandSession, the_short_way
+from imu_calib.simulation.hand import HandSession, shortest_turns
 from imu_calib.stream import Floats
 from imu_calib.units import ARCMIN, DEG, PPM
 
@@ -290,7 +290,7 @@ def test_north_goes_round_with_the_earth_from_hold_to_hold() -> None:
     plan = load_plan('free_positions')
     free = HandCalibrator(Setup(si, plan, None, SITE))
     ups = np.array([p.up for p in plan.positions])
-    session = the_short_way(ups, np.array([p.dwell for p in plan.positions]))
+    session = shortest_turns(ups, np.array([p.dwell for p in plan.positions]))
     for block in session.blocks(si, unit(0), SITE, ImuOptions(), 0):
         free.feed(block)
     found = free.finish().calibration
@@ -444,7 +444,7 @@ def test_thirty_holds_with_the_shortest_turns_state_what_the_plan_said_beforehan
     # benchmarks/by_hand.py holds the errors of a thousand of them against it.
     plan = load_plan('free_positions')
     ups = np.array([p.up for p in plan.positions])
-    session = the_short_way(ups, np.array([p.dwell for p in plan.positions]), heading=1.0)
+    session = shortest_turns(ups, np.array([p.dwell for p in plan.positions]), heading=1.0)
     assert session.attitudes()[:, 2] == pytest.approx(ups, abs=1e-12)
     found = calibrator(session, unit(0), 0, bias_instability=False).finish().calibration
     ahead = forecast(Setup(SPEC, plan, None, SITE), unit(0)).std

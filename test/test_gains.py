@@ -16,7 +16,7 @@ from imu_calib.earth import EARTH_RATE, Site
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.methods import (
     check_plan,
-    closed_form_beside,
+    closed_form_of,
     default_method,
     estimated_parameters,
     method,
@@ -549,9 +549,9 @@ def test_the_estimator_of_a_plan_is_joint_where_it_solves_the_same() -> None:
     for name, wanted in asked.items():
         assert default_method(load_plan(name)) == wanted
     twelve = load_plan('twelve_position')
-    assert closed_form_beside('joint', twelve) == 'twelve_position'
-    assert closed_form_beside('twelve_position', twelve) is None
-    assert closed_form_beside('joint', load_plan('skewed')) is None
+    assert closed_form_of('joint', twelve) == 'twelve_position'
+    assert closed_form_of('twelve_position', twelve) is None
+    assert closed_form_of('joint', load_plan('skewed')) is None
 
 
 def test_a_plan_is_held_to_its_method_and_to_the_closed_form_beside() -> None:

@@ -150,7 +150,7 @@ def test_the_screen_and_the_file_say_what_was_assumed(tmp_path, monkeypatch, cap
     assert main(['calibrate', 'bag', '--latitude', '34.65', '-o', 'unknown.yaml']) == 0
     said = ' '.join(capsys.readouterr().out.split())
     assert 'The height of the site was not stated and is taken as 0 m' in said
-    assert 'known to 160 ppm, which is in the deviations of K_a' in said
+    assert 'known to 160 ppm, which the standard deviations of K_a include' in said
     document = yaml.safe_load(Path('unknown.yaml').read_text())
     assert any('height of the site was not stated' in f for f in document['findings'])
     unknown = Calibration.load(Path('unknown.yaml'))

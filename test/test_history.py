@@ -320,7 +320,7 @@ def test_few_sessions_say_what_they_do_not_tell() -> None:
         assert not unit.trend.significant.any() and unit.steps == ()
         if count < 3:
             assert np.isnan(unit.trend.slope).all() and np.isnat(unit.forecast.recalibrate)
-            assert 'nothing says when it is due' in unit.forecast.reason
+            assert 'when it is due cannot be computed' in unit.forecast.reason
         assert np.isnan(unit.scatter.std).all() == (count == 1)
     # Others of its type lend what one session lacks.
     young = sessions(rng, 1, 1, imu='fog')

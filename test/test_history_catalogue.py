@@ -211,7 +211,7 @@ def test_two_days_make_a_history(tmp_path: Path, run: Run) -> None:
     code, out, _ = run(folder, '--serial', 'F000')
     assert code == 0
     for sentence in (
-        'No specification is known: nothing says when it is due.',
+        'No specification is known: when it is due cannot be computed.',
         'Two sessions: a trend of this unit cannot be distinguished from their scatter.',
         'No session of fog states a standard deviation',
         'All sessions were on one stand, east',

@@ -279,7 +279,7 @@ def test_a_velocity_is_the_sum_of_its_steps() -> None:
         before += step
     np.testing.assert_allclose(found.displacement, displacement, atol=1e-12)
     assert not found.moved.any()
-    np.testing.assert_allclose(found.beside, np.tile(MODEL.accel.bias, (4, 1)))
+    np.testing.assert_allclose(found.additions, np.tile(MODEL.accel.bias, (4, 1)))
     rates, _, middles = along(MODEL, moves, 0)
     late = -sum(
         m @ np.cross(w, f) * s for m, w, f, s in zip(middles, rates, felt, SECONDS, strict=True)

@@ -19,7 +19,7 @@ from imu_calib.errors import InputError
 from imu_calib.model import SensorModel
 from imu_calib.nodes.diagnostics import Level
 from imu_calib.nodes.live import SessionPhase
-from imu_calib.nodes.session_words import report
+from imu_calib.nodes.session_reports import report_session
 from imu_calib.simulation import simulate
 from imu_calib.stream import ImuBlock, JointBlock, SetpointBlock
 from imu_calib.turntable import load_table
@@ -351,11 +351,11 @@ def test_an_imu_of_another_clock_than_the_tables_is_an_error_at_once(tmp_path, w
     session = begin(tmp_path / 'journal')
     send(session, wire, np.random.default_rng(1), stop=0.2)
     session.intakes[Kind.JOINTS].newest = session.intakes[Kind.IMU].newest + later * 3600 * 10**9
-    session.intakes[Kind.IMU].heard = time.monotonic()
-    heard = Words()
-    report(session, heard, imu_timeout=0.5)
+    session.intakes[Kind.IMU].received_at = time.monotonic()
+    received_at = Words()
+    report_session(session, received_at, imu_timeout=0.5)
     session.close()
-    level, text = heard.said['stream']
+    level, text = received_at.said['stream']
     assert level is (Level.ERROR if later else Level.OK)
     assert words in text
 

@@ -121,7 +121,9 @@ def test_a_file_that_ends_anywhere_gives_what_is_whole_of_it(scanned: Scanned) -
         assert kept[:sure] == [one.index for one in chunks[:sure]]
         assert kept[sure:] == [None] * (len(whole) - sure)
         where = f'is cut off at byte {last} of {size}' if ends_within else 'has no footer'
-        known = f'; the data up to log time {10 + 2 * len(whole)}.000 s is whole' if whole else ''
+        known = (
+            f'; the data up to log time {10 + 2 * len(whole)}.000 s is complete' if whole else ''
+        )
         assert losses == [f'a.mcap {where}: its recorder did not finish{known}.']
 
 
@@ -193,7 +195,7 @@ def test_without_a_summary_nobody_knows_where_to_go_on(scanned: Scanned) -> None
     assert losses == [
         f'a.mcap holds no valid record at byte {second.start}: the rest cannot be read.',
         'a.mcap has no footer: its recorder did not finish; the data up to log time 12.000 s is '
-        'whole.',
+        'complete.',
     ]
 
 

@@ -384,7 +384,7 @@ def test_messages_too_short_to_be_any_are_counted(opened: Open) -> None:
     assert found.payloads('/a') == [b'c']
     assert found.losses.sentences == [
         f'a.mcap: the chunk at byte {place_of_chunk()} (log time 0.000 s to 0.000 s) holds 2 '
-        'messages too short to be any.'
+        'records that are too short for a message.'
     ]
     tiny = walked(opened, record(MESSAGE))
     assert tiny.payloads('/a') == []

@@ -386,7 +386,7 @@ def test_a_temperature_is_asked_for_in_kelvins_and_moves(
     assert main([*asked, '0.1']) == 2
     assert 'found 0.1 K, expected 0.5 K or more' in capsys.readouterr().err
     assert main([*asked, '6', '--reach', 'D_gx=1deg/h']) == 2
-    assert '--reach knows no temperature' in capsys.readouterr().err
+    assert '--reach cannot be combined with --temperature-rise' in capsys.readouterr().err
 
 
 def test_a_trend_that_a_plan_does_not_tell_has_no_deviation(

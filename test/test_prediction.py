@@ -469,10 +469,10 @@ def test_a_prediction_says_what_it_takes_gravity_to_be_known_to(
 ) -> None:
     words = ['plans', 'twelve_position', '--imu', 'fog_medium']
     for options, sentence in (
-        ([], 'Gravity is known to 160 ppm, which is in K_a'),
-        (['--height', '0'], 'Gravity is known to 30.6 ppm, which is in K_a'),
+        ([], 'K_a includes the uncertainty of gravity, 160 ppm'),
+        (['--height', '0'], 'K_a includes the uncertainty of gravity, 30.6 ppm'),
     ):
         assert main([*words, *options]) == 0
         assert sentence in ' '.join(capsys.readouterr().out.split())
     assert main([*words, '--gravity', '9.8']) == 0
-    assert 'Gravity is known' not in capsys.readouterr().out
+    assert 'uncertainty of gravity' not in capsys.readouterr().out

@@ -27,7 +27,7 @@ def watched(*publishers):
 
 def test_one_publisher_is_alone():
     topic, _ = watched(publisher('plc'))
-    assert topic.look(0.0) == ''
+    assert topic.fault(0.0) == ''
     assert topic.is_alone(0.0)
 
 
@@ -42,12 +42,12 @@ def test_one_publisher_is_alone():
 )
 def test_two_that_live_are_named_at_once(second, name):
     topic, graph = watched(publisher('plc'), second)
-    words = topic.look(0.0)
+    words = topic.fault(0.0)
     assert words.startswith('2 publishers are on /estop: ')
     assert name in words
     assert '/plc' in words
     graph.listed.pop()
-    assert topic.look(0.1) == ''
+    assert topic.fault(0.1) == ''
     # What the other one said may still be under way.
     assert not topic.is_alone(0.1)
     assert topic.is_alone(10.0)
@@ -55,43 +55,43 @@ def test_two_that_live_are_named_at_once(second, name):
 
 def test_a_node_that_was_killed_and_started_anew_is_let_be_until_the_lease_is_over():
     topic, graph = watched(publisher('plc', 1), publisher('plc', 2))
-    assert topic.look(0.0) == ''
-    assert topic.look(GHOST) == ''
-    assert '/plc, /plc' in topic.look(math.nextafter(GHOST, math.inf))
+    assert topic.fault(0.0) == ''
+    assert topic.fault(GHOST) == ''
+    assert '/plc, /plc' in topic.fault(math.nextafter(GHOST, math.inf))
     graph.listed.pop()
-    assert topic.look(GHOST + 1) == ''
+    assert topic.fault(GHOST + 1) == ''
     graph.listed.append(publisher('plc', 3))
-    assert topic.look(GHOST + 2) == '', 'the next one has a time of its own'
+    assert topic.fault(GHOST + 2) == '', 'the next one has a time of its own'
 
 
 def test_two_that_are_heard_live_whatever_they_are_called():
     topic, _ = watched(publisher('plc', 1), publisher('plc', 2))
-    assert topic.look(0.0) == ''
-    topic.heard_two(0.1)
-    assert '2 publishers' in topic.look(0.1)
+    assert topic.fault(0.0) == ''
+    topic.note_two_sources(0.1)
+    assert '2 publishers' in topic.fault(0.1)
 
 
 def test_somebody_who_is_heard_and_gone_is_told_for_a_while():
     topic, _ = watched(publisher('plc'))
-    topic.heard_two(1.0)
-    assert 'A node that has gone since published on /estop' in topic.look(1.1)
-    assert topic.look(9.0) == ''
+    topic.note_two_sources(1.0)
+    assert 'A second node published on /estop and has ended since' in topic.fault(1.1)
+    assert topic.fault(9.0) == ''
 
 
 def test_a_name_comes_later_than_its_publisher_but_not_much():
     topic, _ = watched(publisher('plc', 1), publisher(UNKNOWN, 2))
-    assert topic.look(0.0) == ''
-    assert 'a node without a name' in topic.look(2.1)
+    assert topic.fault(0.0) == ''
+    assert 'a node without a name' in topic.fault(2.1)
 
 
 @pytest.mark.parametrize('topic', ['imu/pulses', 'driver/raw'])
 def test_two_devices_end_a_session_whatever_their_topic_is_called(monkeypatch, tmp_path, topic):
     try:
         from imu_calib import middleware as ros
-        from imu_calib.nodes import calibrator_node, hearing, qos
+        from imu_calib.nodes import calibrator_node, qos, subscriptions
     except ImuCalibError as error:
         pytest.skip(str(error))
-    monkeypatch.setattr(hearing, '_GHOST', 0.2)
+    monkeypatch.setattr(subscriptions, '_GHOST', 0.2)
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
     given = {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imu_calib.earth import EARTH_RATE
-from imu_calib.segmentation.gyro_offset import FELT, GyroOffset
+from imu_calib.segmentation.gyro_offset import ASSUMED_SPREAD, GyroOffset
 from imu_calib.segmentation.motion import Motion, Rest
 from imu_calib.segmentation.rest_tolerance import RestTolerance
 from imu_calib.segmentation.stillness import StillnessTracker
@@ -51,8 +51,8 @@ def test_three_times_what_nine_of_ten_keep_to_is_added() -> None:
 
 def test_a_count_is_the_least_that_is_added() -> None:
     step = np.array([0.1 * DEG, 0.02])
-    found = RestTolerance.of(windows(200), OFFSET, FELT, step)
-    assert found.rate == pytest.approx(FELT + 0.1 * DEG)
+    found = RestTolerance.of(windows(200), OFFSET, ASSUMED_SPREAD, step)
+    assert found.rate == pytest.approx(ASSUMED_SPREAD + 0.1 * DEG)
     assert found.force == pytest.approx(LEAN + 0.02)
     assert found.usual == pytest.approx(0.1 * DEG / 3)
 
@@ -71,7 +71,7 @@ def test_few_windows_tell_nothing() -> None:
     # Eleven quiet seconds have to be among them, and each needs half a second beside.
     assert RestTolerance.of(noisy, OFFSET, 0.2 * DEG, step) == plain
     assert RestTolerance.of(windows(21, 0.4, 0.05), OFFSET, 0.2 * DEG, step) != plain
-    assert RestTolerance() == RestTolerance(FELT, LEAN, 0.0)
+    assert RestTolerance() == RestTolerance(ASSUMED_SPREAD, LEAN, 0.0)
 
 
 @pytest.mark.parametrize(('rate', 'turns'), [(4.9, False), (5.1, True), (-5.1, True)])
@@ -93,11 +93,11 @@ def test_a_turn_tells_nothing_of_rests_nor_the_second_beside_it(rate: float, tur
             around = rows[k - 5 : k + 6, :3].mean(axis=0)
             shaken.append(max(abs(rows[k, :3] - around)))
             pushed.append(max(abs(rows[k, 3:] - rows[k - 1, 3:])) / np.sqrt(2))
-        assert found.rate == pytest.approx(FELT + 3 * float(np.quantile(shaken, 0.9)))
+        assert found.rate == pytest.approx(ASSUMED_SPREAD + 3 * float(np.quantile(shaken, 0.9)))
         assert found.force == pytest.approx(LEAN + 3 * float(np.quantile(pushed, 0.9)))
     else:
         shaken_all, pushed_all = by_hand(rows)
-        assert found.rate == pytest.approx(FELT + 3 * shaken_all)
+        assert found.rate == pytest.approx(ASSUMED_SPREAD + 3 * shaken_all)
         assert found.force == pytest.approx(LEAN + 3 * pushed_all)
 
 
@@ -112,12 +112,12 @@ def feed(offset: GyroOffset, rate: Floats, up: Floats, seconds: float) -> None:
 def test_nothing_is_known_before_a_second_is_steady() -> None:
     offset = GyroOffset()
     assert offset.value.tolist() == [0.0] * 3
-    assert offset.spread == FELT
+    assert offset.spread == ASSUMED_SPREAD
     feed(offset, OFFSET, Z, 0.9)
     assert offset.value.tolist() == [0.0] * 3
     feed(offset, OFFSET, Z, 0.1)
     assert offset.value == pytest.approx(OFFSET)
-    assert offset.spread == FELT
+    assert offset.spread == ASSUMED_SPREAD
 
 
 def test_two_half_seconds_are_averaged() -> None:
@@ -204,7 +204,7 @@ def rates_in(offset: GyroOffset, rates: list[float]) -> None:
 def test_ways_up_tell_by_how_much_rates_differ() -> None:
     offset = GyroOffset()
     rates_in(offset, [0.0, 0.1, 0.3, 0.2])
-    assert offset.spread == FELT
+    assert offset.spread == ASSUMED_SPREAD
     assert offset.value == pytest.approx(0.15 * DEG * Z)
     feed(offset, 0.6 * DEG * Z, -X, 1.0)
     # Median 0.2; off by 0.2, 0.1, 0.1, 0, 0.4: their median is 0.1.

@@ -314,14 +314,14 @@ def test_a_session_that_is_gone_on_with_runs_what_is_missing_alone():
     stand.tick()
     sequencer = stand.sequencer
     sequencer.resume()
-    sequencer.set_calibrator_present(heard=True)
+    sequencer.set_calibrator_present(present=True)
     sequencer.start()
     # The calibrator is there, but has not said yet what it has.
     stand.tick()
-    sequencer.set_calibrator_present(heard=True)
+    sequencer.set_calibrator_present(present=True)
     assert sequencer.state().waits_for
     sequencer.skip_done(3, [1])
-    sequencer.set_calibrator_present(heard=True)
+    sequencer.set_calibrator_present(present=True)
     assert steps_run(stand) == [1, *range(3, sequencer.state().steps)]
     # After an abort all of it is run anew: somebody may have touched the unit.
     sequencer.abort()
@@ -336,7 +336,7 @@ def test_nothing_is_left_to_run_but_the_calibrator_has_the_last_word():
     stand.tick()
     stand.sequencer.resume()
     stand.sequencer.skip_done(1000, [])
-    stand.sequencer.set_calibrator_present(heard=True)
+    stand.sequencer.set_calibrator_present(present=True)
     stand.sequencer.start()
     assert steps_run(stand) == []
     stand.sequencer.review(stand.sequencer.feedback.stamp, [2])

@@ -18,8 +18,8 @@ from loopback import CHECKOUT, environment, until
 from test_devices import frame
 
 from imu_calib.cli.main import main
+from imu_calib.cli.node_reports import NodeReports
 from imu_calib.cli.processes import Outcome
-from imu_calib.cli.words import Words
 from imu_calib.devices import Source, check_port
 from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.web.board import Board
@@ -280,7 +280,7 @@ def said(words, level, text, part='imu_node: stream', value='0'):
 def test_a_sentence_is_shown_once_and_its_end_too(capsys, monkeypatch):
     now = 100.0
     monkeypatch.setattr(time, 'monotonic', lambda: now)
-    words = Words(real=True)
+    words = NodeReports(real=True)
     said(words, 1, 'It has not come yet.')
     assert not capsys.readouterr().err
     said(words, 2, 'It is broken.')
@@ -306,7 +306,7 @@ def test_a_sentence_is_shown_once_and_its_end_too(capsys, monkeypatch):
 def test_a_port_that_breaks_later_ends_nothing(capsys, monkeypatch):
     now = 100.0
     monkeypatch.setattr(time, 'monotonic', lambda: now)
-    words = Words(real=True)
+    words = NodeReports(real=True)
     said(words, 0, 'It is open.', part='imu_node: port', value='4400')
     said(words, 2, 'It broke.', part='imu_node: port', value='4400')
     now += 60.0

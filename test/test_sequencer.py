@@ -606,7 +606,7 @@ def test_an_idle_table_that_turns_is_held_and_it_is_said_how_far_and_how_fast():
                 stand.sequencer.start()
     reason = stand.sequencer.state().reason
     assert 'Joint outer moves while it is to stand at 0.000 deg' in reason
-    assert 'Joint outer went 3960.00 deg, at up to 200 deg/s, while the table was not led' in reason
+    assert 'Joint outer moved 3960.00 deg, at up to 200 deg/s, without a command' in reason
     assert reason.endswith('it stands again.')
     assert len(told) < 20, 'a long turn is no sentence for every joint state'
     assert stand.sequencer.start() == 'Runs small.'
@@ -829,7 +829,7 @@ def test_the_way_home_does_not_wait_for_ever_for_the_calibrators_word():
     begin = stand.time
     state = stand.phase(Phase.DONE)
     assert 20.0 <= stand.time - begin <= 30.0
-    assert 'did not say within 20.005 s' in state.reason
+    assert 'did not report within 20.005 s' in state.reason
 
 
 def test_a_pause_while_the_calibrator_is_awaited_repeats_nothing():

@@ -454,7 +454,7 @@ def test_commands_carry_them_from_the_recording_to_compensation(
     assert 'Terms of the session' in Path('report.html').read_text()
     capsys.readouterr()
     assert main(['export', 'c.yaml', '--format', 'c', '-o', 'c.h']) == 0
-    assert 'follow the temperature (term thermal) is left out' in capsys.readouterr().out
+    assert 'The dependence on temperature (term thermal) is left out' in capsys.readouterr().out
     with open_recording('si') as recording:
         topic = next(t.name for t in recording.topics if t.type == Kind.IMU.type_name)
         blocks = [b for _, b in recording.read({topic: Kind.IMU})]
@@ -477,4 +477,4 @@ def test_a_drift_is_asked_of_no_plan_as_what_it_tells_of_it_is_shown_anyway(
 ) -> None:
     asked = ['plans', 'twelve_position', '--imu', 'fog_navigation', '--terms', 'trend']
     assert main(asked) == 2
-    assert 'what the plan tells of drifts is predicted beside them' in capsys.readouterr().err
+    assert 'trend, warm_up and step are predicted without being named' in capsys.readouterr().err

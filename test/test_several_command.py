@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from imu_calib.cli import dispatch, main, processes, several
-from imu_calib.cli.words import Words
+from imu_calib.cli.node_reports import NodeReports
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.imu import load_imu
 from imu_calib.mounted import load_units
@@ -122,4 +122,4 @@ def test_a_stand_that_ends_without_a_result_says_why(file, tmp_path, monkeypatch
     ended = processes.Outcome(False, 'The table has stopped.', 0.0)
     monkeypatch.setattr(stand_session, '_session', lambda *_: ended)
     with pytest.raises(NotObservable, match='The table has stopped'):
-        stand_session.run(arguments, tmp_path / 'stand', {}, 0, Words(real=False))
+        stand_session.run(arguments, tmp_path / 'stand', {}, 0, NodeReports(real=False))

@@ -18,8 +18,8 @@ from loopback import CHECKOUT, until
 from test_devices import NS, frame
 
 from imu_calib.cli import dispatch, listening, main, stand_session
+from imu_calib.cli.node_reports import NodeReports, NothingComes
 from imu_calib.cli.terminal import OUTPUT
-from imu_calib.cli.words import NothingComes, Words
 from imu_calib.devices import Reception, Severity, Source, choose_baud, load_format
 from imu_calib.devices.commands import Command, Commands
 from imu_calib.devices.source import Chunk, SourceState
@@ -247,7 +247,7 @@ def listen(port, words):
 def test_a_device_is_started_and_left_running_for_the_nodes(port):
     commands = Commands((Command(b'go'),), None, (Command(b'halt'),))
     frames = replace(SIMULATED, commands=commands)
-    listening.listen(port[1], frames, FOG, choose_baud(None, frames), Words(real=True))
+    listening.listen(port[1], frames, FOG, choose_baud(None, frames), NodeReports(real=True))
     got = b''
     while select.select([port[0]], [], [], 0)[0]:
         got += os.read(port[0], 100)
@@ -256,7 +256,7 @@ def test_a_device_is_started_and_left_running_for_the_nodes(port):
 
 def test_what_was_said_of_a_silent_device_is_said_once_and_its_end_too(port, capsys, monkeypatch):
     now = time.monotonic()
-    words = Words(real=True)
+    words = NodeReports(real=True)
     listen(port[1], words)
     shown = capsys.readouterr().err
     assert shown.startswith('imu_node: No frame has come since the start. Is the device on')
@@ -284,7 +284,7 @@ def test_frames_as_described_are_nothing_to_be_said(port, capsys):
     thread = threading.Thread(target=send)
     thread.start()
     try:
-        listen(port[1], Words(real=True))
+        listen(port[1], NodeReports(real=True))
     finally:
         over.set()
         thread.join()
@@ -343,7 +343,7 @@ def test_a_port_that_is_none_is_told_in_words(capsys):
     with pytest.raises(
         NothingComes, match=r'/dev/null does not open: this is not a serial port\. '
     ):
-        listen('/dev/null', Words(real=True))
+        listen('/dev/null', NodeReports(real=True))
     assert not capsys.readouterr().err
 
 

@@ -21,7 +21,7 @@ from imu_calib.segmentation.statistics import (
     statistics_between,
     to_samples,
 )
-from imu_calib.segmentation.turns import _level_left, _line_origin, _mean_phase, _steady
+from imu_calib.segmentation.turns import _level_share, _line_origin, _mean_phase, _steady
 from imu_calib.stream import Floats, Units
 
 START = 1_700_000_000_000_000_000
@@ -291,7 +291,7 @@ def test_cuts_within_samples_leave_a_level_rate(first: float, length: float) -> 
     turns: Any = SimpleNamespace(seconds=length * PERIOD, angle=2 * np.pi)
     fractions = np.array([first, first + length]) % 1.0
     wanted = np.diff(fractions * (1 - fractions))[0] / 2 * 2 * np.pi / length**2
-    assert _level_left(held, start, turns) == pytest.approx(abs(wanted), rel=1e-4, abs=1e-8)
+    assert _level_share(held, start, turns) == pytest.approx(abs(wanted), rel=1e-4, abs=1e-8)
 
 
 def test_the_mean_phase_of_a_turn_is_that_of_its_angle() -> None:

@@ -148,6 +148,11 @@ def test_a_drift_that_is_there_in_nineteen_cases_of_twenty_is_said() -> None:
         'The session hints at parameters that drift evenly with time (trend), with a probability '
         f'of 0.96, and does not show it well enough to estimate it. {TO_TELL}'
     ]
+    assert findings(searched((), {STEP: 0.97, TREND: 0.01})) == [
+        'The session hints at biases that step at one instant (step), with a probability of 0.98, '
+        'and does not show it well enough to estimate it. To tell, calibrate it again, and leave '
+        'it switched on.'
+    ]
     # What is less likely is in the deviations, and in the summary, and no finding points to it.
     assert findings(searched((), {TREND: 0.52, WARM_UP: 0.42}, 1e-6, by_drifts)) == []
 

@@ -361,7 +361,7 @@ def test_the_emergency_stop_holds_and_refuses_a_start_until_it_is_released(sessi
     assert 'call /turntable_node/release' in why
     released, why = session.press('release')
     assert not released
-    assert why == 'A publisher on /estop still says stop: release it there first.'
+    assert why == 'A publisher on /estop still publishes stop: release it there first.'
     session.watcher.estop.publish(ros.messages.Bool(data=False))
     assert session.until(lambda: session.press('release')[0])
     # Neither what was said on the topic nor the release starts anything, autostart or not.
@@ -404,7 +404,7 @@ def test_a_heartbeat_that_says_stop_once_holds_the_table(session):
     for message in (stop, clear):
         beat.publish(message)
     session.reaches(Phase.PAUSED)
-    assert 'The heartbeat on /heartbeat says stop.' in session.watcher.states[-1].reason
+    assert 'The heartbeat on /heartbeat is false, which means stop.' in session.watcher.states[-1].reason
     assert session.ends_stopped()
 
 
@@ -475,7 +475,7 @@ def test_a_stop_that_is_taken_back_on_its_topic_alone_stays_pressed(session):
     session.watcher.estop.publish(ros.messages.Bool(data=True))
     session.reaches(Phase.ABORTED)
     session.watcher.estop.publish(ros.messages.Bool(data=False))
-    assert session.until(lambda: not session.node._estop._topic.says_stop)
+    assert session.until(lambda: not session.node._estop._topic.is_stopping)
     assert not session.press('start')[0]
     assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.5)
     assert session.ends_stopped()
@@ -506,7 +506,7 @@ def test_a_pressed_stop_outlives_the_node_that_was_killed(session, said):
     assert {s.mode for s in session.table.setpoints[before:]} == {Mode.HOLD}
     assert not session.press('start')[0]
     if said:
-        assert 'still says stop' in session.press('release')[1]
+        assert 'still publishes stop' in session.press('release')[1]
         estop.publish(ros.messages.Bool(data=False))
     assert session.until(lambda: session.press('release')[0])
     assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.5)
@@ -681,7 +681,7 @@ def test_a_node_that_is_killed_leaves_a_table_that_stops(session):
     ('changes', 'words'),
     [
         ({'plan': 'none'}, "No plan is called 'none'"),
-        ({'plan': 'six_position_by_hand'}, 'turned by hand'),
+        ({'plan': 'six_position_by_hand'}, 'for a unit in the hand'),
         ({'setpoint_rate': 5.0}, 'setpoint_rate'),
         ({'output': 'light'}, "found 'light', expected 'setpoint' or 'trajectory'"),
     ],
@@ -836,7 +836,7 @@ def test_a_table_that_a_stranger_turns_is_held_and_it_is_said_how_far_and_how_fa
     session.table.force(tuple(at + np.array([360 * DEG, 0.0, 0.0])))
     assert session.until(lambda: session.table.turned(at) > 1 * DEG)
     session.table.deaf = False
-    assert session.until(lambda: session.watcher.says('plan', 2, 'while the table was not led'))
+    assert session.until(lambda: session.watcher.says('plan', 2, 'without a command'))
     assert session.watcher.phase is phase
     assert session.until(
         lambda: session.table.setpoints and session.table.setpoints[-1].mode is Mode.HOLD
@@ -845,7 +845,7 @@ def test_a_table_that_a_stranger_turns_is_held_and_it_is_said_how_far_and_how_fa
     assert session.until(lambda: session.watcher.says('plan', 2, 'it stands again'))
     told = session.watcher.states[-1].reason
     assert 'Joint outer moves while it is to stand at' in told
-    went, fast = (float(told.split(word)[1].split()[0]) for word in (' went ', ' up to '))
+    went, fast = (float(told.split(word)[1].split()[0]) for word in (' moved ', ' up to '))
     # Two decimals, and the encoder's own steps.
     assert went == pytest.approx(session.table.turned(at) / DEG, abs=0.02)
     assert 1 < went < 360.02
@@ -907,7 +907,7 @@ def test_a_pressed_stop_is_answered_by_hold_before_anything_else_is_done(session
     sent = []
     session.node._send = sent.append
     session.node._estop._record.press = sent.append
-    session.node._estop._hear(True)
+    session.node._estop._receive(True)
     assert [getattr(one, 'mode', one) for one in sent] == [Mode.HOLD, 'heard on /estop']
 
 
@@ -993,12 +993,12 @@ def test_a_stop_is_taken_back_by_its_only_publisher(publishers, says):
         count_publishers=lambda _: count[0],
     )
     topic = stop.StopTopic(node, 'estop', heard.append)
-    assert not topic.says_stop
-    topic._hear(ros.messages.Bool(data=True))
-    assert topic.says_stop
+    assert not topic.is_stopping
+    topic._receive(ros.messages.Bool(data=True))
+    assert topic.is_stopping
     count[0] = publishers
-    topic._hear(ros.messages.Bool(data=False))
-    assert topic.says_stop == says
+    topic._receive(ros.messages.Bool(data=False))
+    assert topic.is_stopping == says
     assert heard == [True, False]
 
 
@@ -1019,8 +1019,8 @@ def test_progress_counts_of_one_publisher_only(alone):
     assert progress.take(message, 10.0)
     assert said == [('review', 7 * 10**9, [2]), ('done', 4, [2])] * alone
     # That somebody is there is heard in any case; what he says is not believed.
-    progress.look(11.0)
-    progress.look(11.1)
+    progress.check(11.0)
+    progress.check(11.1)
     assert said[-2:] == [True, False]
 
 
@@ -1077,7 +1077,7 @@ def test_a_calibrator_is_given_its_time_and_no_more(session, timeout):
         return session.watcher.phase is Phase.TURNING
 
     assert session.until(turning)
-    steady = node._steady = FakeSteady(node._calibrator._heard_at + timeout - 1e-3)
+    steady = node._steady = FakeSteady(node._calibrator._received_at + timeout - 1e-3)
     node._fed_at = steady.seconds
     node._go_on()
     assert node._sequencer.running

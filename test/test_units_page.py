@@ -111,7 +111,7 @@ def test_all_units_are_there_and_one_that_falls_silent_is_named(shown):
             hear(board, board.names[:2], seconds, std)
         for name, window in windows.items():
             silent = window.locator('tr[data-unit=unit_C3]')
-            silent.get_by_text('Nothing was heard for').wait_for()
+            silent.get_by_text('No message has come for').wait_for()
             assert silent.locator('.sign.error').count() == 1
             for other in board.names[:2]:
                 assert 'Samples come in' in window.locator(f'tr[data-unit={other}]').inner_text()

@@ -28,16 +28,16 @@ def watch(rules=None):
 
 
 def test_a_motion_has_arrived_when_it_stands_within_the_tolerance():
-    assert watch().look(at(1.0, 39.991, still=True)) == (True, '')
-    assert watch().look(at(1.0, 39.991, still=False)) == (False, '')
-    assert watch().look(at(1.0, 39.989, still=True)) == (False, '')
+    assert watch().check(at(1.0, 39.991, still=True)) == (True, '')
+    assert watch().check(at(1.0, 39.991, still=False)) == (False, '')
+    assert watch().check(at(1.0, 39.989, still=True)) == (False, '')
 
 
 def test_a_joint_that_comes_nearer_and_nearer_may_take_twice_its_time_and_2_s():
     late = watch()
     for seconds, outer in ((1.0, 30.0), (2.0, 36.0), (3.0, 38.5), (3.7, 39.0)):
-        assert late.look(at(seconds, outer)) == (False, '')
-    arrived, fault = late.look(at(3.85, 39.2))
+        assert late.check(at(seconds, outer)) == (False, '')
+    arrived, fault = late.check(at(3.85, 39.2))
     assert not arrived
     assert fault == (
         'Joint outer is 0.8000 deg off its goal of 40.000 deg after 3.9 s (tolerance 0.01 deg); at '
@@ -61,22 +61,22 @@ def test_a_joint_that_comes_nearer_and_nearer_may_take_twice_its_time_and_2_s():
 )
 def test_a_joint_that_gets_nowhere_is_a_fault_after_a_while(outer, since, until, said):
     stalled = watch()
-    assert stalled.look(at(since, outer)) == (False, '')
-    assert stalled.look(at(until, outer)) == (False, f'Joint outer {said}')
+    assert stalled.check(at(since, outer)) == (False, '')
+    assert stalled.check(at(until, outer)) == (False, f'Joint outer {said}')
 
 
 def test_half_a_degree_beyond_the_goal_or_back_is_let_pass():
     there = watch()
-    assert there.look(at(0.5, 30.0)) == (False, '')
-    assert there.look(at(0.6, 29.6)) == (False, '')
-    assert there.look(at(0.7, 40.4)) == (False, '')
-    assert there.look(at(0.8, 40.6)) == (
+    assert there.check(at(0.5, 30.0)) == (False, '')
+    assert there.check(at(0.6, 29.6)) == (False, '')
+    assert there.check(at(0.7, 40.4)) == (False, '')
+    assert there.check(at(0.8, 40.6)) == (
         False,
         'Joint outer is at 40.600 deg, it has passed its goal of 40.000 deg.',
     )
     back = watch()
-    back.look(at(0.5, 30.0))
-    assert back.look(at(0.6, 29.4)) == (
+    back.check(at(0.5, 30.0))
+    assert back.check(at(0.6, 29.4)) == (
         False,
         'Joint outer is at 29.400 deg and moves away from its goal of 40.000 deg.',
     )
@@ -86,13 +86,13 @@ def turning(rates):
     """Return what the watch of turns at 60 deg/s says at these rates, each for 0.3 s, deg/s."""
     step = Step(0, '1', Mode.RATE, GOAL * DEG, np.array([60.0, 0.0, 0.0]) * DEG, 3, 0.0)
     turns = Watch(TABLE, Rules(), step, at(0.0))
-    assert turns.look(at(4.0, outer=280.0)) == (False, '')
+    assert turns.check(at(4.0, outer=280.0)) == (False, '')
     outer, seconds = 280.0, 4.0
     said = []
     for rate in rates:
         outer += 0.3 * rate
         seconds += 0.3
-        arrived, fault = turns.look(at(seconds, outer))
+        arrived, fault = turns.check(at(seconds, outer))
         assert not arrived
         said.append(fault)
     return said
@@ -130,10 +130,10 @@ def test_what_is_to_stand_may_stray_by_five_tolerances_and_never_by_the_overshoo
         False,
         f'Joint middle moves while it is to stand at 5.000 deg: it is at {beyond:.3f} deg.',
     )
-    assert standing.look(at(0.1, middle=within)) == (True, '')
-    assert standing.look(at(0.1, middle=beyond)) == said
-    assert watch(rules).look(at(0.1, outer=5.0, middle=within)) == (False, '')
-    assert watch(rules).look(at(0.1, outer=5.0, middle=beyond)) == said
+    assert standing.check(at(0.1, middle=within)) == (True, '')
+    assert standing.check(at(0.1, middle=beyond)) == said
+    assert watch(rules).check(at(0.1, outer=5.0, middle=within)) == (False, '')
+    assert watch(rules).check(at(0.1, outer=5.0, middle=beyond)) == said
 
 
 @pytest.mark.parametrize('side', [-1.0, 1.0])
@@ -143,7 +143,7 @@ def test_a_joint_beyond_its_limits_is_a_fault_on_either_side(side):
     step = Step(0, '1', Mode.POSITION, np.array([side * 45.0, 5.0, 0.0]) * DEG, np.zeros(3), 0, 0.0)
     # A motion to the limit may overshoot by half a degree, as any.
     motion = Watch(table, Rules(), step, at(0.0, outer=0.0))
-    assert motion.look(at(0.8, side * 45.4)) == (False, '')
-    arrived, fault = motion.look(at(0.9, side * 45.6))
+    assert motion.check(at(0.8, side * 45.4)) == (False, '')
+    arrived, fault = motion.check(at(0.9, side * 45.6))
     assert not arrived
     assert 'beyond its limits of -45 to 45 deg' in fault

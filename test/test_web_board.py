@@ -30,10 +30,10 @@ from imu_calib.web import drawing
 from imu_calib.web.board import Board
 from imu_calib.web.expectation import expectation
 from imu_calib.web.samples import Dwells
+from imu_calib.web.sentences import headline, time_left
 from imu_calib.web.shape import table_shape
 from imu_calib.web.snapshot import Outcome
 from imu_calib.web.style import STYLE
-from imu_calib.web.words import headline, time_left
 
 FOG = load_imu('fog_medium')
 SETUP = Setup(FOG, load_plan('twelve_position'), load_table('three_axis'), Site.at(0.6))
@@ -152,7 +152,7 @@ def test_a_node_that_falls_silent_is_wrong_until_it_speaks_or_the_session_is_ove
     board.take_diagnostics(said('imu_node: stream', 0, 'Frames come in.'), 1.0)
     board.take_diagnostics(said('stand_node: table', 1, 'It is late.'), 6.5)
     assert [s.text for s in board.snapshot(7.0).wrong] == [
-        'Nothing was heard for 6 s: has it ended?',
+        'No message has come for 6 s: has it ended?',
         'It is late.',
     ]
     board.take_diagnostics(said('imu_node: stream', 2, 'No frame has come.'), 7.0)

@@ -170,7 +170,7 @@ def test_a_session_is_watched_stopped_and_gone_on_with_from_the_page(shown):
 
     # A node that has ended is missed.
     stand.kill('imu_node')
-    missed = re.compile('Nothing was heard for')
+    missed = re.compile('No message has come for')
     assert desk.sees(lambda v: v.page.get_by_text(missed).first.is_visible(), stand)
     stand.start('imu_node')
     assert desk.sees(lambda v: v.page.get_by_text(missed).count() == 0, stand)

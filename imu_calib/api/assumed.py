@@ -34,11 +34,11 @@ _LONGEST_HOLD = 15.0
 """s: longer than a hand holds still, shorter than dwells on a table or of a unit that lies. A
 judgement."""
 
-SAID_SI = (
+ASSUMED_SI = (
     'The units of the IMU are not stated: rad/s and m/s^2 (REP 145) are assumed; the measured '
     'length of gravity agrees with that. `imu` states them, and the noise of the unit.'
 )
-SAID_BY_HAND = (
+ASSUMED_BY_HAND = (
     'No plan is stated and there are no joint states: the session is taken as free positions (a '
     'unit in the hand). If a plan of a table was run, name it with `plan` (docs/bag.md).'
 )
@@ -74,7 +74,10 @@ def against_si(force: Floats, rate: Floats) -> str:
     finite = np.abs(rate[np.isfinite(rate).all(axis=1)])
     fastest = float(finite.max()) if len(finite) else 0.0
     if fastest > _FASTEST:
-        return f'the gyros read up to {fastest:.0f}, more than any turns in rad/s; deg/s would do'
+        return (
+            f'the gyros read up to {fastest:.0f}, faster than any IMU turns in rad/s; '
+            'deg/s is possible'
+        )
     return ''
 
 

@@ -11,7 +11,7 @@ from ..errors import NotObservable, NotStated
 from ..metadata import interpolated_from
 from ..segmentation.segmented import Segmented
 from ..threads import by_one_thread
-from .assumed import SAID_BY_HAND, ask_for_plan, was_in_the_hand
+from .assumed import ASSUMED_BY_HAND, ask_for_plan, was_in_the_hand
 from .conforming import specification_of
 from .keywords import Session, with_keywords
 from .named import Named
@@ -116,7 +116,7 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
 
     """
     lost = tuple(opened.recording.losses)
-    by_hand = SAID_BY_HAND in opened.assumed
+    by_hand = ASSUMED_BY_HAND in opened.assumed
     before = calibrator.snapshot()
     try:
         result = calibrator.finish()
@@ -141,8 +141,8 @@ def documented(opened: Opened, result: Result) -> Result:
         **interpolated,
         **calibration.provenance,
     }
-    said = [] if rate is None else [_interpolated(rate)]
-    findings = (*opened.assumed, *said, *calibration.findings, *opened.recording.losses)
+    assumed = (*opened.assumed, *([] if rate is None else [_interpolated(rate)]))
+    findings = (*assumed, *calibration.findings, *opened.recording.losses)
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)
 
@@ -150,8 +150,8 @@ def documented(opened: Opened, result: Result) -> Result:
 def _interpolated(rate: float) -> str:
     return (
         f'The accelerometers were recorded at {rate:.4g} Hz and interpolated at the stamps of the '
-        f'gyros: over less than {2 / rate:.2g} s their noise looks smaller than it is. Parameters '
-        'and standard deviations rest on longer times.'
+        f'gyros: over less than {2 / rate:.2g} s their noise seems smaller than it is. Parameters '
+        'and standard deviations use longer times, and are not affected.'
     )
 
 

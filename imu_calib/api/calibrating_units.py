@@ -166,12 +166,14 @@ def _documented(parts: Sequence[_Part], found: Together) -> UnitResults:
     """Return the results with a reference to their recording."""
     units = []
     for part, result in zip(parts, found.results, strict=True):
-        unit, whole = part.unit, None
+        unit, documented_result = part.unit, None
         if result is not None and part.opened is not None:
-            whole = documented(part.opened, result)
+            documented_result = documented(part.opened, result)
         kind = (unit.imu or '') if part.opened is None else part.opened.setup.imu.id
         units.append(
-            UnitResult(unit.serial_number, unit.topic, unit.place, whole, part.error, kind)
+            UnitResult(
+                unit.serial_number, unit.topic, unit.place, documented_result, part.error, kind
+            )
         )
     numbers = [part.unit.serial_number for part in parts]
     return UnitResults(

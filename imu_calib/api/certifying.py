@@ -60,7 +60,7 @@ def certificate(
             raise InputError(f'{target}: expected a name that ends in {", ".join(FORMATS)}.')
     if draft and '.xml' in kinds:
         raise InputError(
-            'A draft is for people: its gaps have no place in a DCC. Leave the .xml out, or state '
+            'A draft may have gaps, and a DCC may not. Leave the .xml out, or state '
             'what is missing.'
         )
     found = _single(calibration)

@@ -35,34 +35,34 @@ class Compared:
 
     Attributes:
         names: The names of their files, or of the units.
-        beside: The calibrations, their common parameters, and their agreement.
+        side_by_side: The calibrations, their common parameters, and their agreement.
         findings: Messages for the user, in sentences.
 
     """
 
     names: tuple[str, ...]
-    beside: SideBySide
+    side_by_side: SideBySide
     findings: tuple[str, ...]
 
     @property
     def calibrations(self) -> tuple[Calibration, ...]:
         """Return the k calibrations with the nominal scale factors of the first."""
-        return self.beside.calibrations
+        return self.side_by_side.calibrations
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the n parameters that all of them have."""
-        return self.beside.parameters
+        return self.side_by_side.parameters
 
     @property
     def agreement(self) -> Agreement:
         """Return which parameters differ by more than the covariances explain."""
-        return self.beside.agreement
+        return self.side_by_side.agreement
 
     @property
     def only(self) -> tuple[tuple[str, ...], ...]:
         """Return for each the names of its parameters that others lack."""
-        return self.beside.only
+        return self.side_by_side.only
 
     @property
     def std(self) -> Floats:
@@ -70,7 +70,7 @@ class Compared:
 
         Sessions are assumed independent except for the gravity of a common site.
         """
-        std = self.beside.std
+        std = self.side_by_side.std
         return std[0] if len(self.names) == _FEWEST else std
 
     @property
@@ -174,9 +174,9 @@ def compare(
             f'names: found {len(called)}, expected {len(calibrations)}, one for each calibration.'
         )
     own = [_single(one) for one in calibrations]
-    beside = side_by_side(own)
+    compared = side_by_side(own)
     findings = []
-    if any(shown is not one for shown, one in zip(beside.calibrations, own, strict=True)):
+    if any(shown is not one for shown, one in zip(compared.calibrations, own, strict=True)):
         findings.append(f'Shown with the nominal scale factors of {called[0]}.')
     if len({c.provenance.get('frame') for c in own if c.provenance}) > 1:
         findings.append(
@@ -189,7 +189,7 @@ def compare(
             f'These are different units, with the serial numbers {" and ".join(serials)}: the '
             'differences are those between units.'
         )
-    return Compared(called, beside, tuple(findings))
+    return Compared(called, compared, tuple(findings))
 
 
 def _single(calibration: Result | AnyCalibration | Named) -> Calibration:

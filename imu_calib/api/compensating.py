@@ -54,7 +54,7 @@ class Compensated:
         path: The written recording.
         topic: The raw stream.
         target: The compensated stream.
-        beside: Further topics that were used: temperature, a skewed gyro.
+        further_topics: Further topics that were used: temperature, a skewed gyro.
         taken: Number of samples of the raw stream.
         given: Number of samples written.
         marked: Number of samples by mark, for instance beyond the range.
@@ -65,7 +65,7 @@ class Compensated:
     path: Path
     topic: str
     target: str
-    beside: tuple[str, ...]
+    further_topics: tuple[str, ...]
     taken: int
     given: int
     marked: Mapping[Mark, int]
@@ -113,9 +113,9 @@ def compensate(
         stated = Stated(imu=imu, serial=serial)
         spec = _check_unit(loaded, name, stated, recording, topic)
         target = _target(output_topic, recording, topic)
-        whole = _all_stamps(recording, topic, first_of(loaded).imu.sample_rate, progress)
-        compensator = Compensator(loaded, whole.instants())
-        beside = _take_aside(compensator, recording, topic, progress)
+        stamps = _all_stamps(recording, topic, first_of(loaded).imu.sample_rate, progress)
+        compensator = Compensator(loaded, stamps.instants())
+        further_topics = _take_aside(compensator, recording, topic, progress)
         meant = described_anew(
             recording.custom_data,
             target,
@@ -142,11 +142,11 @@ def compensate(
             written,
             topic.name,
             target,
-            tuple(beside),
+            tuple(further_topics),
             stream.taken,
             stream.given,
             {mark: compensator.counts[mark] for mark in Mark if compensator.counts[mark]},
-            (*_findings(stream), *whole.words(), *recording.losses),
+            (*_findings(stream), *stamps.words(), *recording.losses),
         )
 
 
@@ -262,12 +262,12 @@ def _all_stamps(
     recording: Recording, topic: Topic, rate: float | None, progress: Progress
 ) -> WholeStream:
     """Read the stamps of all samples, which determine when each was taken."""
-    whole = WholeStream(rate)
+    stamps = WholeStream(rate)
     with progress('reading') as show:
         for _, block in recording.read({topic.name: Kind.IMU}, show):
             if isinstance(block, ImuBlock):
-                whole.take(block)
-    return whole
+                stamps.take(block)
+    return stamps
 
 
 def _take_aside(

@@ -67,24 +67,24 @@ def from_text(
             'or both in pulses, or both in counts.'
         )
     data = described(imu, raw)
-    said: list[str] = []
+    sentences: list[str] = []
     if accel_text is None:
         times, (rates, forces) = _sound(stamps, rates, forces)
-        said = _left_out(text, len(stamps) - len(times))
+        sentences = _left_out(text, len(stamps) - len(times))
     else:
         forces_at = _stamps(accel_text, accel_stamp or stamp, None)
         known, (forces,) = _sound(forces_at, forces)
         wanted, (rates,) = _sound(stamps, rates)
-        said += _left_out(text, len(stamps) - len(wanted))
-        said += _left_out(accel_text, len(forces_at) - len(known))
-        before = len(said)
-        times, rates, forces = _of_two(wanted, rates, known, forces, said, exactly=bool(raw))
-        if len(said) > before:
+        sentences += _left_out(text, len(stamps) - len(wanted))
+        sentences += _left_out(accel_text, len(forces_at) - len(known))
+        before = len(sentences)
+        times, rates, forces = _of_two(wanted, rates, known, forces, sentences, exactly=bool(raw))
+        if len(sentences) > before:
             data |= interpolation_description(SI, rate_of(known))
     if not len(times):
         raise InputError(f'{text.path}: no row holds a number in each of the columns named.')
     if not raw and (seen := against_si(forces, rates)):
-        said.append(
+        sentences.append(
             f'By the units that are stated {seen}: check the columns and units of `gyro` and '
             '`accel`.'
         )
@@ -108,7 +108,7 @@ def from_text(
         for topic, kind, messages, at in others:
             writer.write(topic, kind.type_name, messages, at)
             counts[topic] = len(at)
-    return Converted(target, counts, tuple(said))
+    return Converted(target, counts, tuple(sentences))
 
 
 def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
@@ -118,15 +118,21 @@ def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
 
 
 def _of_two(
-    stamps: Stamps, rates: Floats, known: Stamps, forces: Floats, said: list[str], *, exactly: bool
+    stamps: Stamps,
+    rates: Floats,
+    known: Stamps,
+    forces: Floats,
+    sentences: list[str],
+    *,
+    exactly: bool,
 ) -> tuple[Stamps, Floats, Floats]:
-    """Return rates and forces of two files at the stamps of the rates; describe it in `said`."""
+    """Return rates and forces of two files at the stamps of the rates; add to `sentences`."""
     shared = np.isin(stamps, known)
     if exactly and not shared.all():
         raise InputError(
             f'The rows of `accel_file` have other times than {int((~shared).sum())} of the '
-            f'{len(stamps)} rows of the gyros, and pulses or counts lie on no line between two '
-            'samples: state the columns in SI units, or shared times.'
+            f'{len(stamps)} rows of the gyros, and pulses or counts cannot be interpolated '
+            'between samples: state the columns in SI units, or shared times.'
         )
     order = np.argsort(known, kind='stable')
     known, forces = known[order], forces[order]
@@ -137,22 +143,22 @@ def _of_two(
         )
     times, read, within = read_at(known, forces, stamps)
     if not shared.all():
-        said.append(resampling(stamps, known, within))
+        sentences.append(resampling(stamps, known, within))
     return times, rates[within], read
 
 
 def _left_out(text: Text, rows: int) -> list[str]:
-    said = []
+    sentences = []
     if text.broken:
         lines = counted(text.broken, 'line')
         verb = 'is no row' if text.broken == 1 else 'are not rows'
-        said.append(f'{lines} of {text.path.name} {verb} of numbers; left out.')
+        sentences.append(f'{lines} of {text.path.name} {verb} of numbers; left out.')
     if rows:
         verb = 'holds' if rows == 1 else 'hold'
-        said.append(
+        sentences.append(
             f'{counted(rows, "row")} {verb} no number in a column that is needed; left out.'
         )
-    return said
+    return sentences
 
 
 def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
@@ -168,8 +174,8 @@ def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
     latest = float(np.nanmax(np.abs(times), initial=0.0)) * 1e-9
     if latest > _LAST_SECOND:
         raise InputError(
-            f'`stamp` {stamp}: a row is {latest:.3g} s from 1970, more than a message can say: '
-            f'another unit of {", ".join(_STAMP)}?'
+            f'`stamp` {stamp}: a row is {latest:.3g} s from 1970, more than a message can hold: '
+            f'is it in another unit of {", ".join(_STAMP)}?'
         )
     stamps = np.asarray(np.rint(times[:, 0]))
     _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: `stamp` {stamp}')
@@ -193,7 +199,7 @@ def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
     if len(wrong) > _BACKWARDS * len(intervals):
         first = int(wrong[0])
         raise InputError(
-            f'{column}: the time does not grow in {len(wrong)} of {len(intervals)} intervals '
+            f'{column}: the time does not increase in {len(wrong)} of {len(intervals)} intervals '
             f'between rows, first from {stamps[first] * 1e-9:.6f} s to '
             f'{stamps[first + 1] * 1e-9:.6f} s; at most {_BACKWARDS:.0%} may be so. Name the '
             'column of the time, written with all its digits and in its order, or give `rate` '

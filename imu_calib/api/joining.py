@@ -42,13 +42,13 @@ def joined(
         InputError: The topics hold too few samples, or pulses; or the joined topic exists.
 
     """
-    said = described(imu, set())
+    statements = described(imu, set())
     rates, forces = read(path, gyro_topic), read(path, accel_topic)
     for columns in (rates, forces):
         if (unit := next(iter(columns.units.values()))) in RAW_UNITS:
             raise InputError(
-                f'{path}: {columns.topic} holds {unit}s, which lie on no line between two samples: '
-                'expected rad/s and m/s^2.'
+                f'{path}: {columns.topic} holds {unit}s, which cannot be interpolated between '
+                'samples: expected rad/s and m/s^2.'
             )
     if len(rates) < 2 or len(forces) < 2:
         raise InputError(
@@ -65,7 +65,7 @@ def joined(
     counts = {SI: len(block)}
     with open_recording(path) as recording:
         _refuse_taken(recording, taken)
-        data = {**recording.custom_data, **said}
+        data = {**recording.custom_data, **statements}
         findings = list(recording.losses)
         if not np.isin(stamps, accel_at).all():
             data |= interpolation_description(SI, rate_of(accel_at))
@@ -113,9 +113,9 @@ def rate_of(stamps: Stamps) -> float:
 def resampling(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
     """Return the rates between which the accelerometers were interpolated, as text."""
     lost = len(gyro) - len(within)
-    left = f'; {lost} samples of the gyros have no such line and are left out' if lost else ''
+    loss = f'; {lost} samples of the gyros lie outside these and are left out' if lost else ''
     return (
         f'The accelerometers come with {rate_of(accel):.4g} Hz and are read at the stamps of the '
         f'gyros, {rate_of(gyro):.4g} Hz, on straight lines between their samples, which smooths '
-        f'their noise{left}.'
+        f'their noise{loss}.'
     )

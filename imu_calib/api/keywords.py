@@ -105,13 +105,13 @@ def with_keywords(
 
         @wraps(function)
         def called(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
-            if unknown := set(kwargs) - set(whole.parameters):
+            if unknown := set(kwargs) - set(extended.parameters):
                 name = function.__name__
                 raise TypeError(f'{name}() got an unexpected keyword argument {unknown.pop()!r}')
             return function(*args, **kwargs)
 
-        whole = own.replace(parameters=[*named, *more])
-        called.__signature__ = whole  # type: ignore[attr-defined]
+        extended = own.replace(parameters=[*named, *more])
+        called.__signature__ = extended  # type: ignore[attr-defined]
         # Names that cannot be resolved (`Unpack` is for mypy) would hide the others.
         called.__annotations__ = {
             n: a for n, a in function.__annotations__.items() if n != kept.name

@@ -10,7 +10,7 @@ from ..calibrator.setup import Setup
 from ..errors import InputError
 from ..plan import UNPLANNED
 from ..stream import Block
-from .assumed import SAID_BY_HAND, SAID_SI, plan_by_hand, taken_as_si
+from .assumed import ASSUMED_BY_HAND, ASSUMED_SI, plan_by_hand, taken_as_si
 from .progress import Progress, silent
 from .stated import (
     Stated,
@@ -96,7 +96,7 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
         # A unit rotated on the fixture passes other attitudes than those of the plan.
         plan = UNPLANNED
     steps = plan_by_hand() if plan is None else plan
-    said = (*([] if known else [SAID_SI]), *([] if plan else [SAID_BY_HAND]))
+    statements = (*([] if known else [ASSUMED_SI]), *([] if plan else [ASSUMED_BY_HAND]))
     if streams.skew is None:
         # The calibrator must not wait for a gyro that the recording lacks.
         imu = replace(imu, skewed=None)
@@ -111,4 +111,4 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
         stated.changes,
         stated.search_terms,
     )
-    return Opened(recording, setup, streams, said)
+    return Opened(recording, setup, streams, statements)

@@ -15,7 +15,7 @@ from ..earth import LUOYANG
 from ..engine import run_all
 from ..errors import InputError
 from ..imu import ImuSpec
-from ..methods import check_plan, closed_form_beside
+from ..methods import check_plan, closed_form_of
 from ..model import Parameter, SensorModel
 from ..observation.modulation import LEAST_RISE
 from ..paths import write_whole
@@ -236,8 +236,8 @@ def setup_of(stated: Stated) -> Setup:
     terms = stated.sensor_terms
     if stated.changes:
         raise InputError(
-            f'`terms`: found {stated.terms!r}, expected terms of the sensors alone: what '
-            'the plan tells of drifts is predicted beside them.'
+            f'`terms`: found {stated.terms!r}, expected terms of the sensors: trend, '
+            'warm_up and step are predicted without being named, thermal with `temperature_rise`.'
         )
     setup = Setup(imu, plan, None if plan.by_hand else table, site, stated.method, terms=terms)
     check_plan(setup.method_name, plan, site)
@@ -259,10 +259,10 @@ def predicted(
             f'`temperature_rise`: found {rise:g} K, expected {LEAST_RISE:g} K or more, either way.'
         )
     found = forecast(setup, truth, drifting=drifting, rise=rise or 0.0)
-    beside = closed_form_beside(found.method, setup.plan)
+    closed_form = closed_form_of(found.method, setup.plan)
     own = None
-    if beside is not None:
-        plain = replace(setup, method=beside, terms=())
+    if closed_form is not None:
+        plain = replace(setup, method=closed_form, terms=())
         own = forecast(plain, truth, drifting=drifting, rise=rise or 0.0)
     of_terms = tuple(forecast_terms(found, setup, truth, drifting=drifting))
     changes = forecast_changes(found, setup, truth, drifting=drifting)

@@ -130,9 +130,9 @@ def _refuse_with_combined(
 
 def _terms(calibration: Calibration) -> str:
     """Return the value of --terms for a calibration: the terms that it did not find itself."""
-    asked = calibration.provenance.get('terms') or []
+    requested = calibration.provenance.get('terms') or []
     names = [term.name for term in terms_of(calibration.parameters)]
-    names += [name for name in asked if name.partition(':')[0] in SESSION_TERMS]
+    names += [name for name in requested if name.partition(':')[0] in SESSION_TERMS]
     if calibration.provenance.get('terms_looked_for'):
         tests = calibration.provenance.get('tests_of_terms', {})
         states = {n: tests.get(n.partition(':')[0], {}).get('state') for n in names}

@@ -125,7 +125,7 @@ def _run(words: list[str]) -> None:
         text=True,
     )
     try:
-        _, said = process.communicate()
+        _, errors = process.communicate()
     finally:
         if process.poll() is None:
             # It stops the table first.
@@ -135,5 +135,5 @@ def _run(words: list[str]) -> None:
         return
     if process.returncode == 128 + signal.SIGINT:
         raise KeyboardInterrupt
-    text = said.rpartition('imu-calib stand: ')[2].strip()
+    text = errors.rpartition('imu-calib stand: ')[2].strip()
     raise _ERRORS.get(process.returncode, ImuCalibError)(text)

@@ -249,13 +249,13 @@ def serial_of(stated: Stated, recording: Recording, topic: str) -> str:
 
     """
     data = recording.custom_data
-    said, given = data.get(serial_key(topic), data.get(SERIAL_NUMBER, '')), stated.serial
-    if given is not None and said and given != said:
+    recorded, given = data.get(serial_key(topic), data.get(SERIAL_NUMBER, '')), stated.serial
+    if given is not None and recorded and given != recorded:
         raise InputError(
             f'`serial`: found {given}, but {recording.path} is of the unit with serial number '
-            f'{said}.'
+            f'{recorded}.'
         )
-    return given or said
+    return given or recorded
 
 
 def mounted_on(table: Table, stated: Stated, recording: Recording, topic: str) -> Table:

@@ -103,7 +103,7 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
         raise InputError(
             f'{path}: its heading has {counted(len(names), "name")}, its rows have '
             f'{counted(count, "field")}: which name belongs to which field is not known. Give each '
-            'column a name; where commas part the fields, write decimal points.'
+            'column a name; where commas separate the fields, write decimal points.'
         )
     return Text(path, tuple(names or map(str, range(1, count + 1))), values, above + broken)
 

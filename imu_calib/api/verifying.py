@@ -40,8 +40,8 @@ _OTHER_TEMPERATURE = 5.0
 tenth of a degree per second in it, those of fibre-optic gyros within their stability."""
 
 _THE_SAME = (
-    'The calibration was made from this recording: its parameters were fitted to it, and what is '
-    'left says nothing of their errors.'
+    'The calibration was made from this recording: its parameters were fitted to it, and the '
+    'residuals do not show their errors. Verify it with another recording.'
 )
 
 

@@ -159,7 +159,7 @@ def _walked(part: Part, buffer: Bytes, lose: Callable[[str], None]) -> dict[int,
     _, size, channel_of = _heads(records, offsets)
     sound = size >= 0
     if bad := len(marked) - int(np.count_nonzero(sound)):
-        lose(f'{part.name} holds {bad} messages too short to be any.')
+        lose(f'{part.name} holds {bad} records that are too short for a message.')
     offsets += part.start + HEAD
     placed = {}
     for channel in np.unique(channel_of[sound]).tolist():

@@ -186,7 +186,7 @@ class _Scanner:
             # Its message index may be cut off as well, which would hide topics without one.
             chunks[-1].index = chunks[-1].counts = None
         until = max((chunk.end_ns for chunk in chunks if not chunk.cut), default=None)
-        known = f'; the data up to log time {until / 1e9:.3f} s is whole' if until else ''
+        known = f'; the data up to log time {until / 1e9:.3f} s is complete' if until else ''
         where = (
             f'is cut off at byte {self.cut_at} of {position}' if self.cut_at else 'has no footer'
         )
@@ -260,11 +260,11 @@ class _Scanner:
         last = int(offsets[-1])
         (length,) = struct.unpack_from('<Q', buffer.data, last + 1)
         stop = last + RECORD_HEAD + length
-        self.found.chunks.append(_stretch(buffer, offsets[ops == Op.MESSAGE], position, stop))
+        self.found.chunks.append(_chunk_of(buffer, offsets[ops == Op.MESSAGE], position, stop))
         return int(position + stop)
 
 
-def _stretch(buffer: Bytes, offsets: Indices, position: int, size: int) -> Chunk:
+def _chunk_of(buffer: Bytes, offsets: Indices, position: int, size: int) -> Chunk:
     """Describe messages outside chunks as an uncompressed chunk."""
     view = [('channel', '<u2'), ('sequence', '<u4'), ('log_time', '<u8')]
     heads = np.ndarray((max(len(buffer) - 22, 0),), view, buffer, RECORD_HEAD, (1,))

@@ -210,10 +210,10 @@ class McapWriter:
     def _put(self, content: bytes) -> None:
         """Write all of it or none of it."""
         start = self._file.tell()
-        left = memoryview(content)
+        remaining = memoryview(content)
         try:
-            while left:
-                left = left[self._file.write(left) or 0 :]
+            while remaining:
+                remaining = remaining[self._file.write(remaining) or 0 :]
         except OSError:
             os.ftruncate(self._file.fileno(), start)
             self._file.seek(start)

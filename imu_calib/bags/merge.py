@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from ..stream import Block, Stamps
 
-STRETCH_NS = 5_000_000_000
+SPAN_NS = 5_000_000_000
 """ns by which a topic may be out of order against another and is still put in order."""
 
 
@@ -101,7 +101,7 @@ def merge(topics: Iterable[tuple[str, Iterator[Piece]]]) -> Iterator[tuple[str, 
         queues.sort(key=lambda queue: queue.first(by_stamp))
         limit = None
         if by_stamp and len(queues) > 1:
-            limit = queues[1].first(by_stamp)[0] + STRETCH_NS
+            limit = queues[1].first(by_stamp)[0] + SPAN_NS
         done = min(queue.head.position for queue in queues)
         yield queues[0].topic, queues[0].take(limit), done
         if not queues[0].advance():

@@ -329,9 +329,9 @@ def _decoded(
                 yield Piece(block, log_ns, position)
 
 
-def _as_recorded(stretch: MessageBatch, malformed: Malformed) -> tuple[Messages, Times]:
+def _as_recorded(batch: MessageBatch, malformed: Malformed) -> tuple[Messages, Times]:
     """Return messages with their times; those that cannot be unpacked are removed from both."""
-    times, messages = stretch.times(), stretch.messages
+    times, messages = batch.times(), batch.messages
     if not messages.payload(0).startswith(ZSTD_MAGIC):
         return messages, times
     kept = []

@@ -142,12 +142,12 @@ class Cache:
 
         """
         if key in self._held:
-            content, left = self._held.pop(key)
+            content, remaining = self._held.pop(key)
             self._bytes -= content.nbytes
         else:
-            content, left = load(), users
-        if left > 1:
-            self._held[key] = content, left - 1
+            content, remaining = load(), users
+        if remaining > 1:
+            self._held[key] = content, remaining - 1
             self._bytes += content.nbytes
         while self._bytes > self._limit and len(self._held) > 1:
             _, (old, _) = self._held.popitem(last=False)

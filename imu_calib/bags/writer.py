@@ -240,9 +240,9 @@ def _counted(storage: Storage) -> _Former:
     topics, starts = [], []
     for name, cursor in storage.cursors(names, Cache(CHUNK_BYTES)).items():
         count = 0
-        for stretch in cursor:
-            count += len(stretch.messages)
-            starts.append(stretch.log_ns)
+        for batch in cursor:
+            count += len(batch.messages)
+            starts.append(batch.log_ns)
         topics.append(Topic(name, storage.topics[name].type, count))
     start = min(starts, default=0) if storage.start_ns is None else storage.start_ns
     end = max(starts, default=0) if storage.end_ns is None else storage.end_ns

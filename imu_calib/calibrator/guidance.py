@@ -114,8 +114,8 @@ def guide(
     found = []
     for words, up in _directions():
         further = _further(equations, values, up, hold_seconds)
-        grown = np.vstack([np.pad(base, ((0, 0), (0, 3))), further])
-        gain = (log_determinant(grown.T @ grown, len(ESTIMATES)) - now) / 2
+        extended = np.vstack([np.pad(base, ((0, 0), (0, 3))), further])
+        gain = (log_determinant(extended.T @ extended, len(ESTIMATES)) - now) / 2
         found.append(Candidate(words, up, gain))
     found.sort(key=lambda c: -c.gain)
     scale = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in PARAMETERS])

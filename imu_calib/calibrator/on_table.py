@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import Contradiction, InputError, NotObservable
 from ..gravity import gravity_covariance
-from ..methods import check_plan, closed_form_beside, method, provisional
+from ..methods import check_plan, closed_form_of, method, provisional
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import AXES, Parameter, SensorModel
@@ -43,9 +43,9 @@ class Calibrator:
     def __init__(self, setup: Setup) -> None:
         check_plan(setup.method_name, setup.plan, setup.site)
         self._setup = setup
-        asked = setup.method_name, setup.terms, setup.changes
-        self._solver = method(*asked, look=setup.search_terms)
-        self._glance = provisional(*asked)
+        arguments = setup.method_name, setup.terms, setup.changes
+        self._solver = method(*arguments, look=setup.search_terms)
+        self._glance = provisional(*arguments)
         self._segmenter = Segmenter(setup.imu, setup.table)
         self._gathered: tuple[tuple[object, ...], Evidence] | None = None
 
@@ -156,7 +156,7 @@ class Calibrator:
         Contradictions found by the closed form are refused: a joint estimate could reduce the
         weight of half of the data until the other half agrees.
         """
-        name = closed_form_beside(self._setup.method_name, self._setup.plan)
+        name = closed_form_of(self._setup.method_name, self._setup.plan)
         if name is None:
             return solver(evidence), None
         closed: Solution | NotObservable

@@ -77,8 +77,8 @@ class Result:
         dwells = counted(len(self.labelled.segments), 'static dwell')
         # A unit in the hand has no turns by an encoder.
         turns = len(self.labelled.turns)
-        beside = f' and {counted(turns, "turn")}' if turns else ''
-        return f'<Result: {self.calibration} of {dwells}{beside}>'
+        of_turns = f' and {counted(turns, "turn")}' if turns else ''
+        return f'<Result: {self.calibration} of {dwells}{of_turns}>'
 
     @property
     def terms(self) -> tuple[str, ...]:

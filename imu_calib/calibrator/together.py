@@ -67,8 +67,8 @@ def together(alone: Sequence[Result | None], names: Sequence[str]) -> Together:
     try:
         joined = join([search.estimate for _, search in parts.values()])
     except ImuCalibError as error:
-        said = f'What the units share could not be estimated from all of them: {error}'
-        return Together(_noted(results, dict.fromkeys(places, said)), None, (), {})
+        finding = f'What the units share could not be estimated from all of them: {error}'
+        return Together(_noted(results, dict.fromkeys(places, finding)), None, (), {})
     shared, left_out = [], {}
     for i, estimate in joined.estimates.items():
         place = places[i]
@@ -83,7 +83,7 @@ def together(alone: Sequence[Result | None], names: Sequence[str]) -> Together:
         shared.append(place)
     for place in shared:
         others = [names[other] for other in shared if other != place]
-        results[place] = _beside(results[place], others)
+        results[place] = _with_others(results[place], others)
     for i, seen, of_all in joined.partial:
         left_out[places[i]] = _PARTIAL.format(seen=seen, of_all=of_all)
     for odd in joined.contradicting:
@@ -95,7 +95,7 @@ def together(alone: Sequence[Result | None], names: Sequence[str]) -> Together:
     return Together(_noted(results, left_out), joined.table, tuple(shared), left_out)
 
 
-def _beside(result: Result | None, others: Sequence[str]) -> Result | None:
+def _with_others(result: Result | None, others: Sequence[str]) -> Result | None:
     """Return a result whose provenance names the units that share its estimate of the table."""
     if result is None or not others:
         return result
@@ -116,10 +116,12 @@ def _words(odd: Contradicting, *, others: int) -> str:
     return words.format(square=odd.chi_square, freedom=odd.freedom)
 
 
-def _noted(results: Sequence[Result | None], said: Mapping[int, str]) -> tuple[Result | None, ...]:
+def _noted(
+    results: Sequence[Result | None], findings: Mapping[int, str]
+) -> tuple[Result | None, ...]:
     """Return results with one more sentence on some of them."""
     found = list(results)
-    for place, sentence in said.items():
+    for place, sentence in findings.items():
         if (result := found[place]) is not None:
             calibration = result.calibration
             noted = replace(calibration, findings=(*calibration.findings, sentence))

@@ -62,5 +62,5 @@ def _is_turn_of(turn: Turn, position: str, rate: float | None) -> bool:
 
 def _rates_about_up(plan: Plan, steps: tuple[Step, ...]) -> dict[int, float]:
     """Return the signed rate about up of every RATE step: those of its position, in order."""
-    left = {p.id: list(p.rate_test.rates) for p in plan.positions if p.rate_test is not None}
-    return {step.index: left[step.position].pop(0) for step in steps if step.mode is Mode.RATE}
+    rates = {p.id: list(p.rate_test.rates) for p in plan.positions if p.rate_test is not None}
+    return {step.index: rates[step.position].pop(0) for step in steps if step.mode is Mode.RATE}

@@ -277,7 +277,7 @@ def missing(fields: Fields, *, dcc: bool, limits: bool) -> list[str]:
 
     """
     item, lab, customer = fields.item, fields.laboratory, fields.customer
-    asked = [
+    required = [
         ('number', '7.8.2.1 d', fields.number),
         *((f'laboratory: {k}', '7.8.2.1 b', getattr(lab, k)) for k in ('name', 'street', 'city')),
         *((f'customer: {k}', '7.8.2.1 e', getattr(customer, k)) for k in ('name', 'city')),
@@ -294,19 +294,19 @@ def missing(fields: Fields, *, dcc: bool, limits: bool) -> list[str]:
     ]
     references = ('name', 'serial_number', 'certificate', 'issued_by', 'traceability')
     for k, one in enumerate(fields.equipment):
-        asked += [(f'equipment[{k}]: {n}', '7.8.4.1 c', getattr(one, n)) for n in references]
+        required += [(f'equipment[{k}]: {n}', '7.8.4.1 c', getattr(one, n)) for n in references]
     for k, person in enumerate(fields.signatures):
-        asked += [(f'signatures[{k}]: {n}', '7.8.2.1 o', getattr(person, n)) for n in _OF_PERSON]
+        required += [(f'signatures[{k}]: {n}', '7.8.2.1 o', getattr(person, n)) for n in _OF_PERSON]
     if fields.rule is not None:
-        asked.append(('conformity: requirement', '7.8.6.2', fields.requirement))
-        asked.append(('a specification of the unit (`imu`)', '7.8.6.2', limits))
+        required.append(('conformity: requirement', '7.8.6.2', fields.requirement))
+        required.append(('a specification of the unit (`imu`)', '7.8.6.2', limits))
     if dcc:
-        asked += [
+        required += [
             (f'{name}: {key}', 'DCC 3.1.2', getattr(contact, key))
             for name, contact in (('laboratory', lab), ('customer', customer))
             for key in ('email', 'country')
         ]
-    return [f'{key} ({clause})' for key, clause, value in asked if not value]
+    return [f'{key} ({clause})' for key, clause, value in required if not value]
 
 
 def _has(fields: Fields, key: str) -> bool:

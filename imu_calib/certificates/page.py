@@ -59,7 +59,7 @@ def certificate_page(certificate: Certificate) -> str:
     return document(title, body, style(title, laboratory, mark))
 
 
-def _said(value: object) -> str:
+def _or_dash(value: object) -> str:
     """Return the statement; in a draft that it is missing."""
     return str(value) if value not in (None, '', ()) else _MISSING
 
@@ -71,7 +71,9 @@ def _head(certificate: Certificate) -> str:
     left = tag('h1', 'Calibration certificate') + paragraph(
         f'Contents by ISO/IEC 17025:2017, 7.8.{accredited}', 'note'
     )
-    right = tag('div', escape(_said(fields.number)), class_='number') + paragraph(replaced, 'note')
+    right = tag('div', escape(_or_dash(fields.number)), class_='number') + paragraph(
+        replaced, 'note'
+    )
     return tag('div', tag('div', left) + tag('div', right), class_='head')
 
 
@@ -85,7 +87,7 @@ def _draft(certificate: Certificate) -> str:
 
 
 def _address(contact: Contact) -> str:
-    return _said(', '.join(contact.lines))
+    return _or_dash(', '.join(contact.lines))
 
 
 def _parties(certificate: Certificate) -> str:
@@ -100,15 +102,15 @@ def _parties(certificate: Certificate) -> str:
         ('laboratory', _address(fields.laboratory)),
         ('calibrated at', site.get(fields.location, fields.location)),
         ('customer', _address(fields.customer)),
-        ('item', _said(item.description)),
-        ('manufacturer, model', f'{_said(item.manufacturer)}, {_said(item.model)}'),
-        ('serial number', _said(item.serial_number)),
+        ('item', _or_dash(item.description)),
+        ('manufacturer, model', f'{_or_dash(item.manufacturer)}, {_or_dash(item.model)}'),
+        ('serial number', _or_dash(item.serial_number)),
         *([('identification by the customer', item.customer_id)] if item.customer_id else []),
-        ('condition', _said(item.condition)),
-        ('adjustment', _said(item.adjustment)),
-        ('received', _said(fields.received)),
+        ('condition', _or_dash(item.condition)),
+        ('adjustment', _or_dash(item.adjustment)),
+        ('received', _or_dash(fields.received)),
         ('calibrated', period),
-        ('issued', _said(fields.issued)),
+        ('issued', _or_dash(fields.issued)),
         ('IMU description', calibration.imu.id),
     ]
     return section('Item and parties', named_rows(rows))
@@ -118,7 +120,7 @@ def _procedure(certificate: Certificate) -> str:
     fields, where = certificate.fields, certificate.calibration.provenance
     unit = provenance.temperature(where)
     rows = [
-        ('procedure', f'{_said(fields.procedure)}; {_said(fields.procedure_reference)}'),
+        ('procedure', f'{_or_dash(fields.procedure)}; {_or_dash(fields.procedure_reference)}'),
         ('plan and estimator', f'{provenance.plan(where)}, {where.get("method") or "-"}'),
         ('software', f'imu_calib {version()}'),
         ('recording', f'{where.get("recording") or "-"}, begun {provenance.date(where)}'),
@@ -134,21 +136,21 @@ def _procedure(certificate: Certificate) -> str:
 
 
 def _environment(certificate: Certificate) -> str:
-    said = []
+    texts = []
     for condition in certificate.fields.environment:
         words, unit = CONDITIONS[condition.key]
-        said.append(f'{words} ({condition.value:g} \u00b1 {condition.within:g}) {unit}')
-    return _said(', '.join(said))
+        texts.append(f'{words} ({condition.value:g} \u00b1 {condition.within:g}) {unit}')
+    return _or_dash(', '.join(texts))
 
 
 def _reference(equipment: Equipment) -> list[str]:
     made = ' '.join(part for part in (equipment.manufacturer, equipment.model) if part)
     return [
-        f'{_said(equipment.name)}{": " + made if made else ""}',
-        _said(equipment.serial_number),
-        f'{_said(equipment.certificate)}, {_said(equipment.issued_by)}',
+        f'{_or_dash(equipment.name)}{": " + made if made else ""}',
+        _or_dash(equipment.serial_number),
+        f'{_or_dash(equipment.certificate)}, {_or_dash(equipment.issued_by)}',
         str(equipment.valid_until or '-'),
-        _said(equipment.traceability),
+        _or_dash(equipment.traceability),
     ]
 
 
@@ -221,14 +223,14 @@ def _conformity(certificate: Certificate) -> str:
     fields, worst = certificate.fields, certificate.conformity
     if fields.rule is None:
         return section(
-            'Conformity', paragraph('No statement of conformity was asked for, and none is made.')
+            'Conformity', paragraph('No statement of conformity was requested, and none is made.')
         )
     if worst is None:
         return section('Conformity', paragraph(_MISSING, 'missing'))
     counted = _counted(certificate.results)
     return section(
         'Conformity',
-        paragraph(f'Requirement: {_said(fields.requirement)}.'),
+        paragraph(f'Requirement: {_or_dash(fields.requirement)}.'),
         paragraph(f'Decision rule: {fields.rule.words}'),
         paragraph(f'Statement: {worst.words}. {counted}'),
         kind='whole',
@@ -248,9 +250,9 @@ def _counted(results: Sequence[Stated]) -> str:
 
 def _signatures(certificate: Certificate) -> str:
     boxes = [
-        tag('div', tag('b', escape(_said(s.name))) + tag('br') + escape(_said(s.role)))
+        tag('div', tag('b', escape(_or_dash(s.name))) + tag('br') + escape(_or_dash(s.role)))
         for s in certificate.fields.signatures
     ]
     inside = ''.join(boxes) or tag('div', _MISSING, class_='missing')
-    issued = paragraph(f'Issued on {_said(certificate.fields.issued)}, authorized by:')
+    issued = paragraph(f'Issued on {_or_dash(certificate.fields.issued)}, authorized by:')
     return section('Authorization', issued + tag('div', inside, class_='signatures'))

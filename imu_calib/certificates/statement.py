@@ -104,7 +104,7 @@ def certificate_of(
     lacking = missing(fields, dcc=dcc, limits=specification is not None)
     if lacking and not draft:
         raise InputError(
-            f'{fields.where}: {len(lacking)} of the things that a certificate needs '
+            f'{fields.where}: {len(lacking)} of the entries that a certificate needs '
             f'{"is" if len(lacking) == 1 else "are"} missing: '
             f'{"; ".join(lacking)}. State them, or write a draft (`draft`), which is marked as one.'
         )
@@ -161,11 +161,11 @@ def _results(
         if not calibration.std[k] > 0:
             continue
         value, limit = float(calibration.values[k]), specification.limit(parameter)
-        said = None
+        decision = None
         if fields.rule is not None and limit is not None:
-            said = decide(value, float(expanded[k]), limit, fields.rule)
+            decision = decide(value, float(expanded[k]), limit, fields.rule)
         numbers = (float(expanded[k]), float(factor[k]), float(freedom[k]))
-        found.append(Stated(parameter, value, *numbers, limit, said))
+        found.append(Stated(parameter, value, *numbers, limit, decision))
     return tuple(found)
 
 

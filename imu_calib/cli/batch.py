@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     @contextmanager
     def begun(text: str) -> Iterator[Show]:
-        arguments.last_word = (
+        arguments.closing_line = (
             f'What was done is in {arguments.catalogue}: the same command continues from there.'
         )
         try:
@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             raise
 
     if arguments.imus is not None:
-        options.refuse_beside_imus(arguments, 'imu', 'serial', 'imu_topic')
+        options.refuse_with_imus(arguments, 'imu', 'serial', 'imu_topic')
     keywords = options.keywords(batch, arguments)
     done = batch(
         arguments.sources, arguments.catalogue, **keywords, progress=begun, connected=_say_where

@@ -15,9 +15,9 @@ from rich.text import Text
 from ..errors import InputError
 from ..plain_table import plain_table
 from ..units import ARCMIN, PPM, significant
+from .node_reports import NodeReports
 from .processes import Outcome, Processes
 from .terminal import ERRORS, OUTPUT
-from .words import Words
 
 _START = 30.0
 """s for the nodes to start."""
@@ -28,7 +28,7 @@ _BAR = 24
 _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result.'
 
 
-def follow(processes: Processes, words: Words) -> Outcome:
+def follow(processes: Processes, reports: NodeReports) -> Outcome:
     """Guide a person until the session ends.
 
     Raises:
@@ -38,7 +38,7 @@ def follow(processes: Processes, words: Words) -> Outcome:
     from .monitor import watching
 
     with (
-        watching(processes, words) as monitor,
+        watching(processes, reports) as monitor,
         Live(console=ERRORS, refresh_per_second=8, transient=True) as display,
     ):
         deadline = time.monotonic() + _START
@@ -49,7 +49,7 @@ def follow(processes: Processes, words: Words) -> Outcome:
             progress = monitor.progress
             if progress is not None and progress.state != progress.WAITING:
                 display.update(view(progress, monitor.refusal))
-                shown = _said(progress.text, shown)
+                shown = _print_changed(progress.text, shown)
             elif time.monotonic() > deadline:
                 raise InputError('The session does not start: the IMU sends nothing.')
             if _entered():
@@ -97,7 +97,7 @@ def reached(progress: Any) -> str:
     return ', '.join(words)
 
 
-def _said(text: str, shown: str) -> str:
+def _print_changed(text: str, shown: str) -> str:
     """Print new text if the output is not a terminal; countdowns are omitted."""
     if not ERRORS.is_terminal and text != shown and not text.startswith('Hold still'):
         OUTPUT.print(text, markup=False)

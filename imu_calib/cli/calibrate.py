@@ -114,10 +114,10 @@ def show(result: Result, truth: Calibration | None = None) -> None:
         OUTPUT.print(result.comparison.sentence(), markup=False)
     if solution.bias_drift is not None and solution.bias_drift.any():
         OUTPUT.print(
-            f'the standard deviations allow for bias drift of '
+            f'the standard deviations include bias drift of '
             f'{significant(solution.bias_drift[0] / DEG_H)} deg/h and '
             f'{significant(solution.bias_drift[3] / MICRO_G)} ug '
-            'over 1000 s or so (data sheet, and what the session shows)'
+            'over some 1000 s (by the data sheet and the session)'
         )
     OUTPUT.print(
         f'gravity {setup["gravity"]:.6f} m/s^2 ({_source(setup)}), {_doubt(setup)}; '
@@ -164,4 +164,4 @@ def _doubt(provenance: Mapping[str, Any]) -> str:
     doubt = provenance['gravity_std'] / provenance['gravity']
     if not doubt:
         return 'taken as exact'
-    return f'known to {doubt / PPM:.3g} ppm, which is in the deviations of K_a'
+    return f'known to {doubt / PPM:.3g} ppm, which the standard deviations of K_a include'

@@ -31,7 +31,7 @@ def of_several(arguments: argparse.Namespace) -> bool:
 
     """
     if arguments.imus is not None:
-        options.refuse_beside_imus(arguments, 'imu', 'serial', 'imu_topic')
+        options.refuse_with_imus(arguments, 'imu', 'serial', 'imu_topic')
         return True
     one = (arguments.imu, arguments.serial, arguments.imu_topic)
     return all(value is None for value in one) and holds_several(arguments.bag)
@@ -75,10 +75,12 @@ def _show(found: UnitResults, judged: Mapping[str, Conformity]) -> None:
             style='bold',
         )
         print_whole(seen_table(found.table))
-    said = {u.serial_number: u.result.calibration.findings for u in solved if u.result is not None}
-    everywhere = _common(list(said.values()))
+    by_serial = {
+        u.serial_number: u.result.calibration.findings for u in solved if u.result is not None
+    }
+    everywhere = _common(list(by_serial.values()))
     sentence_list('Worth knowing about all units', everywhere)
-    for serial, findings in said.items():
+    for serial, findings in by_serial.items():
         own = [sentence for sentence in findings if sentence not in everywhere]
         sentence_list(f'Worth knowing about {serial}', own)
 

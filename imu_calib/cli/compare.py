@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     compared = compare(*arguments.files)
     heads = _heads(compared)
     found = compared.agreement
-    print_whole(comparison_table(compared.beside, heads))
+    print_whole(comparison_table(compared.side_by_side, heads))
     for line in ('', *agreement_lines(found, len(compared.names))):
         OUTPUT.print(line, markup=False)
     two = len(compared.names) == 2

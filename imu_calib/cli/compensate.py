@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> None:
         **options.keywords(compensate, arguments),
         progress=progress_bar,
     )
-    used = f', with {", ".join(done.beside)}' if done.beside else ''
+    used = f', with {", ".join(done.further_topics)}' if done.further_topics else ''
     OUTPUT.print(
         f'{done.given} of {done.taken} samples of {done.topic}{used} written to {arguments.output}',
         markup=False,

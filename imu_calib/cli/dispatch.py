@@ -62,7 +62,7 @@ class _Parser(argparse.ArgumentParser):
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
         self.register('type', float, _number)
-        self.register('type', int, _whole)
+        self.register('type', int, _integer)
         # argparse takes -59,9 for an option, and reports that the previous one has no value.
         self._negative_number_matcher = _NEGATIVE
 
@@ -86,7 +86,7 @@ def _number(text: str) -> float:
         raise _refused(text, 'a number without its unit') from None
 
 
-def _whole(text: str) -> int:
+def _integer(text: str) -> int:
     try:
         return int(text)
     except ValueError:
@@ -164,13 +164,13 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
         return 0
     except OSError as error:
         where = f'{error.filename}: ' if error.filename else ''
-        said = f'{where}{error.strerror or error}.'
-        code = _ended(command, as_json, InputError.exit_code, said, 'input')
+        text = f'{where}{error.strerror or error}.'
+        code = _ended(command, as_json, InputError.exit_code, text, 'input')
     else:
         if outcome.message:
-            _say(command, outcome.message, style='red')
+            _print(command, outcome.message, style='red')
         return outcome.exit_code
-    _last_word(arguments)
+    _print_closing_line(arguments)
     return code
 
 
@@ -219,18 +219,18 @@ def _ended(command: str, as_json: bool, code: int, text: str, kind: str) -> int:
     """Report why a command has ended without a result, on the terminal and in its document."""
     if code == INTERRUPTED:
         clear_interrupt()
-    _say(command, text, style='' if code == INTERRUPTED else 'red')
+    _print(command, text, style='' if code == INTERRUPTED else 'red')
     if as_json:
         write_document(command, Outcome(exit_code=code), error_document(as_options(text), kind))
     return code
 
 
-def _say(command: str, text: str, style: str) -> None:
+def _print(command: str, text: str, style: str) -> None:
     name = f'imu-calib {command}' if command else 'imu-calib'
     ERRORS.print(f'{name}: {text}', style=style, markup=False, highlight=False)
 
 
-def _last_word(arguments: argparse.Namespace) -> None:
+def _print_closing_line(arguments: argparse.Namespace) -> None:
     """Print how to resume, if a command has left something that can be resumed."""
-    if word := getattr(arguments, 'last_word', ''):
-        ERRORS.print(word, markup=False)
+    if line := getattr(arguments, 'closing_line', ''):
+        ERRORS.print(line, markup=False)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..fleet.history import history
 from ..histories.plain import unit_rows
-from ..histories.words import listed
+from ..histories.sentences import listed
 from ..reports.histories import (
     by_urgency,
     course_table,
@@ -114,18 +114,18 @@ def _of_units(found: History, on: np.datetime64) -> list[str]:
             ],
         ),
     )
-    said = [f'{words}: {listed(names, 12)}.' for words, names in groups if names]
+    lines = [f'{words}: {listed(names, 12)}.' for words, names in groups if names]
     for imu, one in found.populations.items():
         apart = sorted({outlier.serial for outlier in one.outliers})
         if apart:
-            said.append(f'Unlike the other units of {imu}: {listed(apart, 12)}.')
-        said += [
+            lines.append(f'Unlike the other units of {imu}: {listed(apart, 12)}.')
+        lines += [
             f'Lot {lot.lot} of {imu} ({lot.units} units) differs from the other lots in '
             f'{lot.parameter}.'
             for lot in one.lots
         ]
     rate = 100 * found.rules.false_alarm
-    return [*said, f'False-alarm rate of each kind of statement: {rate:g} %.']
+    return [*lines, f'False-alarm rate of each kind of statement: {rate:g} %.']
 
 
 def _print_unit(unit: UnitHistory, found: History) -> None:

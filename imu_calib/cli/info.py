@@ -83,7 +83,7 @@ def _show(inside: Inside) -> None:
     OUTPUT.print(f'\n{plan}: {sentence}', markup=False)
     if inside.latitude is not None:
         seen, std = inside.latitude
-        OUTPUT.print(f'the gyros see a latitude of {seen:.1f} +- {std:.1f} deg at rest')
+        OUTPUT.print(f'the gyros show a latitude of {seen:.1f} +- {std:.1f} deg at rest')
     sentence_list('Problems', inside.contradictions)
     sentence_list('Left out', inside.left_out)
     sentence_list('Lost', inside.lost)

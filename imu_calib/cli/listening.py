@@ -9,7 +9,7 @@ import time
 
 from ..devices import Baud, FrameFormat, Reception, Severity, Source, steady_time
 from ..imu import ImuSpec
-from .words import Words
+from .node_reports import NodeReports
 
 _ROUND = 0.02
 """Between two checks, s: too short to be noticed."""
@@ -23,7 +23,7 @@ def listen(
     frames: FrameFormat,
     imu: ImuSpec,
     baud: Baud,
-    words: Words,
+    reports: NodeReports,
     node: str = 'imu_node',
 ) -> None:
     """Read until the device is confirmed to be the described one, or its silence is reported.
@@ -33,7 +33,7 @@ def listen(
         frames: The format of the device's frames.
         imu: Description of its numbers.
         baud: Of a serial port.
-        words: Shows messages.
+        reports: Shows messages.
         node: Name of the node shown in messages.
 
     Raises:
@@ -47,25 +47,25 @@ def listen(
     source.start()
     deadline = time.monotonic() + _LONGEST
     try:
-        while time.monotonic() < deadline and not _decided(source, reception, words, node):
+        while time.monotonic() < deadline and not _decided(source, reception, reports, node):
             time.sleep(_ROUND)
     finally:
         source.stop()
 
 
-def _decided(source: Source, reception: Reception, words: Words, node: str) -> bool:
+def _decided(source: Source, reception: Reception, reports: NodeReports, node: str) -> bool:
     """Take new bytes, and show messages; return whether the check is complete."""
     state, now, steady = source.state, time.time_ns(), steady_time() * 1e-9
     chunks = source.take()
     if chunks:
         reception.take(chunks, now, steady)
     silent = came = False
-    for word in reception.statuses(state, now, steady):
-        came |= word.figures.get('bytes', '0') != '0'
-        silent |= word.part == 'stream' and word.severity is Severity.ERROR
-        words.note(f'{node}: {word.part}', word.severity, word.text, came=came)
-    words.show()
+    for status in reception.statuses(state, now, steady):
+        came |= status.figures.get('bytes', '0') != '0'
+        silent |= status.part == 'stream' and status.severity is Severity.ERROR
+        reports.note(f'{node}: {status.part}', status.severity, status.text, came=came)
+    reports.show()
     if state.ended:
         # A short recording: no more data will come.
-        return reception.health.heard and not chunks
+        return reception.health.has_frames and not chunks
     return reception.health.judged or (state.open and silent and not came)

@@ -15,8 +15,8 @@ from ..nodes.unit_topics import listen_to_each
 from ..security import in_enclave
 from ..web.board import Board
 from ..web.units import UnitsBoard
+from .node_reports import NodeReports
 from .processes import Processes
-from .words import Words
 
 _DEEP = 100
 """Queue depth: several nodes publish at once, and no message may be lost."""
@@ -26,7 +26,7 @@ class Monitor:
     """Subscribes to turntable/state, calibration/progress, calibration and /diagnostics.
 
     Args:
-        words: Shows the reports of the nodes.
+        reports: Shows the reports of the nodes.
         board: Receives the messages for display, or None. A board of several units lists them.
 
     Attributes:
@@ -35,9 +35,9 @@ class Monitor:
 
     """
 
-    def __init__(self, words: Words, board: Board | UnitsBoard | None = None) -> None:
+    def __init__(self, reports: NodeReports, board: Board | UnitsBoard | None = None) -> None:
         self._node = ros.Node('imu_calib_stand')
-        self._words = words
+        self._reports = reports
         self._board = board
         self._several = isinstance(board, UnitsBoard)
         self._state: Any = None
@@ -59,10 +59,10 @@ class Monitor:
             subscribe(messages.DiagnosticArray, '/diagnostics', self._on_diagnostics, _DEEP)
         else:
             subscribe(messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched())
-            subscribe(messages.DiagnosticArray, '/diagnostics', words.take, _DEEP)
+            subscribe(messages.DiagnosticArray, '/diagnostics', reports.take, _DEEP)
 
     def _on_diagnostics(self, message: Any) -> None:
-        self._words.take(message)
+        self._reports.take(message)
         if isinstance(self._board, UnitsBoard):
             self._board.take_diagnostics(message, time.monotonic())
 
@@ -74,9 +74,9 @@ class Monitor:
 
         """
         until = time.monotonic() + seconds
-        while (left := until - time.monotonic()) > 0:
-            ros.spin_once(self._node, timeout_sec=left)
-        self._words.show()
+        while (remaining := until - time.monotonic()) > 0:
+            ros.spin_once(self._node, timeout_sec=remaining)
+        self._reports.show()
 
     @property
     def begun(self) -> bool:
@@ -97,7 +97,7 @@ class Monitor:
     def text(self) -> str:
         """One line on the present state."""
         if self._state is None:
-            return 'turntable_node has not been heard'
+            return 'no message of turntable_node has come'
         state, progress = self._state, self._progress
         words = [f'step {state.step + 1} of {state.steps}'] if state.steps else ['waiting']
         if state.position_id:
@@ -168,13 +168,13 @@ class Monitor:
 
 @contextmanager
 def watching(
-    processes: Processes, words: Words, board: Board | UnitsBoard | None = None
+    processes: Processes, reports: NodeReports, board: Board | UnitsBoard | None = None
 ) -> Iterator[Monitor]:
     """Join the network of a stand's nodes with a monitor; leave it at the end of the block."""
     os.environ.update({**in_enclave('operator'), **processes.environment})
     ros.init(args=[])
-    words.nodes = processes.names
-    monitor = Monitor(words, board)
+    reports.nodes = processes.names
+    monitor = Monitor(reports, board)
     try:
         yield monitor
     finally:

@@ -98,7 +98,7 @@ def add_imus_option(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def refuse_beside_imus(arguments: argparse.Namespace, *names: str) -> None:
+def refuse_with_imus(arguments: argparse.Namespace, *names: str) -> None:
     """Refuse options for one unit that the file of --imus states for each.
 
     Raises:

@@ -102,11 +102,13 @@ def run(arguments: argparse.Namespace) -> None:
     """Print the list, the steps of one plan, or its prediction."""
     table = load_table(arguments.table)
     if arguments.reach and (arguments.imu is None or arguments.plan is None):
-        raise InputError('--reach needs a plan and --imu: noise says how long a dwell must be.')
+        raise InputError('--reach needs a plan and --imu, whose noise determines the dwells.')
     if arguments.temperature_rise is not None and arguments.reach:
-        raise InputError('--temperature-rise is for predictions: --reach knows no temperature.')
+        raise InputError(
+            '--reach cannot be combined with --temperature-rise: give the one or the other.'
+        )
     if arguments.scheduler is not None and not arguments.reach:
-        raise InputError('--scheduler is for --reach: the rest takes seconds.')
+        raise InputError('--scheduler is for --reach alone, which takes long: leave it out.')
     _check_optimise(arguments)
     if arguments.optimise is not None:
         _optimise(arguments)

@@ -25,15 +25,15 @@ from . import options
 from .terminal import OUTPUT
 
 _ON_A_TABLE = (
-    'Predicted standard deviations: by the method named, and the least that the session '
-    'allows (Fisher information; azimuth and tilts unknown), which the joint estimate reaches.'
+    'Predicted standard deviations: those of the method named, and the smallest possible in this '
+    'session (Cramer-Rao bound; azimuth and tilts unknown), which the joint estimate reaches.'
 )
 _IN_THE_HAND = (
     'Predicted standard deviations by the noise, for turns of two seconds, each about one axis.'
 )
 _LEANING = (
-    'Holds that lean add to that: E_a errs by half of the angle, E_g by all of what a turn leans, '
-    'and by the closed form D_a by g times a sixth.'
+    'Holds that lean add to this: half of their angle to E_a, the whole lean of a turn to E_g, and '
+    'in the closed form a sixth of the angle times g to D_a.'
 )
 _TURNS_AND_DWELLS = 'the same dwells and turns early and late'
 
@@ -139,8 +139,8 @@ def _show_forecast(
     doubt = found.evidence.site.gravity_doubt
     if doubt:
         OUTPUT.print(
-            f'Gravity is known to {doubt / PPM:.3g} ppm, which is in K_a: --height, or --gravity '
-            'as measured, make it less.'
+            f'K_a includes the uncertainty of gravity, {doubt / PPM:.3g} ppm: state --height, or '
+            '--gravity as measured, to reduce it.'
         )
 
 
@@ -167,10 +167,10 @@ def _show_terms(found: Sequence[TermForecast], changes: Sequence[ChangeForecast]
     )
     OUTPUT.print(rows)
     if changes:
-        thermal = 'thermal requires a temperature that is recorded and moves: --temperature-rise K.'
+        thermal = 'thermal is predicted for a temperature that changes: --temperature-rise K.'
         if any(each.changes[0].course is Course.THERMAL for each in changes):
-            thermal = 'The temperature rises evenly.'
-        OUTPUT.print(f'warm_up fades within a quarter of the session here. {thermal}')
+            thermal = 'thermal is that of a temperature that rises evenly.'
+        OUTPUT.print(f'warm_up is that of a time constant of a quarter of the session. {thermal}')
     OUTPUT.print()
 
 

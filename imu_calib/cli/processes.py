@@ -170,20 +170,20 @@ class Processes:
         for node, (process, _) in self._running.items():
             if process.poll() is None:
                 continue
-            words = f'{node} has ended ({_how(process.returncode)}): {self.last_words(node)}'
+            text = f'{node} has ended ({_how(process.returncode)}): {self.last_line(node)}'
             if node not in self._needless:
-                raise InputError(words)
+                raise InputError(text)
             if node not in self._missed:
                 self._missed.add(node)
                 ERRORS.print(
-                    f'{words} The session goes on without it.', style='yellow', markup=False
+                    f'{text} The session goes on without it.', style='yellow', markup=False
                 )
 
-    def last_words(self, node: str) -> str:
+    def last_line(self, node: str) -> str:
         """Return the last line that a node wrote."""
         text = self._file(node, 'log').read_text(encoding='utf-8', errors='replace')
         lines = [line for line in text.splitlines() if line.strip()]
-        return lines[-1] if lines else 'it said nothing'
+        return lines[-1] if lines else 'it wrote nothing'
 
 
 def private_network() -> dict[str, str]:

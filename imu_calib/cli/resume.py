@@ -38,7 +38,7 @@ _FILES = {
 """Options that name a file, with its kind."""
 
 _OF_THE_RUN = frozenset(
-    {'command', 'run', 'default_of', 'last_word', 'output', 'resume', 'start'}
+    {'command', 'run', 'default_of', 'closing_line', 'output', 'resume', 'start'}
     | {'web', 'web_host', 'control', 'verbose'}
 )
 """Options of one run, which do not belong to the session."""
@@ -103,8 +103,8 @@ def restore(arguments: argparse.Namespace) -> Path:
             raise InputError(f'--resume {folder}: there is no such folder.') from None
         if isinstance(error, FileNotFoundError | NotADirectoryError):
             raise InputError(f'--resume: {folder} holds no session of imu-calib stand.') from None
-        said = error.strerror if isinstance(error, OSError) else ' '.join(str(error).split())
-        raise InputError(f'--resume: {settings / _OPTIONS} cannot be read ({said}).') from None
+        reason = error.strerror if isinstance(error, OSError) else ' '.join(str(error).split())
+        raise InputError(f'--resume: {settings / _OPTIONS} cannot be read ({reason}).') from None
     _refuse_other_settings(arguments, folder)
     if arguments.port and not kept.get('port'):
         raise InputError(f'--resume {folder}: its hardware is simulated; leave --port out.')

@@ -23,7 +23,7 @@ from ..plan import load_plan
 from ..reports.parameter_table import engineering
 from ..share import named_file
 from ..units import significant
-from .options import refuse_beside_imus
+from .options import refuse_with_imus
 from .terminal import OUTPUT, sentence_list
 
 CALIBRATIONS = 'calibrations'
@@ -70,7 +70,7 @@ def check(arguments: argparse.Namespace) -> None:
         if arguments.without:
             raise InputError('--without is for several units; give --imus, too.')
         return
-    refuse_beside_imus(arguments, 'imu', 'serial', 'port', 'baud')
+    refuse_with_imus(arguments, 'imu', 'serial', 'port', 'baud')
     if load_plan(arguments.plan).by_hand:
         raise InputError(f'--imus: plan {arguments.plan} is for one unit in the hand.')
     units = units_of(arguments)
@@ -197,8 +197,8 @@ def print_results(
         rows.add_row(*cells)
     OUTPUT.print(rows)
     # Missing data of the site or the table is reported for every unit alike.
-    said = [f'{", ".join(of)}: {finding}' for finding, of in findings.items()]
-    sentence_list('Worth knowing', said)
+    sentences = [f'{", ".join(of)}: {finding}' for finding, of in findings.items()]
+    sentence_list('Worth knowing', sentences)
     return missing
 
 

@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _run_several(arguments: argparse.Namespace) -> None:
-    options.refuse_beside_imus(arguments, 'imu', 'serial')
+    options.refuse_with_imus(arguments, 'imu', 'serial')
     done = simulate_units(
         arguments.plan,
         arguments.output,

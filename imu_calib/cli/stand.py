@@ -19,9 +19,9 @@ from ..share import shipped
 from ..turntable import load_table
 from . import options, several, web_page
 from .listening import listen
+from .node_reports import NodeReports
 from .processes import network_of_hardware
 from .terminal import OUTPUT
-from .words import Words
 
 _IMU, _TRUTH, _HELD = 'fog_medium', 'cao2022_table1', 'mems_counts'
 _SLOWEST = 50
@@ -131,14 +131,14 @@ def _begin(arguments: argparse.Namespace) -> None:
     complete(arguments)
     folder = _new_folder(arguments)
     several.check(arguments)
-    words = Words(real=several.is_real(arguments))
-    truth = _check(arguments, words)
+    reports = NodeReports(real=several.is_real(arguments))
+    truth = _check(arguments, reports)
     from . import resume, stand_session
 
     folder.mkdir(parents=True)
     with resume.claimed(folder) as claim, stand_session.signals():
         resume.keep(arguments, folder)
-        stand_session.run(arguments, folder, truth, claim, words)
+        stand_session.run(arguments, folder, truth, claim, reports)
 
 
 def _go_on(arguments: argparse.Namespace) -> None:
@@ -152,10 +152,10 @@ def _go_on(arguments: argparse.Namespace) -> None:
         resume.check_unfinished(folder)
         several.check(arguments)
         real = several.is_real(arguments)
-        words = Words(real=real)
-        truth = _check(arguments, words)
+        reports = NodeReports(real=real)
+        truth = _check(arguments, reports)
         arguments.start = 0.0 if real else resume.switched_on_at(folder)
-        stand_session.run(arguments, folder, truth, claim, words)
+        stand_session.run(arguments, folder, truth, claim, reports)
 
 
 def complete(arguments: argparse.Namespace) -> None:
@@ -184,7 +184,7 @@ def _new_folder(arguments: argparse.Namespace) -> Path:
     )
 
 
-def _check(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration]:
+def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Calibration]:
     """Refuse what cannot work before anything moves; return the true parameters of a simulation.
 
     They are keyed by serial number; for a single unit by an empty name.
@@ -194,7 +194,7 @@ def _check(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration
         raise InputError(f'--speed: found {arguments.speed:g}, expected 0 or more.')
     azimuth_of(arguments.azimuth)
     if arguments.imus:
-        return _check_several(arguments, words)
+        return _check_several(arguments, reports)
     _check_baud(arguments)
     if arguments.port:
         if arguments.imperfections:
@@ -212,7 +212,7 @@ def _check(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration
         baud = choose_baud(arguments.baud, frames)
         if is_serial(arguments.port):
             _say_baud(arguments, frames, imu, baud)
-        listen(arguments.port, frames, imu, baud, words)
+        listen(arguments.port, frames, imu, baud, reports)
     # Imported here: loading it takes longer than the check of the IMU.
     from . import stand_session
 
@@ -220,7 +220,7 @@ def _check(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration
     return {} if arguments.port else {'': load_truth(arguments.truth, imu)}
 
 
-def _check_several(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration]:
+def _check_several(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Calibration]:
     """Refuse several units that could give no result; return true parameters by serial number."""
     real = several.is_real(arguments)
     if real and arguments.imperfections:
@@ -234,11 +234,11 @@ def _check_several(arguments: argparse.Namespace, words: Words) -> dict[str, Cal
     plan, table = load_plan(arguments.plan), load_table(arguments.table)
     if real:
         network_of_hardware(arguments.network, alone=False)
-        words.nodes = [f'{unit.name}/imu_node' for unit in several.units_of(arguments)]
+        reports.nodes = [f'{unit.name}/imu_node' for unit in several.units_of(arguments)]
         for unit in several.units_of(arguments):
             imu, frames = load_imu(unit.imu), load_format(several.device_of(unit, arguments))
             baud = choose_baud(unit.baud or None, frames)
-            listen(unit.port, frames, imu, baud, words, f'{unit.name}/imu_node')
+            listen(unit.port, frames, imu, baud, reports, f'{unit.name}/imu_node')
     from . import stand_session
 
     for name in dict.fromkeys(unit.imu for unit in several.units_of(arguments)):

@@ -32,11 +32,11 @@ from ..web.board import Board
 from ..web.expectation import expectation, units_board
 from ..web.units import UnitsBoard
 from . import by_hand, options, resume, several, web_page
+from .node_reports import NodeReports, NothingComes
 from .processes import Outcome, Processes, free_ports, network_of_hardware, private_network
 from .stand import complete
 from .table_view import view
 from .terminal import ERRORS, OUTPUT, sentence_list
-from .words import NothingComes, Words
 
 _ORDER = ('stand_node', 'hand_node', 'imu_node', 'calibrator_node', 'turntable_node')
 _START = 30.0
@@ -113,7 +113,7 @@ def run(
     folder: Path,
     truth: Mapping[str, Calibration],
     claim: int,
-    words: Words,
+    reports: NodeReports,
 ) -> None:
     """Run a checked session, and print the result.
 
@@ -122,7 +122,7 @@ def run(
         folder: Of the stand; it exists.
         truth: Of simulated units by serial number; of a single unit by an empty name.
         claim: File descriptor that the nodes inherit.
-        words: Shows the reports of the nodes.
+        reports: Shows the reports of the nodes.
 
     Raises:
         InputError: A node does not start, or the IMU sends nothing.
@@ -138,7 +138,7 @@ def run(
         OUTPUT.print(f'to watch from another terminal: export {joined}', markup=False)
     try:
         with Processes(folder, environment, (claim,)) as processes:
-            outcome = _session(arguments, processes, given, words)
+            outcome = _session(arguments, processes, given, reports)
             # Viewers in a browser must see the result too.
             processes.end_all_but({web_page.NODE})
             if outcome.finished:
@@ -154,7 +154,7 @@ def run(
     finally:
         if resume.unfinished(folder):
             name = arguments.resume or arguments.output
-            arguments.last_word = f'To go on with it: {resume.command(name)}'
+            arguments.closing_line = f'To go on with it: {resume.command(name)}'
     if missing or not outcome.finished:
         raise NotObservable(outcome.text)
 
@@ -222,7 +222,7 @@ def _session(
     arguments: argparse.Namespace,
     processes: Processes,
     given: dict[str, dict[str, Any]],
-    words: Words,
+    reports: NodeReports,
 ) -> Outcome:
     """Start the nodes, and monitor them until the session ends."""
     remapped = several.remappings(arguments)
@@ -233,7 +233,7 @@ def _session(
     if web_page.NODE in given:
         web_page.start(arguments, processes, given[web_page.NODE])
     if load_plan(arguments.plan).by_hand:
-        return by_hand.follow(processes, words)
+        return by_hand.follow(processes, reports)
     site = options.stated(arguments).site(LUOYANG)
     plan, table = load_plan(arguments.plan), load_table(arguments.table)
     imu = load_imu(arguments.imu or several.units_of(arguments)[0].imu)
@@ -243,7 +243,7 @@ def _session(
         board = units_board(setup, several.units_of(arguments))
     else:
         board = Board(expectation(setup))
-    return _follow(processes, words, board, control=arguments.control)
+    return _follow(processes, reports, board, control=arguments.control)
 
 
 def _in_order(given: Mapping[str, Any]) -> list[str]:
@@ -344,13 +344,13 @@ def _frames(arguments: argparse.Namespace) -> str:
 
 
 def _follow(
-    processes: Processes, words: Words, board: Board | UnitsBoard, *, control: bool
+    processes: Processes, reports: NodeReports, board: Board | UnitsBoard, *, control: bool
 ) -> Outcome:
     """Monitor the session until it ends, and show its progress.
 
     Args:
         processes: The nodes.
-        words: Shows the reports of the nodes.
+        reports: Shows the reports of the nodes.
         board: Holds the displayed state.
         control: Whether a viewer can resume a table that has stopped.
 
@@ -358,12 +358,12 @@ def _follow(
     from .monitor import watching
 
     with (
-        watching(processes, words, board) as monitor,
+        watching(processes, reports, board) as monitor,
         Live(console=ERRORS, refresh_per_second=4, transient=True) as display,
     ):
         several_units = len(board.names) if isinstance(board, UnitsBoard) else 0
         deadline = time.monotonic() + _START + _START_OF_EACH * several_units
-        said = ''
+        shown = ''
         while True:
             monitor.spin(0.1)
             processes.check()
@@ -374,10 +374,12 @@ def _follow(
                 return Outcome(*monitor.outcome, monitor.duration)
             if monitor.stopped and not control:
                 return Outcome(False, f'The table has stopped. {monitor.stopped}', monitor.duration)
-            if monitor.stopped != said:
-                said = monitor.stopped
-                if said:
-                    text = f'The table has stopped. {said} Go on from the page, or end with Ctrl-C.'
+            if monitor.stopped != shown:
+                shown = monitor.stopped
+                if shown:
+                    text = (
+                        f'The table has stopped. {shown} Go on from the page, or end with Ctrl-C.'
+                    )
                     ERRORS.print(text, style='yellow', markup=False)
             if not monitor.begun and time.monotonic() > deadline:
                 raise InputError(f'The stand does not start: {monitor.text}.')

@@ -13,9 +13,9 @@ from rich.text import Text
 
 from ..devices.health import Severity
 from ..reports.convergence import Converging
+from ..web.sentences import headline, time_left
 from ..web.snapshot import Snapshot
 from ..web.units import UnitRow
-from ..web.words import headline, time_left
 
 _STYLES = {Severity.OK: 'bold', Severity.WARN: 'bold yellow', Severity.ERROR: 'bold red'}
 _BAR = 30
@@ -60,12 +60,12 @@ def view(shown: Snapshot, now: datetime, width: int, units: Sequence[UnitRow] = 
 
 def _course(shown: Snapshot, now: datetime) -> Rows:
     """Return the bar, the step and the remaining time, or that these are not known yet."""
-    left, rests_on = time_left(shown, now)
+    remaining, rests_on = time_left(shown, now)
     table = shown.table
     step = 'waiting'
     if table is not None and table.steps:
         step = f'step {min(table.step + 1, table.steps)} of {table.steps}'
-    words = [f'{left} left' if left[0].isdigit() else left, rests_on]
+    words = [f'{remaining} left' if remaining[0].isdigit() else remaining, rests_on]
     line = Rows.grid(padding=(0, 1))
     line.add_row(
         step,
@@ -79,8 +79,8 @@ def _course(shown: Snapshot, now: datetime) -> Rows:
 def _parameters(rows: Sequence[Converging], width: int) -> Rows:
     """Return the deviations with the plan's prediction and the limits."""
     triads = [[row for row in rows if row.parameter.triad == triad] for triad in 'ga']
-    beside = width >= _WIDE
-    if not beside:
+    wide = width >= _WIDE
+    if not wide:
         triads = [[*triads[0], *triads[1]]]
     table = Rows(box=None, pad_edge=False, header_style='bold', padding=(0, 1, 0, 0))
     for _ in triads:

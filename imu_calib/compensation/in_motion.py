@@ -175,9 +175,9 @@ class _Changes:
             known = np.concatenate([getattr(part.values, which)[:, 0] for part in parts])
             sound &= known >= 0
         near = np.diff(stamp) <= _NEXT * interval[1:] * 1e9
-        beside = np.concatenate([[False], near & sound[1:] & sound[:-1], [False]])
+        adjacent = np.concatenate([[False], near & sound[1:] & sound[:-1], [False]])
         own = np.arange(len(samples)) + (0 if before is None else 1)
-        earlier, later = beside[own].astype(np.intp), beside[own + 1].astype(np.intp)
+        earlier, later = adjacent[own].astype(np.intp), adjacent[own + 1].astype(np.intp)
         return cls(parts, own - earlier, own + later, (earlier + later) * samples.interval)
 
     def of_each(self, which: Callable[[CompensatedSamples], Floats]) -> Floats:

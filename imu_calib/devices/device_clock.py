@@ -286,17 +286,17 @@ class DeviceClock:
         if self._time is not None or self._counter is None or self.period is None:
             return 0
         turn = self._counter.turn * self.period
-        whole = round(shift / turn)
-        return whole if abs(shift - whole * turn) <= turn / _PART_OF_A_TURN else 0
+        turns = round(shift / turn)
+        return turns if abs(shift - turns * turn) <= turn / _PART_OF_A_TURN else 0
 
     def _correct(self, elapsed: Stamps, index: int, shift: int) -> None:
         """Shift all from an index on, by whole turns of the counter if these explain it."""
-        whole = self._turns(shift)
-        counted = 0 if self._counter is None else round(whole * self._counter.turn)
-        if whole and self.period is not None and self.unseen + counted >= 0:
+        turns = self._turns(shift)
+        counted = 0 if self._counter is None else round(turns * self._counter.turn)
+        if turns and self.period is not None and self.unseen + counted >= 0:
             self._stepper.unseen += counted
             shift = round(counted * self.period)
-            reason = _LOST if whole > 0 else _NOT_LOST
+            reason = _LOST if turns > 0 else _NOT_LOST
         else:
             reason = self._contradiction(shift)
         elapsed[index:] += shift

@@ -63,14 +63,14 @@ class Number:
 
     def read(self, rows: Bytes) -> Values:
         """Return the (n,) values in (n, length) contiguous frames, native and unscaled."""
-        values = self._whole(rows)
+        values = self._integers(rows)
         if self.bits is None:
             return values
         first, count = self.bits
         part: Values = (values >> first) & ((1 << count) - 1)
         return part
 
-    def _whole(self, rows: Bytes) -> Values:
+    def _integers(self, rows: Bytes) -> Values:
         if len(rows) == 0:
             return np.empty(0, np.int64 if self.is_whole else np.float64)
         if self.size not in {1, 2, 4, 8} or self.order not in {'<', '>'}:

@@ -85,8 +85,8 @@ class Health:
         self._bytes = 0
         self._first_bytes: float | None = None
         self._last_bytes: float | None = None
-        self._heard: int | None = None
-        self._heard_steady = 0.0
+        self._received_at: int | None = None
+        self._received_steady = 0.0
         self._begun: int | None = None
         self._seen = Counts()
         self._events: dict[str, tuple[str, float]] = {}
@@ -119,8 +119,8 @@ class Health:
         if len(samples) == 0:
             return
         self._misfit = self._gravity.take(samples.accel, elapsed)
-        self._heard, self._heard_steady = now, steady
-        self._look_for_faults(samples)
+        self._received_at, self._received_steady = now, steady
+        self._collect_faults(samples)
         self._measure_rate(elapsed, now)
         before = elapsed[0] if self._last_elapsed is None else self._last_elapsed
         self._last_elapsed = int(elapsed[-1])
@@ -128,7 +128,7 @@ class Health:
         if longest > self._gap_timeout:
             self._gap = longest
 
-    def _look_for_faults(self, samples: Samples) -> None:
+    def _collect_faults(self, samples: Samples) -> None:
         if not samples.faults.any():
             return
         for bit, fault in enumerate(self._format.faults):
@@ -151,9 +151,9 @@ class Health:
             self._rate_from = time, 0
 
     @property
-    def heard(self) -> bool:
+    def has_frames(self) -> bool:
         """Whether a frame has come."""
-        return self._heard is not None
+        return self._received_at is not None
 
     @property
     def judged(self) -> bool:
@@ -166,13 +166,13 @@ class Health:
         Simulated time may leap by seconds while a busy machine reads the line: the steady clock
         must agree. Missing frames are then reported when the next frame comes.
         """
-        if self._heard is None:
+        if self._received_at is None:
             return False
-        passed = steady - self._heard_steady
-        if now < self._heard:
+        passed = steady - self._received_steady
+        if now < self._received_at:
             # The host's clock was set back.
             return passed > self._gap_timeout
-        late = now - self._heard > self._gap_timeout * _NS
+        late = now - self._received_at > self._gap_timeout * _NS
         return late and passed > min(self._gap_timeout, _PATIENCE)
 
     def statuses(
@@ -245,11 +245,11 @@ class Health:
         return PartStatus('stream', *self._stream_sentence(state, now, steady), figures)
 
     def _stream_sentence(self, state: SourceState, now: int, steady: float) -> tuple[Severity, str]:
-        if self._heard is None:
+        if self._received_at is None:
             return self._before_the_first(now)
         if self.silent(now, steady) and not state.ended:
-            heard = datetime.fromtimestamp(self._heard / _NS)
-            return Severity.ERROR, f'No frame has come since {heard:%H:%M:%S}.'
+            last = datetime.fromtimestamp(self._received_at / _NS)
+            return Severity.ERROR, f'No frame has come since {last:%H:%M:%S}.'
         order = ('gap', 'bad', 'skipped', 'unusable', 'lost', 'repeated')
         texts = [self._events[name][0] for name in order if name in self._events]
         if texts:
@@ -274,7 +274,7 @@ class Health:
 
     def _what_comes(self, state: SourceState, steady: float) -> PartStatus:
         """Return whether the data agrees with the files of device and IMU."""
-        if self._heard is None and (what := self._strange(state, steady)):
+        if self._received_at is None and (what := self._strange(state, steady)):
             return PartStatus(
                 'format',
                 Severity.ERROR,

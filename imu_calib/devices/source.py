@@ -202,17 +202,17 @@ class Source:
     def _read(self, line: Line) -> None:
         try:
             self._send(line, self.commands.start)
-            heard = steady_time()
+            received_at = steady_time()
             while not self._stopping.is_set():
                 data = line.read()
                 if data is None:
                     break
                 if data:
                     self._put(Chunk(data, *self._moment()))
-                    heard = steady_time()
-                elif self._is_silent_since(heard):
+                    received_at = steady_time()
+                elif self._is_overdue(received_at):
                     self._send(line, self.commands.start)
-                    heard = steady_time()
+                    received_at = steady_time()
             else:
                 self._send(line, self.commands.stop)
         except Exception as error:
@@ -235,9 +235,9 @@ class Source:
             else:
                 self._stopping.wait(command.wait)
 
-    def _is_silent_since(self, heard: int) -> bool:
+    def _is_overdue(self, received_at: int) -> bool:
         again = self.commands.again
-        return again is not None and steady_time() - heard > again * _NS
+        return again is not None and steady_time() - received_at > again * _NS
 
     def _moment(self) -> tuple[int, int]:
         """Read the host's clock and the steady one together, without interruption if possible."""

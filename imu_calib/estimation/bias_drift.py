@@ -104,7 +104,7 @@ class BiasDrift:
         alone, (_, seen, count) = self.of_one(time * self.span), entering.shape
         drifting = entering @ alone[:count]
         found = np.empty((seen + len(slopes),) * 2)
-        found[:seen, :seen] = _beside(drifting[..., :count]) @ _beside(entering).T
+        found[:seen, :seen] = _columns(drifting[..., :count]) @ _columns(entering).T
         crossed = np.moveaxis(drifting[..., count:], 0, -1).reshape(seen, -1) * slopes
         found[:seen, seen:], found[seen:, :seen] = crossed, crossed.T
         found[seen:, seen:] = np.kron(alone[count:, count:], np.eye(3))
@@ -134,6 +134,6 @@ class BiasDrift:
         return np.asarray(found)
 
 
-def _beside(each: Floats) -> Floats:
+def _columns(each: Floats) -> Floats:
     """Return the (r, n) of three channels side by side, (r, 3n)."""
     return np.hstack(list(each))

@@ -62,7 +62,7 @@ def with_changes(
     known, parameters = _determined(changing)
     if known.all() and parameters.all():
         return changing, ()
-    of_choice = np.array([c.of_scale_factor and not c.asked for c in changes])
+    of_choice = np.array([c.of_scale_factor and not c.by_name for c in changes])
     gone = of_choice & (~known if parameters.all() else True)
     changing = replace(
         changing, changes=tuple(c for c, out in zip(changes, gone, strict=True) if not out)
@@ -155,7 +155,7 @@ def _by_shape(equations: Equations, state: Floats, course: Course) -> tuple[Floa
     """
     start = state.copy()
     start[equations.changing] = 0.0
-    jacobian, left = equations.whitened(start)
+    jacobian, residuals = equations.whitened(start)
     jacobian = jacobian.copy()
     factor, derivatives = equations.factor(start), equations.jacobian(start)
 
@@ -165,8 +165,8 @@ def _by_shape(equations: Equations, state: Floats, course: Course) -> tuple[Floa
         jacobian[: len(moved), equations.changing] = scipy.linalg.solve_triangular(
             factor, moved, lower=True, check_finite=False
         )
-        step = Information.of(jacobian).gain @ left
-        remains = left - jacobian @ step
+        step = Information.of(jacobian).gain @ residuals
+        remains = residuals - jacobian @ step
         return start + step, float(remains @ remains)
 
     tried = shapes(equations.evidence, course)

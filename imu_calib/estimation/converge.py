@@ -99,26 +99,26 @@ def least_squares(
         NotConverged: The steps do not converge.
     """
     begin = state
-    jacobian, left = system(state)
+    jacobian, residuals = system(state)
     damping, share, before = 0.0, 1.0, np.inf
     for _ in range(rounds):
-        step = linear_step(jacobian, left, damping)
+        step = linear_step(jacobian, residuals, damping)
         change = float(np.linalg.norm(jacobian @ step))
         tried = moved(state, share * step)
         rounding = _ROUNDING * float(np.linalg.norm(jacobian, axis=0).max())
         settled = before * (1 - share / 2) < change < _SETTLED
-        if not damping and change < _CONVERGED * np.sqrt(len(left)):
+        if not damping and change < _CONVERGED * np.sqrt(len(residuals)):
             # Not the end of the step, which is as good: here the derivatives are known.
             return state
         if not damping and (settled or change < rounding):
             return tried
         no_nearer, before = change > before * _NO_NEARER, change
         ahead = system(tried)
-        gained = _square(left) - _square(ahead[1])
+        gained = _square(residuals) - _square(ahead[1])
         if damping == _DAMPING and abs(gained) < _NOTHING:
             return tried if gained > 0 else state
-        if _square(ahead[1]) <= _square(left) * (1 + _UPHILL) + 1:
-            state, (jacobian, left) = tried, ahead
+        if _square(ahead[1]) <= _square(residuals) * (1 + _UPHILL) + 1:
+            state, (jacobian, residuals) = tried, ahead
             damping = damping * _WEAKER if damping * _WEAKER >= _DAMPING else 0.0
             if no_nearer and gained < _UPHILL * change**2:
                 damping, share = 0.0, share / 2
@@ -132,22 +132,22 @@ def least_squares(
         return state
     state = begin
     for _ in range(rounds):
-        jacobian, left = system(state)
-        step = linear_step(jacobian, left)
+        jacobian, residuals = system(state)
+        step = linear_step(jacobian, residuals)
         change = float(np.linalg.norm(jacobian @ step))
         if change < _ARRIVED:
             return state
         state = moved(state, step / 2)
     raise NotConverged(
         f'The least squares did not converge in {rounds} steps (the last would still move the '
-        f'outputs by {change / np.sqrt(len(left)):.2g} of their standard deviations): no '
+        f'outputs by {change / np.sqrt(len(residuals)):.2g} of their standard deviations): no '
         'parameter can be stated. The data contradicts the model, or starts too far from it: '
         "check scale factors and units of the IMU's description, the attitudes of the plan and the "
         'axes, and where the plan has a closed form look at the residuals of a calibration by it.'
     )
 
 
-def linear_step(jacobian: Floats, left: Floats, damping: float = 0.0) -> Floats:
+def linear_step(jacobian: Floats, residuals: Floats, damping: float = 0.0) -> Floats:
     """Return the least-squares step (n,), the shortest by columns of norm one."""
     norms = np.linalg.norm(jacobian, axis=0)
     scale = np.where(norms > 0, norms, 1.0)
@@ -155,9 +155,9 @@ def linear_step(jacobian: Floats, left: Floats, damping: float = 0.0) -> Floats:
     if damping:
         n = len(scale)
         columns = np.vstack([columns, np.sqrt(damping) * np.eye(n)])
-        left = np.concatenate([left, np.zeros(n)])
-    return np.asarray(np.linalg.lstsq(columns, left, rcond=None)[0] / scale)
+        residuals = np.concatenate([residuals, np.zeros(n)])
+    return np.asarray(np.linalg.lstsq(columns, residuals, rcond=None)[0] / scale)
 
 
-def _square(left: Floats) -> float:
-    return float(left @ left) if np.isfinite(left).all() else np.inf
+def _square(residuals: Floats) -> float:
+    return float(residuals @ residuals) if np.isfinite(residuals).all() else np.inf

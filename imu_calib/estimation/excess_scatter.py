@@ -329,10 +329,10 @@ def _positioning(
     found = _pooled(lines)
     known = sum(drift.known for drift in still)
     # Drifts of gyros and accelerometers are tested separately: half of the evidence is not enough.
-    asked_for = any(drift.called_for for drift in still)
-    if asked_for or float(found.max()) >= known + _CALLED_FOR:
+    wanted = any(drift.called_for for drift in still)
+    if wanted or float(found.max()) >= known + _CALLED_FOR:
         found += _by_noise(triads, hypotheses, lines, variances)
-    if not asked_for and float(found.max()) < known + _CALLED_FOR:
+    if not wanted and float(found.max()) < known + _CALLED_FOR:
         return 0.0, 0.0, 0.0
     either = sum(float(np.logaddexp(drift.known, drift.unknown)) for drift in still)
     # For hypotheses that do not affect the positioning errors, all but the one known beforehand.
@@ -416,9 +416,9 @@ def _spread_out(
 def _triads(plain: Equations, state: Floats, odds: float, *, doubted: bool = True) -> list[_Triad]:
     """Return gyros and accelerometers, each with turns and moves, by odds for the data sheet."""
     log_odds = np.log([*[1 / 3] * (len(_SHARES) - 1), odds]) - math.log(1 + odds)
-    jacobian, left = plain.jacobian(state), plain.outputs - plain.predict(state)
+    jacobian, residuals = plain.jacobian(state), plain.outputs - plain.predict(state)
     rising = plain.slopes(state)
-    parts = (jacobian, left, rising, plain.covariance(state), plain.by_positioning(state))
+    parts = (jacobian, residuals, rising, plain.covariance(state), plain.by_positioning(state))
     return [_triad(plain, first, parts, state, log_odds, doubted=doubted) for first in (0, 3)]
 
 
@@ -444,7 +444,7 @@ def _triad(
         rows = np.concatenate([rows, equations.layout.velocity.ravel()])
         moves = [*moves, *pushed]
     segments += [(x.statistics, x.start) for x in turns]
-    jacobian, left, rising, covariance, positioning = parts
+    jacobian, residuals, rising, covariance, positioning = parts
     seen = np.flatnonzero(np.any(jacobian[rows] != 0, axis=0))
     prior = equations.prior_rows(state)
     starts = np.array([start for _, start in segments] + [m.start for m in moves], dtype=np.int64)
@@ -456,7 +456,7 @@ def _triad(
     sloped = [x for (x, _), good in zip(segments, with_slope, strict=True) if good]
     drifts = np.array([x.drift[first : first + 3] for x in sloped]).reshape(-1, 3)
     explained = rising[rows].reshape(-1, 3)[np.flatnonzero(with_slope)]
-    slope_left = (drifts - explained).ravel()
+    slope_residuals = (drifts - explained).ravel()
     of_slopes = np.array(
         [
             [_slope_variance(x.blocks[c], evidence.walk[c]) for c in range(first, first + 3)]
@@ -472,7 +472,7 @@ def _triad(
     )
     project, z = _restricted(
         jacobian[np.ix_(rows, seen)],
-        left[rows],
+        residuals[rows],
         covariance[np.ix_(rows, rows)],
         prior[:, np.append(seen, equations.size)],
     )
@@ -500,7 +500,7 @@ def _triad(
         noise.append((both.T[:, deviations > 0] * deviations[deviations > 0], own.freedom))
     return _Triad(
         rows,
-        np.concatenate([z, slope_left * slopes]),
+        np.concatenate([z, slope_residuals * slopes]),
         seen_by(drift.stated_time, stated),
         tuple(seen_by(time, typical) for time in _TIMES),
         (moved[0], moved[1]),
@@ -513,7 +513,7 @@ def _triad(
 
 
 def _restricted(
-    jacobian: Floats, left: Floats, covariance: Floats, prior: Floats
+    jacobian: Floats, residuals: Floats, covariance: Floats, prior: Floats
 ) -> tuple[Floats, Floats]:
     """Project k outputs onto the complement of p parameters, in units of their noise.
 
@@ -521,7 +521,7 @@ def _restricted(
     which the outputs' scatter enters, and (r,) residuals.
     """
     factor = np.linalg.cholesky(covariance)
-    columns = np.column_stack([jacobian, left])
+    columns = np.column_stack([jacobian, residuals])
     columns = scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False)
     columns = np.vstack([columns, prior])
     # A few velocities hold the same information on some accelerometer parameters: the remainder of
@@ -531,7 +531,7 @@ def _restricted(
     sizes = np.abs(np.diag(triangle))
     free = full[:, np.count_nonzero(sizes > _ALIKE * sizes.max(initial=0.0)) :]
     project = scipy.linalg.solve_triangular(
-        factor, free[: len(left)], lower=True, trans='T', check_finite=False
+        factor, free[: len(residuals)], lower=True, trans='T', check_finite=False
     )
     return np.asarray(project), np.asarray(free.T @ columns[:, -1])
 

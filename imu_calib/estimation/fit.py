@@ -92,12 +92,12 @@ def start(equations: Equations) -> Floats:
         # Nothing is assumed of the table yet; lever arms are bounded only against absurd lengths.
         priors = len(equations.outputs) + np.arange(len(Nuisance))
         rows = np.delete(equations.whitened_by(factor, state), priors, axis=0)
-        columns, left = rows[:, :-1], rows[:, -1]
+        columns, residuals = rows[:, :-1], rows[:, -1]
         first = equations.sensors
         columns[:, [first + which for which in Nuisance if which or known]] = 0.0
         columns[:, equations.changing] = 0.0
-        step = linear_step(columns, left)
-        rest = left - columns @ step
+        step = linear_step(columns, residuals)
+        rest = residuals - columns @ step
         if (square := float(rest @ rest)) < smallest:
             best, smallest = state + step, square
     return best

@@ -28,14 +28,14 @@ exceeded once in four times, and the residuals of channels that are eight times 
 noise."""
 
 
-def log_likelihood(covariance: Floats, left: Floats) -> float:
+def log_likelihood(covariance: Floats, residuals: Floats) -> float:
     """Return the log likelihood of residuals (r,), with a covariance (r, r)."""
-    _, z, size = _rooted(covariance, left)
+    _, z, size = _rooted(covariance, residuals)
     return -0.5 * float(z @ z) - size
 
 
 def gained_by_noise(
-    covariance: Floats, left: Floats, parts: Sequence[tuple[Floats, float]]
+    covariance: Floats, residuals: Floats, parts: Sequence[tuple[Floats, float]]
 ) -> float:
     """Return the gain in log likelihood where noise is known only by its estimate.
 
@@ -45,7 +45,7 @@ def gained_by_noise(
 
     Args:
         covariance: (r, r), the noise as estimated.
-        left: (r,).
+        residuals: (r,).
         parts: Columns (r, m) whose product with their transpose is a part of the noise, and degrees
             of freedom of its estimate.
 
@@ -58,7 +58,7 @@ def gained_by_noise(
     def off(logs: Floats) -> tuple[float, Floats]:
         factors = np.exp(logs)
         total = covariance + sum((f - 1) * k for f, (_, k, _) in zip(factors, known, strict=True))
-        root, z, size = _rooted(total, left)
+        root, z, size = _rooted(total, residuals)
         value, slopes = 0.5 * float(z @ z) + size, np.empty(len(known))
         for c, (f, (columns, _, nu)) in enumerate(zip(factors, known, strict=True)):
             white = _whitened(root, columns)
@@ -74,26 +74,30 @@ def gained_by_noise(
 
 
 def log_likelihoods_by_ratio(
-    base: Floats, kernels: Sequence[Floats], left: Floats, ratios: Floats
+    base: Floats, kernels: Sequence[Floats], residuals: Floats, ratios: Floats
 ) -> Floats:
     """Return the log likelihoods of residuals with the covariances base + ratio kernel.
 
     Args:
         base: (r, r).
         kernels: n of (r, r).
-        left: (r,).
+        residuals: (r,).
         ratios: (k,) of at least 0.
 
     Returns:
         (n, k).
     """
-    root, z, size = _rooted(base, left)
+    root, z, size = _rooted(base, residuals)
     reduced = [scipy.linalg.lapack.dsygst(k, root, itype=1, lower=1)[0] for k in kernels]
     return np.array([_along(kernel, z, ratios) for kernel in reduced]) - size
 
 
 def log_likelihoods_by_columns(
-    base: Floats, columns: Sequence[Floats], factors: Sequence[Floats], left: Floats, ratios: Floats
+    base: Floats,
+    columns: Sequence[Floats],
+    factors: Sequence[Floats],
+    residuals: Floats,
+    ratios: Floats,
 ) -> Floats:
     """Return the log likelihoods for kernels X X', X several columns side by side.
 
@@ -104,13 +108,13 @@ def log_likelihoods_by_columns(
         base: (r, r).
         columns: p blocks of (r, e).
         factors: n of (p,) factors of the blocks in each kernel.
-        left: (r,).
+        residuals: (r,).
         ratios: (k,) of at least 0.
 
     Returns:
         (n, k).
     """
-    root, z, size = _rooted(base, left)
+    root, z, size = _rooted(base, residuals)
     basis, triangle = np.linalg.qr(_whitened(root, np.hstack(columns)))
     within = basis.T @ z
     rest = z - basis @ within
@@ -123,10 +127,10 @@ def log_likelihoods_by_columns(
     return np.array(found)
 
 
-def _rooted(covariance: Floats, left: Floats) -> tuple[Floats, Floats, float]:
+def _rooted(covariance: Floats, residuals: Floats) -> tuple[Floats, Floats, float]:
     """Return the lower root of a covariance, whitened residuals, the sum of its logarithms."""
     root = np.asarray(np.linalg.cholesky(covariance), dtype=float)
-    return root, _whitened(root, left), float(np.log(np.diag(root)).sum())
+    return root, _whitened(root, residuals), float(np.log(np.diag(root)).sum())
 
 
 def _whitened(root: Floats, columns: Floats) -> Floats:
@@ -143,9 +147,9 @@ def _along(kernel: Floats, z: Floats, ratios: Floats) -> Floats:
         return np.full(len(ratios), -0.5 * square)
     if len(z) < 2:
         return _by_eigenvectors(kernel, z, ratios)
-    diagonal, beside = _tridiagonal(kernel, z)
+    diagonal, off_diagonal = _tridiagonal(kernel, z)
     # Uncoupled matrices form one tridiagonal matrix.
-    parted = np.append(beside, 0.0)
+    parted = np.append(off_diagonal, 0.0)
     pivots, _, failed = scipy.linalg.lapack.dpttrf(
         1 + np.outer(ratios, diagonal).ravel(), np.outer(ratios, parted).ravel()[:-1]
     )
@@ -163,15 +167,15 @@ def _tridiagonal(kernel: Floats, z: Floats) -> tuple[Floats, Floats]:
         by = scipy.linalg.blas.dsymv(2 / square, kernel, across, lower=1)
         by -= across * (float(across @ by) / square)
         kernel = scipy.linalg.blas.dsyr2(-1.0, across, by, a=kernel, lower=1)
-    _, diagonal, beside, _, _ = scipy.linalg.lapack.dsytrd(
+    _, diagonal, off_diagonal, _, _ = scipy.linalg.lapack.dsytrd(
         kernel, lower=1, lwork=_BLOCK * len(kernel)
     )
-    return diagonal[::-1], beside[::-1]
+    return diagonal[::-1], off_diagonal[::-1]
 
 
 def _by_eigenvectors(kernel: Floats, z: Floats, ratios: Floats) -> Floats:
     """Return `_along` for a kernel that rounding makes negative at large ratios."""
     values, vectors = np.linalg.eigh(kernel)
-    grown = 1 + np.outer(ratios, np.maximum(values, 0.0))
+    scaled = 1 + np.outer(ratios, np.maximum(values, 0.0))
     square = (vectors.T @ z) ** 2
-    return np.asarray(-0.5 * (np.log(grown) + square / grown).sum(axis=1))
+    return np.asarray(-0.5 * (np.log(scaled) + square / scaled).sum(axis=1))

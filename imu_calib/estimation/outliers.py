@@ -160,7 +160,7 @@ def turns_downweighted(equations: Equations, state: Floats) -> tuple[Equations, 
     Returns:
         The equations, and the largest chi-square per degree of freedom.
     """
-    jacobian, left = equations.whitened(state)
+    jacobian, residuals = equations.whitened(state)
     norms = np.linalg.norm(jacobian, axis=0)
     basis = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])[0]
     free = 1 - (basis**2).sum(axis=1)
@@ -168,7 +168,7 @@ def turns_downweighted(equations: Equations, state: Floats) -> tuple[Equations, 
     for axes, outputs in _of_turns(equations.evidence):
         for axis, channel in product(range(3), range(3)):
             rows = outputs[axes == axis, channel]
-            freedom, square = float(free[rows].sum()), float(left[rows] @ left[rows])
+            freedom, square = float(free[rows].sum()), float(residuals[rows] @ residuals[rows])
             if freedom >= 1 and scipy.special.chdtrc(freedom, square) < _UNLIKE:
                 equations = downweighted(equations, rows, square / freedom)
                 largest = max(largest, square / freedom)
@@ -290,12 +290,12 @@ def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[
 
 def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
     """Return C^-1 (outputs less prediction) and C^-1 less the part absorbed by the state."""
-    factor, (jacobian, left) = equations.factor(state), equations.whitened(state)
+    factor, (jacobian, residuals) = equations.factor(state), equations.whitened(state)
     root = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True)
     # Beside noise-free outputs the others may seem to observe nothing: they then absorb nothing.
     taken = np.nan_to_num(Information.of(jacobian).covariance)
     weighed = root.T @ jacobian[: len(factor)]
-    return root.T @ left[: len(factor)], root.T @ root - weighed @ taken @ weighed.T
+    return root.T @ residuals[: len(factor)], root.T @ root - weighed @ taken @ weighed.T
 
 
 def _drop(

@@ -212,8 +212,8 @@ _LARGEST_DRIFT = {'g': 0.1 * DEG, 'a': 1e5 * MICRO_G}
 
 def stepped(equations: Equations, state: Floats) -> Floats:
     """Return a state after one step of the least squares: enough for linear unknowns."""
-    jacobian, left = equations.whitened(state)
-    return np.asarray(state + Information.of(jacobian).gain @ left)
+    jacobian, residuals = equations.whitened(state)
+    return np.asarray(state + Information.of(jacobian).gain @ residuals)
 
 
 def families(equations: Equations) -> tuple[Family, ...]:
@@ -339,11 +339,11 @@ class WhitenedResiduals:
     @classmethod
     def of(cls, equations: Equations, state: Floats) -> WhitenedResiduals:
         """Whiten the equations of a session at a solution."""
-        jacobian, left = equations.whitened(state)
+        jacobian, residuals = equations.whitened(state)
         norms = np.linalg.norm(jacobian, axis=0)
         basis = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])[0]
         factor = equations.factor(state)
-        return cls(equations, np.asarray(basis), _without(left, basis), np.asarray(factor))
+        return cls(equations, np.asarray(basis), _without(residuals, basis), np.asarray(factor))
 
     def score(self, family: Family, patterns: Sequence[Pattern]) -> Score:
         """Test a family by its `columns_of`: the most significant, as one of so many."""

@@ -384,10 +384,10 @@ def _concluded(
     columns = columns_of(off, equations, state)
     residuals = WhitenedResiduals.of(equations, state)
     of_session = [f for f in off if f.course is not None]
-    beside = residuals
+    with_drift = residuals
     if of_session and current.scatter.absent_drift:
-        beside = WhitenedResiduals.of(of_session[0].weighed(equations, current.scatter), state)
-    drifting = {f: beside.scores(f, columns[f]) for f in of_session}
+        with_drift = WhitenedResiduals.of(of_session[0].weighed(equations, current.scatter), state)
+    drifting = {f: with_drift.scores(f, columns[f]) for f in of_session}
     others = {f: columns[f] for f in off if f not in of_session}
     scores = scores_of(others, equations, state)
     scores |= {f: most_significant(its) for f, its in drifting.items()}
@@ -435,7 +435,7 @@ def _by_rivals(current: Estimate, found: Found) -> Floats:
     mine = set(found.family.parameters)
     common = [k for k, p in enumerate(equations.parameters) if p not in mine]
     own = [k for k, p in enumerate(equations.parameters) if p in mine]
-    left = current_chi_square(equations, current.state)
+    chi_square = current_chi_square(equations, current.state)
     model = _Model(
         equations.evidence, equations.parameters, equations.changes, equations.doubts
     ).without(found.family)
@@ -446,7 +446,7 @@ def _by_rivals(current: Estimate, found: Found) -> Floats:
         except NotObservable:
             continue
         kept = indices_of([equations.parameters[k] for k in common], other.parameters)
-        weight = 1 / (1 + np.exp(min(50.0, (current_chi_square(other, state) - left) / 2)))
+        weight = 1 / (1 + np.exp(min(50.0, (current_chi_square(other, state) - chi_square) / 2)))
         off = np.zeros(n)
         off[common] = state[kept] - current.state[common]
         off[own] = -current.state[own]
@@ -456,5 +456,5 @@ def _by_rivals(current: Estimate, found: Found) -> Floats:
 
 def current_chi_square(equations: Equations, state: Floats) -> float:
     """Return chi-square at a state."""
-    left = equations.whitened(state)[1]
-    return float(left @ left)
+    residuals = equations.whitened(state)[1]
+    return float(residuals @ residuals)

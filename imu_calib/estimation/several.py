@@ -371,31 +371,31 @@ class _System:
         unit, state, own = self._units[k], self._states[k], self._own(k)
         jacobian, columns = unit.jacobian(state), self._errors.columns[k]
         of_table = unit.sensors + np.arange(len(TABLE_STATE))
-        left = unit.outputs - unit.predict(state) - columns @ self._values
+        residuals = unit.outputs - unit.predict(state) - columns @ self._values
         factor = np.linalg.cholesky(own_covariance(unit, state))
-        whole = np.column_stack([jacobian[:, own], jacobian[:, of_table], columns, left])
+        whole = np.column_stack([jacobian[:, own], jacobian[:, of_table], columns, residuals])
         whole = scipy.linalg.solve_triangular(factor, whole, lower=True, check_finite=False)
         prior = np.delete(unit.prior_rows(state), TABLE_STATE, axis=0)
         below = np.zeros((len(prior), whole.shape[1]))
         below[:, : len(own)], below[:, -1] = prior[:, own], prior[:, -1]
         whole = np.vstack([whole, below])
-        mine, common, left = whole[:, : len(own)], whole[:, len(own) : -1], whole[:, -1]
+        mine, common, residuals = whole[:, : len(own)], whole[:, len(own) : -1], whole[:, -1]
         scale = 1 / np.linalg.norm(mine, axis=0)
         basis, triangle = np.linalg.qr(mine * scale)
         diagonal = np.abs(np.diag(triangle))
         if diagonal.min() < _SINGULAR * diagonal.max():
             raise NotObservable('A unit leaves parameters open even where the table is known.')
         inverse = scale[:, None] * scipy.linalg.solve_triangular(triangle, np.eye(len(own)))
-        along = basis.T @ np.column_stack([common, left])
+        along = basis.T @ np.column_stack([common, residuals])
         reduced = common - basis @ along[:, :-1]
-        over = left - basis @ along[:, -1]
+        over = residuals - basis @ along[:, -1]
         return _Reduced(
             basis,
             inverse,
             reduced,
             inverse @ along[:, :-1],
             inverse @ along[:, -1],
-            reduced.T @ left,
+            reduced.T @ residuals,
             float(over @ over),
             np.asarray(factor, dtype=np.float64),
         )

@@ -126,18 +126,18 @@ class TermTest:
 
 
 def tested(
-    search: Search, asked: tuple[Term, ...], asked_changes: tuple[Change, ...] = ()
+    search: Search, requested: tuple[Term, ...], requested_changes: tuple[Change, ...] = ()
 ) -> tuple[TermTest, ...]:
     """Return the results of a search for every family, the terms in their order.
 
     Args:
         search: The finished search.
-        asked: Terms of the sensors that were requested.
-        asked_changes: Coefficients of terms of the session, likewise.
+        requested: Terms of the sensors that were requested.
+        requested_changes: Coefficients of terms of the session, likewise.
     """
-    result = [TermTest(t.name, TermState.ASKED, parameters=t.parameters) for t in asked]
-    for name in names_of(asked_changes):
-        mine = tuple(c for c in asked_changes if c.course.value == name)
+    result = [TermTest(t.name, TermState.ASKED, parameters=t.parameters) for t in requested]
+    for name in names_of(requested_changes):
+        mine = tuple(c for c in requested_changes if c.course.value == name)
         result.append(TermTest(name, TermState.ASKED, changes=mine))
     for one in search.found:
         state = TermState.NOT_DETERMINED if one.doubts else TermState.FOUND

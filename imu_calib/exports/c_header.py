@@ -123,7 +123,7 @@ def _slope(model: SensorModel, imu: ImuSpec) -> tuple[float, str]:
     if slope > _CONTRACTION:
         raise NotObservable(
             f'The terms {", ".join(model.terms)} outgrow the responses at {words}: the header '
-            "could not take them off. State the unit's range, or calibrate without them (`terms`)."
+            "could not subtract them. State the unit's range, or calibrate without them (`terms`)."
         )
     return max(slope, float(np.finfo(float).tiny)), words
 

@@ -110,11 +110,11 @@ def always_left_out(calibration: Calibration, export: str) -> list[str]:
     if clock is not None and calibration.imu.units is Units.PULSES:
         sentences.append(
             f'Pulses count over seconds of the {clock.against}; the {clock.name} are of a clock '
-            f'that is {clock.pace(1)}: an interval by it is to be divided by '
-            f'{1 + clock.faster:.7f}, which the file leaves to its user.'
+            f'that is {clock.pace(1)}: divide an interval by it by {1 + clock.faster:.7f}. The '
+            'file does not do that.'
         )
     if calibration.changes is not None and calibration.changes.follows_temperature:
-        sentences.append('By how much they follow the temperature (term thermal) is left out.')
+        sentences.append('The dependence on temperature (term thermal) is left out.')
     if not calibration.has_accelerometers:
-        sentences.append('The accelerometers were not calibrated: theirs are those of ideal ones.')
+        sentences.append('The accelerometers were not calibrated: the file describes ideal ones.')
     return sentences

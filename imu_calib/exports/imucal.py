@@ -36,7 +36,7 @@ def export(source: ExportSource) -> Exported:
     imu, model = calibration.imu, calibration.model
     per_second, comment = 1.0, f'{imu.id}, by imu_calib'
     if imu.units is Units.PULSES:
-        per_second = source.rate_for('imucal knows no sample interval, which pulses need')
+        per_second = source.rate_for('imucal has no sample interval, which pulses need')
         comment += f'; pulses per sample at {per_second:g} Hz'
     gyro_scale = imu.gyro.scale_factor * per_second
     accel_scale = imu.accel.scale_factor * per_second

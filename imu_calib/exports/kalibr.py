@@ -130,5 +130,5 @@ def _drift(drifts: list[Coefficient], spec: TriadSpec | None) -> tuple[float, st
         return spec.bias_instability / HOUR**0.5, words
     limits = [c.below for c in drifts if np.isfinite(c.below) and c.below > 0]
     if limits:
-        return max(limits), 'is what the session keeps it below (95 %), not a value'
+        return max(limits), 'is an upper limit by the session (95 %), not a value'
     return 0.0, ''

@@ -281,11 +281,11 @@ def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
             found = pq.read_table(file, columns=columns)
     except (pa.ArrowException, OSError) as error:
         raise InputError(f'{part}: is not a part of a catalogue ({error}).') from None
-    said = (found.schema.metadata or {}).get(_VERSION_KEY, b'')
-    if not said.isdigit() or int(said) > VERSION:
+    version = (found.schema.metadata or {}).get(_VERSION_KEY, b'')
+    if not version.isdigit() or int(version) > VERSION:
         raise InputError(
-            f'{part}: found version {said.decode() or "none"} of the columns, expected {VERSION} '
-            'or older: a newer imu_calib wrote it.'
+            f'{part}: found version {version.decode() or "none"} of the columns, expected '
+            f'{VERSION} or older: a newer imu_calib wrote it.'
         )
     if columns is not None:
         return found

@@ -14,7 +14,7 @@ from ..api.named import Named, as_imu
 from ..errors import InputError, NotObservable
 from ..histories.looking_back import look_back
 from ..histories.results import USUAL, History, Rules, Sessions
-from ..histories.words import listed
+from ..histories.sentences import listed
 from ..imu import ImuSpec
 from ..model import PARAMETER_NAMES, PARAMETERS
 from ..share import is_shipped

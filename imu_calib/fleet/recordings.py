@@ -185,7 +185,7 @@ def read_manifest(path: AnyPath, stated: Stated, imus: str = '') -> Iterator[Job
         if not recording:
             raise InputError(f'{where}: found no {_RECORDING}, expected the path of one.')
         if not is_url(recording):
-            recording = _beside(path, recording)
+            recording = _next_to_manifest(path, recording)
         given = {name: value for name, value in row.items() if value not in ('', None)}
         yield _job(recording, given, Job('', stated, imus=imus), path, where)
 
@@ -256,7 +256,7 @@ def _job(
     return Job(recording, replace(stated, **values), Labels(**labels), imus)
 
 
-def _beside(manifest: AnyPath, name: str) -> str:
+def _next_to_manifest(manifest: AnyPath, name: str) -> str:
     """Return the path or the URL of a name in a manifest."""
     path = user_path(name)
     if not isinstance(manifest, RemotePath):
@@ -268,8 +268,8 @@ def _named(text: str, manifest: AnyPath, column: str) -> str:
     """Return the name of a supplied file, or the path of one next to the manifest."""
     if column not in {'imu', 'table', 'plan', _IMUS} or isinstance(manifest, RemotePath):
         return text
-    beside = manifest.parent / text
-    return str(beside) if beside.is_file() else text
+    candidate = manifest.parent / text
+    return str(candidate) if candidate.is_file() else text
 
 
 def _number(value: Any, where: str) -> float:

@@ -90,15 +90,15 @@ def crossed(
     for _ in range(_ROUNDS):
         less = _less_units(columns, own, weight * trust)
         coefficients, _ = _solved(less[:, :-1], weight * trust, less[:, -1])
-        left = (less[:, -1] - less[:, :-1] @ coefficients) * np.sqrt(weight)
-        z = np.divide(left, share, out=np.zeros_like(left), where=share > 0)
+        deviations = (less[:, -1] - less[:, :-1] @ coefficients) * np.sqrt(weight)
+        z = np.divide(deviations, share, out=np.zeros_like(deviations), where=share > 0)
         scale = _MAD * float(np.median(np.abs(z[share > 0])))
         bound = np.maximum(_TUNING * scale, np.finfo(float).tiny)
         before = trust
         trust = np.minimum(1.0, bound / np.maximum(np.abs(z), np.finfo(float).tiny))
         if np.max(np.abs(trust - before)) < _SETTLED:
             break
-    bounded = left * trust
+    bounded = deviations * trust
     whole = float(np.mean(trust[share > 0] == 1.0))
     parameters = len(size) + rank
     kappa = 1 + parameters / len(own) * (1 - whole) / whole

@@ -16,8 +16,8 @@ from .charts import chart_limits
 from .of_type import Judged, judge_type, population_of
 from .prior import Prior, prior_of
 from .results import USUAL, History, Rules, Sessions, Stands
+from .sentences import listed, stand_sentence
 from .stands import corrections, judge_stands
-from .words import listed, stand_sentence
 
 
 def look_back(sessions: Sessions, limits: Mapping[str, Floats], rules: Rules = USUAL) -> History:
@@ -77,12 +77,12 @@ def _sound(sessions: Sessions) -> tuple[list[str], list[int]]:
         (numbered & ~dated, 'no date. State it in the manifest'),
         (numbered & dated & ~estimated, 'no estimated parameter'),
     )
-    said = [
+    sentences = [
         f'{int(which.sum())} of {len(which)} sessions are ignored: they have {why}.'
         for which, why in reasons
         if which.any()
     ]
-    return said, np.flatnonzero(dated & numbered & estimated).tolist()
+    return sentences, np.flatnonzero(dated & numbered & estimated).tolist()
 
 
 def _prior(units: list[list[int]], sessions: Sessions) -> Prior:
@@ -143,8 +143,8 @@ def _of_serials(units: Mapping[tuple[str, str], list[int]]) -> list[str]:
 def _of_limits(by_type: Mapping[str, object], limits: Mapping[str, Floats]) -> list[str]:
     without = [i for i in by_type if i not in limits or not np.isfinite(limits[i]).any()]
     return [
-        f'No specification of {imu or "a type without a name"} is known: nothing says when its '
-        'units are due. Add the section specification to its file (docs/files/imu.md).'
+        f'No specification of {imu or "a type without a name"} is known: when its units '
+        'are due cannot be computed. Add the section specification to its file (docs/files/imu.md).'
         for imu in without
     ]
 

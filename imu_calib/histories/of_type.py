@@ -33,9 +33,9 @@ from .results import (
     UnitHistory,
 )
 from .scatter import between, interval
+from .sentences import unit_sentences
 from .steps import Places, chance_of, find_steps, step_design
 from .trends import Lines, Slopes, fit_lines, quantile, slopes_of
-from .words import unit_sentences
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,14 +235,14 @@ def _forecast(due: Due, u: int, newest: np.datetime64, limit: Floats, lines: Lin
     determined = np.isfinite(limit) & ~np.isnan(due.earliest[u])
     reason = ''
     if not np.isfinite(limit).any():
-        reason = 'No specification is known: nothing says when it is due.'
+        reason = 'No specification is known: when it is due cannot be computed.'
     elif not determined.any():
         reason = (
             'Neither its sessions nor the units of its type are enough to estimate its drift: '
-            'nothing says when it is due.'
+            'when it is due cannot be computed.'
         )
     elif not np.isfinite(due.unit[u]):
-        reason = 'By all that is known it stays within its specification beyond the horizon.'
+        reason = 'By its trend and scatter it stays within its specification beyond the horizon.'
     none = bool(reason)
     return Forecast(
         limit=limit,

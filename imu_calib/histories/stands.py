@@ -19,8 +19,8 @@ from ..stream import Floats
 from .crossed import Effects, crossed, reproducibility
 from .patterns import PATTERNS, Pattern
 from .results import Rules, Stands, StandShift
+from .sentences import listed
 from .trends import quantile
-from .words import listed
 
 _MOST = 20
 """Largest number of named shifts: with more, all stands differ from each other."""
@@ -178,14 +178,16 @@ class _Tested:
 
     def partial(self, effect: Floats) -> Floats:
         """Return absolute t (s,) of each stand beyond the selected ones, from (s, 24) effects."""
-        left, rest = self._columns, self._white @ effect @ self.share
+        columns, rest = self._columns, self._white @ effect @ self.share
         if self.chosen:
-            basis = np.linalg.qr(left[:, self.chosen])[0]
-            left, rest = left - basis @ (basis.T @ left), rest - basis @ (basis.T @ rest)
-        own, before = np.sum(left**2, axis=0), np.sum(self._columns**2, axis=0)
+            basis = np.linalg.qr(columns[:, self.chosen])[0]
+            columns, rest = columns - basis @ (basis.T @ columns), rest - basis @ (basis.T @ rest)
+        own, before = np.sum(columns**2, axis=0), np.sum(self._columns**2, axis=0)
         distinct = own > _DISTINCT * before
         return np.asarray(
-            np.abs(np.divide(left.T @ rest, np.sqrt(own), out=np.zeros(len(own)), where=distinct))
+            np.abs(
+                np.divide(columns.T @ rest, np.sqrt(own), out=np.zeros(len(own)), where=distinct)
+            )
         )
 
     def sizes(self, effect: Floats) -> tuple[Floats, Floats]:

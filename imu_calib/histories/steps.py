@@ -118,9 +118,9 @@ def _t_at(
     crossed = np.sum(weights[..., after, None] * design[..., after, :], axis=-2)
     explained = np.einsum('...i,...ij,...j->...', crossed, at.inverse, crossed)
     own = np.sum(weights[..., after], axis=-1)
-    left = own - explained
-    determined = left > _DISTINCT * own
-    gain = np.divide(along**2, left, out=np.zeros_like(along), where=determined)
+    unexplained = own - explained
+    determined = unexplained > _DISTINCT * own
+    gain = np.divide(along**2, unexplained, out=np.zeros_like(along), where=determined)
     rest = np.maximum(at.square - gain, 0.0)
     scale, freedom = prior.moderated(rest, np.maximum(at.freedom - 1.0, 0.0))
     determined = determined & (freedom > 0) & (np.sum(weights > 0, axis=-1) >= FEWEST) & (scale > 0)

@@ -138,7 +138,7 @@ def default_method(plan: Plan) -> str:
     return _JOINT_OF.get(plan.method, plan.method)
 
 
-def closed_form_beside(name: str, plan: Plan) -> str | None:
+def closed_form_of(name: str, plan: Plan) -> str | None:
     """Return the closed form to compare a joint estimate of a plan with, None if there is none."""
     return plan.method if name in JOINT and plan.method in _JOINT_OF else None
 
@@ -157,6 +157,6 @@ def check_plan(name: str, plan: Plan, site: Site) -> None:
             f'are {", ".join(JOINT)}.'
         )
     # Parameters that a closed form cannot separate are poorly determined by any estimate.
-    for held in (name, closed_form_beside(name, plan)):
+    for held in (name, closed_form_of(name, plan)):
         if held in _CHECKS:
             _CHECKS[held](plan, site)

@@ -62,27 +62,27 @@ class LeastSquares:
     freedom: int
 
     @classmethod
-    def of(cls, columns: Floats, left: Floats, rank: float) -> LeastSquares:
+    def of(cls, columns: Floats, residuals: Floats, rank: float) -> LeastSquares:
         """Solve (n, k) columns for (n,) outputs, both in standard deviations.
 
         Args:
             columns: Derivatives by the unknowns.
-            left: Outputs to be explained.
+            residuals: Outputs to be explained.
             rank: Least singular value used, of the largest, columns of one length.
         """
         norms = np.linalg.norm(columns, axis=0)
         scale = np.where(norms > 0, norms, 1.0)
         inverse = np.linalg.pinv(columns / scale, rcond=rank)
-        step = inverse @ left / scale
-        over = left - columns @ step
+        step = inverse @ residuals / scale
+        over = residuals - columns @ step
         known = round(float(np.sum(inverse.T * columns / scale)))
         covariance = (inverse @ inverse.T) / np.outer(scale, scale)
-        return cls(step, covariance, float(over @ over), len(left) - known)
+        return cls(step, covariance, float(over @ over), len(residuals) - known)
 
     @classmethod
-    def weighed(cls, columns: Floats, left: Floats, covariance: Floats) -> LeastSquares:
+    def weighed(cls, columns: Floats, residuals: Floats, covariance: Floats) -> LeastSquares:
         """Solve (n, k) columns for (n,) outputs of a covariance (n, n)."""
-        rows = np.column_stack([columns, left])
+        rows = np.column_stack([columns, residuals])
         rows = scipy.linalg.solve_triangular(np.linalg.cholesky(covariance), rows, lower=True)
         return cls.of(rows[:, :-1], rows[:, -1], _RANK)
 
@@ -180,10 +180,10 @@ def conclude(
     if accel is not None and accelerometers is not None and not evidence.plan.by_hand:
         tilt = _tilt(accel)
         rate, earth = tilt.levelled(rate, earth)
-        tilted, said = widened_for_tilt(evidence, model.accel, widened, accelerometers, tilt)
+        tilted, sentences = widened_for_tilt(evidence, model.accel, widened, accelerometers, tilt)
         beyond[Source.TILT] = Share.known(tilted - widened)
         widened = tilted
-        notes += said
+        notes += sentences
     residuals = _residuals(evidence, gyro, accel)
     notes += _outstanding(residuals)
     notes += _off_positions(evidence)
@@ -233,9 +233,9 @@ def _fit(equations: Equations, state: Floats, first: int) -> _Fit:
     covariance = equations.covariance(state)[np.ix_(rows, rows)]
     offsets = np.tile(np.eye(3), (len(rows) // 3, 1))
     columns = np.hstack([equations.by_world(state)[rows, first : first + 3], offsets])
-    left = (equations.outputs - equations.predict(state))[rows]
-    found = LeastSquares.weighed(columns, left, covariance)
-    tested, over = columns, left
+    residuals = (equations.outputs - equations.predict(state))[rows]
+    found = LeastSquares.weighed(columns, residuals, covariance)
+    tested, over = columns, residuals
     if first == 3:
         own = [k for k, p in enumerate(equations.parameters) if p.triad == 'a']
         tilts = [equations.sensors + which for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
@@ -243,7 +243,7 @@ def _fit(equations: Equations, state: Floats, first: int) -> _Fit:
         # Twice for second-order terms: tilts times errors of the closed form.
         moved = state.copy()
         moved[free] += LeastSquares.weighed(
-            equations.jacobian(state)[np.ix_(rows, free)], left, covariance
+            equations.jacobian(state)[np.ix_(rows, free)], residuals, covariance
         ).step
         tested = equations.jacobian(moved)[np.ix_(rows, free)]
         over = (equations.outputs - equations.predict(moved))[rows]
@@ -256,7 +256,7 @@ def _fit(equations: Equations, state: Floats, first: int) -> _Fit:
     return _Fit(
         seen + found.step[:3],
         found.covariance[:3, :3],
-        (left - columns @ found.step).reshape(-1, 3),
+        (residuals - columns @ found.step).reshape(-1, 3),
         max(scatters, key=lambda scatter: scatter.ratio),
     )
 
@@ -269,14 +269,16 @@ def _turns_scatter(equations: Equations, state: Floats) -> _Scatter:
     responses = np.array(on_turns, dtype=np.intp)
     offsets = np.kron(about[:, None] == np.arange(3), np.eye(3))
     columns = np.hstack([equations.jacobian(state)[np.ix_(rows, responses)], offsets])
-    left = (equations.outputs - equations.predict(state))[rows]
-    return _scatter(equations, columns, left, equations.covariance(state)[np.ix_(rows, rows)])
+    residuals = (equations.outputs - equations.predict(state))[rows]
+    return _scatter(equations, columns, residuals, equations.covariance(state)[np.ix_(rows, rows)])
 
 
-def _scatter(equations: Equations, columns: Floats, left: Floats, covariance: Floats) -> _Scatter:
+def _scatter(
+    equations: Equations, columns: Floats, residuals: Floats, covariance: Floats
+) -> _Scatter:
     """Return the scatter of outputs about the free unknowns over their covariance."""
     noisy = equations.own_variances.max() > SMALLEST_VARIANCE
-    found = LeastSquares.weighed(columns, left, covariance)
+    found = LeastSquares.weighed(columns, residuals, covariance)
     if not noisy or not found.freedom:
         return _Scatter()
     chance = scipy.special.chdtrc(found.freedom, found.square)

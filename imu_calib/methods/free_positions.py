@@ -250,8 +250,8 @@ def _check_latitude(state: _State) -> None:
 
 def _square(state: _State) -> float:
     """Return the chi-square of the residuals."""
-    left = state.rows()[1]
-    return float(left @ left)
+    residuals = state.rows()[1]
+    return float(residuals @ residuals)
 
 
 def is_clear(evidence: Evidence) -> bool:
@@ -274,10 +274,10 @@ def is_clear(evidence: Evidence) -> bool:
         check_axes(equations.model(values).accel.response, *_ACCELS)
     except (InputError, NotObservable):
         return False
-    jacobian, left = equations.jacobian(values), equations.outputs - equations.predict(values)
+    jacobian, residuals = equations.jacobian(values), equations.outputs - equations.predict(values)
     # Not `whitened`: loading its triangular solver takes longer than this computation.
     root = np.linalg.cholesky(equations.covariance(values))
-    rows = np.linalg.solve(root, np.column_stack([jacobian, left]))
+    rows = np.linalg.solve(root, np.column_stack([jacobian, residuals]))
     rows = np.vstack([rows, equations.prior_rows(values)])
     information = Information.of(rows[:, :-1])
     if not information.observed.all():
@@ -351,9 +351,9 @@ def _chance(state: _State, term: Term) -> float:
         _check_observable(found)
     except NotObservable:
         return 1.0
-    jacobian, left = found.rows()
-    before, after = _square(state), float(left @ left)
-    count, freedom = len(term.parameters), len(left) - jacobian.shape[1]
+    jacobian, residuals = found.rows()
+    before, after = _square(state), float(residuals @ residuals)
+    count, freedom = len(term.parameters), len(residuals) - jacobian.shape[1]
     if freedom < 1 or after >= before:
         return 1.0
     ratio = (before - after) / count / (after / freedom)
@@ -470,21 +470,21 @@ def _scatter(state: _State) -> tuple[Floats, Floats, Floats]:
     factors, freedom, chances = np.ones(3), np.full(3, np.inf), np.ones(3)
     for k in range(3):
         as_known = np.where(np.arange(3) == k, 1.0, state.scatter)
-        square, free = _left_of(state.scattering(as_known), k)
+        square, free = _square_and_freedom(state.scattering(as_known), k)
         if free > _DETERMINED:
             chances[k] = scipy.special.chdtrc(free, square)
         if chances[k] < _WIDENED:
-            square, freedom[k] = _left_of(state, k)
+            square, freedom[k] = _square_and_freedom(state, k)
             factors[k] = max(1.0, float(state.scatter[k] * np.sqrt(square / freedom[k])))
     return factors, freedom, chances
 
 
-def _left_of(state: _State, group: int) -> tuple[float, float]:
+def _square_and_freedom(state: _State, group: int) -> tuple[float, float]:
     """Return the sum of squared residuals of a group, and its degrees of freedom."""
-    jacobian, left = state.rows()
+    jacobian, residuals = state.rows()
     basis = np.linalg.qr(jacobian)[0]
     rows = state.groups[group]
-    own = left[rows] - basis[rows] @ (basis.T @ left)
+    own = residuals[rows] - basis[rows] @ (basis.T @ residuals)
     return float(own @ own), float(len(rows) - (basis[rows] ** 2).sum())
 
 
@@ -502,29 +502,29 @@ def _doubt(freedom: Floats) -> Floats:
 
 def _wild_turn(state: _State) -> int | None:
     """Find the turn that is an outlier, if any."""
-    jacobian, left = state.rows()
-    return _outstanding_turn(state, np.linalg.qr(jacobian)[0], left, _OUTLYING)
+    jacobian, residuals = state.rows()
+    return _outstanding_turn(state, np.linalg.qr(jacobian)[0], residuals, _OUTLYING)
 
 
-def _outstanding_turn(state: _State, basis: Floats, left: Floats, limit: float) -> int | None:
+def _outstanding_turn(state: _State, basis: Floats, residuals: Floats, limit: float) -> int | None:
     """Find the turn that the others contradict most, if by more than a limit, times the usual.
 
     One outlying turn bends the fit towards itself and enlarges the residuals of the others: each is
     judged by the fit without the worst one, by residuals in their own standard deviations (deletion
     formulae of linear least squares: Cook and Weisberg 1982, sections 2.2 and 3.5). The basis (m,
-    n) spans the derivatives; residuals `left` (m,) and the limit are in deviations.
+    n) spans the derivatives; `residuals` (m,) and the limit are in deviations.
     """
     moves = state.equations.layout.move
     if not len(moves):
         return None
-    own, left = basis[moves], left[moves]
+    own, residuals = basis[moves], residuals[moves]
     kept = np.eye(3) - own @ own.transpose(0, 2, 1)
-    sizes, freedom = _studentised(kept, left)
+    sizes, freedom = _studentised(kept, residuals)
     worst = int(np.argmax(sizes))
     weight = np.linalg.pinv(kept[worst], rcond=_UNTESTED, hermitian=True)
     seen = own @ own[worst].T
     others, free = _studentised(
-        kept - seen @ weight @ seen.transpose(0, 2, 1), left + seen @ weight @ left[worst]
+        kept - seen @ weight @ seen.transpose(0, 2, 1), residuals + seen @ weight @ residuals[worst]
     )
     usable = (free > 0) & (np.arange(len(moves)) != worst)
     if freedom[worst] == 0 or np.einsum('kii->', kept) - freedom[worst] < _JUDGING:
@@ -533,14 +533,14 @@ def _outstanding_turn(state: _State, basis: Floats, left: Floats, limit: float) 
     return worst if sizes[worst] > limit * max(1 / float(state.scatter[2]), usual) else None
 
 
-def _studentised(kept: Floats, left: Floats) -> tuple[Floats, Floats]:
+def _studentised(kept: Floats, residuals: Floats) -> tuple[Floats, Floats]:
     """Return the sizes (k,) of residuals (k, 3) of covariances (k, 3, 3), and their dimensions.
 
     About the vertical the residual of a turn is zero, as headings are estimated. The dimensions are
     the numbers of directions in which there may be a residual.
     """
     variances, axes = np.linalg.eigh(kept)
-    along = np.einsum('kij,ki->kj', axes, left)
+    along = np.einsum('kij,ki->kj', axes, residuals)
     shown = variances > _UNTESTED
     squares = np.where(shown, along**2, 0.0) / np.where(shown, variances, 1.0)
     return np.sqrt(squares.sum(axis=1)), shown.sum(axis=1)

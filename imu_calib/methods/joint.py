@@ -208,11 +208,11 @@ def _changes(found: Estimate) -> Changes | None:
 def _residuals(found: Estimate) -> tuple[Residual, ...]:
     equations, evidence = found.equations, found.equations.evidence
     rest = equations.layout.dwell
-    left = (equations.outputs - equations.predict(found.state))[rest]
+    residuals = (equations.outputs - equations.predict(found.state))[rest]
     std = np.linalg.norm(equations.factor(found.state), axis=1)[rest]
     return tuple(
         Residual(str(segment.position), segment.start, value, deviation)
-        for segment, value, deviation in zip(evidence.segments, left, std, strict=True)
+        for segment, value, deviation in zip(evidence.segments, residuals, std, strict=True)
     )
 
 
@@ -234,11 +234,11 @@ def _free_earth(plain: Equations, state: Floats) -> tuple[Floats, Floats]:
     sensors = plain.sensors
     by_rate = plain.by_world(state)[:, :3]
     free = scipy.linalg.solve_triangular(plain.factor(state), by_rate, lower=True)
-    jacobian, left = plain.whitened(state)
+    jacobian, residuals = plain.whitened(state)
     # The heading is one of the three components that are now free.
     jacobian = np.delete(jacobian, sensors + Nuisance.AZIMUTH, axis=1)
     columns = np.hstack([jacobian, np.vstack([free, np.zeros((plain.nuisances, 3))])])
-    seen = LeastSquares.of(columns, left, float(np.finfo(float).eps))
+    seen = LeastSquares.of(columns, residuals, float(np.finfo(float).eps))
     covariance = seen.covariance[-3:, -3:] * max(1.0, seen.square / max(1, seen.freedom))
     around = plain.surroundings(state)
     # The tilts' own columns turn the rate along with gravity: the free rate is added.

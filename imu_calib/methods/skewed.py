@@ -135,14 +135,14 @@ class RatePoints:
         Args:
             unknowns: (4, 4) responses and bias of each channel by the unweighted fit.
         """
-        left = self.outputs - self.inputs @ unknowns[:, :BIAS].T - unknowns[:, BIAS]
-        share = len(left) / max(len(left) - unknowns.shape[1], 1)
+        residuals = self.outputs - self.inputs @ unknowns[:, :BIAS].T - unknowns[:, BIAS]
+        share = len(residuals) / max(len(residuals) - unknowns.shape[1], 1)
         result = np.empty_like(self.outputs)
         for group in np.unique(self.groups):
             mine = self.groups == group
             within = self.spread[mine]
             known = np.isfinite(within).all(axis=1)
-            square = within[known] if known.any() else share * left[mine] ** 2
+            square = within[known] if known.any() else share * residuals[mine] ** 2
             result[mine] = square.mean(axis=0)
         return np.maximum(result, SMALLEST_VARIANCE)
 
@@ -258,14 +258,14 @@ def parity(outputs: Floats, unknowns: Floats) -> tuple[Floats, Floats]:
 
 
 def _parity(points: RatePoints, unknowns: Floats, variances: Floats) -> list[str]:
-    left, vector = parity(points.outputs, unknowns)
+    residuals, vector = parity(points.outputs, unknowns)
     deviation = np.sqrt(variances @ vector**2)
     sentence = (
-        f'Parity of the four gyros over {len(left)} turns: root mean square '
-        f'{np.sqrt(np.mean(left**2)) / DEG_H:.3g} deg/h, where their noise explains '
+        f'Parity of the four gyros over {len(residuals)} turns: root mean square '
+        f'{np.sqrt(np.mean(residuals**2)) / DEG_H:.3g} deg/h, where their noise explains '
         f'{np.sqrt(np.mean(deviation**2)) / DEG_H:.3g} deg/h.'
     )
-    far = np.abs(left) > _PARITY * deviation
+    far = np.abs(residuals) > _PARITY * deviation
     if not far.any():
         return [sentence]
     rates = ', '.join(f'{rate / DEG:+.0f} deg/s' for rate in points.turned[far])
@@ -281,8 +281,8 @@ def _covariance(
     for c in range(4):
         square[c, :, c, :] = (weights[c] * variances[:, c]) @ weights[c].T
     # The encoder's rate error is common to all four channels, that of the clocks to all turns.
-    felt = (points.inputs * points.rate_error[:, None]) @ unknowns[:, :BIAS].T
-    by_rate = np.einsum('cut,tc->cut', weights, felt)
+    rate_errors = (points.inputs * points.rate_error[:, None]) @ unknowns[:, :BIAS].T
+    by_rate = np.einsum('cut,tc->cut', weights, rate_errors)
     square += np.einsum('cut,dvt->cudv', by_rate, by_rate)
     shared = unknowns * np.array([1.0, 1.0, 1.0, 0.0]) * clock
     square += np.einsum('cu,dv->cudv', shared, shared)

@@ -17,7 +17,7 @@ from ..stream import Floats
 from .positions import BiasEquation, finish, solve_gyros
 from .solution import Solution
 
-_LEFT_OVER = 3e-3
+_LARGEST_MEAN_INPUT = 3e-3
 """Of the mean input: a complete set cancels to within its positioning errors."""
 
 
@@ -47,8 +47,8 @@ def _bias_weights(evidence: Evidence) -> tuple[Floats, list[str]]:
             continue
         weights = np.zeros((len(names), 3))
         weights[mine] = shares[mine] / count
-        left = np.einsum('s,sij->ij', weights.mean(axis=1), inputs)
-        if np.linalg.norm(left) > _LEFT_OVER:
+        mean_input = np.einsum('s,sij->ij', weights.mean(axis=1), inputs)
+        if np.linalg.norm(mean_input) > _LARGEST_MEAN_INPUT:
             incomplete.append(axis)
         else:
             rows.append(weights)

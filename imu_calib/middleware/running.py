@@ -45,7 +45,7 @@ class _Flag:
 
 _TICK = 0.05
 """s that a node waits for events between two checks for its end."""
-_LAST_WORD = 2.0
+_ACKNOWLEDGE_TIMEOUT = 2.0
 """s for readers to acknowledge the last messages as a node ends; a choice."""
 _LOOK_AROUND = 2.0
 """s between two checks that the network is still there."""
@@ -78,7 +78,7 @@ def run(
     stop = _Flag()
     former = _handle(stop.set)
     init(args=args)
-    heard = True
+    acknowledged_all = True
     try:
         node = node_factory()
         try:
@@ -91,13 +91,13 @@ def run(
         except ExternalShutdownException:
             pass
         finally:
-            heard = ok() and _last_word(node)
+            acknowledged_all = ok() and _stop_node(node)
             node.destroy_node()
     finally:
         try_shutdown()
         for number, handler in former.items():
             signal.signal(number, signal.SIG_IGN if ends else handler)
-    return heard
+    return acknowledged_all
 
 
 def _handle(handler: Callable[..., None]) -> dict[signal.Signals, Any]:
@@ -122,8 +122,8 @@ def _warn_of_namesakes(node: Any) -> None:
         )
 
 
-def _last_word(node: Any) -> bool:
+def _stop_node(node: Any) -> bool:
     stop = getattr(node, 'stop', None)
     publishers = stop() if stop is not None else None
-    heard = [acknowledged(p, _LAST_WORD) for p in publishers or ()]
-    return all(heard)
+    acknowledged_all = [acknowledged(p, _ACKNOWLEDGE_TIMEOUT) for p in publishers or ()]
+    return all(acknowledged_all)

@@ -51,8 +51,8 @@ def inverted(model: Nonlinear, linear: Floats, gain: Floats) -> tuple[Floats, ND
         if not len(at):
             break
         inputs = found[at]
-        left = inputs - linear[at] + times_transpose(model.extra(inputs), gain)
-        step = _solved(np.eye(6) + gain @ model.extra_slopes(inputs), left)
+        residuals = inputs - linear[at] + times_transpose(model.extra(inputs), gain)
+        step = _solved(np.eye(6) + gain @ model.extra_slopes(inputs), residuals)
         found[at] = inputs - step
         small = np.abs(step).max(axis=1) <= _CONVERGED * (1 + np.abs(inputs).max(axis=1))
         done[at[small]] = True

@@ -72,13 +72,13 @@ def slopes(model: SensorModel, rate: Floats, spin: Floats, change: Floats) -> Fl
     """
     x, y, z = spin.T
     nothing = np.zeros_like(x)
-    felt = np.stack([nothing, -z, y, z, nothing, -x, -y, x, nothing], axis=-1).reshape(-1, 3, 3)
-    felt += rate[:, :, None] * rate[:, None, :]
-    felt[:, range(3), range(3)] -= (rate**2).sum(axis=1)[:, None]
+    lever = np.stack([nothing, -z, y, z, nothing, -x, -y, x, nothing], axis=-1).reshape(-1, 3, 3)
+    lever += rate[:, :, None] * rate[:, None, :]
+    lever[:, range(3), range(3)] -= (rate**2).sum(axis=1)[:, None]
     response = model.accel.response
     answer = np.linalg.inv(response)
     columns = []
     for parameter in SIZE_EFFECT.parameters:
-        row = (felt[:, :, parameter.column] * response[parameter.row]).sum(axis=1)
+        row = (lever[:, :, parameter.column] * response[parameter.row]).sum(axis=1)
         columns.append(row[:, None] * answer[:, parameter.row])
     return np.stack([*columns, -change], axis=-1)

@@ -298,8 +298,10 @@ class SensorModel:
     @property
     def gyros_sense_force(self) -> bool:
         """Whether the gyros respond to specific force."""
-        felt = any(p.degree_in_force for channel, _, p in self._products if channel < len(AXES))
-        return felt or bool(self.g_sensitivity.any())
+        by_products = any(
+            p.degree_in_force for channel, _, p in self._products if channel < len(AXES)
+        )
+        return by_products or bool(self.g_sensitivity.any())
 
     @property
     def linear(self) -> bool:

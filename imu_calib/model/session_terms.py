@@ -85,14 +85,14 @@ class Change:
         course: Its factor.
         name: Its parameter, or the common scale factors of a triad: K_g, K_a.
         parameters: The parameters that it changes.
-        asked: Whether it was asked for by name; else it is dropped if the session does not
+        by_name: Whether it was requested by name; else it is dropped if the session does not
             determine it.
     """
 
     course: Course
     name: str
     parameters: tuple[Parameter, ...]
-    asked: bool = False
+    by_name: bool = False
 
     @property
     def unit(self) -> Unit:
@@ -132,9 +132,9 @@ def session_term(text: str) -> tuple[Change, ...]:
     name, _, acts_on = text.partition(':')
     course = Course(name)
     if not acts_on:
-        return tuple(c for of in course.by_default for c in _changes(course, of, asked=False))
+        return tuple(c for of in course.by_default for c in _changes(course, of, by_name=False))
     return tuple(
-        dict.fromkeys(c for of in acts_on.split('+') for c in _changes(course, of, asked=True))
+        dict.fromkeys(c for of in acts_on.split('+') for c in _changes(course, of, by_name=True))
     )
 
 
@@ -168,7 +168,7 @@ def change(course: Course, name: str) -> Change:
     Raises:
         InputError: No such parameter.
     """
-    found = _changes(course, name, asked=True)
+    found = _changes(course, name, by_name=True)
     if len(found) != 1:
         raise InputError(f'{course.value}: found {name!r}, expected one parameter, or K_g or K_a.')
     return found[0]
@@ -184,7 +184,7 @@ def terms_in_words(changes: Sequence[Change]) -> list[str]:
     found = []
     for course in dict.fromkeys(c.course for c in changes):
         mine = [c for c in changes if c.course is course]
-        chosen = all(c.asked for c in mine)
+        chosen = all(c.by_name for c in mine)
         found.append(f'{course.value}:{"+".join(c.name for c in mine)}' if chosen else course.value)
     return found
 
@@ -210,18 +210,18 @@ def largest(changes: Sequence[Change], values: Sequence[float | None]) -> str:
     return ', '.join(shown.values())
 
 
-def _changes(course: Course, name: str, *, asked: bool) -> tuple[Change, ...]:
+def _changes(course: Course, name: str, *, by_name: bool) -> tuple[Change, ...]:
     kinds = {'K': ParameterKind.SCALE_FACTOR_ERROR, 'D': ParameterKind.BIAS}
     symbol, _, triad = name.partition('_')
     if symbol in kinds and triad in ('g', 'a'):
         of = tuple(p for p in PARAMETERS if p.kind is kinds[symbol] and p.triad == triad)
         if symbol == 'K':
-            return (Change(course, name, of, asked),)
-        return tuple(Change(course, p.name, (p,), asked) for p in of)
+            return (Change(course, name, of, by_name),)
+        return tuple(Change(course, p.name, (p,), by_name) for p in of)
     found = [p for p in PARAMETERS if p.name == name]
     if not found:
         raise InputError(
             f'{course.value}: found {name!r}, expected D_g, D_a, K_g, K_a or one of the 24 '
             'parameters, several with + between (trend:D_g+D_a).'
         )
-    return (Change(course, name, (found[0],), asked),)
+    return (Change(course, name, (found[0],), by_name),)

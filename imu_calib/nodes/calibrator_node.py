@@ -16,15 +16,15 @@ from . import qos
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
-from .hearing import Hearing, topics_of_table, topics_of_unit
 from .live import SessionPhase
 from .session_factory import SessionFactory
 from .session_parameters import StatedUnit, declared_units
-from .session_words import journal_words, session_sentence
+from .session_reports import journal_sentence, session_sentence
 from .sessions import Sessions
-from .several_words import progress_of_all
+from .subscriptions import Subscriptions, topics_of_table, topics_of_unit
 from .turntable_state import TurntableStateIntake
 from .unit_results import UnitResults
+from .units_progress import progress_of_all
 
 _TICK = 0.02
 """s: twenty samples at 1 kHz; a queue of the middleware holds many times that. The fixed cost of a
@@ -74,10 +74,11 @@ class CalibratorNode(ros.Node):
             UnitResults(self, unit.setup, unit.name, self._file_of(unit), self._diagnostics)
             for unit in self._units
         ]
-        self._of_all = self._open_what_is_said_of_all() if self._several else None
-        self._hearing = Hearing(self, topics_of_table(self._setup))
-        self._heard = [
-            Hearing(self, topics_of_unit(unit.setup, unit.name, unit.topic)) for unit in self._units
+        self._common = self._open_common_topics() if self._several else None
+        self._of_table = Subscriptions(self, topics_of_table(self._setup))
+        self._of_units = [
+            Subscriptions(self, topics_of_unit(unit.setup, unit.name, unit.topic))
+            for unit in self._units
         ]
         self._latest = 0
         self._turntable = TurntableStateIntake(self, plan, self._steps, self._diagnostics)
@@ -105,8 +106,8 @@ class CalibratorNode(ros.Node):
             pass
         self._sessions.close()
         self._publish_progress()
-        heard = [p for results in self._results for p in (results.progress, results.result)]
-        return heard if self._of_all is None else [*heard, *self._of_all]
+        publishers = [p for results in self._results for p in (results.progress, results.result)]
+        return publishers if self._common is None else [*publishers, *self._common]
 
     def _file_of(self, unit: StatedUnit) -> Path:
         """Return the file of a unit's result."""
@@ -115,7 +116,7 @@ class CalibratorNode(ros.Node):
         # As bringup.launch.py expects it.
         return self._output / f'{unit.setup.serial_number}.yaml'
 
-    def _open_what_is_said_of_all(self) -> tuple[Any, Any]:
+    def _open_common_topics(self) -> tuple[Any, Any]:
         """Open the topics without a namespace, and the services that exclude a unit."""
         try:
             self._output.mkdir(parents=True, exist_ok=True)
@@ -125,20 +126,20 @@ class CalibratorNode(ros.Node):
             self.create_service(
                 ros.Trigger, f'~/leave_out/{unit.name}', partial(self._on_leave_out, place)
             )
-        last_words = qos.latched(len(self._units))
+        latched = qos.latched(len(self._units))
         return (
             self.create_publisher(
                 messages.CalibrationProgress, 'calibration/progress', qos.latched()
             ),
-            self.create_publisher(messages.ImuCalibration, 'calibration', last_words),
+            self.create_publisher(messages.ImuCalibration, 'calibration', latched),
         )
 
     def _new_sessions(self) -> Sessions:
         """Begin a session, or resume the one in the journal."""
-        of_units = [hearing.topics for hearing in self._heard]
-        sessions = self._factory.begin(self._hearing.topics, of_units)
-        for hearing, results in zip(self._heard, self._results, strict=True):
-            hearing.begin()
+        of_units = [subscriptions.topics for subscriptions in self._of_units]
+        sessions = self._factory.begin(self._of_table.topics, of_units)
+        for subscriptions, results in zip(self._of_units, self._results, strict=True):
+            subscriptions.begin()
             results.begin()
         held = sessions.held
         path = sessions.journal.path
@@ -146,7 +147,7 @@ class CalibratorNode(ros.Node):
         if held:
             self._diagnostics.report('journal', Level.WARN, resumed)
         else:
-            self._diagnostics.report('journal', Level.OK, journal_words(path))
+            self._diagnostics.report('journal', Level.OK, journal_sentence(path))
         return sessions
 
     def _on_tick(self) -> None:
@@ -184,20 +185,20 @@ class CalibratorNode(ros.Node):
             return False
         self._turntable.record(self._sessions, now)
         came = False
-        for kind, payloads in self._hearing.take():
+        for kind, payloads in self._of_table.take():
             self._sessions.take_common(kind, payloads, now)
             came = True
-        for place, hearing in enumerate(self._heard):
-            came = self._take_of(place, hearing, now) or came
+        for place, subscriptions in enumerate(self._of_units):
+            came = self._take_of(place, subscriptions, now) or came
         return came
 
-    def _take_of(self, place: int, hearing: Hearing, now: int) -> bool:
+    def _take_of(self, place: int, subscriptions: Subscriptions, now: int) -> bool:
         """Take new messages of a unit; return whether there were any."""
         session, came = self._sessions.all[place], False
-        for kind, payloads in hearing.take():
+        for kind, payloads in subscriptions.take():
             came = True
             # Samples of a second device cannot be distinguished from those of the first.
-            two = kind is Kind.IMU and not session.over and hearing.two_devices
+            two = kind is Kind.IMU and not session.over and subscriptions.two_devices
             if two and session.backwards(kind, payloads):
                 self._two_publishers(place)
             elif not session.over:
@@ -209,17 +210,17 @@ class CalibratorNode(ros.Node):
             session.solve()
 
     def _on_second(self) -> None:
-        for hearing in (self._hearing, *self._heard):
-            for topic in hearing.subscribe_anew():
+        for subscriptions in (self._of_table, *self._of_units):
+            for topic in subscriptions.subscribe_anew():
                 self._diagnostics.report(
                     'quality of service',
                     Level.WARN,
                     f'{topic} is published best effort: messages can be lost on the way.',
                 )
-        for place, hearing in enumerate(self._heard):
-            if hearing.two_devices_stay() and not self._sessions.all[place].over:
+        for place, subscriptions in enumerate(self._of_units):
+            if subscriptions.two_devices_stay() and not self._sessions.all[place].over:
                 self._two_publishers(place)
-        self._turntable.look(time.monotonic())
+        self._turntable.check_publishers(time.monotonic())
         self._sessions.flush()
         self._sessions.solve()
         self._report()
@@ -233,7 +234,7 @@ class CalibratorNode(ros.Node):
 
     def _on_state(self, payload: bytes) -> None:
         state = ros.deserialize_message(payload, messages.TurntableState)
-        self._turntable.hear(payload)
+        self._turntable.keep(payload)
         self._take_all()
         if self._turntable.take(state, self._sessions, time.monotonic()):
             for place in range(len(self._units)):
@@ -242,8 +243,8 @@ class CalibratorNode(ros.Node):
     def _publish(self, place: int) -> None:
         """Publish a unit's calibration if it changed, and its progress."""
         last = self._results[place].publish(self._sessions.all[place])
-        if last is not None and self._of_all is not None:
-            _, results = self._of_all
+        if last is not None and self._common is not None:
+            _, results = self._common
             results.publish(last)
         self._report()
         self._publish_progress()
@@ -254,8 +255,8 @@ class CalibratorNode(ros.Node):
             results.publish_progress(session, self._steps, self._turntable.seconds_left)
             for results, session in zip(self._results, sessions.all, strict=True)
         ]
-        if self._of_all is not None:
-            progress, _ = self._of_all
+        if self._common is not None:
+            progress, _ = self._common
             progress.publish(progress_of_all(sessions, each, self._imu_timeout, self._output))
 
     def _report(self) -> None:
@@ -285,11 +286,11 @@ class CalibratorNode(ros.Node):
 
     def _sentence(self) -> str:
         """Return a sentence on the progress of the session or its fault."""
-        said = [session_sentence(session) for session in self._sessions.all]
+        sentences = [session_sentence(session) for session in self._sessions.all]
         if not self._several:
-            return said[0]
+            return sentences[0]
         names = [unit.setup.serial_number for unit in self._units]
-        return ' '.join(f'{name}: {words}' for name, words in zip(names, said, strict=True))
+        return ' '.join(f'{name}: {words}' for name, words in zip(names, sentences, strict=True))
 
     def _on_leave_out(self, place: int, _: Any, response: Any) -> Any:
         """Continue without a unit, for instance a silent one that delays the others."""

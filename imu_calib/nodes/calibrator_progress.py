@@ -35,12 +35,12 @@ class CalibratorProgress:
         self._diagnostics = diagnostics
         self._timeout = timeout
         self._is_alone = is_alone
-        self._heard_at = -math.inf
+        self._received_at = -math.inf
 
-    def look(self, now: float) -> None:
+    def check(self, now: float) -> None:
         """Check for silence of the calibrator at a time of the steady clock, s."""
         self._sequencer.set_calibrator_present(
-            now - self._heard_at <= self._timeout,
+            now - self._received_at <= self._timeout,
             f'The calibrator is silent for {self._timeout:g} s.',
         )
 
@@ -73,7 +73,7 @@ class CalibratorProgress:
         return of_this_plan
 
     def _take_steps(self, progress: Any, now: float) -> None:
-        self._heard_at = now
+        self._received_at = now
         if not self._is_alone(now):
             return
         # rclpy's Time refuses times before 1970, where simulated time may begin.

@@ -37,7 +37,7 @@ class Commands:
 
     def give(self, follow: Callable[[Setpoint], None]) -> None:
         """Pass on new setpoints, and HOLD if the heartbeat is lost; to be called often."""
-        stop = self._gate.forbid(self._heartbeat.words)
+        stop = self._gate.forbid(self._heartbeat.reason)
         if stop is not None:
             follow(stop)
         now = time.monotonic()
@@ -51,7 +51,7 @@ class Commands:
         publishers = names_of(self._listed())
         diagnostics.judge(
             'source',
-            self._gate.words,
+            self._gate.reason,
             'Setpoints of one source are followed.',
             publishers=', '.join(publishers) or 'none',
             heartbeat='required' if self._heartbeat.required else 'not required',

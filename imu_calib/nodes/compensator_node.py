@@ -158,7 +158,7 @@ class CompensatorNode(ros.ManagedNode):
                 self._publish(compensator.take(block))
 
     def _on_temperature(self, payloads: list[bytes]) -> None:
-        self._reports.hear_temperature()
+        self._reports.note_temperature()
         if compensator := self._compensating():
             for block in decode_temperatures(Messages.join(payloads), self._reports.malformed):
                 self._publish(compensator.take(block))

@@ -56,7 +56,7 @@ class CompensatorReports:
         self._diagnostics = diagnostics
         self._pulses = pulses
         self._temperature = temperature
-        self._heard_temperature = time.monotonic()
+        self._temperature_at = time.monotonic()
         self._counted: dict[Mark, int] = dict.fromkeys(Mark, 0)
         self._second = _Second()
 
@@ -77,9 +77,9 @@ class CompensatorReports:
         """Record how long samples were in the node."""
         self._second.work.append(seconds)
 
-    def hear_temperature(self) -> None:
+    def note_temperature(self) -> None:
         """Record that a temperature was received."""
-        self._heard_temperature = time.monotonic()
+        self._temperature_at = time.monotonic()
 
     def report(self, compensator: Compensator | None, now: int, *, mixed: bool) -> None:
         """Report what happened since the last report.
@@ -152,7 +152,7 @@ class CompensatorReports:
                 Level.ERROR,
                 f'The calibration needs {topic}, which has no messages: nothing is published.',
             )
-        elif time.monotonic() - self._heard_temperature > _STALE:
+        elif time.monotonic() - self._temperature_at > _STALE:
             level, text = (
                 Level.WARN,
                 f'There are no new messages on {topic}: its last value is used.',

@@ -83,7 +83,7 @@ class Controller:
         answer = self._client.send_goal_async(goal)
         answer.add_done_callback(partial(self._on_answer, self._number))
 
-    def look(self, now: float, diagnostics: Diagnostics) -> None:
+    def check(self, now: float, diagnostics: Diagnostics) -> None:
         """Detect a controller that is missing or does not answer; report its state.
 
         Args:

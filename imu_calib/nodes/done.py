@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-class DoneWord:
+class DoneCheck:
     """Receives turntable/state, and accepts DONE only with independent evidence.
 
     Any publisher on the topic could end a session. Therefore the calibrator must have received
@@ -19,13 +19,13 @@ class DoneWord:
     def __init__(self, plan: str, steps: int) -> None:
         self._plan = plan
         self._steps = steps
-        self._said = 0
+        self._in_succession = 0
 
     def deny(self) -> None:
         """Take a state that is not DONE."""
-        self._said = 0
+        self._in_succession = 0
 
-    def doubt(self, plan: str, steps: int, commanded: int, *, alone: bool) -> str:
+    def refusal(self, plan: str, steps: int, commanded: int, *, alone: bool) -> str:
         """Take a state that is DONE; return why it is not accepted, else empty.
 
         Args:
@@ -35,7 +35,7 @@ class DoneWord:
             alone: Whether the state has one publisher.
 
         """
-        self._said += 1
+        self._in_succession += 1
         if plan != self._plan:
             return f'it names the plan {plan or "(none)"}, not {self._plan}'
         if steps != self._steps:
@@ -50,4 +50,4 @@ class DoneWord:
     @property
     def is_repeated(self) -> bool:
         """Whether DONE was received more than once in succession."""
-        return self._said > 1
+        return self._in_succession > 1

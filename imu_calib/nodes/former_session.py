@@ -26,9 +26,9 @@ class FormerSession:
 
     def __init__(self, journal: Path, intakes: Mapping[Kind, TopicIntake]) -> None:
         self._journal = journal
-        self._imu_left_at = intakes[Kind.IMU].newest
+        self._imu_end = intakes[Kind.IMU].newest
         timed = {k: intakes[k].newest for k in (Kind.IMU, Kind.JOINTS) if k in intakes}
-        self._left = {k: newest for k, newest in timed.items() if newest is not None}
+        self._ends = {k: newest for k, newest in timed.items() if newest is not None}
 
     def set_back(self, intake: TopicIntake, blocks: Sequence[Block]) -> str:
         """Return a warning if stamps begin so far before the journal's last that steps are lost.
@@ -37,7 +37,7 @@ class FormerSession:
         restart of a simulation that may be the whole session.
         """
         timed = [b for b in blocks if isinstance(b, ImuBlock | JointBlock) and len(b)]
-        last = self._left.pop(intake.kind, None) if timed else None
+        last = self._ends.pop(intake.kind, None) if timed else None
         if last is None or (first := int(timed[0].stamp[0])) > last - _SET_BACK:
             return ''
         return (
@@ -54,7 +54,7 @@ class FormerSession:
             first: Stamp of the first IMU sample after it, ns; later ones are ignored.
 
         """
-        last, self._imu_left_at = self._imu_left_at, None
+        last, self._imu_end = self._imu_end, None
         if last is None or first - last > INTERRUPTION:
             return ''
         return f'{interruption(last, first)}.'

@@ -32,7 +32,7 @@ class FrameServer:
         self._server.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
         self._server.setblocking(False)
         self._reader: socket.socket | None = None
-        self._left = memoryview(b'')
+        self._unsent = memoryview(b'')
         self._moved = time.monotonic()
         self._look_at = self._moved
 
@@ -44,7 +44,7 @@ class FrameServer:
     @property
     def idle(self) -> bool:
         """Whether the reader has taken all that was sent."""
-        return not self._left
+        return not self._unsent
 
     def tend(self) -> None:
         """Accept a reader, and send on the bytes that wait."""
@@ -57,7 +57,7 @@ class FrameServer:
                 self._drop()
                 self._reader = reader
         self._push()
-        if self._left and now - self._moved > _STUCK:
+        if self._unsent and now - self._moved > _STUCK:
             self._drop()
 
     def send(self, line: bytes) -> None:
@@ -65,7 +65,7 @@ class FrameServer:
         if self._reader is None:
             self.dropped += len(line)
             return
-        self._left = memoryview(line)
+        self._unsent = memoryview(line)
         self._push()
 
     def close(self) -> None:
@@ -74,20 +74,20 @@ class FrameServer:
         self._server.close()
 
     def _push(self) -> None:
-        while self._left and self._reader is not None:
+        while self._unsent and self._reader is not None:
             try:
-                sent = self._reader.send(self._left)
+                sent = self._reader.send(self._unsent)
             except BlockingIOError:
                 return
             except OSError:
                 self._drop()
                 return
-            self._left = self._left[sent:]
+            self._unsent = self._unsent[sent:]
             self._moved = time.monotonic()
 
     def _drop(self) -> None:
-        self.dropped += len(self._left)
-        self._left = memoryview(b'')
+        self.dropped += len(self._unsent)
+        self._unsent = memoryview(b'')
         if self._reader is not None:
             self._reader.close()
         self._reader = None

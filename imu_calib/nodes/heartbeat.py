@@ -38,27 +38,27 @@ class Heartbeat:
             upper=5.0,
         )
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._heard_at = self._refused_at = -math.inf
+        self._received_at = self._refused_at = -math.inf
         self._topic = node.resolve_topic_name('heartbeat')
         self.required = required
         if required:
-            node.create_subscription(messages.Bool, 'heartbeat', self._hear, qos.sensor_data())
+            node.create_subscription(messages.Bool, 'heartbeat', self._receive, qos.sensor_data())
 
     @property
-    def words(self) -> str:
+    def reason(self) -> str:
         """Why nothing may move, in a sentence; else empty."""
         if not self.required:
             return ''
         now = self._steady.now().nanoseconds * 1e-9
-        if now - self._heard_at > self._timeout:
+        if now - self._received_at > self._timeout:
             return (
                 f'No heartbeat on {self._topic} for {self._timeout:g} s: the table is stopped, and '
                 'nothing starts without one (stop_required).'
             )
         stops = now - self._refused_at <= self._timeout
-        return f'The heartbeat on {self._topic} says stop.' if stops else ''
+        return f'The heartbeat on {self._topic} is false, which means stop.' if stops else ''
 
-    def _hear(self, message: Any) -> None:
-        self._heard_at = self._steady.now().nanoseconds * 1e-9
+    def _receive(self, message: Any) -> None:
+        self._received_at = self._steady.now().nanoseconds * 1e-9
         if not message.data:
-            self._refused_at = self._heard_at
+            self._refused_at = self._received_at

@@ -28,7 +28,7 @@ class TopicIntake:
     kind: Kind
     topic: str
     malformed: Malformed
-    heard: float
+    received_at: float
     count: int = 0
     ignored: int = 0
     oldest: int | None = None

@@ -99,7 +99,7 @@ class LiveSession:
         self._solver = solver
         self._ending = False
         self._done_at: int | None = None
-        self._done_heard = 0.0
+        self._done_received_at = 0.0
         self._former: FormerSession | None = None
 
     @property
@@ -164,7 +164,7 @@ class LiveSession:
             self.fail(why, finished=False)
             return
         self.journal.write(intake.topic, kind.type_name, messages, now)
-        intake.heard = time.monotonic()
+        intake.received_at = time.monotonic()
         for block in blocks:
             if isinstance(block, ImuBlock) and len(block):
                 self._name_the_gap(int(block.stamp[0]))
@@ -201,7 +201,7 @@ class LiveSession:
     def table_done(self, stamp: int) -> None:
         """Record that the table completed its plan, at a stamp in ns."""
         if self._done_at is None:
-            self._done_at, self._done_heard = stamp, time.monotonic()
+            self._done_at, self._done_received_at = stamp, time.monotonic()
 
     def table_running(self) -> None:
         """Record that the table runs."""
@@ -265,7 +265,7 @@ class LiveSession:
         newest = [(self.intakes[kind].newest, late) for kind, late in awaited.items()]
         if all(stamp is not None and stamp >= done_at - late for stamp, late in newest):
             return True
-        return time.monotonic() - self._done_heard > _PATIENCE
+        return time.monotonic() - self._done_received_at > _PATIENCE
 
     def _conclude(self, review: Review, *, final: bool) -> None:
         result = review.result

@@ -36,8 +36,8 @@ class OwnTopics:
         self._on_foreign = on_foreign
         self._sent: deque[bytes] = deque(maxlen=_KEPT)
         for name, kind in own.items():
-            hear = partial(self._hear, name)
-            node.create_subscription(kind, name, hear, qos.own_topic(), raw=True)
+            receive = partial(self._receive, name)
+            node.create_subscription(kind, name, receive, qos.own_topic(), raw=True)
         self._watched = {
             name: OnePublisher(node, node.resolve_topic_name(name)) for name in (*others, *own)
         }
@@ -47,19 +47,19 @@ class OwnTopics:
         self._sent.append(_content(payload))
         publisher.publish(payload)
 
-    def look(self, now: float) -> dict[str, str]:
+    def faults(self, now: float) -> dict[str, str]:
         """Return the fault of each topic, in sentences, at a time of the steady clock, s."""
-        return {name: watched.look(now) for name, watched in self._watched.items()}
+        return {name: watched.fault(now) for name, watched in self._watched.items()}
 
-    def heard_two(self, name: str, now: float) -> None:
+    def note_two_sources(self, name: str, now: float) -> None:
         """Record that messages on a topic show a second publisher."""
-        self._watched[name].heard_two(now)
+        self._watched[name].note_two_sources(now)
 
     def is_alone(self, name: str, now: float) -> bool:
         """Return whether a topic has had one publisher for some time."""
         return self._watched[name].is_alone(now)
 
-    def _hear(self, name: str, payload: bytes) -> None:
+    def _receive(self, name: str, payload: bytes) -> None:
         payload = bytes(payload)
         if _content(payload) not in self._sent:
             self._on_foreign(name, payload)

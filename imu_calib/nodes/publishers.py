@@ -26,8 +26,8 @@ class OnePublisher:
 
     Two nodes with different names are both alive, and so are two publishers of one participant. If
     two have the same name in different participants, one may be a killed process that was
-    restarted: they count as two when messages of both arrive (`heard_two`), or when both are listed
-    for longer than the killed one's lease.
+    restarted: they count as two when messages of both arrive (`note_two_sources`), or when both are
+    listed for longer than the killed one's lease.
 
     Args:
         node: Queries the graph.
@@ -39,17 +39,17 @@ class OnePublisher:
         self._node = node
         self.topic = topic
         self._since: float | None = None
-        self._heard_two_at = self._two_at = -math.inf
+        self._two_sources_at = self._two_at = -math.inf
 
-    def heard_two(self, now: float) -> None:
+    def note_two_sources(self, now: float) -> None:
         """Record that messages of two sources arrived, at a time of the steady clock, s."""
-        self._heard_two_at = now
+        self._two_sources_at = now
 
     def is_alone(self, now: float) -> bool:
         """Return whether messages come from one node: for some seconds there was one publisher."""
-        return not self.look(now) and now - self._two_at > _FRESH
+        return not self.fault(now) and now - self._two_at > _FRESH
 
-    def look(self, now: float) -> str:
+    def fault(self, now: float) -> str:
         """Return the fault, in sentences with the nodes' names; empty with one publisher.
 
         Args:
@@ -57,13 +57,13 @@ class OnePublisher:
 
         """
         listed = self._node.get_publishers_info_by_topic(self.topic)
-        heard_two = now - self._heard_two_at <= _FRESH
+        two_sources = now - self._two_sources_at <= _FRESH
         if len(listed) < 2:
             self._since = None
-            left = f'A node that has gone since published on {self.topic}. {_HELD}'
-            return left if heard_two else ''
+            gone = f'A second node published on {self.topic} and has ended since. {_HELD}'
+            return gone if two_sources else ''
         self._since = now if self._since is None else self._since
-        if not (heard_two or self._are_two(listed, now - self._since)):
+        if not (two_sources or self._are_two(listed, now - self._since)):
             return ''
         self._two_at = now
         names = ', '.join(names_of(listed))

@@ -11,7 +11,7 @@ from ..errors import InputError
 from ..middleware import GoalServer, GoalStatus, Node, actions, messages
 from ..sequencing import SETS_OUT, Phase, Sequencer
 from . import qos
-from .words import sentence
+from .state_texts import state_sentence
 
 _FEEDBACK_PERIOD = 0.5
 """s between two equal feedbacks: the period of turntable/state."""
@@ -65,11 +65,11 @@ class RunAction:
             cancel=self._on_cancel,
         )
 
-    def hear(self, progress: Any) -> None:
+    def take_progress(self, progress: Any) -> None:
         """Take the calibrator's progress."""
         self._progress = progress
 
-    def look(self, now: float) -> None:
+    def update(self, now: float) -> None:
         """Publish feedback, and end the goal when the plan has ended.
 
         Args:
@@ -201,7 +201,7 @@ class RunAction:
             steps=state.steps,
             position_id=state.position,
             phase=int(state.phase),
-            text=sentence(state),
+            text=state_sentence(state),
             seconds_left=state.seconds_left,
         )
         if self._progress is not None:

@@ -188,9 +188,9 @@ class SharedSolver:
     def conclude(self, parts: Sequence[SolverPart]) -> None:
         """Conclude sessions that are all ready for it."""
         serials = [part.serial_number for part in parts]
-        asked = [part.take_up() for part in parts]
-        snapshots = [snapshot for snapshot, _ in asked]
-        self.threads.submit(self._work, snapshots, serials, [future for _, future in asked])
+        taken = [part.take_up() for part in parts]
+        snapshots = [snapshot for snapshot, _ in taken]
+        self.threads.submit(self._work, snapshots, serials, [future for _, future in taken])
 
     def _work(
         self,

@@ -252,9 +252,9 @@ def _truth(name: str) -> SensorModel:
 def _seeded(file: str, seed: int, without: str) -> list[tuple[MountedUnit, int]]:
     """Return the present units with their seeds, which do not depend on excluded ones."""
     units = load_units(file)
-    left = remaining(units, without)
+    kept = remaining(units, without)
     pairs = zip(units, spread_seeds(units, seed), strict=True)
-    return [(unit, own) for unit, own in pairs if unit in left]
+    return [(unit, own) for unit, own in pairs if unit in kept]
 
 
 class _Pace:
@@ -263,21 +263,21 @@ class _Pace:
     def __init__(self, speed: float) -> None:
         self._speed = speed
         self._newest = -math.inf
-        self._heard = -math.inf
+        self._received_at = -math.inf
         self._anchor: tuple[float, float, float] | None = None
 
     def lead(self, stamp: float) -> None:
         """Record a setpoint with a stamp in s of simulated time."""
-        self._newest, self._heard = stamp, time.monotonic()
+        self._newest, self._received_at = stamp, time.monotonic()
 
     def follow_the_wall(self) -> None:
         """Continue at the pace of the wall clock: the table is held."""
-        self._heard = -math.inf
+        self._received_at = -math.inf
 
     @property
     def led(self) -> bool:
         """Whether setpoints command the table."""
-        return time.monotonic() - self._heard < _ALIVE
+        return time.monotonic() - self._received_at < _ALIVE
 
     def rest(self, now: float, connected: bool) -> float:
         """Return the wait before the next step at a simulated time, s; 0: it is due.

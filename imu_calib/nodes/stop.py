@@ -33,7 +33,7 @@ class StopRecord:
     def __init__(self, folder: Path, key: str) -> None:
         self.path = folder / f'stop_{re.sub("[^A-Za-z0-9]+", "_", key).strip("_")}'
         self._trouble = ''
-        self.pressed = self._look()
+        self.pressed = self._is_pressed()
 
     @property
     def trouble(self) -> str:
@@ -60,7 +60,7 @@ class StopRecord:
             raise InputError(self._trouble)
         self.pressed = False
 
-    def _look(self) -> bool:
+    def _is_pressed(self) -> bool:
         self._try(self._probe)
         return bool(self._trouble) or self._exists()
 
@@ -155,12 +155,12 @@ class StopTopic:
     def __init__(self, node: Any, topic: str, callback: Callable[[bool], None]) -> None:
         self._node = node
         self._callback = callback
-        self._says_stop = False
+        self._stopping = False
         self.topic: str = node.resolve_topic_name(topic)
         self._offered: set[tuple[Any, Any]] = set()
         self._listen(qos.sensor_data())
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Subscribe with each newly offered quality of service."""
         for publisher in self._node.get_publishers_info_by_topic(self.topic):
             self._listen(qos.as_offered(publisher.qos_profile))
@@ -173,20 +173,20 @@ class StopTopic:
         # A subscription that does not match a publisher is meant for another one.
         events = ros.SubscriptionEventCallbacks(incompatible_qos=lambda _: None)
         self._node.create_subscription(
-            messages.Bool, self.topic, self._hear, profile, event_callbacks=events
+            messages.Bool, self.topic, self._receive, profile, event_callbacks=events
         )
 
     @property
-    def says_stop(self) -> bool:
+    def is_stopping(self) -> bool:
         """Whether a present publisher sent stop and has not cancelled it since."""
-        return self._says_stop and self._node.count_publishers(self.topic) > 0
+        return self._stopping and self._node.count_publishers(self.topic) > 0
 
-    def _hear(self, message: Any) -> None:
+    def _receive(self, message: Any) -> None:
         if message.data:
-            self._says_stop = True
+            self._stopping = True
         elif self._node.count_publishers(self.topic) < 2:
             # With two publishers the sender is unknown.
-            self._says_stop = False
+            self._stopping = False
         self._callback(bool(message.data))
 
 
@@ -209,7 +209,7 @@ class EmergencyStop:
         )
         self._released = f'The emergency stop is released; nothing moves before {name}/start.'
         self._record = StopRecord(folder, f'domain {domain_id()} {name}')
-        self._topic = StopTopic(node, 'estop', self._hear)
+        self._topic = StopTopic(node, 'estop', self._receive)
 
     @property
     def obstacle(self) -> str:
@@ -217,7 +217,7 @@ class EmergencyStop:
         return self._record.trouble or self._pressed
 
     @property
-    def words(self) -> str:
+    def reason(self) -> str:
         """Why nothing may move, and what to do; empty if the stop is not pressed."""
         return self.obstacle if self._record.pressed else ''
 
@@ -226,9 +226,9 @@ class EmergencyStop:
         """The file of the saved stop."""
         return str(self._record.path)
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Subscribe to new publishers of a stop."""
-        self._topic.look()
+        self._topic.check()
 
     def release(self) -> str:
         """Release the stop; return the effect as text.
@@ -240,14 +240,14 @@ class EmergencyStop:
         """
         if not self._record.pressed:
             raise InputError('The emergency stop is not pressed.')
-        if self._topic.says_stop:
+        if self._topic.is_stopping:
             raise InputError(
-                f'A publisher on {self._topic.topic} still says stop: release it there first.'
+                f'A publisher on {self._topic.topic} still publishes stop: release it there first.'
             )
         self._record.release()
         return self._released
 
-    def _hear(self, stop: bool) -> None:
+    def _receive(self, stop: bool) -> None:
         if stop:
             self._on_press()
             self._record.press(f'heard on {self._topic.topic}')

@@ -35,14 +35,14 @@ from .own_topics import OwnTopics
 from .pacing import Pacing
 from .rules import declare_rules
 from .run_action import RunAction
+from .state_texts import state_figures, state_sentence
 from .stop import EmergencyStop, state_folder
-from .words import figures, sentence
 
 _PERIOD = 0.01
 """s between checks of the clocks without joint states: a tenth of a setpoint's period."""
 _STATE_PERIOD = 0.5
 """s between two equal states."""
-_LOOK_PERIOD = 0.1
+_CHECK_PERIOD = 0.1
 """s between checks of the publishers: at 90 deg/s a table turns by 9 deg meanwhile. A judgement;
 the answer to a foreign setpoint does not wait for the check."""
 _ASLEEP = 2.0
@@ -148,7 +148,7 @@ class TurntableNode(Node):
             self._sequencer, self._diagnostics, calibrator_timeout, alone
         )
         self._estop = EmergencyStop(self, state_folder(folder), self._on_estop)
-        if self._estop.words:
+        if self._estop.reason:
             self._on_estop()
         self.create_service(Trigger, '~/start', self._on_start)
         self.create_service(Trigger, '~/release', self._on_release)
@@ -156,9 +156,9 @@ class TurntableNode(Node):
         self.create_service(Trigger, '~/abort', self._on_abort)
         self._action = RunAction(self, self._sequencer, self._start, self._at_once)
         self.create_timer(min(_PERIOD, self._pacing.seconds), self._go_on, clock=self._steady)
-        self.create_timer(_LOOK_PERIOD, self._look_around, clock=self._steady)
+        self.create_timer(_CHECK_PERIOD, self._check_peers, clock=self._steady)
         self._publish_state_when_due()
-        self._look_around()
+        self._check_peers()
 
     def stop(self) -> Sequence[Any]:
         """Send HOLD as the last message; return the publishers to be acknowledged."""
@@ -226,7 +226,7 @@ class TurntableNode(Node):
             self._start_by_itself()
         self._send_what_is_due(now)
         self._publish_state_when_due()
-        self._action.look(now)
+        self._action.update(now)
 
     def _watch(self, now: float) -> None:
         """Check table and calibrator by the steady clock: stamps may stop."""
@@ -235,7 +235,7 @@ class TurntableNode(Node):
             self._sequencer.lose_feedback(
                 f'No joint state from the table for {self._watchdog:g} s.{self._of_others()}'
             )
-        self._calibrator.look(now)
+        self._calibrator.check(now)
 
     def _of_others(self) -> str:
         """Return which joint states come, if none of them are the table's."""
@@ -298,8 +298,8 @@ class TurntableNode(Node):
         self._diagnostics.report(
             'plan',
             Level.ERROR if state.fault else level,
-            sentence(state),
-            **figures(state, self._sequencer.table.names),
+            state_sentence(state),
+            **state_figures(state, self._sequencer.table.names),
         )
         self._report_joint_states()
         self._report_stop()
@@ -321,38 +321,38 @@ class TurntableNode(Node):
             },
         )
 
-    def _look_around(self) -> None:
+    def _check_peers(self) -> None:
         """Subscribe to stop publishers; hold the table if a one-node topic has two publishers."""
-        self._estop.look()
+        self._estop.check()
         now = self._steady.now().nanoseconds * 1e-9
         if self._controller is not None:
-            self._controller.look(now, self._diagnostics)
-        found = self._own.look(now)
+            self._controller.check(now, self._diagnostics)
+        found = self._own.faults(now)
         for name, words in found.items():
             self._sequencer.forbid(name, words)
         if self._heartbeat.required:
-            self._look_for_heartbeat()
+            self._check_heartbeat()
         words = ' '.join(filter(None, found.values()))
         fine = 'Every topic of the table has one publisher.'
         self._diagnostics.judge('publishers', words, fine)
         self._send_what_is_due(now)
 
-    def _look_for_heartbeat(self) -> None:
-        words = self._heartbeat.words
-        self._sequencer.forbid('heartbeat', words)
-        self._diagnostics.judge('heartbeat', words, 'The heartbeat is received.')
+    def _check_heartbeat(self) -> None:
+        reason = self._heartbeat.reason
+        self._sequencer.forbid('heartbeat', reason)
+        self._diagnostics.judge('heartbeat', reason, 'The heartbeat is received.')
 
     def _on_foreign(self, name: str, payload: bytes) -> None:
         """Take a foreign message on this node's own topics."""
-        self._own.heard_two(name, self._steady.now().nanoseconds * 1e-9)
-        self._look_around()
+        self._own.note_two_sources(name, self._steady.now().nanoseconds * 1e-9)
+        self._check_peers()
         if name == 'turntable/setpoint' and not _holds(payload):
             # At once, whatever was sent before: it may have started a motion.
             self._send(self._sequencer.hold(self._stamp()))
 
     def _on_progress(self, message: Any) -> None:
         if self._calibrator.take(message, self._steady.now().nanoseconds * 1e-9):
-            self._action.hear(message)
+            self._action.take_progress(message)
 
     def _on_estop(self) -> None:
         """Hold the table until `~/release`, and cancel an automatic start."""
@@ -362,13 +362,13 @@ class TurntableNode(Node):
 
     def _report_stop(self) -> None:
         fine = 'The emergency stop is not pressed.'
-        self._diagnostics.judge('stop', self._estop.words, fine, kept_in=self._estop.kept_in)
+        self._diagnostics.judge('stop', self._estop.reason, fine, kept_in=self._estop.kept_in)
 
     def _release(self) -> str:
         """Release the emergency stop; no other call does."""
-        said = self._estop.release()
+        answer = self._estop.release()
         self._sequencer.emergency(False)
-        return said
+        return answer
 
     def _on_release(self, request: Any, response: Any) -> Any:  # noqa: ARG002
         return self._answer(response, self._release)
@@ -406,9 +406,9 @@ class TurntableNode(Node):
                 'This node did not run for a while, and the request may be as old: nothing '
                 'starts. Ask again.'
             )
-        said = self._sequencer.start()
+        answer = self._sequencer.start()
         self._autostart = False
-        return said
+        return answer
 
     def _at_once(self) -> None:
         """Send setpoint and state now."""

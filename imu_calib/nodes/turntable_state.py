@@ -8,7 +8,7 @@ from typing import Any
 from ..middleware import Node, messages
 from ..plan import Plan
 from .diagnostics import Diagnostics, Level
-from .done import DoneWord
+from .done import DoneCheck
 from .publishers import OnePublisher
 from .sessions import Sessions
 
@@ -36,10 +36,10 @@ class TurntableStateIntake:
         self._plan = plan
         self._diagnostics = diagnostics
         self._publisher = OnePublisher(node, self.topic)
-        self._done = DoneWord(plan.name, steps)
+        self._done = DoneCheck(plan.name, steps)
         self._unrecorded: list[bytes] = []
 
-    def hear(self, payload: bytes) -> None:
+    def keep(self, payload: bytes) -> None:
         """Keep a serialised message for recording."""
         self._unrecorded.append(payload)
 
@@ -49,9 +49,9 @@ class TurntableStateIntake:
             sessions.record(self.topic, STATE_TYPE, payload, now)
         self._unrecorded.clear()
 
-    def look(self, now: float) -> None:
+    def check_publishers(self, now: float) -> None:
         """Check its publishers at a time of the steady clock, s."""
-        self._publisher.look(now)
+        self._publisher.fault(now)
 
     def take(self, state: Any, sessions: Sessions, now: float) -> bool:
         """Take a message after all earlier data; return whether it ended the sessions.
@@ -74,20 +74,20 @@ class TurntableStateIntake:
             for session in sessions.all:
                 session.table_running()
             return False
-        doubt = self._done.doubt(
+        refusal = self._done.refusal(
             state.plan,
             state.steps,
             max(session.steps_seen for session in sessions.all),
             alone=self._publisher.is_alone(now),
         )
-        if not doubt and self._done.is_repeated:
+        if not refusal and self._done.is_repeated:
             stamp = state.header.stamp
             for session in sessions.all:
                 session.table_done(stamp.sec * 1_000_000_000 + stamp.nanosec)
-        text = f'{self.topic} says DONE, which is ignored: {doubt}.'
+        text = f'{self.topic} reports DONE, which is ignored: {refusal}.'
         self._diagnostics.report(
             'turntable state',
-            Level.WARN if doubt else Level.OK,
-            text if doubt else f'{self.topic} says DONE.',
+            Level.WARN if refusal else Level.OK,
+            text if refusal else f'{self.topic} says DONE.',
         )
         return False

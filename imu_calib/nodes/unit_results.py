@@ -14,7 +14,7 @@ from . import qos
 from .convert import calibration_message, final_status, refusal_message
 from .diagnostics import Diagnostics, Level, PartOfDiagnostics
 from .live import LiveSession, SessionPhase
-from .session_words import progress_message, report, session_sentence
+from .session_reports import progress_message, report_session, session_sentence
 
 
 class UnitResults:
@@ -101,7 +101,7 @@ class UnitResults:
 
     def report(self, session: LiveSession, imu_timeout: float) -> None:
         """Report the state of its streams and calibration on /diagnostics."""
-        report(session, self._diagnostics, imu_timeout, self._stand)
+        report_session(session, self._diagnostics, imu_timeout, self._stand)
 
     def tell(self, part: str, level: Level, text: str) -> None:
         """Report on a part of the unit on /diagnostics."""

@@ -33,8 +33,8 @@ from . import qos
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
-from .hearing import topics_of_unit
 from .session_parameters import StatedUnit, declared_units
+from .subscriptions import topics_of_unit
 from .unit_topics import listen_to_each
 
 TOKEN = 'IMU_CALIB_WEB_TOKEN'
@@ -170,11 +170,11 @@ class WebNode(ros.Node):
         self._joints = ros.open_drain(
             self, messages.JointState, 'turntable/joint_states', qos.glimpse(1)
         )
-        self._asked = {
+        self._clients = {
             name: self.create_client(ros.Trigger, f'turntable_node/{name}') for name in _COMMANDS
         }
         steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
-        self.create_timer(_DRAIN, self._look, clock=steady)
+        self.create_timer(_DRAIN, self._drain_topics, clock=steady)
         self.create_timer(_GROWTH, self._grow, clock=steady)
 
     def _on_state(self, message: Any) -> None:
@@ -193,23 +193,23 @@ class WebNode(ros.Node):
             self._write_report()
 
     @property
-    def _whole(self) -> Board:
+    def _common_board(self) -> Board:
         """The board of all units."""
-        return self._board.whole if isinstance(self._board, UnitsBoard) else self._board
+        return self._board.common if isinstance(self._board, UnitsBoard) else self._board
 
-    def _look(self) -> None:
+    def _drain_topics(self) -> None:
         """Take new messages, execute commands of viewers, and update the page."""
         for name, dwells in self._dwells.items():
-            self._look_at_unit(name, dwells)
+            self._drain_unit(name, dwells)
         for block in self._decoded(Kind.JOINTS, self._joints):
             if isinstance(block, JointBlock) and len(block):
                 pairs = zip(block.names, block.position[-1].tolist(), strict=True)
                 self._angles = {**self._angles, **dict(pairs)}
         self._command()
-        self._look_at_report()
+        self._check_report()
         self._show()
 
-    def _look_at_unit(self, name: str, dwells: Dwells) -> None:
+    def _drain_unit(self, name: str, dwells: Dwells) -> None:
         """Take new messages of a unit."""
         board = self._board.each[name] if isinstance(self._board, UnitsBoard) else self._board
         for block in self._decoded(Kind.IMU, self._samples[name]):
@@ -224,8 +224,8 @@ class WebNode(ros.Node):
         """Update the viewers' pages."""
         board, now = self._board, time.monotonic()
         if isinstance(board, UnitsBoard):
-            if board.whole.snapshot(now).outcome in _RESULTS:
-                board.whole.take_report('', _REPORTS)
+            if board.common.snapshot(now).outcome in _RESULTS:
+                board.common.take_report('', _REPORTS)
             self._rows = board.rows(now)
             self._shown = {name: board.snapshot(now, name) for name in ('', *board.names)}
         else:
@@ -245,29 +245,29 @@ class WebNode(ros.Node):
         while not self._commands.empty():
             name = self._commands.get()
             self.get_logger().info(f'a viewer of the page asks for {name}')
-            client = self._asked[name]
+            client = self._clients[name]
             if client.service_is_ready():
                 self._pending.append((name, client.call_async(ros.Trigger.Request()), now))
-                self._whole.take_answer(f'{name.capitalize()}: sent to turntable_node.')
+                self._common_board.take_answer(f'{name.capitalize()}: sent to turntable_node.')
             else:
-                self._whole.take_answer(
+                self._common_board.take_answer(
                     f'{name.capitalize()}: turntable_node is not there; nothing was sent.'
                 )
         for entry in list(self._pending):
             name, future, since = entry
             if future.done():
                 self._pending.remove(entry)
-                self._whole.take_answer(_answered(name, future.result()))
+                self._common_board.take_answer(_answer_text(name, future.result()))
             elif now - since > _ANSWER:
                 self._pending.remove(entry)
-                self._whole.take_answer(
+                self._common_board.take_answer(
                     f'{name.capitalize()}: turntable_node does not answer. Go to the table.'
                 )
 
     def _write_report(self) -> None:
         """Start a process that writes the report: it solves the session once more."""
         words = ['report', str(self._output), str(self._journal), '-o', str(self._report_file)]
-        self._whole.take_report('', 'The report is being written.')
+        self._common_board.take_report('', 'The report is being written.')
         self._reporter = subprocess.Popen(
             [sys.executable, '-m', 'imu_calib.cli.main', *words],
             stdin=subprocess.DEVNULL,
@@ -275,24 +275,24 @@ class WebNode(ros.Node):
             stderr=subprocess.PIPE,
         )
 
-    def _look_at_report(self) -> None:
+    def _check_report(self) -> None:
         if self._reporter is None or self._reporter.poll() is None:
             return
-        _, said = self._reporter.communicate()
+        _, errors = self._reporter.communicate()
         if self._reporter.returncode in _WRITTEN:
-            self._whole.take_report('/report', '')
+            self._common_board.take_report('/report', '')
         else:
-            why = said.decode(errors='replace').strip().splitlines()
-            last = why[-1] if why else 'it gave no reason.'
-            self._whole.take_report('', f'The report could not be written: {last}')
+            lines = errors.decode(errors='replace').strip().splitlines()
+            last = lines[-1] if lines else 'it gave no reason.'
+            self._common_board.take_report('', f'The report could not be written: {last}')
         self._reporter = None
 
 
-def _answered(name: str, response: Any) -> str:
-    said = str(response.message).strip()
+def _answer_text(name: str, response: Any) -> str:
+    reason = str(response.message).strip()
     if response.success:
-        return f'{name.capitalize()}: done. {said}'.strip()
-    return f'{name.capitalize()} was refused: {said}'
+        return f'{name.capitalize()}: done. {reason}'.strip()
+    return f'{name.capitalize()} was refused: {reason}'
 
 
 if __name__ == '__main__':

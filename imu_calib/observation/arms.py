@@ -74,7 +74,7 @@ class Arms:
             # The Coriolis force of the Earth, 2 w_e x (w x p), is along the centripetal one.
             pull = rate * (rate + 2 * up_rate)
             row[:, 3 * group : 3 * group + 3] = -pull * np.column_stack([*across(up), up])
-        deviations = [(LONGEST, LONGEST, _left_along(turn.up)) for turn in kinds]
+        deviations = [(LONGEST, LONGEST, _along_axis(turn.up)) for turn in kinds]
         return cls(np.array(which, dtype=np.intp), slopes, np.array(deviations).ravel())
 
     def __len__(self) -> int:
@@ -82,7 +82,7 @@ class Arms:
         return len(self.deviations)
 
 
-def _left_along(up: Floats) -> float:
+def _along_axis(up: Floats) -> float:
     """Return the standard deviation of the remaining differences of places along an axis, m."""
     oblique = np.sqrt(max(0.0, 1 - float(np.abs(up).max()) ** 2))
     return float(np.hypot(_ASKEW, APART * oblique))

@@ -215,9 +215,13 @@ class Evidence:
     @cached_property
     def layout(self) -> OutputLayout:
         """Where the outputs lie among the equations."""
-        felt = tuple(self.arms.turns.tolist())
+        accel_turns = tuple(self.arms.turns.tolist())
         return OutputLayout(
-            len(self.segments), len(self.turns), len(self.links), felt, self.links.with_accels
+            len(self.segments),
+            len(self.turns),
+            len(self.links),
+            accel_turns,
+            self.links.with_accels,
         )
 
     @cached_property

@@ -70,13 +70,13 @@ class Information:
         rows = jacobian / scale
         # Rows of zeros let the SVD return the null space of too few equations.
         rows = np.vstack([rows, np.zeros((max(0, len(norms) - len(rows)), len(norms)))])
-        left, values, vectors = np.linalg.svd(rows, full_matrices=False)
+        unnamed, values, vectors = np.linalg.svd(rows, full_matrices=False)
         sound = values > _SINGULAR * values[0]
         mixed = np.linalg.norm(vectors[~sound], axis=0) > _MIXED
         observed = seen & ~mixed
         kept = vectors[sound] / values[sound, None]
         covariance = (kept.T @ kept) / np.outer(scale, scale)
-        gain = (kept.T @ left[: len(jacobian), sound].T) / scale[:, None]
+        gain = (kept.T @ unnamed[: len(jacobian), sound].T) / scale[:, None]
         covariance[~observed, :] = np.nan
         covariance[:, ~observed] = np.nan
         smallest = float(values.min())
@@ -213,7 +213,7 @@ def unobservable_in_words(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
         lost: (24,) mask of these parameters.
     """
     words = []
-    left = {p.name for p, gone in zip(PARAMETERS, lost, strict=True) if gone}
+    unnamed = {p.name for p, gone in zip(PARAMETERS, lost, strict=True) if gone}
     turned = [np.abs(turn.up) for turn in evidence.turns]
     stood = [np.abs(attitude[2]) for attitude in evidence.attitudes()]
     place = 'position' if evidence.plan.is_stated else 'static dwell'
@@ -224,12 +224,12 @@ def unobservable_in_words(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
             names = [
                 p.name
                 for p in PARAMETERS
-                if p.triad == triad and p.column == column and p.name in left
+                if p.triad == triad and p.column == column and p.name in unnamed
             ]
             if names and not any(up[column] > ALONG for up in seen):
                 words.append(f'{reason.format(axis.upper())}: {", ".join(names)} not observable')
-                left -= set(names)
-    rest = [p.name for p in PARAMETERS if p.name in left]
+                unnamed -= set(names)
+    rest = [p.name for p in PARAMETERS if p.name in unnamed]
     if rest:
         words.append(
             f'{segments_in_words(evidence)} do not determine {", ".join(rest)}: not observable'

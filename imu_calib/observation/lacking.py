@@ -70,16 +70,16 @@ def advice(equations: Equations) -> str:
         return ''
     additions = _additions(equations.evidence)
     everything = equations
-    for _, thing in additions:
-        everything = _with(everything, thing)
+    for _, segment in additions:
+        everything = _with(everything, segment)
     columns = everything.whitened(everything.nominal())[0][:, : equations.sensors]
     scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0] = 1.0
     pending: list[str] = []
-    said: list[str] = []
+    requirements: list[str] = []
     open_now = lacking_parameters(equations)
     for _ in range(_MOST):
-        tried = [(_with(equations, thing), words) for words, thing in additions]
+        tried = [(_with(equations, segment), words) for words, segment in additions]
         scores = [(int(lacking_parameters(t).sum()), -_information(t, scale)) for t, _ in tried]
         best = min(range(len(scores)), key=lambda k: scores[k])
         equations, words = tried[best]
@@ -91,11 +91,11 @@ def advice(equations: Equations) -> str:
             if was and not is_open
         ]
         if determined:
-            said.append(f'{" and ".join(pending)} ({", ".join(determined)})')
+            requirements.append(f'{" and ".join(pending)} ({", ".join(determined)})')
             pending, open_now = [], still_open
         if not open_now.any():
             break
-    return f'It would take {"; ".join(said)}.' if said else ''
+    return f'It would take {"; ".join(requirements)}.' if requirements else ''
 
 
 def _additions(evidence: Evidence) -> list[Addition]:
@@ -126,12 +126,12 @@ def _upright(up: Floats, quarter: int) -> Floats:
     return np.asarray(rotation(UP, quarter * TURN / 4) @ body)
 
 
-def _with(equations: Equations, thing: Segment | Turn) -> Equations:
+def _with(equations: Equations, segment: Segment | Turn) -> Equations:
     evidence = equations.evidence
-    if isinstance(thing, Segment):
-        more = replace(evidence, segments=(*evidence.segments, thing))
+    if isinstance(segment, Segment):
+        more = replace(evidence, segments=(*evidence.segments, segment))
     else:
-        more = replace(evidence, turns=(*evidence.turns, thing))
+        more = replace(evidence, turns=(*evidence.turns, segment))
     return replace(equations, evidence=more)
 
 

@@ -481,8 +481,8 @@ def _informative(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> M
     """Return a move without its velocity, if that adds little to the rest before it."""
     if move.velocity_steps is None:
         return move
-    left = _EDGES * move.velocity_steps.pulse**2 + rounding[3:] + walk[3:] ** 2 * move.duration
-    own = float(np.mean(left)) / move.duration**2
+    variance = _EDGES * move.velocity_steps.pulse**2 + rounding[3:] + walk[3:] ** 2 * move.duration
+    own = float(np.mean(variance)) / move.duration**2
     if own <= _WORSE**2 * float(np.mean(rest.statistics.variance(walk)[3:])):
         return move
     return replace(move, velocity_steps=None)
@@ -508,9 +508,9 @@ def _rounding(move: Move, rest: Segment) -> Floats:
 
     A counter carries its remainder on: it has an error only at the ends of a move, see `_EDGES`.
     """
-    left = rest.statistics.quantisation_variance * move.duration**2
+    variance = rest.statistics.quantisation_variance * move.duration**2
     pulses = np.zeros(3) if move.velocity_steps is None else move.velocity_steps.pulse
-    return np.where(np.append(move.pulse, pulses) > 0, 0.0, left)
+    return np.where(np.append(move.pulse, pulses) > 0, 0.0, variance)
 
 
 def coning_variance(move: Move) -> float:

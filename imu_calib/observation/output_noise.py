@@ -164,9 +164,9 @@ def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component
         levelled: Standard deviation of the table's tilt about either axis, rad.
     """
     which, rows = evidence.arms.turns, evidence.layout.turn_accels
-    left = [evidence.turns[k].level * levelled * evidence.site.gravity for k in which]
+    level_gravities = [evidence.turns[k].level * levelled * evidence.site.gravity for k in which]
     variances = np.zeros(len(evidence.layout))
-    variances[rows] = np.square(left).reshape(-1, 1) * (1 - ups[which] ** 2)
+    variances[rows] = np.square(level_gravities).reshape(-1, 1) * (1 - ups[which] ** 2)
     return Component(Source.NORTH, Diagonal(variances))
 
 

@@ -168,14 +168,14 @@ class SessionModel:
         around, earth = self.surroundings(state), self.earth(state)
         ups, rates, _ = self.evidence.turn_inputs
         attitudes, headings = self.evidence.dwell_attitudes, self.evidence.headings
-        felt = headings @ around.force
-        felt[self.evidence.arms.turns] += self._pulled(state)[:, None]
+        turning_force = headings @ around.force
+        turning_force[self.evidence.arms.turns] += self._pulled(state)[:, None]
         return (
             around,
             np.einsum('si,sij->sj', earth, attitudes),
             around.force @ attitudes,
             headings @ around.rate + (ups * rates[:, None])[:, None],
-            felt,
+            turning_force,
         )
 
     def _pulled(self, state: Floats) -> Floats:
@@ -203,10 +203,12 @@ class SessionModel:
 
     def answers(self, state: Floats) -> tuple[Floats, Floats]:
         """Return the predicted outputs of dwells (s, 6) and turns (t, 6) by the table's clock."""
-        _, rate, force, turning, felt = self._inputs(state)
+        _, rate, force, turning, turning_force = self._inputs(state)
         model = self.model(state)
         at_rest = np.hstack(model.predict(rate, force))
-        return at_rest, mean_over_turn(np.concatenate(model.predict(turning, felt), axis=-1))
+        return at_rest, mean_over_turn(
+            np.concatenate(model.predict(turning, turning_force), axis=-1)
+        )
 
     @once
     def jacobian(self, state: Floats) -> Floats:
@@ -217,13 +219,13 @@ class SessionModel:
         return self._derivatives(state)
 
     def _derivatives(self, state: Floats) -> Floats:
-        around, _, _, turning, felt = self._inputs(state)
+        around, _, _, turning, turning_force = self._inputs(state)
         model, n = self.model(state), self.sensors
         at_rest, turned, led = (
             np.zeros((count, 6, self.size))
             for count in (self.layout.dwells, self.layout.turns, self.layout.moves)
         )
-        arms, by_force = self.evidence.arms, model.slopes(turning, felt)[..., 3:]
+        arms, by_force = self.evidence.arms, model.slopes(turning, turning_force)[..., 3:]
         turned[arms.turns, :, self.arms] = mean_over_turn(by_force)[arms.turns] @ arms.slopes
         led[:, :, self.clock] = self._by_clock(state)
         result = self.layout.joined(at_rest, turned, led)
@@ -244,10 +246,10 @@ class SessionModel:
             state: (n,) of sensors and table.
             parameters: Of the sensors, in the state or not.
         """
-        _, rate, force, turning, felt = self._inputs(state)
+        _, rate, force, turning, turning_force = self._inputs(state)
         model = self.model(state)
         at_rest = model.derivatives(rate, force, parameters)
-        turned = mean_over_turn(model.derivatives(turning, felt, parameters))
+        turned = mean_over_turn(model.derivatives(turning, turning_force, parameters))
         led = self.evidence.links.by_parameters(model, parameters)
         result = self.layout.joined(at_rest, turned, led)
         result[self._divided] /= 1 + state[self.clock]
@@ -297,11 +299,13 @@ class SessionModel:
         Returns:
             (m, 6), both in the frame of the attitudes.
         """
-        _, rate, force, turning, felt = self._inputs(state)
+        _, rate, force, turning, turning_force = self._inputs(state)
         model, moves = self.model(state), self.evidence.links
         to_body = np.transpose(self.evidence.dwell_attitudes, (0, 2, 1))
         at_rest = model.slopes(rate, force) @ _both(to_body)
-        turned = mean_over_turn(model.slopes(turning, felt) @ _both(self.evidence.headings))
+        turned = mean_over_turn(
+            model.slopes(turning, turning_force) @ _both(self.evidence.headings)
+        )
         led = np.concatenate([moves.by_rate(), moves.by_force()], axis=2)
         result = self.layout.joined(at_rest, turned, led)
         result[self._divided] /= 1 + state[self.clock]
@@ -387,10 +391,10 @@ class SessionModel:
     @once
     def _by_leaning(self, state: Floats) -> Floats:
         """Return the derivatives by rotations about the body axes, (s + t, 6, 3); without moves."""
-        _, rate, force, turning, felt = self._inputs(state)
+        _, rate, force, turning, turning_force = self._inputs(state)
         seen = [
             np.vstack([at_rest, mean_over_turn(turned)])
-            for at_rest, turned in ((rate, turning), (force, felt))
+            for at_rest, turned in ((rate, turning), (force, turning_force))
         ]
         # The input crossed with a rotation of the axes.
         crossed = [np.tensordot(one, GENERATORS, axes=1) for one in seen]

@@ -57,7 +57,7 @@ class VelocityIncrement:
 
     path: GyroPath
     model: SensorModel
-    beside: Floats
+    additions: Floats
     specific_force: Floats
     steps: Floats
 
@@ -77,15 +77,15 @@ class VelocityIncrement:
         )
         alone = {name: found for name, found in model.terms.items() if term(name).triad == 'a'}
         terms = replace(model, terms=alone).extra(np.hstack([rates, forces]))[:, 3:]
-        beside = terms + model.accel.bias
-        outputs = velocity / seconds[:, None] - beside
+        additions = terms + model.accel.bias
+        outputs = velocity / seconds[:, None] - additions
         specific_force = np.einsum('ij,nj->ni', np.linalg.inv(model.accel.response), outputs)
         mean = np.einsum('ij,nj->ni', np.linalg.inv(model.gyro.response), means)
         half_way = specific_force + cross(mean, specific_force + cross(mean, specific_force) / 2)
         steps = np.einsum('nij,nj->ni', axes, half_way) * seconds[:, None]
         ends = np.cumsum([len(path.seconds) for path in paths])[:-1]
         parts = zip(
-            paths, *(np.split(x, ends) for x in (beside, specific_force, steps)), strict=True
+            paths, *(np.split(x, ends) for x in (additions, specific_force, steps)), strict=True
         )
         return tuple(cls(path, model, *mine) for path, *mine in parts)
 
@@ -156,7 +156,7 @@ class VelocityIncrement:
 
         The pulses are constant, but the subtracted biases and terms grow.
         """
-        specific_force = self.beside @ np.linalg.inv(self.model.accel.response).T
+        specific_force = self.additions @ np.linalg.inv(self.model.accel.response).T
         return -np.asarray(np.einsum('nij,nj->i', self._timed_axes, specific_force))
 
 

@@ -79,9 +79,9 @@ def forecast_terms(
     """
     if found.method not in JOINT or found.refusal:
         return ()
-    asked = terms_of(found.parameters)
+    included = terms_of(found.parameters)
     return tuple(
-        _of_term(term, found, setup, truth, drifting) for term in TERMS if term not in asked
+        _of_term(term, found, setup, truth, drifting) for term in TERMS if term not in included
     )
 
 

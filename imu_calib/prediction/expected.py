@@ -164,7 +164,7 @@ def _read(turn: Turn, mean: Floats, setup: Setup, truth: SensorModel) -> Turn:
     return replace(turn, statistics=statistics, skewed=askew, each=each)
 
 
-def _stretch(start: float, seconds: float) -> tuple[int, int, Statistics]:
+def _interval(start: float, seconds: float) -> tuple[int, int, Statistics]:
     """Return the stamps and the duration without readings, from s since the first step."""
     return nanoseconds(start), nanoseconds(start + seconds), unread(seconds)
 
@@ -186,19 +186,19 @@ def _by_table(setup: Setup) -> _Times:
             sense = math.copysign(1.0, float(table.joint_axis(joint, step.angles) @ up))
             seconds = TURN * step.turns / abs(float(step.rates[joint]))
             angle = math.copysign(TURN * step.turns, sense * step.rates[joint])
-            stretch = _stretch((visit.begin + visit.rest - seconds) / 2, seconds)
+            interval = _interval((visit.begin + visit.rest - seconds) / 2, seconds)
             times.turns.append(
-                Turn(*stretch, angle, seconds, up, step.position, angles=step.angles, joint=joint)
+                Turn(*interval, angle, seconds, up, step.position, angles=step.angles, joint=joint)
             )
             at = None
         elif step.dwell:
             begin = standing + _UNSEEN / 2
-            stretch = _stretch(begin, visit.end - _UNSEEN / 2 - begin)
+            interval = _interval(begin, visit.end - _UNSEEN / 2 - begin)
             moved = None if at is None or np.array_equal(at, visit.angles) else at
             times.courses.append(
                 None if moved is None else joint_course(table, moved, visit.angles)
             )
-            times.dwells.append(Segment(*stretch, attitude, step.position, visit.angles))
+            times.dwells.append(Segment(*interval, attitude, step.position, visit.angles))
             at = visit.angles
         else:
             at = None
@@ -212,14 +212,14 @@ def _by_hand(setup: Setup) -> _Times:
             angle = TURN * position.rate_test.turns
             seconds = position.rate_test.turns * _BY_HAND_TURN
             now += _BY_HAND_STILL
-            stretch = _stretch(now, seconds)
+            interval = _interval(now, seconds)
             times.turns.append(
-                Turn(*stretch, angle, None, position.up, position.id, level=_BY_HAND_LEVEL)
+                Turn(*interval, angle, None, position.up, position.id, level=_BY_HAND_LEVEL)
             )
             now += seconds + _BY_HAND_STILL
         if position.dwell:
-            stretch = _stretch(now, position.dwell)
-            times.dwells.append(Segment(*stretch, position.attitude, position.id))
+            interval = _interval(now, position.dwell)
+            times.dwells.append(Segment(*interval, position.attitude, position.id))
             times.courses.append(None)
         now += position.dwell + BY_HAND_MOVE
     return times

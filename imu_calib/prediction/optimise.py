@@ -288,11 +288,14 @@ def log_information(setup: Setup, truth: SensorModel) -> float:
 
 def _order(attitudes: list[Attitude]) -> list[int]:
     """Order the attitudes so that each is near the one before; groups of one axis up stay whole."""
-    left, order = set(range(1, len(attitudes))), [0]
-    while left:
+    remaining, order = set(range(1, len(attitudes))), [0]
+    while remaining:
         here = attitudes[order[-1]].matrix
         order.append(
-            max(left, key=lambda k: (round(float(np.trace(here.T @ attitudes[k].matrix)), 6), -k))
+            max(
+                remaining,
+                key=lambda k: (round(float(np.trace(here.T @ attitudes[k].matrix)), 6), -k),
+            )
         )
-        left.remove(order[-1])
+        remaining.remove(order[-1])
     return order

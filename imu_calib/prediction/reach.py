@@ -146,7 +146,7 @@ def _shorter(
         )
     seconds = dwells[share] + beyond
 
-    def left(logs: Floats) -> Floats:
+    def excess(logs: Floats) -> Floats:
         ratio = seconds / (np.exp(logs)[share] + beyond)
         variances = fixed + walk_part @ ratio + count_part @ ratio**2
         return np.asarray(np.log(variances / targets**2))
@@ -163,7 +163,7 @@ def _shorter(
         return result
 
     start = np.log(np.maximum(dwells, SHORTEST))
-    while (left(start) > 0).any() and start.max() < np.log(LONGEST):
+    while (excess(start) > 0).any() and start.max() < np.log(LONGEST):
         start = np.minimum(start + 0.2, np.log(LONGEST))
     total = float(np.exp(start).sum())
     solved = scipy.optimize.minimize(  # type: ignore[call-overload, unused-ignore]
@@ -173,7 +173,7 @@ def _shorter(
         bounds=[(float(np.log(SHORTEST)), float(np.log(LONGEST)))] * len(start),
         constraints={
             'type': 'ineq',
-            'fun': lambda logs: -left(logs),
+            'fun': lambda logs: -excess(logs),
             'jac': lambda logs: -slopes(logs),
         },
         method='SLSQP',

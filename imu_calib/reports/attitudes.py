@@ -123,10 +123,10 @@ def attitudes(found: Sequence[Stand]) -> str:
 
 def _figure(stand: Stand) -> str:
     small = tag('small', escape(stand.when))
-    said = f'{tag("b", escape(stand.name))}'
+    text = f'{tag("b", escape(stand.name))}'
     if stand.words != stand.name:
-        said += f'{tag("br")}{escape(stand.words)}'
-    caption = tag('figcaption', f'{said}{tag("br")}{small}')
+        text += f'{tag("br")}{escape(stand.words)}'
+    caption = tag('figcaption', f'{text}{tag("br")}{small}')
     return tag('figure', cube(stand.attitude, f'{stand.name}: {stand.words}') + caption)
 
 

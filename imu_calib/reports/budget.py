@@ -67,7 +67,7 @@ _COLOURS = {
 """Neighbours also differ in lightness, for colour-blind readers."""
 
 _OTHER_COLOUR = '#b8bcc2'
-_NONE = 'The method does not say where its uncertainty comes from: there is no budget.'
+_NONE = 'The method states no sources of its uncertainty: there is no budget.'
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +210,7 @@ def budget_section(calibration: Calibration) -> list[str]:
     if calibration.budget is None:
         return []
     shown = _Shown.of(calibration, calibration.budget)
-    words = 'Each bar is the variance of a parameter, shared out to its sources.'
+    words = 'Each bar is the variance of a parameter, divided among its sources.'
     return [_picture(shown), *budget_parts(calibration, calibration.budget, words)]
 
 

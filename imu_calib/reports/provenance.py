@@ -250,8 +250,8 @@ def provenance(calibration: Calibration) -> str:
         return ''
     parts = []
     for title, rows in _GROUPS:
-        said = [(name, words(facts)) for name, words, keys in rows if set(keys) & set(facts)]
-        shown = named_rows([(name, text) for name, text in said if text])
+        texts = [(name, words(facts)) for name, words, keys in rows if set(keys) & set(facts)]
+        shown = named_rows([(name, text) for name, text in texts if text])
         parts.append(tag('div', tag('h3', title) + shown, class_='whole') if shown else '')
     per_channel = _per_channel(facts)
     if per_channel:

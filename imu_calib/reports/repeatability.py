@@ -84,8 +84,8 @@ class RepeatedParameter:
         centred = self.days - weights @ self.days / weights.sum()
         information = weights @ centred**2
         slope = float(weights * centred @ self.value / information)
-        left = self.value - weights @ self.value / weights.sum() - slope * centred
-        excess = max(1.0, float(weights @ left**2) / max(1, len(self.value) - 2))
+        residuals = self.value - weights @ self.value / weights.sum() - slope * centred
+        excess = max(1.0, float(weights @ residuals**2) / max(1, len(self.value) - 2))
         return slope, float(np.sqrt(excess / information))
 
 

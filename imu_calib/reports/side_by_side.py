@@ -60,7 +60,7 @@ def side_by_side(calibrations: Sequence[Calibration]) -> SideBySide:
     return SideBySide(in_scale, parameters, only, *agreement(in_scale, parameters))
 
 
-def comparison_table(beside: SideBySide, names: Sequence[str]) -> Table:
+def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
     """Return calibrations side by side, in the units and the order of Cao 2022's Table 1.
 
     That table gives K as a deviation of the scale factor, S - S0 = -S0 K / (1 + K), and names
@@ -69,11 +69,11 @@ def comparison_table(beside: SideBySide, names: Sequence[str]) -> Table:
     names are printed.
 
     Args:
-        beside: The calibrations.
+        compared: The calibrations.
         names: Their names.
 
     """
-    calibrations, found, std = beside.calibrations, beside.agreement, beside.std
+    calibrations, found, std = compared.calibrations, compared.agreement, compared.std
     two = len(calibrations) == 2
     numbers = (*names, *(('difference', 'in std') if two else ('chi-square',)))
     sides = f'll{"r" * len(numbers)}ll'
@@ -121,7 +121,7 @@ def agreement_lines(found: Agreement, count: int) -> list[str]:
 
     """
     if not found.total_freedom:
-        return ['None of them states a deviation: nothing says which difference is significant.']
+        return ['None of them states standard deviations: significance cannot be tested.']
     rule = (
         f'A parameter differs where its chi-square ({count - 1} degree{"s" * (count > 2)} of '
         f'freedom) comes by chance less often than once in {1 / found.limit:.0f}: of a hundred '

@@ -61,10 +61,10 @@ def _head(combined: ThermalCalibration, name: str, each: Sequence[Sequence[Asses
     first, last = combined.calibrations[0], combined.calibrations[-1]
     verdict = worst([a for some in each for a in some])
     if verdict is None:
-        said = 'No specification was given: values without verdicts.'
+        text = 'No specification was given: values without verdicts.'
     else:
         passed = sum(all(a.verdict is None or a.verdict.value == 'pass' for a in s) for s in each)
-        said = f'Within the specification at {passed} of {len(each)} temperatures.'
+        text = f'Within the specification at {passed} of {len(each)} temperatures.'
     kind = f'outcome {"" if verdict is None else verdict.value}'.strip()
     low, high = temperature_range(combined)
     between = 'straight lines'
@@ -78,7 +78,7 @@ def _head(combined: ThermalCalibration, name: str, each: Sequence[Sequence[Asses
         ('serial number', first.serial_number or '-'),
         ('recorded at the ends', _ends(provenance.date(first.provenance), last.provenance)),
     ]
-    outcome = tag('div', badge(verdict) + tag('span', escape(said)), class_=kind)
+    outcome = tag('div', badge(verdict) + tag('span', escape(text)), class_=kind)
     return paragraph(f'from {name}', 'subtitle') + outcome + facts(pairs)
 
 

@@ -132,21 +132,21 @@ class _Means:
     """
 
     sums: Floats
-    left: Floats
+    residuals: Floats
     scatter: Floats
     tolerance: Floats
 
     @classmethod
     def of(cls, sums: Floats, expected: Floats) -> _Means:
         """Take the sums (w, 6) of windows, and the noise (6,) expected of one."""
-        left = sums - _robust_line(sums)
-        scatter = np.maximum(1.4826 * np.median(np.abs(left), axis=0), expected)
+        residuals = sums - _robust_line(sums)
+        scatter = np.maximum(1.4826 * np.median(np.abs(residuals), axis=0), expected)
         # Values that are not pulses and have no noise still need a tolerance.
-        return cls(sums, left, scatter, 1e-9 * np.abs(sums).max(axis=0) + 1e-15)
+        return cls(sums, residuals, scatter, 1e-9 * np.abs(sums).max(axis=0) + 1e-15)
 
     def outlying(self, floor: Floats) -> NDArray[np.bool_]:
         limit = np.maximum(_OUTLIER * self.scatter + floor, self.tolerance)
-        return np.asarray((np.abs(self.left) > limit).any(axis=1))
+        return np.asarray((np.abs(self.residuals) > limit).any(axis=1))
 
     def mount_shift(
         self,
@@ -168,7 +168,7 @@ class _Means:
         # A slow shock may show in some windows only: one good window does not separate runs.
         for run in np.split(inside, np.flatnonzero(np.diff(inside) > 2) + 1):
             start, stop = int(run[0]), int(run[-1]) + 1
-            turned = self.left[start:stop, :3].sum(axis=0)
+            turned = self.residuals[start:stop, :3].sum(axis=0)
             tilted = self._tilted(turned, bad, slice(first, start), slice(stop, last))
             if tilted is False:
                 turned = self._about_up(turned)
@@ -267,7 +267,7 @@ def find_step(statistics: Statistics, walk: Floats) -> tuple[tuple[float, float]
     if best is None or best[0].score < _STEP_SIGNIFICANCE:
         return None
     step, channel = best
-    if step.left > _FAR_BETTER * step.left_by_drift:
+    if step.square_about_levels > _FAR_BETTER * step.square_about_line:
         return None
     before, after = statistics.blocks[channel][step.cut - 1 : step.cut + 1, 3].tolist()
     # The step may lie anywhere in the two blocks next to the cut.
@@ -286,9 +286,9 @@ class _Step:
     """Index of the first block after it."""
     size: float
     """rad/s or m/s^2."""
-    left: float
+    square_about_levels: float
     """Weighted sum of squares about the two levels."""
-    left_by_drift: float
+    square_about_line: float
     """The same about a line."""
 
 

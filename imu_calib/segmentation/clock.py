@@ -144,8 +144,8 @@ def clock_sample(
             return None
         if abs(step) < _CONVERGED:
             break
-    left = seen - columns @ solution
-    if abs(step) > _NEAR or float(np.std(left)) > _MISFIT * float(np.std(seen)):
+    residuals = seen - columns @ solution
+    if abs(step) > _NEAR or float(np.std(residuals)) > _MISFIT * float(np.std(seen)):
         return None
     return ClockSample(float(table.mean() * 1e9 + origin), offset)
 
@@ -245,8 +245,8 @@ def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ())
         return ClockFit(epoch, float(offset.mean()), std, 0.0, float('nan'), n)
     rate = float(centred @ offset) / spread
     at_epoch = means[1] - rate * means[0]
-    left = offset - rate * seconds - at_epoch[pieces]
-    scatter = float(np.sqrt(left @ left / (n - 1 - k)))
+    residuals = offset - rate * seconds - at_epoch[pieces]
+    scatter = float(np.sqrt(residuals @ residuals / (n - 1 - k)))
     jumps = np.diff(at_epoch)
     counts = np.bincount(pieces)
     lever = 1 / counts[1:] + 1 / counts[:-1] + np.diff(means[0]) ** 2 / spread
@@ -269,6 +269,6 @@ def _pieces(time: Floats, offset: Floats) -> NDArray[np.intp]:
     if not len(change):
         return np.zeros(len(time), dtype=np.intp)
     far = elapsed >= np.median(elapsed)
-    left = change - np.median(change[far] / elapsed[far]) * elapsed
-    limit = _OUTLIER * 1.4826 * float(np.median(np.abs(left))) + _LEAST_JUMP
-    return np.append(0, np.cumsum(np.abs(left) > limit)).astype(np.intp)
+    residuals = change - np.median(change[far] / elapsed[far]) * elapsed
+    limit = _OUTLIER * 1.4826 * float(np.median(np.abs(residuals))) + _LEAST_JUMP
+    return np.append(0, np.cumsum(np.abs(residuals) > limit)).astype(np.intp)

@@ -123,8 +123,8 @@ def _if_best(
         return None
     # One level is lost: partly before the first passage, partly after the last.
     duration = (1 - 1 / levels) * whole
-    left = 2 * (passed.rate * period) ** 2 * READING_VARIANCE / duration**2
-    expected = MeanRate(passed.rate, 1 / duration, left).variance(walk)
+    timing = 2 * (passed.rate * period) ** 2 * READING_VARIANCE / duration**2
+    expected = MeanRate(passed.rate, 1 / duration, timing).variance(walk)
     other = other or _by_all_samples(pulses, period, walk)
     return passed if expected < other.variance(walk) else None
 
@@ -321,9 +321,9 @@ def _both_ends(n: int, first: float, last: float, kappa: float) -> _BothEnds:
     for instant, sign in ((first, -1.0), (last, 1.0)):
         k = np.arange(max(0, math.ceil(instant - reach)), min(n, math.floor(instant + reach)) + 1)
         away = np.abs(k - instant)
-        # sinh(kappa left) exp(-kappa left), or proportional to it without a walk.
-        left = reach - away
-        window = np.exp(-kappa * away) * (-np.expm1(-2 * kappa * left) if kappa > 0 else left)
+        # sinh(kappa to_edge) exp(-kappa to_edge), or proportional to it without a walk.
+        to_edge = reach - away
+        window = np.exp(-kappa * away) * (-np.expm1(-2 * kappa * to_edge) if kappa > 0 else to_edge)
         window /= window.sum()
         weights[k] += sign * window
         windows.append(window)

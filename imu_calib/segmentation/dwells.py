@@ -58,8 +58,8 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
         return []
 
     def again(part: slice | NDArray[np.bool_], left_out: Stamps) -> list[_Found]:
-        left = samples.at(part), values[part], angles, attitude, attitude_error
-        return read_dwell(sensor, *left, left_out=left_out)
+        arguments = samples.at(part), values[part], angles, attitude, attitude_error
+        return read_dwell(sensor, *arguments, left_out=left_out)
 
     saturated = sensor.saturated(values, samples)
     # A saturated value repeats itself, too.
@@ -73,7 +73,7 @@ def read_dwell(  # noqa: PLR0911 (each names another reason)
         rest = again(~frozen, stamp[frozen])
         if not rest:
             return [Rejected(int(stamp[0]), int(stamp[-1]), note)]
-        return [_with_note(f'{note}; left out', thing) for thing in rest]
+        return [_with_note(f'{note}; left out', one) for one in rest]
     if saturated.mean() > _MOSTLY:
         return [Rejected(int(stamp[0]), int(stamp[-1]), 'the sensor is saturated')]
     sound = sound_samples(samples, sensor.walk, saturated)

@@ -100,12 +100,12 @@ class Line:
         centred = time - middle
         spread = float(centred @ centred)
         slope = float(centred @ (angle - mean)) / spread
-        left = angle - mean - slope * centred
-        noise = float(np.sqrt(left @ left / max(1, n - 2)))
+        residuals = angle - mean - slope * centred
+        noise = float(np.sqrt(residuals @ residuals / max(1, n - 2)))
         within = _SMOOTHED_SECONDS * (n - 1) / float(time[-1] - time[0])
         departure = max(step, _ENCODER)
         smoothed = int(np.clip((_LEAVES * noise / departure) ** 2, 1, max(1.0, within)))
-        slope_std = float(np.sqrt(_variance(left, noise**2) / spread))
+        slope_std = float(np.sqrt(_variance(residuals, noise**2) / spread))
         return cls(n, middle, spread, mean, slope, slope_std, step, noise, smoothed)
 
     def limit(self, time: Floats) -> Floats:
@@ -115,20 +115,20 @@ class Line:
 
     def departure(self, time: Floats, angle: Floats) -> Floats:
         """Return the departure of (n,) angles from the line, in units of `limit`."""
-        left = angle - self.angle - self.slope * (time - self.time)
+        residuals = angle - self.angle - self.slope * (time - self.time)
         if self.smoothed > 1:
             window = np.ones(self.smoothed)
-            around = np.convolve(np.ones(len(left)), window, mode='same')
-            left = np.convolve(left, window, mode='same') / around
-        return np.asarray(np.abs(left) / self.limit(time))
+            around = np.convolve(np.ones(len(residuals)), window, mode='same')
+            residuals = np.convolve(residuals, window, mode='same') / around
+        return np.asarray(np.abs(residuals) / self.limit(time))
 
 
-def _variance(left: Floats, white: float) -> float:
+def _variance(residuals: Floats, white: float) -> float:
     """Return the variance of angles: that of noise, unless their blocks show more."""
-    length = len(left) // _BLOCKS
+    length = len(residuals) // _BLOCKS
     if length < 2 or not white:
         return white
-    means = left[: length * _BLOCKS].reshape(_BLOCKS, length).mean(axis=1)
+    means = residuals[: length * _BLOCKS].reshape(_BLOCKS, length).mean(axis=1)
     freedom = _BLOCKS - 2
     ratio = length * float(means @ means) / freedom / white
     return white * ratio if scipy.special.chdtrc(freedom, freedom * ratio) < _SIGNIFICANT else white
@@ -192,10 +192,10 @@ def hidden_by_steps(line: Line, time: Floats, angle: Floats) -> float:
     if line.noise > line.step:
         return 0.0
     apart = time - line.time
-    left = angle - line.angle - line.slope * apart
+    residuals = angle - line.angle - line.slope * apart
 
     def spread(slope: float) -> float:
-        return float(np.ptp(left - slope * apart))
+        return float(np.ptp(residuals - slope * apart))
 
     # Convex in the slope: find its minimum, then the points one step higher on either side.
     reach = 2 * line.step / float(np.ptp(time))

@@ -132,8 +132,8 @@ class SampleGrid:
     def stamps(self, stamp: Stamps) -> Stamps:
         """Return the instants of the samples, ns; the stamps themselves where they are clean."""
         line = self.origin + self.index * self.period
-        left = np.abs((stamp - stamp[0]) * 1e-9 - line)
-        if float(left.max(initial=0.0)) <= _CLEAN * self.period:
+        off = np.abs((stamp - stamp[0]) * 1e-9 - line)
+        if float(off.max(initial=0.0)) <= _CLEAN * self.period:
             return stamp
         return np.asarray(stamp[0] + np.rint(line * 1e9).astype(np.int64))
 
@@ -292,36 +292,36 @@ def _laid(time: Floats, index: NDArray[np.int64], period: float) -> SampleGrid:
         middle, mean = float(some.mean()), float(instants.mean())
         centred = some - middle
         slope = float(centred @ instants / (centred @ centred))
-        left = time - mean - slope * (index - middle)
-        near = _near(left)
+        residuals = time - mean - slope * (index - middle)
+        near = _near(residuals)
         if np.array_equal(near, kept):
             break
         kept = near
     spread = float(centred @ centred)
-    variance = _in_common(left[kept]) + _ROUNDING**2 / 12
-    scatter = float(np.sqrt(np.mean(left[kept] ** 2)))
+    variance = _in_common(residuals[kept]) + _ROUNDING**2 / 12
+    scatter = float(np.sqrt(np.mean(residuals[kept] ** 2)))
     return SampleGrid(
         index, mean - slope * middle, slope, float(np.sqrt(variance / spread)), scatter, kept
     )
 
 
-def _near(left: Floats) -> NDArray[np.bool_]:
+def _near(residuals: Floats) -> NDArray[np.bool_]:
     """Return which residuals (n,), s, are not outliers; always more than half of them."""
-    if float(np.ptp(left)) <= 2 * _ROUNDING:
-        return np.ones(len(left), dtype=bool)
-    off = np.abs(left - np.median(left))
+    if float(np.ptp(residuals)) <= 2 * _ROUNDING:
+        return np.ones(len(residuals), dtype=bool)
+    off = np.abs(residuals - np.median(residuals))
     return np.asarray(off <= _OUTLYING * 1.4826 * float(np.median(off)) + 2 * _ROUNDING)
 
 
-def _in_common(left: Floats) -> float:
+def _in_common(residuals: Floats) -> float:
     """Return the variance of residuals by their sums: larger than their own if correlated.
 
     Means of blocks of white residuals have their variance over the block's length; common delays,
     and the steps of a coarse clock, increase it.
     """
-    own = float(np.mean(left**2))
-    length = len(left) // _BLOCKS
+    own = float(np.mean(residuals**2))
+    length = len(residuals) // _BLOCKS
     if length < 2:
         return own
-    means = left[: length * _BLOCKS].reshape(_BLOCKS, length).mean(axis=1)
+    means = residuals[: length * _BLOCKS].reshape(_BLOCKS, length).mean(axis=1)
     return max(own, length * float(np.mean(means**2)))

@@ -32,7 +32,7 @@ _MEMORY = 20
 """Additions over which a rate is averaged, half a second each: a bias that warms up is followed
 within ten seconds at rest."""
 
-FELT = 0.3 * DEG
+ASSUMED_SPREAD = 0.3 * DEG
 """Largest change of a gyro's output at rest when it is turned over, where the session does not show
 it yet, rad/s: MEMS gyros read 0.1 deg/s per g (published sessions: up to 0.16)."""
 
@@ -92,7 +92,7 @@ class _Level:
     def spread(self) -> float:
         """Largest difference between attitudes, rad/s."""
         if len(self.ups) < _ATTITUDES:
-            return FELT
+            return ASSUMED_SPREAD
         off = np.abs(np.array([one.rate for one in self.ups]) - self.rate).max(axis=1)
         return max(_USUAL_TO_MOST * float(np.median(off)), 2 * EARTH_RATE)
 
@@ -125,7 +125,7 @@ class GyroOffset:
     def spread(self) -> float:
         """Largest difference of a dwell's rate from it, as seen in other dwells, rad/s."""
         level = self._level
-        return FELT if level is None else level.spread
+        return ASSUMED_SPREAD if level is None else level.spread
 
     def feed(self, mean: Floats) -> None:
         """Add the mean (6,) of a window of a tenth of a second, rad/s and m/s^2."""

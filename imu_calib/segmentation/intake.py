@@ -54,7 +54,7 @@ class StreamBuffer:
         self._first_joint: int | None = None
         self._last_joint: int | None = None
         self._strange: dict[str, int] = {}
-        self._beside: set[str] = set()
+        self._further_joints: set[str] = set()
 
     @property
     def duration(self) -> float:
@@ -96,7 +96,7 @@ class StreamBuffer:
             self._strange[named] = self._strange.get(named, 0) + len(block)
             return self._joint_order.take(block.stamp[:0], np.empty((0, len(self._table.names))))
         self._of_the_table += len(joints)
-        self._beside.update(set(block.names) - set(joints.names))
+        self._further_joints.update(set(block.names) - set(joints.names))
         what = 'joint positions that are not numbers'
         rows = self._finite(what, joints.stamp, joints.position)
         return self._counted(self._joint_order.take(*rows))
@@ -152,8 +152,8 @@ class StreamBuffer:
             f'{count} joint states left out: they name {named}, {expected}'
             for named, count in self._strange.items()
         ]
-        if self._beside:
-            further = ', '.join(sorted(self._beside))
+        if self._further_joints:
+            further = ', '.join(sorted(self._further_joints))
             lost.append(
                 f'The joint states name further joints ({further}), which are not of table '
                 f'{self._table.name}: they are ignored'

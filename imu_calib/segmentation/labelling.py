@@ -123,12 +123,12 @@ def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
     brief = _brief(segments)
     # The angle between up by the accelerometers and by the encoders, rad.
     ups = [(up_by_accelerometers(s), s.attitude[2]) for s in segments if s.attitude is not None]
-    beside = np.array([float(np.arccos(np.clip(seen @ up, -1, 1))) for seen, up in ups])
-    in_mount = np.count_nonzero(beside < UP_TOLERANCE) > len(beside) / 2
+    tilts = np.array([float(np.arccos(np.clip(seen @ up, -1, 1))) for seen, up in ups])
+    in_mount = np.count_nonzero(tilts < UP_TOLERANCE) > len(tilts) / 2
     kept: list[Segment] = []
     passing: list[Segment] = []
     rejected = list(labelled.rejected)
-    for segment, off in zip(segments, beside.tolist(), strict=True):
+    for segment, off in zip(segments, tilts.tolist(), strict=True):
         if segment.position is not None:
             kept.append(segment)
         elif segment.statistics.duration < brief:

@@ -94,9 +94,9 @@ class MoveReader:
         self, samples: Samples, delivered: Floats, found: Sequence[Segment | Rejected | MountShift]
     ) -> None:
         """Add the samples of a dwell, and the segments found in it, in order."""
-        if any(isinstance(thing, MountShift) for thing in found):
+        if any(isinstance(one, MountShift) for one in found):
             self._open, self._reason = None, ''
-        for segment in (thing for thing in found if isinstance(thing, Segment)):
+        for segment in (one for one in found if isinstance(one, Segment)):
             self._add(samples, delivered, int(np.searchsorted(samples.stamp, segment.start)))
             self._close(segment)
             self._open, self._begin, self._seen, self._reason = [], segment.end, segment.end, ''
@@ -224,7 +224,7 @@ def joined(samples: Samples) -> _Steps:
         counts.astype(float),
         np.full(len(first), samples.period),
         np.append(samples.pulse[:3], pulse[3:]),
-        np.array([_left_by_filling(samples, triad) for triad in (_GYROS, _ACCELEROMETERS)]),
+        np.array([_filling_variance(samples, triad) for triad in (_GYROS, _ACCELEROMETERS)]),
     )
 
 
@@ -242,7 +242,7 @@ def _half_way(angle: Floats, velocity: Floats) -> Floats:
     return np.asarray(velocity + third / 24)
 
 
-def _left_by_filling(samples: Samples, triad: slice) -> float:
+def _filling_variance(samples: Samples, triad: slice) -> float:
     """Return the variance of a sum due to gaps filled by a line from side to side, SI^2.
 
     Of the angle or the velocity of a triad. Over h intervals the error of the trapezium is f'' h^3
@@ -259,13 +259,13 @@ def _left_by_filling(samples: Samples, triad: slice) -> float:
     edges = np.flatnonzero(np.diff(lost.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     total = 0.0
     for start, stop in edges.tolist():
-        beside = [
+        neighbours = [
             sums[a:b] for a, b in ((start - _BESIDE, start), (stop, stop + _BESIDE)) if a >= 0
         ]
-        bends = np.vstack([np.diff(part, n=2, axis=0) for part in beside] or [np.zeros((0, 3))])
+        bends = np.vstack([np.diff(part, n=2, axis=0) for part in neighbours] or [np.zeros((0, 3))])
         square = float((bends**2).sum(axis=1).max(initial=0.0))
         h = stop - start + 1
-        left = square * (h**3 / 12) ** 2
+        variance = square * (h**3 / 12) ** 2
         if start >= 2 and stop + 2 <= len(sums):
             before, after = sums[start - 1] - sums[start - 2], sums[stop + 1] - sums[stop]
             if triad == _GYROS:
@@ -273,6 +273,6 @@ def _left_by_filling(samples: Samples, triad: slice) -> float:
             else:
                 apart = sums[stop] - sums[start - 1] - h * (before + after) / 2
                 share = h**2 / 12
-            left = max(left, float(apart @ apart) * share)
-        total += left
+            variance = max(variance, float(apart @ apart) * share)
+        total += variance
     return total

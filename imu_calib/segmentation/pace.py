@@ -139,7 +139,7 @@ def _line(knots: list[_Knot], period: float) -> Floats:
         return np.zeros(4)
     number, time, std = np.array([(k.number, k.time, k.std) for k in knots]).T
     weight = std**-2
-    left = time - number * period
+    residuals = time - number * period
     x = number - weight @ number / weight.sum()
-    y = left - weight @ left / weight.sum()
+    y = residuals - weight @ residuals / weight.sum()
     return np.array([len(knots) - 1, weight @ x**2, weight @ (x * y), weight @ y**2])

@@ -159,7 +159,7 @@ def find_plateaus(motion: Motion) -> list[Plateau]:
     taken = np.zeros(len(time), dtype=bool)
     for seed in seeds:
         if not taken[slice(*seed)].any():
-            first, last, plateau = _grown(time, angle, step, *seed)
+            first, last, plateau = _extended(time, angle, step, *seed)
             taken[first:last] = True
             if plateau is not None:
                 found.append((first, plateau))
@@ -227,14 +227,14 @@ def _bends(
     basis, triangle = np.linalg.qr(design)
     inverse = np.linalg.inv(triangle) @ basis.swapaxes(1, 2)
     parts = np.einsum('ijk,ik->ij', inverse, y)
-    left = y - np.einsum('ijk,ik->ij', design, parts)
-    scatter = np.sqrt((left**2).sum(axis=1) / max(1, cells - _DEGREE - 1))
+    residuals = y - np.einsum('ijk,ik->ij', design, parts)
+    scatter = np.sqrt((residuals**2).sum(axis=1) / max(1, cells - _DEGREE - 1))
     bend = np.hypot(parts[:, 2], parts[:, 3])
     seeming = np.sqrt((inverse[:, 2:] ** 2).sum(axis=(1, 2)))
     return bend, _BENT * scatter * seeming + _BENT_AT_MOST * _SEED
 
 
-def _grown(
+def _extended(
     time: Floats, angle: Floats, step: float, first: int, last: int
 ) -> tuple[int, int, Plateau | None]:
     """Grow the line of a seed until the angles leave it; return its range and the whole."""
@@ -244,13 +244,13 @@ def _grown(
         a, b = max(0, first - reach), min(len(time), last + reach)
         off = a + np.flatnonzero(line.departure(time[a:b], angle[a:b]) > 1)
         middle = (first + last) // 2
-        grown = (
+        extended = (
             int(off[off < middle].max(initial=a - 1)) + 1,
             int(off[off >= middle].min(initial=b)),
         )
-        if grown == (first, last) or grown[1] - grown[0] < FEWEST:
+        if extended == (first, last) or extended[1] - extended[0] < FEWEST:
             break
-        first, last = grown
+        first, last = extended
     return first, last, _trimmed(line, time, angle, first, last)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..stream import Floats
 from ..units import DEG, STANDARD_GRAVITY
-from .gyro_offset import FELT
+from .gyro_offset import ASSUMED_SPREAD
 
 _BESIDE = 5
 """Windows before and after each window: a second in all."""
@@ -45,13 +45,17 @@ class RestTolerance:
         usual: Deviation of rates in nine windows of ten from the second around, rad/s.
     """
 
-    rate: float = FELT
+    rate: float = ASSUMED_SPREAD
     force: float = _LEAN
     usual: float = 0.0
 
     @classmethod
     def of(
-        cls, means: Floats, offset: Floats, spread: float = FELT, step: Floats | None = None
+        cls,
+        means: Floats,
+        offset: Floats,
+        spread: float = ASSUMED_SPREAD,
+        step: Floats | None = None,
     ) -> RestTolerance:
         """Estimate it from the quiet seconds among windows that follow each other.
 

@@ -410,24 +410,24 @@ class Segmenter:
         self._off_grid.update(stamp[steps].tolist())
         # Starts at most half a fillable gap, and a sample, before the step.
         around = round(LONGEST / float(np.median(np.diff(stamp)) * 1e-9)) // 2 + 1
-        beside = np.zeros(len(stamp), dtype=bool)
+        adjacent = np.zeros(len(stamp), dtype=bool)
         for k in steps:
-            beside[max(0, k - around) : k + around] = True
-        return stamp[~beside], values[~beside], late[~beside]
+            adjacent[max(0, k - around) : k + around] = True
+        return stamp[~adjacent], values[~adjacent], late[~adjacent]
 
     def _take(self, found: Sequence[Segment | Turn | FreeMotion | MountShift | Rejected]) -> None:
         """Store what was found, each kind in order."""
-        for thing in found:
-            if isinstance(thing, Segment):
-                self._segments.append(thing)
-            elif isinstance(thing, Turn):
-                self._turns.append(thing)
-            elif isinstance(thing, FreeMotion):
-                self._motions.append(thing)
-            elif isinstance(thing, MountShift):
-                self._slips.append(thing)
+        for one in found:
+            if isinstance(one, Segment):
+                self._segments.append(one)
+            elif isinstance(one, Turn):
+                self._turns.append(one)
+            elif isinstance(one, FreeMotion):
+                self._motions.append(one)
+            elif isinstance(one, MountShift):
+                self._slips.append(one)
             else:
-                self._rejected.append(thing)
+                self._rejected.append(one)
 
     def _drop_hidden(self) -> None:
         """Drop dwells next to a motion that the gyros did not see: clocks are apart."""
@@ -445,14 +445,14 @@ class Segmenter:
         unseen = np.maximum(angles, times) < _SEEN
         unseen = np.concatenate([[False], unseen & ~frozen, [False]])
 
-        def beside_hidden(instant: float) -> bool:
+        def is_near_hidden(instant: float) -> bool:
             after = int(np.searchsorted(instants, instant))
             return bool(unseen[after] or unseen[after + 1])
 
-        self._slips = [slip for slip in self._slips if not beside_hidden(slip.instant)]
+        self._slips = [slip for slip in self._slips if not is_near_hidden(slip.instant)]
         kept = []
         for segment in self._segments:
-            if beside_hidden((segment.start + segment.end) / 2):
+            if is_near_hidden((segment.start + segment.end) / 2):
                 reason = (
                     'the gyros do not show the motion next to it that the joint states show '
                     '(clocks that jump, or are about a second apart)'
@@ -474,9 +474,9 @@ class Segmenter:
         kept = []
         for segment in self._segments:
             after = int(np.searchsorted(instants, (segment.start + segment.end) / 2))
-            beside = range(max(after - 1, 0), min(after + 1, len(frozen)))
+            adjacent = range(max(after - 1, 0), min(after + 1, len(frozen)))
             mean = segment.statistics.mean
-            if any(frozen[k] and self._repetitions[k].goes_on_in(mean) for k in beside):
+            if any(frozen[k] and self._repetitions[k].goes_on_in(mean) for k in adjacent):
                 reason = 'its samples are frozen, repeating the one of the motion next to it'
                 self._rejected.append(Rejected(segment.start, segment.end, reason))
             else:

@@ -148,7 +148,7 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
     runs = gap_free(samples.stamp, samples.period)
     parts = [samples.part(*run) for run in runs]
     used = len(samples.stamp)
-    left_by_gaps = samples.gaps * samples.bridged / (used * samples.period) ** 2
+    gap_variance = samples.gaps * samples.bridged / (used * samples.period) ** 2
     span = round((samples.stamp[-1] - samples.stamp[0]) * 1e-9 / samples.period) + 1
     means = [[_channel_mean(part, c, walk[c]) for c in range(6)] for part in parts]
     best = [_combine([row[c] for row in means], walk[c]) for c in range(6)]
@@ -160,7 +160,7 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
         duration=used * samples.period,
         mean=np.array([m.rate for m in best]),
         walk_gain=np.array([m.walk_gain for m in best]),
-        quantisation_variance=np.array([m.quantisation_variance for m in best]) + left_by_gaps,
+        quantisation_variance=np.array([m.quantisation_variance for m in best]) + gap_variance,
         end_points=samples.increments.sum(axis=0) / (used * samples.period),
         blocks=blocks,
         drift=drift,
@@ -307,8 +307,8 @@ def _drifts(blocks: tuple[Floats, ...]) -> tuple[Floats, Floats]:
             continue
         centred = middles - middles.mean()
         slopes[c] = rates @ centred / (centred @ centred)
-        left = rates - rates.mean() - slopes[c] * centred
-        deviations[c] = np.sqrt(left @ left / (n - 2) / (centred @ centred))
+        residuals = rates - rates.mean() - slopes[c] * centred
+        deviations[c] = np.sqrt(residuals @ residuals / (n - 2) / (centred @ centred))
     return slopes, deviations
 
 
@@ -353,13 +353,13 @@ def _channel_walk(segments: list[Floats]) -> tuple[float, float]:
     lengths = np.array([len(b) for b in segments])
     first = np.cumsum(lengths) - lengths
     # Each segment's own mean takes one degree of freedom.
-    left = np.repeat((lengths - 1) / lengths, lengths)
+    share = np.repeat((lengths - 1) / lengths, lengths)
     for _ in range(_SCORING_STEPS):
         precision = 1 / np.maximum(square * gain + pulse, _SMALLEST_VARIANCE)
         middle = np.add.reduceat(precision * mean, first) / np.add.reduceat(precision, first)
-        square_left = (mean - np.repeat(middle, lengths)) ** 2 / left
-        score = float((left * gain * precision**2) @ (square_left - pulse))
-        information = float((left * (gain * precision) ** 2).sum())
+        squares = (mean - np.repeat(middle, lengths)) ** 2 / share
+        score = float((share * gain * precision**2) @ (squares - pulse))
+        information = float((share * (gain * precision) ** 2).sum())
         before, square = square, max(0.0, score / information)
         if square == before:
             break

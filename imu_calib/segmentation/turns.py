@@ -150,7 +150,7 @@ def _read_turn(
         rests = np.array([motion.start, motion.end]) + offset_ns
         cut = float(statistics.mean[:3] @ up) * turns.seconds
         signed = way * float(np.sign(turns.angle * sense))
-        whole_way = _beside_whole_way(seen, rests, signed, cut, up, turns.seconds)
+        whole_way = _compare_whole_way(seen, rests, signed, cut, up, turns.seconds)
     return Turn(
         int(start),
         int(end),
@@ -160,7 +160,7 @@ def _read_turn(
         up,
         rate_error=turns.rate_error,
         up_error=up_error,
-        level=_level_left(part, start, turns),
+        level=_level_share(part, start, turns),
         skewed=None if skewed is None else skewed[0],
         each=(each if skewed is not None else each[:, :3]) if count > 1 else None,
         angles=angles,
@@ -181,7 +181,7 @@ def _whole_way(motion: Motion, turns: WholeTurns) -> float:
     return way if abs(apart - way) < max(turns.step, _ARRIVED) else 0.0
 
 
-def _beside_whole_way(
+def _compare_whole_way(
     seen: Around, rests: Floats, way: float, cut: float, up: Floats, seconds: float
 ) -> WholeWay | None:
     """Compare the gyros' angle about up between cuts, `cut` rad in `seconds`, with the whole `way`.
@@ -191,8 +191,8 @@ def _beside_whole_way(
     test'.
     """
     samples, period = seen.samples, seen.samples.period
-    beside = np.array([-_BESIDE, 0.0, 0.0, _BESIDE]) * 1e9
-    edges = np.searchsorted(samples.stamp, np.repeat(rests, 2) + beside).tolist()
+    offsets = np.array([-_BESIDE, 0.0, 0.0, _BESIDE]) * 1e9
+    edges = np.searchsorted(samples.stamp, np.repeat(rests, 2) + offsets).tolist()
     first, begin, end, last = edges
     all_of_it = slice(first, last)
     filled = samples.filled is not None and samples.filled[all_of_it].any()
@@ -312,7 +312,7 @@ def _between(
     return statistics, np.array(each)
 
 
-def _level_left(samples: Samples, start: float, turns: WholeTurns) -> float:
+def _level_share(samples: Samples, start: float, turns: WholeTurns) -> float:
     """Return the share of a level rate that does not average out where cuts fall within samples.
 
     In body axes a level rate rotates by w dt within a sample. A sample shared at the fraction c
@@ -330,5 +330,5 @@ def _level_left(samples: Samples, start: float, turns: WholeTurns) -> float:
 def _line_origin(samples: Samples) -> float:
     """Return the first stamp on the line through all stamps, ns."""
     n = len(samples.stamp)
-    left = samples.stamp - samples.stamp[0] - np.arange(n) * samples.period * 1e9
-    return float(samples.stamp[0]) + float(left.mean())
+    lateness = samples.stamp - samples.stamp[0] - np.arange(n) * samples.period * 1e9
+    return float(samples.stamp[0]) + float(lateness.mean())

@@ -49,14 +49,14 @@ class IdleWatch:
         self.way = 0.0
         self.rate = 0.0
 
-    def look(self, now: Feedback) -> bool:
+    def check(self, now: Feedback) -> bool:
         """Take a joint state; return whether there is a new report."""
         last, self._last = self._last, now.angles
         if self._standing.rest is None and not 0 < now.gap <= self._rules.feedback_timeout:
             # The motion in the meantime is unknown.
             self._standing = Standing(self._table, self._rules, now)
         if not self.moves:
-            stands, fault = self._standing.look(now)
+            stands, fault = self._standing.check(now)
             if stands and not self.text:
                 self._origin = self._standing.rest
             if not fault:
@@ -98,6 +98,6 @@ class IdleWatch:
     def _words(self) -> str:
         end = 'it stands again' if not self.moves else 'it still moves'
         return (
-            f'{self._fault} Joint {self._joint} went {self.way / DEG:.2f} deg, at up to '
-            f'{self.rate / DEG:.3g} deg/s, while the table was not led; {end}.'
+            f'{self._fault} Joint {self._joint} moved {self.way / DEG:.2f} deg, at up to '
+            f'{self.rate / DEG:.3g} deg/s, without a command; {end}.'
         )

@@ -98,10 +98,10 @@ class Itinerary:
 
     def seconds_left(self) -> float:
         """Return the duration of all after the current step, s."""
-        left = sum(self._time_of(step) for step in self._queue)
+        seconds = sum(self._time_of(step) for step in self._queue)
         if not self.goes_home and self._home not in self._queue:
-            left += self._times['home']
-        return left
+            seconds += self._times['home']
+        return seconds
 
     def seconds_of_current(self) -> float:
         """Return the duration of the current step: motion, settling and dwell, s."""

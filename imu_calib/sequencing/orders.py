@@ -100,9 +100,9 @@ class Orders:
         """Whether the setpoint was sent: earlier measurements do not show its effect."""
         return self._sent
 
-    def look(self, now: Feedback) -> tuple[bool, str]:
+    def check(self, now: Feedback) -> tuple[bool, str]:
         """Return whether the motion is complete, and a sentence on any fault."""
-        there, fault = self._watch.look(now)
+        there, fault = self._watch.check(now)
         if isinstance(self._watch, Watch):
             self.turns_done = self._watch.turns_done
         return there, fault

@@ -102,7 +102,7 @@ class Run:
         """Process a joint state; return a sentence on a fault, or nothing."""
         if not self.orders.under_way:
             return ''
-        there, fault = self.orders.look(now)
+        there, fault = self.orders.check(now)
         return fault or self._go_on(now, there)
 
     def review(self, stamp: int, repeat_steps: Sequence[int], at: Feedback) -> str:
@@ -124,16 +124,16 @@ class Run:
 
     def seconds_left(self, at: Feedback | None) -> float:
         """Return the expected time to the end of the plan, s."""
-        left = self.itinerary.seconds_left()
+        seconds = self.itinerary.seconds_left()
         if self.leg not in _WITHIN_A_STEP or at is None:
-            return left
+            return seconds
         elapsed = (at.stamp - self._since) * 1e-9
         now = {
             Leg.MOVING: self.itinerary.seconds_of_current(),
             Leg.SETTLING: self._rules.settle + self._dwell,
             Leg.DWELLING: self._dwell,
         }
-        return left + max(now[self.leg] - elapsed, 0.0)
+        return seconds + max(now[self.leg] - elapsed, 0.0)
 
     @property
     def _dwell(self) -> float:
@@ -160,7 +160,7 @@ class Run:
             return self._finish(now)
         if self.leg is Leg.REVIEWING and elapsed > self._rules.repeat_wait:
             self.remark = (
-                f'The calibrator did not say within {self._rules.repeat_wait:g} s '
+                f'The calibrator did not report within {self._rules.repeat_wait:g} s '
                 'whether steps are to be repeated.'
             )
             return self._begin(self.itinerary.home, now)

@@ -58,7 +58,7 @@ class Sequencer:
 
     def __init__(self, plan: Plan, table: Table, rules: Rules | None = None) -> None:
         if plan.by_hand:
-            raise InputError(f'Plan {plan.name} is turned by hand, there is no table in it.')
+            raise InputError(f'Plan {plan.name} is for a unit in the hand, without a table.')
         for joint in table.joints:
             if not (math.isfinite(joint.max_rate) and math.isfinite(joint.max_acceleration)):
                 raise InputError(
@@ -131,7 +131,7 @@ class Sequencer:
             assert self._feedback is not None  # a start without joint states is refused
             self._run.itinerary.lay_out(self._feedback.angles)
         self._why.begin()
-        if not self._supervision.heard:
+        if not self._supervision.present:
             self._waits_from = _Stage.PAUSED if resumes else _Stage.IDLE
             self._stage = _Stage.WAITING
             return f'Waits for {CALIBRATOR}.'
@@ -234,12 +234,12 @@ class Sequencer:
         """Number of joint states that lacked a joint of the table, and the names of the latest."""
         return self._encoders.ignored, self._encoders.ignored_names
 
-    def set_calibrator_present(self, heard: bool, reason: str = '') -> None:
+    def set_calibrator_present(self, present: bool, reason: str = '') -> None:
         """Set whether the calibrator is present; without it the table is not moved."""
         if not self.rules.supervised:
             return
-        self._supervision.hear(heard)
-        if not self._supervision.heard:
+        self._supervision.set_present(present)
+        if not self._supervision.present:
             self.fail(reason or 'The calibrator is silent.')
         elif self._stage is _Stage.WAITING and not (
             self._obstacles.calibrator or self._obstacles.forbidden
@@ -341,7 +341,7 @@ class Sequencer:
     def _go(self) -> None:
         """Continue once the table is at rest."""
         self._stage = _Stage.RUNNING
-        self._run.go(self._feedback, self._supervision.left_out())
+        self._run.go(self._feedback, self._supervision.take_skipped())
 
     def _follow(self, now: Feedback) -> None:
         """Process a joint state of a running plan."""
@@ -361,5 +361,5 @@ class Sequencer:
 
     def _see_it_stand(self, now: Feedback) -> None:
         """Hold an idle table that moves, and report how far and how fast."""
-        if self.idle.look(now):
+        if self.idle.check(now):
             self._remark('unled', self.idle.text)

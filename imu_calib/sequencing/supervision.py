@@ -16,13 +16,13 @@ class Supervision:
         needed: Whether the table is moved only while one is present.
 
     Attributes:
-        heard: Whether the calibrator, if needed, is present.
+        present: Whether the calibrator, if needed, is present.
 
     """
 
     def __init__(self, *, needed: bool) -> None:
         self.needed = needed
-        self.heard = not needed
+        self.present = not needed
         self._resumes = False
         self._done: frozenset[int] | None = None
 
@@ -35,7 +35,7 @@ class Supervision:
         """
         if not self.needed:
             raise InputError(
-                'To resume a session the parameter supervised must be true: the calibrator says '
+                'To resume a session the parameter supervised must be true: the calibrator reports '
                 'which steps it lacks.'
             )
         self._resumes = True
@@ -45,11 +45,11 @@ class Supervision:
         if self._resumes:
             self._done = frozenset(range(seen)) - frozenset(repeat_steps)
 
-    def hear(self, present: bool) -> None:
+    def set_present(self, present: bool) -> None:
         """Set whether the calibrator is present; to resume a session, its steps are needed too."""
-        self.heard = present and not (self._resumes and self._done is None)
+        self.present = present and not (self._resumes and self._done is None)
 
-    def left_out(self) -> frozenset[int]:
+    def take_skipped(self) -> frozenset[int]:
         """Return the steps to skip, once: the next start runs all."""
         if not self._resumes or self._done is None:
             return frozenset()

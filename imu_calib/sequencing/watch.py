@@ -44,7 +44,7 @@ SETS_OUT = 2 * WINDOW
 
 
 @dataclass
-class _Way:
+class _JointMotion:
     """Motion of one joint."""
 
     joint: Joint
@@ -71,7 +71,7 @@ class Watch:
         self.begin = at.stamp
         self.expected = 0.0
         self._unseen = 0.0
-        self._ways = []
+        self._motions = []
         self._turn: _TurnRate | None = None
         for k, joint in enumerate(table.joints):
             rate, goal = joint.max_rate, float(step.angles[k])
@@ -81,37 +81,37 @@ class Watch:
             distance = abs(goal - at.angles[k])
             self.expected = max(self.expected, travel_time(distance, rate, joint.max_acceleration))
             patience = _LAG + rate / joint.max_acceleration
-            way = distance_from_rest(patience, rate, joint.max_acceleration)
-            self._ways.append(
-                _Way(
+            reached = distance_from_rest(patience, rate, joint.max_acceleration)
+            self._motions.append(
+                _JointMotion(
                     joint,
                     goal,
                     math.copysign(1.0, goal - at.angles[k]),
                     distance,
                     patience,
-                    _PROGRESS * way,
+                    _PROGRESS * reached,
                     distance,
                     (at.stamp, distance),
                 )
             )
             if step.mode is Mode.RATE and step.rates[k]:
-                self._turn = _TurnRate(self._ways[-1], rate, step.turns)
+                self._turn = _TurnRate(self._motions[-1], rate, step.turns)
 
     @property
     def turns_done(self) -> float:
         """Turns at rate so far; 0 without a turn."""
         return 0.0 if self._turn is None else self._turn.done
 
-    def look(self, now: Feedback) -> tuple[bool, str]:
+    def check(self, now: Feedback) -> tuple[bool, str]:
         """Return whether the table has arrived, and a sentence on any fault."""
         arrived = now.still
-        for way, angle in zip(self._ways, now.angles, strict=True):
-            fault = self._astray(way, angle) or self._stalled(way, angle, now.stamp)
+        for motion, angle in zip(self._motions, now.angles, strict=True):
+            fault = self._astray(motion, angle) or self._stalled(motion, angle, now.stamp)
             if fault:
                 return False, fault
-            arrived &= abs(way.goal - angle) <= self._rules.arrival
+            arrived &= abs(motion.goal - angle) <= self._rules.arrival
         if self._turn is not None:
-            fault = self._turn.look(now.stamp)
+            fault = self._turn.check(now.stamp)
             if fault:
                 return False, fault
         # Without joint states it is unknown whether the table is at rest; the longest gap is
@@ -122,50 +122,50 @@ class Watch:
             return False, self._late(now, elapsed)
         return arrived, ''
 
-    def _astray(self, way: _Way, angle: float) -> str:
-        """Return how the joint leaves its way; empty if it does not."""
-        joint, allowed = way.joint, self._rules.overshoot
+    def _astray(self, motion: _JointMotion, angle: float) -> str:
+        """Return how the joint leaves its path; empty if it does not."""
+        joint, allowed = motion.joint, self._rules.overshoot
         where = f'Joint {joint.name} is at {angle / DEG:.3f} deg'
         if not joint.lower - allowed <= angle <= joint.upper + allowed:
             return (
                 f'{where}, beyond its limits of {joint.lower / DEG:g} to {joint.upper / DEG:g} deg.'
             )
-        left = (way.goal - angle) * way.sign
-        if way.distance <= self._rules.arrival:
+        remaining = (motion.goal - angle) * motion.sign
+        if motion.distance <= self._rules.arrival:
             stray = min(_STRAY * self._rules.arrival, allowed)
-            return _strays(joint, angle, way.goal) if abs(left) > stray else ''
-        if left < -allowed:
-            return f'{where}, it has passed its goal of {way.goal / DEG:.3f} deg.'
-        if left > way.best + allowed:
-            return f'{where} and moves away from its goal of {way.goal / DEG:.3f} deg.'
-        way.best = min(way.best, left)
+            return _strays(joint, angle, motion.goal) if abs(remaining) > stray else ''
+        if remaining < -allowed:
+            return f'{where}, it has passed its goal of {motion.goal / DEG:.3f} deg.'
+        if remaining > motion.best + allowed:
+            return f'{where} and moves away from its goal of {motion.goal / DEG:.3f} deg.'
+        motion.best = min(motion.best, remaining)
         return ''
 
-    def _stalled(self, way: _Way, angle: float, stamp: int) -> str:
-        left = abs(way.goal - angle)
-        since, then = way.mark
-        if left <= self._rules.arrival or then - left >= min(way.progress, then / 2):
-            way.mark = stamp, left
-        elif (stamp - since) * 1e-9 > way.patience:
-            if left <= self._rules.overshoot:
+    def _stalled(self, motion: _JointMotion, angle: float, stamp: int) -> str:
+        remaining = abs(motion.goal - angle)
+        since, then = motion.mark
+        if remaining <= self._rules.arrival or then - remaining >= min(motion.progress, then / 2):
+            motion.mark = stamp, remaining
+        elif (stamp - since) * 1e-9 > motion.patience:
+            if remaining <= self._rules.overshoot:
                 return (
-                    f'Joint {way.joint.name} stops at {angle / DEG:.4f} deg, '
-                    f'{left / DEG:.4f} deg off its goal '
+                    f'Joint {motion.joint.name} stops at {angle / DEG:.4f} deg, '
+                    f'{remaining / DEG:.4f} deg off its goal '
                     f'(tolerance {self._rules.arrival / DEG:g} deg).'
                 )
             return (
-                f'Joint {way.joint.name} stalls at {angle / DEG:.3f} deg moving to '
-                f'{way.goal / DEG:.3f} deg: {(then - left) / DEG:.3f} deg in '
+                f'Joint {motion.joint.name} stalls at {angle / DEG:.3f} deg moving to '
+                f'{motion.goal / DEG:.3f} deg: {(then - remaining) / DEG:.3f} deg in '
                 f'{(stamp - since) * 1e-9:.1f} s.'
             )
         return ''
 
     def _late(self, now: Feedback, elapsed: float) -> str:
-        off = [abs(w.goal - a) for w, a in zip(self._ways, now.angles, strict=True)]
+        off = [abs(w.goal - a) for w, a in zip(self._motions, now.angles, strict=True)]
         k = off.index(max(off))
         return (
-            f'Joint {self._ways[k].joint.name} is {off[k] / DEG:.4f} deg off its goal of '
-            f'{self._ways[k].goal / DEG:.3f} deg after {elapsed:.1f} s '
+            f'Joint {self._motions[k].joint.name} is {off[k] / DEG:.4f} deg off its goal of '
+            f'{self._motions[k].goal / DEG:.3f} deg after {elapsed:.1f} s '
             f'(tolerance {self._rules.arrival / DEG:g} deg); at its limits the table needs '
             f'{self.expected:.1f} s.'
         )
@@ -178,8 +178,8 @@ class _TurnRate:
     at rate, whatever its acceleration.
     """
 
-    def __init__(self, way: _Way, rate: float, turns: int) -> None:
-        self._way = way
+    def __init__(self, motion: _JointMotion, rate: float, turns: int) -> None:
+        self._motion = motion
         self._rate = rate
         self._turns = turns
         self._mark: tuple[int, float] | None = None
@@ -187,10 +187,10 @@ class _TurnRate:
 
     @property
     def done(self) -> float:
-        turned = (self._way.distance - self._way.best - TURN / 2) / TURN
+        turned = (self._motion.distance - self._motion.best - TURN / 2) / TURN
         return min(max(turned, 0.0), float(self._turns))
 
-    def look(self, stamp: int) -> str:
+    def check(self, stamp: int) -> str:
         if not 0 < self.done < self._turns:
             return ''
         if self._mark is None:
@@ -207,7 +207,7 @@ class _TurnRate:
         if not (slow or fast or abs(self._off) > _RATE_ASTRAY):
             return ''
         return (
-            f'Joint {self._way.joint.name} turns at {rate / DEG:.4g} deg/s, '
+            f'Joint {self._motion.joint.name} turns at {rate / DEG:.4g} deg/s, '
             f'commanded is {self._rate / DEG:g} deg/s.'
         )
 
@@ -246,7 +246,7 @@ class Standing:
         """Assume that the table is at rest at (k,) angles, rad."""
         self._rest = goal
 
-    def look(self, now: Feedback) -> tuple[bool, str]:
+    def check(self, now: Feedback) -> tuple[bool, str]:
         """Return whether the table is at rest, and a sentence on any fault."""
         if self._begin is None:
             self._begin = now.stamp
@@ -261,7 +261,7 @@ class Standing:
             self._rest, self.led = now.angles, False
             return True, ''
         if elapsed > self._allowed:
-            return False, f'The table still moves {elapsed:.1f} s after it was told to stand.'
+            return False, f'The table still moves {elapsed:.1f} s after the command to stand still.'
         return False, ''
 
 

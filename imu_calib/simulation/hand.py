@@ -115,7 +115,7 @@ def one_turn_each(
     return HandSession(motion, np.array(holds), now)
 
 
-def the_short_way(ups: Floats, seconds: Floats, *, heading: float = 0.0) -> HandSession:
+def shortest_turns(ups: Floats, seconds: Floats, *, heading: float = 0.0) -> HandSession:
     """Lay out holds with the shortest turn there is from each to the next.
 
     Args:

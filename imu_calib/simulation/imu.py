@@ -252,9 +252,9 @@ class SimulatedImu:
             accel = accel + excess * (inputs[1] * np.asarray(drift.accel_scale) + drift.accel_bias)
         fading = self.options.warm_up
         if fading != WarmUp():
-            left = np.exp(-middle / fading.time_constant)[:, None]
-            gyro = gyro + left * fading.gyro_bias
-            accel = accel + left * fading.accel_bias
+            share = np.exp(-middle / fading.time_constant)[:, None]
+            gyro = gyro + share * fading.gyro_bias
+            accel = accel + share * fading.accel_bias
         step = self.options.bias_step
         if step != BiasStep():
             after = (middle >= step.time)[:, None]

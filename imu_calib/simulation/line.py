@@ -100,8 +100,8 @@ class ImuLine:
         """Return the skewed gyro's counts for the last samples; None without one."""
         if not self._has_skew:
             return None
-        said = self._imu.skewed
-        return np.zeros(count) if said is None else said.gyro
+        skewed = self._imu.skewed
+        return np.zeros(count) if skewed is None else skewed.gyro
 
     def _damaged(self, line: bytes, frames: int) -> bytes:
         """Change one byte in some of the frames."""

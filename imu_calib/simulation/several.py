@@ -95,13 +95,13 @@ class SeveralOnTable(SimulatedStand):
         for topic, imu, motion in self._units:
             yield topic, imu.advance(motion, end)
             if imu.skewed is not None:
-                yield beside(topic, SKEW_TOPIC), imu.skewed
+                yield sibling_topic(topic, SKEW_TOPIC), imu.skewed
 
 
-def beside(topic: str, other: str) -> str:
+def sibling_topic(topic: str, other: str) -> str:
     """Return the topic of the same unit, named like the last part of another topic.
 
-    >>> beside('/left/imu/pulses', 'imu/skew')
+    >>> sibling_topic('/left/imu/pulses', 'imu/skew')
     '/left/imu/skew'
 
     """

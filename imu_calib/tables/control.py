@@ -140,7 +140,7 @@ class Control:
         """Read and follow until the end; in every case the last line sent is a stop."""
         try:
             for text in (order_line(Stop()), watchdog_line(_WATCHDOG)):
-                check(line.ask(text))
+                check(line.request(text))
             self._setpoint.clear()
             bad = 0
             while not self._ending.is_set():
@@ -158,11 +158,11 @@ class Control:
                 self._ending.wait(max(0.0, self._period - (time.monotonic() - began)))
         finally:
             with contextlib.suppress(Exception):
-                check(line.ask(order_line(Stop())))
+                check(line.request(order_line(Stop())))
 
     def _read(self, line: Line) -> Reading:
         before = self._now()
-        at = reading(line.ask(STATE_LINE), len(self._names))
+        at = reading(line.request(STATE_LINE), len(self._names))
         # The controller took the reading between question and answer.
         stamp = (before + self._now()) // 2
         if not self._readings or stamp > self._readings[-1][0]:
@@ -184,13 +184,13 @@ class Control:
                     break
         except Refusal as error:
             # One axis may be moving already.
-            check(line.ask(order_line(Stop())))
+            check(line.request(order_line(Stop())))
             self._follower.halt(str(error))
 
     def _give(self, line: Line, orders: tuple[Order, ...]) -> None:
         try:
             for order in orders:
-                check(line.ask(order_line(order)))
+                check(line.request(order_line(order)))
         except BadReply as error:
             # Whether the order was taken is unknown.
             raise OSError(f'the reply to an order cannot be read: {error}') from error

@@ -52,7 +52,7 @@ class Line:
             _Serial(url, baud, timeout) if address is None else _Tcp(*address, timeout)
         )
 
-    def ask(self, line: str) -> str:
+    def request(self, line: str) -> str:
         """Send a line and return the reply without its end.
 
         Raises:

@@ -26,17 +26,17 @@ class OneSource:
             setpoints.
 
     Attributes:
-        words: Why setpoints are not followed, in sentences; otherwise empty.
+        reason: Why setpoints are not followed, in sentences; otherwise empty.
 
     """
 
     def __init__(self, timeout: float) -> None:
         self._timeout = timeout
         self._source: bytes | None = None
-        self._heard_at = self._second_at = self._refused_at = -math.inf
+        self._received_at = self._second_at = self._refused_at = -math.inf
         self._forbidden = ''
         self._followed: Setpoint | None = None
-        self.words = ''
+        self.reason = ''
 
     def forbid(self, why: str) -> Setpoint | None:
         """Set whether movement is forbidden.
@@ -48,12 +48,12 @@ class OneSource:
             The HOLD that stops the motion being followed; None if there is none.
 
         """
-        if self.words == self._forbidden:
-            self.words = ''
+        if self.reason == self._forbidden:
+            self.reason = ''
         self._forbidden = why
         if not why:
             return None
-        self.words = why
+        self.reason = why
         followed, self._followed = self._followed, None
         return None if followed is None else replace(followed, mode=Mode.HOLD)
 
@@ -66,17 +66,17 @@ class OneSource:
             steady: Monotonic time, s.
 
         """
-        if source != self._source and steady - self._heard_at <= self._timeout:
+        if source != self._source and steady - self._received_at <= self._timeout:
             self._second_at = steady
         else:
-            self._source, self._heard_at = source, steady
+            self._source, self._received_at = source, steady
         if setpoint.mode is Mode.HOLD:
             return self._stand(setpoint, steady)
-        words = self._objection(steady)
-        if words:
-            self._refused_at, self.words = steady, words
+        reason = self._objection(steady)
+        if reason:
+            self._refused_at, self.reason = steady, reason
             return self._stand(setpoint, steady)
-        self._followed, self.words = setpoint, ''
+        self._followed, self.reason = setpoint, ''
         return setpoint
 
     def _objection(self, steady: float) -> str:
@@ -97,5 +97,5 @@ class OneSource:
 
     def _stand(self, setpoint: Setpoint, steady: float) -> Setpoint:
         self._followed = None
-        self.words = self.words if self._objection(steady) else ''
+        self.reason = self.reason if self._objection(steady) else ''
         return replace(setpoint, mode=Mode.HOLD)

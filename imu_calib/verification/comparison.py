@@ -147,8 +147,8 @@ def _turns(
     outputs = np.array([t.statistics.mean[:3] for t in turns])
     # The mean over a turn of nonlinear terms that depend on the angle is subtracted first.
     turned = slice(len(system.outputs), len(system.outputs) + len(turns))
-    beside = system.predicted(values)[turned] - model.predict(along, forces)[0]
-    found = system.sensors.compensated(values, outputs - beside, forces)
+    additions = system.predicted(values)[turned] - model.predict(along, forces)[0]
+    found = system.sensors.compensated(values, outputs - additions, forces)
     covariances = _covariances(found, spread, factor)
     for turn, rate, w, c in zip(turns, rates, found[0], covariances, strict=True):
         place, seconds = str(turn.position), turn.statistics.duration

@@ -167,12 +167,12 @@ def _with_missing_terms(system: TriadSystem, without: Fit) -> Fit:
             return without
         best, larger = _best(begun, fit.chi_square)
         count = len(larger.sensors.parameters) - len(system.sensors.parameters)
-        left = best.freedom - len(larger.sensors.parameters)
+        freedom = best.freedom - len(larger.sensors.parameters)
         # With few dwells, many terms fit any error.
-        if left < 1 or best.spare < _ENOUGH:
+        if freedom < 1 or best.spare < _ENOUGH:
             return without
-        ratio = (fit.chi_square - best.chi_square) / count / (best.chi_square / left)
-        if scipy.special.fdtrc(count, left, ratio) > _EXPLAINED:
+        ratio = (fit.chi_square - best.chi_square) / count / (best.chi_square / freedom)
+        if scipy.special.fdtrc(count, freedom, ratio) > _EXPLAINED:
             return without
         fit, system = best, larger
     return fit
@@ -355,8 +355,8 @@ def _another_unit(system: TriadSystem, values: Floats, factor: Floats, name: str
             '(the search did not converge). Calibrate this recording, and compare the two.'
         )
     determined = np.flatnonzero(fit.std < _DETERMINED * np.diag(_wide(system)))
-    beside = replace(fit, delta=apart, std=np.hypot(fit.std, np.linalg.norm(factor, axis=1)))
-    far = _far(system.sensors.parameters, beside, determined.tolist())
+    changed = replace(fit, delta=apart, std=np.hypot(fit.std, np.linalg.norm(factor, axis=1)))
+    far = _far(system.sensors.parameters, changed, determined.tolist())
     if len(far) >= _HALF * len(determined):
         return Diagnosis(
             f'No single mistake explains the {name}, other parameters do: {len(far)} of the '

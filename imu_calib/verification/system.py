@@ -160,8 +160,8 @@ class TriadSystem:
         drifts[rows.dwell] = self.bias_drift * self.reading
         seconds = np.array([m.move.duration for m in self.evidence.links.links]).reshape(-1, 1)
         drifts[rows.move] = self.bias_drift * self.reading * seconds
-        felt = seconds[list(rows.moves_with_accels)]
-        drifts[rows.velocity] = self.bias_drift * self.reading * felt
+        durations = seconds[list(rows.moves_with_accels)]
+        drifts[rows.velocity] = self.bias_drift * self.reading * durations
         return Equations(
             self.evidence,
             self.sensors.parameters,
@@ -217,9 +217,9 @@ class TriadSystem:
         if self.up is not None:
             return self._noise_at_rest
         state, deviations = np.append(values, self._known), self.equations.prior[1]
-        besides = self.equations.jacobian(state)[:, len(values) :] * deviations
-        besides = besides[:, ~self._free[: len(deviations)]]
-        covariance = self.equations.covariance(state) + besides @ besides.T
+        further = self.equations.jacobian(state)[:, len(values) :] * deviations
+        further = further[:, ~self._free[: len(deviations)]]
+        covariance = self.equations.covariance(state) + further @ further.T
         rows = self._mine.reshape(-1, 3)
         found = covariance[rows[:, :, None], rows[:, None, :]]
         return np.asarray(found * self._widened[::3, None, None] ** 2)
@@ -283,8 +283,8 @@ class TriadSystem:
             point: (k + u,) multiples of the factor's columns, and the unknowns.
         """
         system = self._allowing(values, factor)
-        columns, left = system(point)
-        return _linear(columns, left)[1], partial(self._fitted, point, system, factor)
+        columns, residuals = system(point)
+        return _linear(columns, residuals)[1], partial(self._fitted, point, system, factor)
 
     def fit_likely(self, values: Floats, factor: Floats, chance: float) -> Fit | None:
         """Return `fit`; None if dwells and turns alone give a probability far below `chance`.
@@ -324,11 +324,11 @@ class TriadSystem:
             key = b''.join(one.tobytes() for one in (point, *opposite))
             if key not in known:
                 others = [one[k:] for one in opposite]
-                columns, left = self._whitened(values + factor @ point[:k], point[k:], *others)
-                by_parameters, besides = np.split(columns, [len(values)], axis=1)
-                columns = np.hstack([by_parameters @ factor, besides])
+                columns, residuals = self._whitened(values + factor @ point[:k], point[k:], *others)
+                by_parameters, further = np.split(columns, [len(values)], axis=1)
+                columns = np.hstack([by_parameters @ factor, further])
                 prior = np.eye(k, columns.shape[1])
-                known[key] = np.vstack([columns, prior]), np.append(left, -point[:k])
+                known[key] = np.vstack([columns, prior]), np.append(residuals, -point[:k])
             return known[key]
 
         return system
@@ -361,10 +361,10 @@ class TriadSystem:
         """
         if self.up is not None:
             noise, site = self.spread(values), self.evidence.site
-            jacobian, left, covariance = compare_lengths(
+            jacobian, residuals, covariance = compare_lengths(
                 self.sensors, values, self.outputs, noise, self.up, site
             )
-            rows, below = np.column_stack([jacobian, left]), np.zeros((0, len(values) + 1))
+            rows, below = np.column_stack([jacobian, residuals]), np.zeros((0, len(values) + 1))
         else:
             nuisances, mount = np.split(unknown, [len(self._known)])
             equations, state = self.equations, np.append(values, nuisances)
@@ -374,10 +374,10 @@ class TriadSystem:
                 equations.by_mount(state) if len(mount) else np.zeros((len(equations.layout), 0))
             )
             predicted = equations.predict(state)
-            left, derivatives = equations.outputs - predicted, equations.jacobian(state)
+            residuals, derivatives = equations.outputs - predicted, equations.jacobian(state)
             others = (np.append(values, other[: len(nuisances)]) for other in opposite)
             halves = [(predicted - equations.predict(other)) / 2 for other in others]
-            rows = np.column_stack([derivatives, turned, *halves, left])[self._mine]
+            rows = np.column_stack([derivatives, turned, *halves, residuals])[self._mine]
             without = [-1] * (len(mount) + len(halves))
             below = np.insert(equations.prior_rows(state), without, 0.0, axis=1)
             covariance = equations.covariance(state)[np.ix_(self._mine, self._mine)]
@@ -386,7 +386,7 @@ class TriadSystem:
         rows = np.vstack([rows, below])
         return rows[:, :-1], rows[:, -1]
 
-    def _concluded(self, columns: Floats, left: Floats, point: Floats, factor: Floats) -> Fit:
+    def _concluded(self, columns: Floats, residuals: Floats, point: Floats, factor: Floats) -> Fit:
         k, count = factor.shape[1], len(self._kinds)
         found = Information.of(columns)
         spare = 1 - np.einsum('ij,ji->i', columns[:count], found.gain[:, :count])
@@ -401,11 +401,14 @@ class TriadSystem:
 
         def ratio(kind: int) -> float:
             these = self._kinds == kind
-            expected, square = float(spare[these].sum()), float((left[:count][these] ** 2).sum())
+            expected, square = (
+                float(spare[these].sum()),
+                float((residuals[:count][these] ** 2).sum()),
+            )
             return square / expected if expected > _TOO_FEW else 1.0
 
         return Fit(
-            float(left @ left),
+            float(residuals @ residuals),
             count - rank,
             factor @ point[:k],
             np.sqrt(np.maximum(spread, 0.0)),
@@ -415,10 +418,10 @@ class TriadSystem:
         )
 
 
-def _linear(columns: Floats, left: Floats) -> tuple[Floats, float]:
+def _linear(columns: Floats, residuals: Floats) -> tuple[Floats, float]:
     """Return the least-squares step, and the sum of squared residuals after it if linear."""
-    step = linear_step(columns, left)
-    return step, float(((left - columns @ step) ** 2).sum())
+    step = linear_step(columns, residuals)
+    return step, float(((residuals - columns @ step) ** 2).sum())
 
 
 def _mounted(evidence: Evidence, small: Floats) -> Evidence:

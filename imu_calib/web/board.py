@@ -21,7 +21,7 @@ _NS = 1e-9
 
 
 @dataclass
-class _Heard:
+class _LastMessage:
     """Time of the last message of a node, by the steady clock."""
 
     at: float | None = None
@@ -52,7 +52,7 @@ class Board:
             dict(zip(predicted, expected.predicted, strict=True)),
             expected.specification,
         )
-        self._table, self._calibrator = _Heard(), _Heard()
+        self._table, self._calibrator = _LastMessage(), _LastMessage()
         self._parts: dict[str, Sentence] = {}
         self._nodes: dict[str, float] = {}
         self._pace = Pace()
@@ -194,7 +194,9 @@ class Board:
         if self._state.outcome is Outcome.OPEN:
             found += [
                 Sentence(
-                    node, Severity.ERROR, f'Nothing was heard for {in_words(passed)}: has it ended?'
+                    node,
+                    Severity.ERROR,
+                    f'No message has come for {in_words(passed)}: has it ended?',
                 )
                 for node, passed in silent.items()
             ]

@@ -21,9 +21,9 @@ from ..sequencing import Phase
 from ..specification import COVERAGE
 from ..stream import Units
 from .samples import Streams
+from .sentences import headline, joint_words, time_left
 from .snapshot import Outcome, Sentence, Snapshot
 from .units import UnitRow
-from .words import headline, joint_words, time_left
 
 _LEVELS = {Severity.OK: 'ok', Severity.WARN: 'warn', Severity.ERROR: 'error'}
 _SIGNS = {Severity.OK: '\u2713', Severity.WARN: '!', Severity.ERROR: '\u2715'}
@@ -40,14 +40,14 @@ _OF_TERMS = {term.kind for term in TERMS}
 def banner(shown: Snapshot, now: datetime) -> str:
     """Return the present activity, the remaining time, and the progress."""
     first = headline(shown)
-    left, rests_on = time_left(shown, now)
+    remaining, rests_on = time_left(shown, now)
     table = shown.table
     where = ''
     if table is not None and table.steps and shown.outcome is Outcome.OPEN:
         where = f'step {min(table.step + 1, table.steps)} of {table.steps}'
     words = tag('h2', sign(first.level) + escape(first.now))
     words += tag('p', escape(first.detail), class_='detail') if first.detail else ''
-    time = tag('span', 'time left', class_='small') + tag('strong', escape(left))
+    time = tag('span', 'time left', class_='small') + tag('strong', escape(remaining))
     time += tag('span', escape(rests_on) or ' ', class_='small')
     share = f'{100 * min(max(shown.share, 0.0), 1.0):.1f}%'
     bar = tag('div', tag('div', ' ', style=f'width: {share}'), class_='bar', role='progressbar')
@@ -77,7 +77,7 @@ def troubles(shown: Snapshot) -> str:
     if not shown.wrong:
         if not shown.sentences:
             over = shown.outcome is not Outcome.OPEN
-            text = 'The nodes have ended.' if over else 'No node has said anything yet.'
+            text = 'The nodes have ended.' if over else 'No node has reported yet.'
             return tag('p', text, class_='muted')
         return tag('p', sign(Severity.OK) + 'Nothing is wrong.', class_='right')
     return tag('ul', ''.join(_sentence(s) for s in shown.wrong), class_='sentences')
@@ -89,12 +89,12 @@ def diagnostics(shown: Snapshot) -> str:
     return tag('ul', rows, class_='sentences') if rows else tag('p', 'Nothing yet.', class_='muted')
 
 
-def _sentence(said: Sentence, *, with_figures: bool = False) -> str:
-    text = tag('b', escape(said.source)) + tag('span', escape(said.text))
-    if with_figures and said.figures:
-        figures = ', '.join(f'{name} {value}' for name, value in said.figures)
+def _sentence(sentence: Sentence, *, with_figures: bool = False) -> str:
+    text = tag('b', escape(sentence.source)) + tag('span', escape(sentence.text))
+    if with_figures and sentence.figures:
+        figures = ', '.join(f'{name} {value}' for name, value in sentence.figures)
         text += tag('span', escape(figures), class_='small')
-    return tag('li', sign(said.level) + tag('div', text), class_=_LEVELS[said.level])
+    return tag('li', sign(sentence.level) + tag('div', text), class_=_LEVELS[sentence.level])
 
 
 _UNIT_HEADINGS = (
@@ -312,20 +312,20 @@ def streams(shown: Snapshot, imu: ImuSpec | None) -> str:
     """Return rates, gaps and temperature, or the request to select a unit."""
     if imu is None:
         return _CHOOSE
-    said = {s.source.rpartition('/')[2]: s for s in shown.sentences}
-    device = said.get('imu_node: stream')
+    by_source = {s.source.rpartition('/')[2]: s for s in shown.sentences}
+    device = by_source.get('imu_node: stream')
     seen = shown.streams or Streams()
     rate = device.figure('rate') if device else ''
     if rate in {'', 'unknown'}:
         rate = 'not known' if math.isnan(seen.rate) else f'{seen.rate:.2f} Hz'
     nominal = 'not stated' if imu.sample_rate is None else f'{imu.sample_rate:g} Hz'
     lost = device.figure('lost frames') if device else ''
-    heard = said.get('calibrator_node: stream')
+    received = by_source.get('calibrator_node: stream')
     celsius = 'not measured' if math.isnan(shown.celsius) else f'{shown.celsius:.2f} \u00b0C'
     pairs = [
         ('sample rate', rate),
         ('by the data sheet', nominal),
-        ('samples taken', heard.figure('samples') if heard else '-'),
+        ('samples taken', received.figure('samples') if received else '-'),
         ('lost on the way', f'{lost} frames' if lost else f'{seen.missing} by the stamps'),
         ('temperature', celsius),
     ]

@@ -46,7 +46,7 @@ class Source:
         imus: Descriptions of the samples by the names of the units; for a single unit by an empty
             name.
         shape: The table; None if a hand holds the unit.
-        look: Returns the present state of the unit with that name; for an empty name that of all.
+        snapshot: Returns the present state of the unit with that name; empty: of all units.
         units: Returns a line for each of several units; empty for a single one.
         angles: Returns the present angles of the joints by name, rad.
         command: Takes 'start', 'pause' or 'abort' of an authorised viewer.
@@ -58,7 +58,7 @@ class Source:
     title: str
     imus: Mapping[str, ImuSpec]
     shape: Link | None
-    look: Callable[[str], Snapshot]
+    snapshot: Callable[[str], Snapshot]
     units: Callable[[], Sequence[UnitRow]]
     angles: Callable[[], dict[str, float]]
     command: Callable[[str], None]
@@ -122,7 +122,7 @@ def build(source: Source) -> None:
 
     def refresh() -> None:
         page.refresh()
-        shown = source.look('')
+        shown = source.snapshot('')
         finished.set_visibility(shown.outcome in {Outcome.DONE, Outcome.INCOMPLETE})
         if control is not None:
             control.update(shown)
@@ -159,7 +159,7 @@ class _Page:
     def refresh(self) -> None:
         """Send what has changed."""
         for parts, name in ((self._parts, ''), (self._of_unit, self._chosen)):
-            shown = self._source.look(name)
+            shown = self._source.snapshot(name)
             for one in parts:
                 one.update(shown)
 
@@ -177,7 +177,7 @@ class _Page:
 
 
 def _head(source: Source) -> None:
-    shown = source.look('').expected
+    shown = source.snapshot('').expected
     where = f' on table {shown.table}' if shown.table else ' in the hand'
     with ui.element('header').classes('wide top'):
         ui.html(source.title, sanitize=False, tag='h1')

@@ -29,7 +29,7 @@ _SHORTEST = 64
 """Samples: five octaves of averaging times."""
 _MOST = 1 << 19
 """Samples summed together: 130 s at 4 kHz, 25 MB. A longer dwell is divided."""
-_GROWN = 1.5
+_GROWTH = 1.5
 """Growth of the number of samples of a dwell after which its curve is drawn again."""
 _RATE_SPAN = 2_000_000_000
 """ns over which the rates of the channels are counted."""
@@ -113,7 +113,7 @@ class Dwells:
     def grow(self) -> None:
         """Evaluate the running dwell if it has grown enough."""
         samples = sum(len(block) for block in self._kept)
-        if self._since is None or samples < max(_SHORTEST, _GROWN * self._looked_at):
+        if self._since is None or samples < max(_SHORTEST, _GROWTH * self._looked_at):
             return
         self._looked_at = samples
         found = self._of_the_dwell(None)

@@ -164,8 +164,8 @@ class Snapshot:
         """Elapsed share of the session's time, 0 to 1."""
         if self.outcome in {Outcome.DONE, Outcome.INCOMPLETE}:
             return 1.0
-        left = math.nan if self.table is None else self.table.seconds_left
+        seconds = math.nan if self.table is None else self.table.seconds_left
         if self.table is not None and self.table.phase is Phase.DONE:
             return 1.0
-        whole = self.elapsed + left
+        whole = self.elapsed + seconds
         return self.elapsed / whole if whole > 0 else 0.0

@@ -15,7 +15,7 @@ from .snapshot import Expected, Outcome, Sentence, Snapshot
 
 _CALIBRATOR = 'calibrator_node: '
 _DEVICE = 'imu_node: stream'
-_HEARD_BY = ('calibrator_node: stream', _DEVICE, 'imu_node')
+_STREAM_SOURCES = ('calibrator_node: stream', _DEVICE, 'imu_node')
 """Nodes that report on a unit's samples; the last if its own node is silent."""
 
 
@@ -81,7 +81,7 @@ class UnitsBoard:
     def __init__(self, units: Mapping[str, ShownUnit]) -> None:
         self._units = dict(units)
         self.each = {name: Board(unit.expected) for name, unit in units.items()}
-        self.whole = Board(_of_all([unit.expected for unit in units.values()]))
+        self.common = Board(_of_all([unit.expected for unit in units.values()]))
         self._present: frozenset[str] | None = None
 
     @property
@@ -91,12 +91,12 @@ class UnitsBoard:
 
     def take_state(self, message: Any, now: float) -> None:
         """Take imu_calib_msgs/TurntableState."""
-        for board in (self.whole, *self.each.values()):
+        for board in (self.common, *self.each.values()):
             board.take_state(message, now)
 
     def take_progress(self, message: Any, now: float) -> None:
         """Take imu_calib_msgs/CalibrationProgress of all units."""
-        self.whole.take_progress(message, now)
+        self.common.take_progress(message, now)
         self._present = frozenset(message.serial_numbers)
         if message.state == message.FINISHED:
             missed = any(
@@ -105,11 +105,11 @@ class UnitsBoard:
                 if not self._is_left_out(name)
             )
             outcome = Outcome.INCOMPLETE if missed else Outcome.DONE
-            self.whole.take_end(outcome, message.text)
+            self.common.take_end(outcome, message.text)
 
     def take_diagnostics(self, message: Any, now: float) -> None:
         """Take diagnostic_msgs/DiagnosticArray: reports on one unit also go to its board."""
-        self.whole.take_diagnostics(message, now)
+        self.common.take_diagnostics(message, now)
         for sentence in sentences_of(message):
             for name, board in self.each.items():
                 own = self._as_its_own(sentence, name)
@@ -136,7 +136,7 @@ class UnitsBoard:
 
     def snapshot(self, now: float, name: str = '') -> Snapshot:
         """Return the state of a unit at a moment; without a name of all."""
-        return (self.each[name] if name else self.whole).snapshot(now)
+        return (self.each[name] if name else self.common).snapshot(now)
 
     def rows(self, now: float) -> tuple[UnitRow, ...]:
         """Return the state of each unit at a moment."""
@@ -144,9 +144,11 @@ class UnitsBoard:
 
     def _row(self, name: str, shown: Snapshot) -> UnitRow:
         unit = self._units[name]
-        said = {s.source.rpartition('/')[2]: s for s in shown.sentences}
-        device = said.get(_DEVICE)
-        level, words = self._words(name, shown, [said.get(part) for part in _HEARD_BY])
+        sentences = {s.source.rpartition('/')[2]: s for s in shown.sentences}
+        device = sentences.get(_DEVICE)
+        level, words = self._state_text(
+            name, shown, [sentences.get(part) for part in _STREAM_SOURCES]
+        )
         return UnitRow(
             name,
             unit.serial_number,
@@ -160,8 +162,8 @@ class UnitsBoard:
             furthest(shown.rows),
         )
 
-    def _words(
-        self, name: str, shown: Snapshot, said: Sequence[Sentence | None]
+    def _state_text(
+        self, name: str, shown: Snapshot, sentences: Sequence[Sentence | None]
     ) -> tuple[Severity, str]:
         if self._is_left_out(name):
             return Severity.WARN, 'Left out'
@@ -172,10 +174,10 @@ class UnitsBoard:
         }
         if shown.outcome in ends:
             return ends[shown.outcome]
-        heard = [one for one in said if one is not None]
-        if not heard:
-            return Severity.WARN, 'Not heard yet'
-        worst = max(heard, key=lambda one: one.level)
+        received = [one for one in sentences if one is not None]
+        if not received:
+            return Severity.WARN, 'No message yet'
+        worst = max(received, key=lambda one: one.level)
         return worst.level, 'Samples come in' if worst.level is Severity.OK else worst.text
 
 

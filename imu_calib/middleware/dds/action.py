@@ -141,8 +141,8 @@ class GoalServer:
         return response
 
     def _on_cancel(self, request: Any, response: Any) -> Any:
-        asked = self._asked(request.goal_info)
-        active = [goal for goal in asked if goal.status not in ENDS]
+        wanted = self._wanted(request.goal_info)
+        active = [goal for goal in wanted if goal.status not in ENDS]
         agreed = [g for g in active if g.is_cancel_requested or self._cancel(g)]
         for goal in agreed:
             goal.status = GoalStatus.CANCELING
@@ -153,10 +153,10 @@ class GoalServer:
         elif active:
             response.return_code = _REJECTED
         elif any(request.goal_info.goal_id.uuid):
-            response.return_code = _TERMINATED if asked else _UNKNOWN
+            response.return_code = _TERMINATED if wanted else _UNKNOWN
         return response
 
-    def _asked(self, info: Any) -> list[ServerGoal]:
+    def _wanted(self, info: Any) -> list[ServerGoal]:
         """Return the goals that a cancel request selects, as action_msgs/srv/CancelGoal defines."""
         identity, until = bytes(info.goal_id.uuid), _seconds(info.stamp)
         if not any(identity) and until == (0, 0):

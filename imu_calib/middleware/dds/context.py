@@ -70,8 +70,8 @@ class Context:
             node.destroy_node()
         self.graph.close()
         # ok() must turn false first for a thread that spins.
-        left, self.participant = self.participant, None
-        left.leave()
+        former, self.participant = self.participant, None
+        former.leave()
 
 
 def _severity(text: str) -> logging.LoggingSeverity:

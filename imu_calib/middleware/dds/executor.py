@@ -76,8 +76,8 @@ class SingleThreadedExecutor:
             if not CONTEXT.ok():
                 self._forget()
                 raise ExternalShutdownException
-            left = _SLICE if endless else min(end - time.monotonic_ns(), _SLICE)
-            if self._run(self._wait(left)) or (not endless and left <= 0):
+            remaining = _SLICE if endless else min(end - time.monotonic_ns(), _SLICE)
+            if self._run(self._wait(remaining)) or (not endless and remaining <= 0):
                 return
 
     def _run(self, ready: list[_Awaited]) -> bool:
@@ -98,10 +98,10 @@ class SingleThreadedExecutor:
 
         for node in self._nodes:
             for timer in node.timers_:
-                left = timer.time_until_next_call()
+                remaining = timer.time_until_next_call()
                 # Simulated time advances by a message; a timer that is due is due on any clock.
-                if left is not None and (left <= 0 or not timer.clock.ros_time_is_active):
-                    nanoseconds = min(nanoseconds, left)
+                if remaining is not None and (remaining <= 0 or not timer.clock.ros_time_is_active):
+                    nanoseconds = min(nanoseconds, remaining)
         try:
             waitset = self._attached()
             ready = waitset.wait(max(0, nanoseconds))
@@ -162,5 +162,5 @@ def spin_until_future_complete(
 ) -> None:
     """Run the callbacks of one node until a future is done or the time has passed."""
     end = math.inf if timeout_sec is None else time.monotonic() + timeout_sec
-    while not future.done() and (left := end - time.monotonic()) > 0:
-        spin_once(node, timeout_sec=min(left, 0.05))
+    while not future.done() and (remaining := end - time.monotonic()) > 0:
+        spin_once(node, timeout_sec=min(remaining, 0.05))

@@ -67,7 +67,7 @@ class Graph:
         self._publications = _Endpoints(BuiltinDataReader(entity, BuiltinTopicDcpsPublication))
         self._subscriptions = _Endpoints(BuiltinDataReader(entity, BuiltinTopicDcpsSubscription))
         self._participants: dict[bytes, list[Any]] = {}
-        self._heard = 0
+        self._announcements = 0
         self._listed: dict[str, list[TopicEndpointInfo]] = {}
         self._listed_of = 0, 0
 
@@ -90,7 +90,7 @@ class Graph:
 
     def nodes(self) -> list[tuple[str, str]]:
         """Return (name, namespace) of every present node, own ones included."""
-        self._hear()
+        self._read_announcements()
         alive = {e.participant_key.bytes for e in self._publications.alive()}
         return [
             (node.node_name, node.node_namespace)
@@ -102,9 +102,9 @@ class Graph:
     def writers(self, topic: str) -> list[TopicEndpointInfo]:
         """Return the writers of a DDS topic, own ones included."""
         endpoints = self._publications.alive()
-        self._hear()
+        self._read_announcements()
         # Nodes ask ten times a second, but changes are rare.
-        changes = self._publications.changes, self._heard
+        changes = self._publications.changes, self._announcements
         if changes != self._listed_of:
             self._listed_of = changes
             self._listed.clear()
@@ -145,12 +145,12 @@ class Graph:
         self._publications.close()
         self._subscriptions.close()
 
-    def _hear(self) -> None:
+    def _read_announcements(self) -> None:
         """Read the nodes that participants have announced."""
         for payload in self._reader.drain():
             info = deserialize_message(payload, message_class(_TYPE))
             self._participants[bytes(info.gid.data)] = list(info.node_entities_info_seq)
-            self._heard += 1
+            self._announcements += 1
 
 
 class _Endpoints:

@@ -30,7 +30,7 @@ class Participant:
         from cyclonedds.qos import Policy, Qos
 
         self._topics: dict[str, Any] = {}
-        self._left = False
+        self._has_left = False
         domain: Any = None
         try:
             domain = Domain(number, configuration())
@@ -46,7 +46,7 @@ class Participant:
 
     def ok(self) -> bool:
         """Return whether it is still in the domain."""
-        return not self._left
+        return not self._has_left
 
     def topic(self, name: str, idl: Any) -> Any:
         """Return the DDS topic of a name; it is created once.
@@ -73,6 +73,6 @@ class Participant:
 
     def leave(self) -> None:
         """Delete all entities."""
-        self._left = True
+        self._has_left = True
         for entity in (*self._topics.values(), self.entity, self._domain):
             delete(entity)

@@ -42,12 +42,12 @@ def _ends(
     identity = _identity(gid, 'service' if serves else 'client')
     request, reply = f'rq{name}Request', f'rr{name}Reply'
     qos = QoSProfile(depth=10)
-    asked, answered = srv_type.Request.TYPE_NAME, srv_type.Response.TYPE_NAME
+    request_type, response_type = srv_type.Request.TYPE_NAME, srv_type.Response.TYPE_NAME
     if serves:
-        reader = Reader(participant, request, asked, qos, identity, 'service')
-        return reader, Writer(participant, reply, answered, qos, identity, 'service')
-    reader = Reader(participant, reply, answered, qos, identity, 'service')
-    return reader, Writer(participant, request, asked, qos, identity, 'service')
+        reader = Reader(participant, request, request_type, qos, identity, 'service')
+        return reader, Writer(participant, reply, response_type, qos, identity, 'service')
+    reader = Reader(participant, reply, response_type, qos, identity, 'service')
+    return reader, Writer(participant, request, request_type, qos, identity, 'service')
 
 
 class Service:

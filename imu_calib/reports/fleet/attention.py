@@ -10,13 +10,13 @@ from urllib.parse import quote
 import numpy as np
 
 from ...histories.results import Outlier, Signal
-from ...histories.words import listed, percent, quantity, stand_sentence, step_sentence
+from ...histories.sentences import listed, percent, quantity, stand_sentence, step_sentence
 from ...model import PARAMETERS
 from ...specification import COVERAGE
 from ..html import bullets, paragraph, table
 from ..svg import tag
 from .contents import Flag, Fleet, Unit
-from .words import PLACE_OF, amount, count, day, unit_of
+from .formats import PLACE_OF, amount, count, day, unit_of
 
 MOST = 12
 """Number of cases written out; the table of units has all. A judgement: six matters fit on two
@@ -97,7 +97,7 @@ def _stands(fleet: Fleet) -> Iterator[Matter]:
         sentences = [stand_sentence(shift) for shift in shifts]
         sentences.append(
             'Check levelling, zeros and alignment before the next unit is calibrated there; what '
-            'is said of units below is said with the shift taken off.'
+            'is stated of units below is corrected for the shift.'
         )
         yield Matter('Stands that are off', 'fail', sentences)
 
@@ -372,6 +372,6 @@ def _outliers(fleet: Fleet) -> Iterator[Matter]:
 
 def remarks(fleet: Fleet) -> str:
     """Return further remarks on the whole catalogue."""
-    said = {stand_sentence(shift) for shift in fleet.history.stands.shifts}
-    rest = bullets([sentence for sentence in fleet.history.findings if sentence not in said])
+    shown = {stand_sentence(shift) for shift in fleet.history.stands.shifts}
+    rest = bullets([sentence for sentence in fleet.history.findings if sentence not in shown])
     return tag('h3', 'On the catalogue') + rest if rest else ''

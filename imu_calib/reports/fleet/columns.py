@@ -13,7 +13,7 @@ from ...stream import Floats
 from ..parameter_table import decimals, engineering
 from . import packed
 from .contents import Flag, Fleet, Unit
-from .words import PLACE_OF, day, unit_of
+from .formats import PLACE_OF, day, unit_of
 
 _NUMBER = len(PARAMETERS)
 _NONE = np.full(_NUMBER, np.nan)

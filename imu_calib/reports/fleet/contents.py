@@ -209,22 +209,22 @@ def _flags(
 ) -> Iterable[Flag]:
     rows = fleet.recordings
     last = _newest(rows, sessions)
-    said = {Flag.FAILED: bool(failed) and _later(_newest(rows, failed), last)}
-    said[Flag.OUTLIER], said[Flag.UNJUDGED] = apart, not sessions
+    flags = {Flag.FAILED: bool(failed) and _later(_newest(rows, failed), last)}
+    flags[Flag.OUTLIER], flags[Flag.UNJUDGED] = apart, not sessions
     if history is not None:
         newest, due = len(history.key) - 1, history.forecast.recalibrate
         known = not np.isnat(due)
-        said[Flag.OUTSIDE] = bool(history.outside)
-        said[Flag.MARGINAL] = history.verdict is Verdict.MARGINAL
-        said[Flag.OVERDUE] = bool(known and due < fleet.today)
-        said[Flag.DUE] = bool(known and fleet.today <= due <= fleet.today + days(fleet.ahead))
-        said[Flag.CONTROL] = any(s.index == newest for s in history.charts.signals)
-        said[Flag.STEP] = any(s.index == newest for s in history.steps)
-        said[Flag.DRIFTS] = bool(history.trend.significant.any())
+        flags[Flag.OUTSIDE] = bool(history.outside)
+        flags[Flag.MARGINAL] = history.verdict is Verdict.MARGINAL
+        flags[Flag.OVERDUE] = bool(known and due < fleet.today)
+        flags[Flag.DUE] = bool(known and fleet.today <= due <= fleet.today + days(fleet.ahead))
+        flags[Flag.CONTROL] = any(s.index == newest for s in history.charts.signals)
+        flags[Flag.STEP] = any(s.index == newest for s in history.steps)
+        flags[Flag.DRIFTS] = bool(history.trend.significant.any())
     elif sessions:
-        said[Flag.OUTSIDE] = rows.verdict[sessions[-1]] == Verdict.FAIL.value
-        said[Flag.MARGINAL] = rows.verdict[sessions[-1]] == Verdict.MARGINAL.value
-    return (flag for flag in Flag if said.get(flag))
+        flags[Flag.OUTSIDE] = rows.verdict[sessions[-1]] == Verdict.FAIL.value
+        flags[Flag.MARGINAL] = rows.verdict[sessions[-1]] == Verdict.MARGINAL.value
+    return (flag for flag in Flag if flags.get(flag))
 
 
 def days(count: float) -> np.timedelta64:

@@ -44,10 +44,10 @@ def pack(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, object]) -> str
         parts.append(planes.reshape(-1, flat.dtype.itemsize).T.tobytes())
     head['arrays'] = listed
     # JSON has no NaN; a page with one would not open.
-    said = json.dumps(head, ensure_ascii=False, separators=(',', ':'), allow_nan=False)
-    coded = said.encode('utf-8', 'replace')
-    whole = struct.pack('<I', len(coded)) + coded + b''.join(parts)
-    return base64.b64encode(zlib.compress(whole, 6)).decode('ascii')
+    header = json.dumps(head, ensure_ascii=False, separators=(',', ':'), allow_nan=False)
+    coded = header.encode('utf-8', 'replace')
+    content = struct.pack('<I', len(coded)) + coded + b''.join(parts)
+    return base64.b64encode(zlib.compress(content, 6)).decode('ascii')
 
 
 def distinct(texts: Sequence[str]) -> tuple[list[str], NDArray[np.int32]]:
@@ -59,9 +59,9 @@ def distinct(texts: Sequence[str]) -> tuple[list[str], NDArray[np.int32]]:
 
 def minutes(dates: Dates) -> NDArray[np.int32]:
     """Return dates as minutes since 1970."""
-    whole = dates.astype('M8[m]')
-    counted = np.clip(whole.astype(np.int64), NO_DAY + 1, 2**31 - 1)
-    return np.where(np.isnat(whole), NO_DAY, counted).astype(np.int32)
+    content = dates.astype('M8[m]')
+    counted = np.clip(content.astype(np.int64), NO_DAY + 1, 2**31 - 1)
+    return np.where(np.isnat(content), NO_DAY, counted).astype(np.int32)
 
 
 def short(values: Floats) -> NDArray[np.float32]:

@@ -17,9 +17,9 @@ from .attention import matters, remarks
 from .bokeh_script import bokeh_script
 from .columns import sessions_data, units_data
 from .contents import Flag, Fleet
+from .formats import count, day
 from .population import counts, types
 from .style import FLEET_STYLE
-from .words import count, day
 
 
 def page(fleet: Fleet) -> str:
@@ -85,16 +85,18 @@ def _outcome(fleet: Fleet) -> str:
     doubtful = [flag for flag in Flag if flag.value.kind == 'marginal' and numbers[flag]]
     off = fleet.history.stands.shifts
     kind = 'fail' if bad or off else 'marginal' if doubtful else 'pass'
-    words = [f'{numbers[flag]} {_SAID.get(flag, flag.value.words)}' for flag in (*bad, *doubtful)]
+    words = [
+        f'{numbers[flag]} {_COLUMN_TEXTS.get(flag, flag.value.words)}' for flag in (*bad, *doubtful)
+    ]
     if off:
         stands = {s.stand for s in off}
         words.insert(0, f'{count(len(stands), "stand")} off')
     fine = sum(not unit.flags for unit in fleet.units)
-    said = f'{count(len(fleet.units), "unit")}: {", ".join([*words, f"{fine} fine"])}.'
-    return tag('div', tag('span', escape(said)), class_=f'outcome {kind}')
+    text = f'{count(len(fleet.units), "unit")}: {", ".join([*words, f"{fine} fine"])}.'
+    return tag('div', tag('span', escape(text)), class_=f'outcome {kind}')
 
 
-_SAID = {
+_COLUMN_TEXTS = {
     Flag.OUTSIDE: 'outside the specification',
     Flag.FAILED: 'with a failed newest recording',
     Flag.STEP: 'with a step',

@@ -15,7 +15,7 @@ from ..html import paragraph, table
 from ..parameter_table import decimals, engineering
 from ..svg import drawing, tag
 from .contents import Fleet
-from .words import count, unit_of
+from .formats import count, unit_of
 
 _BINS = 24
 """Bins of a small distribution: 5 px each."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..middleware import messages
 from .live import LiveSession, SessionPhase
-from .session_words import is_fed
+from .session_reports import is_fed
 from .sessions import Sessions
 
 _ENDS = frozenset({SessionPhase.FINISHED, SessionPhase.FAILED})
@@ -41,7 +41,7 @@ def progress_of_all(
             std[name] = math.nan if math.isnan(value + least) else max(least, float(value))
     state, text = _state(sessions, imu_timeout)
     first = each[0]
-    whole = messages.CalibrationProgress(
+    common = messages.CalibrationProgress(
         plan=first.plan,
         step=max(int(message.step) for message in each),
         steps=first.steps,
@@ -56,8 +56,8 @@ def progress_of_all(
         serial_numbers=[session.setup.serial_number for session in sessions.open],
     )
     stamps = [message.header.stamp for _, message in running]
-    whole.header.stamp = min(stamps, key=lambda stamp: (stamp.sec, stamp.nanosec))
-    return whole
+    common.header.stamp = min(stamps, key=lambda stamp: (stamp.sec, stamp.nanosec))
+    return common
 
 
 def _state(sessions: Sessions, imu_timeout: float) -> tuple[SessionPhase, str]:

@@ -6,7 +6,7 @@ from ..sequencing import Phase, SequencerState
 from ..units import DEG
 
 
-def sentence(state: SequencerState) -> str:
+def state_sentence(state: SequencerState) -> str:
     """Return a sentence on the state; it changes only with step and phase."""
     if state.waits_for:
         return f'Waits for {state.waits_for}.'
@@ -18,7 +18,7 @@ def sentence(state: SequencerState) -> str:
     return f'{state.phase.name.capitalize()}: step {state.step + 1} of {state.steps}, {where}.'
 
 
-def figures(state: SequencerState, joints: tuple[str, ...]) -> dict[str, str]:
+def state_figures(state: SequencerState, joints: tuple[str, ...]) -> dict[str, str]:
     """Return figures of a state for a person, with units."""
     described = {
         'plan': state.plan,

@@ -51,7 +51,7 @@ def topics_of_unit(setup: Setup, namespace: str = '', imu_topic: str = '') -> di
     return {**names, Kind.IMU: imu_topic or names[Kind.IMU]}
 
 
-class Hearing:
+class Subscriptions:
     """Subscriptions that are drained.
 
     Args:

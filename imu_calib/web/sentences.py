@@ -47,28 +47,28 @@ def headline(shown: Snapshot) -> Headline:
         return Headline(
             Severity.ERROR,
             'The calibrator is silent',
-            f'calibrator_node has said nothing for {in_words(shown.calibrator_silent)}: has it '
-            'ended? The table is stopped without it.',
+            f'No message of calibrator_node has come for {in_words(shown.calibrator_silent)}: has '
+            'it ended? The table is stopped without it.',
         )
     if not shown.expected.table:
         return _in_the_hand(shown)
     if shown.table is None:
         return Headline(
-            Severity.WARN, 'Waiting for the table', 'turntable_node has not been heard yet.'
+            Severity.WARN, 'Waiting for the table', 'No message of turntable_node has come yet.'
         )
     if shown.table_silent:
         return Headline(
             Severity.ERROR,
-            'The table\u2019s leader is silent',
-            f'turntable_node has said nothing for {in_words(shown.table_silent)}: has it ended? A '
-            'table that is not led stops by itself.',
+            'turntable_node is silent',
+            f'No message of turntable_node has come for {in_words(shown.table_silent)}: has it '
+            'ended? A table without setpoints stops by itself.',
         )
     return _of_the_table(shown, shown.table)
 
 
 def _in_the_hand(shown: Snapshot) -> Headline:
     if not shown.progress:
-        return Headline(Severity.WARN, 'Waiting', 'calibrator_node has not been heard yet.')
+        return Headline(Severity.WARN, 'Waiting', 'No message of calibrator_node has come yet.')
     return Headline(Severity.OK, shown.progress)
 
 
@@ -119,16 +119,16 @@ def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
         return '0 s', f'it took {in_words(shown.elapsed)}'
     if not shown.expected.table:
         return 'as you hold it', f'{in_words(shown.elapsed)} so far'
-    left = shown.wall_seconds_left
-    if shown.table is None or math.isnan(left):
+    remaining = shown.wall_seconds_left
+    if shown.table is None or math.isnan(remaining):
         return 'time left not known', ''
     if shown.table.phase in {Phase.PAUSED, Phase.ABORTED, Phase.IDLE}:
         paused = shown.table.phase is Phase.PAUSED
-        return in_words(left), 'once it goes on' if paused else 'once it is started'
-    text = f'ends at {ends_at(left, now)}'
+        return in_words(remaining), 'once it goes on' if paused else 'once it is started'
+    text = f'ends at {ends_at(remaining, now)}'
     if shown.speed > _WHOLE:
         text += f' ({shown.speed:.0f} times real time)'
-    return in_words(left), text
+    return in_words(remaining), text
 
 
 def joint_words(table: TableState) -> list[tuple[str, str, str]]:

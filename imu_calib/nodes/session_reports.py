@@ -79,7 +79,7 @@ def progress_message(
     return message
 
 
-def report(
+def report_session(
     session: LiveSession,
     diagnostics: Diagnostics | PartOfDiagnostics,
     imu_timeout: float,
@@ -113,7 +113,7 @@ def report(
     if session.trouble:
         shared.report('journal', Level.ERROR, session.trouble)
     elif not session.over:
-        shared.report('journal', Level.OK, journal_words(session.journal.path))
+        shared.report('journal', Level.OK, journal_sentence(session.journal.path))
 
 
 def is_fed(session: LiveSession, imu_timeout: float) -> bool:
@@ -128,7 +128,7 @@ def is_fed(session: LiveSession, imu_timeout: float) -> bool:
     if imu.newest is None or joints.newest is None:
         return imu.newest is not None
     behind = (joints.newest - imu.newest) * 1e-9
-    return not (behind > imu_timeout and time.monotonic() - imu.heard > imu_timeout)
+    return not (behind > imu_timeout and time.monotonic() - imu.received_at > imu_timeout)
 
 
 def _report_imu(
@@ -140,7 +140,7 @@ def _report_imu(
     if imu.newest is None:
         level, text = Level.WARN, f'There is no message on {imu.topic} yet.'
     elif joints is None and not session.over:
-        if time.monotonic() - imu.heard > max(_SILENCE_BY_HAND, imu_timeout):
+        if time.monotonic() - imu.received_at > max(_SILENCE_BY_HAND, imu_timeout):
             level, text = Level.ERROR, f'{imu.topic} is silent.'
     elif joints is not None and joints.newest is not None and not session.over:
         behind = (joints.newest - imu.newest) * 1e-9
@@ -202,7 +202,7 @@ def _report_skew(session: LiveSession, diagnostics: Diagnostics | PartOfDiagnost
     diagnostics.report('skewed gyro', level, text, samples=str(skew.count))
 
 
-def journal_words(path: Path) -> str:
+def journal_sentence(path: Path) -> str:
     """Return a sentence on where a session is recorded."""
     return f'The journal is written to {path}.'
 

@@ -51,7 +51,7 @@ class _Part:
     shown: str = ''
 
 
-class Words:
+class NodeReports:
     """Receives /diagnostics, and shows important reports on the standard error output.
 
     Args:

@@ -88,12 +88,13 @@ def _due(unit: UnitHistory, rules: Rules) -> Iterator[str]:
     if due.recalibrate <= unit.date[-1]:
         yield (
             f'Recalibrate now: the chance that all parameters are inside their specification is '
-            f'below {percent(rules.inside)}; {name} is the one in doubt.{where}'
+            f'below {percent(rules.inside)}; {name} is the one most likely outside.{where}'
         )
         return
     yield (
         f'Recalibrate by {due.recalibrate}: until then all parameters are inside their '
-        f'specification with {percent(rules.inside)}; {name} is the first in doubt.{where}'
+        f'specification with {percent(rules.inside)}; {name} is the first that may be '
+        f'outside.{where}'
         f'{borrowed if due.borrowed else ""}'
     )
 
