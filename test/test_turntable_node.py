@@ -404,7 +404,10 @@ def test_a_heartbeat_that_says_stop_once_holds_the_table(session):
     for message in (stop, clear):
         beat.publish(message)
     session.reaches(Phase.PAUSED)
-    assert 'The heartbeat on /heartbeat is false, which means stop.' in session.watcher.states[-1].reason
+    assert (
+        'The heartbeat on /heartbeat is false, which means stop.'
+        in session.watcher.states[-1].reason
+    )
     assert session.ends_stopped()
 
 
