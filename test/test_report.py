@@ -45,13 +45,19 @@ def result() -> Result:
     return replace(found, labelled=replace(found.labelled, rejected=(disturbed,)))
 
 
+def moved(calibration: Calibration, by: float) -> Calibration:
+    """A calibration of another session: each parameter is off by some of its deviations."""
+    values = calibration.values + by * calibration.std
+    return replace(calibration, model=calibration.model.with_values(calibration.parameters, values))
+
+
 @pytest.fixture(scope='module')
 def contents(result: Result) -> Contents:
     imu = load_imu('fog_medium')
     calibration = result.calibration
     dated = [
-        replace(calibration, provenance={**calibration.provenance, 'recorded': day})
-        for day in ('2026-01-01T00:00:00Z', '2026-03-01T00:00:00Z')
+        replace(moved(calibration, by), provenance={**calibration.provenance, 'recorded': day})
+        for by, day in ((-1.0, '2026-01-01T00:00:00Z'), (1.0, '2026-03-01T00:00:00Z'))
     ]
     return Contents(calibration, 'c.yaml', imu, result, {'b.yaml': dated[0], 'd.yaml': dated[1]})
 
@@ -262,13 +268,18 @@ def test_only_calibrations_of_one_unit_are_compared(contents: Contents) -> None:
     one, two = replace(own, serial_number='A1'), replace(own, serial_number='A2')
     with pytest.raises(InputError, match=r'b\.yaml: serial_number: found A2, expected A1'):
         repeated([one, two], ['a.yaml', 'b.yaml'])
-    assert repeated([own, two], ['a.yaml', 'b.yaml'])
+    with pytest.raises(InputError, match=r'b\.yaml: is the same calibration as a\.yaml'):
+        repeated([own, two], ['a.yaml', 'b.yaml'])
+    again = moved(own, 1.0)
+    assert repeated([own, again], ['a.yaml', 'b.yaml'])
+    with pytest.raises(InputError, match=r'c\.yaml: is the same calibration as b\.yaml'):
+        repeated([own, again, again], ['a.yaml', 'b.yaml', 'c.yaml'])
     scaled = replace(own, imu=replace(own.imu, accel=replace(own.imu.accel, scale_factor=0.02)))
     with pytest.raises(InputError, match='nominal scale factors'):
         repeated([own, scaled], ['a.yaml', 'b.yaml'])
-    undated = replace(own, provenance={**own.provenance, 'recorded': None})
+    undated = replace(again, provenance={**own.provenance, 'recorded': None})
     assert repeated([own, undated], ['a', 'b'])[0].days is None
-    wrong = replace(own, provenance={**own.provenance, 'recorded': 'yesterday'})
+    wrong = replace(again, provenance={**own.provenance, 'recorded': 'yesterday'})
     with pytest.raises(InputError, match='recorded: found'):
         repeated([own, wrong], ['a', 'b'])
 

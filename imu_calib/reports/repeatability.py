@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from html import escape
+from itertools import combinations
 
 import numpy as np
 import scipy
@@ -115,7 +116,7 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
         names: Of their files, for messages.
 
     Raises:
-        InputError: They are of different units, or have no parameter in common.
+        InputError: They are of different units, have no parameter in common, or one is there twice.
 
     """
     first = calibrations[0]
@@ -138,6 +139,12 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
             raise InputError(
                 f'{name}: its nominal scale factors or units are not those of {names[0]}: the '
                 'parameters cannot be compared.'
+            )
+    for (one, name), (other, again) in combinations(zip(calibrations, names, strict=True), 2):
+        if _same(one, other):
+            raise InputError(
+                f'{again}: is the same calibration as {name}: repeatability takes one of another '
+                'recording.'
             )
     dates = [date_of(c) for c in calibrations]
     known = [d for d in dates if d is not None]
@@ -166,6 +173,15 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
     if not found:
         raise InputError(f'{", ".join(names)}: no parameter was estimated in all of them.')
     return found
+
+
+def _same(one: Calibration, other: Calibration) -> bool:
+    """Return whether all numbers are equal, as no two recordings make them."""
+    return (
+        one.parameters == other.parameters
+        and np.array_equal(one.values, other.values, equal_nan=True)
+        and np.array_equal(one.covariance, other.covariance, equal_nan=True)
+    )
 
 
 def repeatability_table(rows: Sequence[RepeatedParameter]) -> str:
