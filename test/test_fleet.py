@@ -29,7 +29,7 @@ from imu_calib.cli.main import main
 from imu_calib.fleet.catalogue import Catalogue, schema
 from imu_calib.fleet.recordings import Job, Labels, find_jobs, read_manifest
 from imu_calib.fleet.running import run_batch
-from imu_calib.fleet.task import DEFECT, LOST, Done, failed, key_of, run
+from imu_calib.fleet.task import DEFECT, LOST, Done, content_of, failed, key_of, run
 from imu_calib.workers import Engine
 
 needs_modules('pyarrow', 'duckdb', 'distributed')
@@ -147,7 +147,7 @@ def test_a_task_is_known_by_what_counts(recordings: Path, tmp_path: Path) -> Non
     job = Job(str(recordings / 'a'), Stated(imu=str(imu)))
 
     def key(job: Job) -> str:
-        return key_of(job, Path(job.recording))[0]
+        return key_of(job, content_of(Path(job.recording)))
 
     known = key(job)
     moved = tmp_path / 'renamed.yaml'
@@ -191,7 +191,28 @@ def test_what_is_done_is_not_done_again_and_what_failed_is_said(
     out, err = capsys.readouterr()
     assert '0 calibrated, 0 failed, 4 done before (1 failed)' in out
     assert '1 without a calibration; imu-calib catalogue' in err.replace('\n', ' ')
+    assert '1 failed before and did not change: --retry repeats them.' in err.replace('\n', ' ')
     assert rows(done) == before
+
+
+def test_what_cannot_be_read_is_one_row_until_it_changes(recordings: Path, tmp_path: Path) -> None:
+    lacking = tmp_path / 'one' / 'rec'
+    shutil.copytree(recordings / 'a', lacking)
+    (storage,) = lacking.glob('*.mcap')
+    storage.unlink()
+    copied = shutil.copytree(lacking, tmp_path / 'two' / 'rec')
+    first = run(Job(str(lacking)))
+    assert first.row is not None and not first.row['sha256']
+    known = frozenset([first.key])
+    # Again, by another path, and copied: none is news.
+    for path in (lacking, tmp_path / 'two' / '..' / 'one' / 'rec', copied):
+        assert run(Job(str(path)), known) == Done(first.key)
+    assert run(Job(str(lacking)), frozenset()).row is not None
+    (copied / 'another.db3').touch()
+    assert run(Job(str(copied)), known).row is not None
+    # Nothing but its path is known of one that is not there.
+    gone = [run(Job(str(tmp_path / name / 'rec'))).key for name in ('three', 'four')]
+    assert len({*gone, first.key}) == 3
 
 
 def test_catalogue_lists_filters_and_exports(

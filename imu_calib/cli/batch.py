@@ -93,4 +93,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
         return Outcome()
     reasons = f'imu-calib catalogue {done.catalogue} --where "status = \'failed\'"'
     message = f'{failed} without a calibration; {reasons} lists the reasons.'
+    if done.known_failed:
+        message += f' {done.known_failed} failed before and did not change: --retry repeats them.'
     return Outcome(exit_code=NotObservable.exit_code, message=message)
