@@ -27,7 +27,7 @@ from imu_calib import InputError
 from imu_calib.api.stated import Stated
 from imu_calib.cli.main import main
 from imu_calib.fleet.catalogue import Catalogue, schema
-from imu_calib.fleet.recordings import Job, Labels, find_jobs, read_manifest
+from imu_calib.fleet.recordings import Job, Labels, convertible, find_jobs, read_manifest
 from imu_calib.fleet.running import run_batch
 from imu_calib.fleet.task import DEFECT, LOST, Done, content_of, failed, key_of, run
 from imu_calib.workers import Engine
@@ -50,6 +50,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
         imu_calib.simulate(plan, folder / name, seed=seed, latitude=34.65, serial=f'S{seed}')
     shutil.copytree(folder / 'a', folder / 'deeper' / 'again')
     (folder / 'broken.mcap').write_bytes(b'no mcap at all')
+    (folder / 'log.csv').write_text('t,x\n0,1\n', encoding='utf-8')
     return folder
 
 
@@ -89,6 +90,20 @@ def test_sources_are_found(recordings: Path) -> None:
         find_jobs([str(recordings / 'c')], Stated())
     with pytest.raises(InputError, match='holds no recording'):
         find_jobs([str(recordings / 'x*')], Stated())
+
+
+def test_files_to_convert_are_counted(recordings: Path, tmp_path: Path) -> None:
+    folder = tmp_path / 'folder'
+    shutil.copytree(recordings / 'a', folder / 'a')
+    (folder / 'a' / 'notes.txt').touch()
+    (folder / 'list.csv').write_text('stand, recording\neast, a\n')
+    logs = [folder / 'log.CSV', folder / 'ros1.bag', folder / 'deeper' / 'log.txt']
+    logs[-1].parent.mkdir()
+    for log in logs:
+        log.write_bytes(b'\xff\x00' * 3)
+    assert convertible([folder]) == logs
+    assert convertible([folder / '*']) == [logs[2], *logs[:2]]
+    assert not convertible([folder / 'list.csv', folder / 'a', 's3://nowhere'])
 
 
 def test_a_manifest_says_what_recordings_do_not(tmp_path: Path) -> None:
@@ -190,6 +205,7 @@ def test_what_is_done_is_not_done_again_and_what_failed_is_said(
     assert main(['batch', str(recordings), '-o', str(done), '--workers', '1']) == 1
     out, err = capsys.readouterr()
     assert '0 calibrated, 0 failed, 4 done before (1 failed)' in out
+    assert '1 file (.csv) is no recording; imu-calib convert' in out
     assert '1 without a calibration; imu-calib catalogue' in err.replace('\n', ' ')
     assert '1 failed before and did not change: --retry repeats them.' in err.replace('\n', ' ')
     assert rows(done) == before
