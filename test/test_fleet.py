@@ -27,7 +27,7 @@ from imu_calib import InputError
 from imu_calib.api.stated import Stated
 from imu_calib.cli.main import main
 from imu_calib.fleet.catalogue import Catalogue, schema
-from imu_calib.fleet.recordings import Job, Labels, convertible, find_jobs, read_manifest
+from imu_calib.fleet.recordings import COLUMNS, Job, Labels, convertible, find_jobs, read_manifest
 from imu_calib.fleet.running import run_batch
 from imu_calib.fleet.task import DEFECT, LOST, Done, content_of, failed, key_of, run
 from imu_calib.workers import Engine
@@ -144,6 +144,7 @@ def test_a_manifest_says_what_recordings_do_not(tmp_path: Path) -> None:
         ('recording,imu_only\nx,perhaps\n', 'row 2: imu_only: found .perhaps., expected yes or no'),
         ('recording,date\nx,soon\n', 'row 2: date: found .soon., expected 2026-11-22'),
         ('recording,colour\nx,red\n', 'row 2: found the column .colour., expected of: recording'),
+        ('recording,mount\nx,y\n', 'row 2: found the column .mount., expected of: recording'),
         ('recording,serial\n,A1\n', 'row 2: found no recording'),
         ('bag,serial\nx,A1\n', 'found the column .bag.*The column recording is missing'),
         ('recording;latitude\nx;48,1\n', 'row 2: latitude: found .48,1.* write 48.1.'),
@@ -154,6 +155,12 @@ def test_a_broken_manifest_gets_a_sentence(tmp_path: Path, text: str, sentence: 
     path.write_text(text)
     with pytest.raises(InputError, match=sentence):
         find_jobs([str(path)], Stated())
+
+
+def test_the_page_names_every_column_of_a_manifest() -> None:
+    page = (Path(__file__).parents[1] / 'docs' / 'fleet.md').read_text(encoding='utf-8')
+    section = page.partition('## Sources of a batch')[2].partition('\n## ')[0]
+    assert not [name for name in COLUMNS if f'`{name}`' not in section]
 
 
 def test_a_task_is_known_by_what_counts(recordings: Path, tmp_path: Path) -> None:

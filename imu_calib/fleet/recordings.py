@@ -13,6 +13,7 @@ from typing import Any
 
 import yaml
 
+from ..api.keywords import Session
 from ..api.stated import Stated
 from ..bags import AnyPath, RemotePath, is_url, located
 from ..errors import InputError
@@ -81,7 +82,7 @@ class Job:
 COLUMNS = (
     _RECORDING,
     _IMUS,
-    *(one.name for one in fields(Stated)),
+    *(one.name for one in fields(Stated) if one.name in Session.__annotations__),
     *(one.name for one in fields(Labels)),
 )
 """Columns of a manifest."""
