@@ -262,6 +262,10 @@ def test_catalogue_lists_filters_and_exports(
     heading = capsys.readouterr().out.split('\n')[0]
     expected = ['temperature', '[degC]']
     assert heading.split() == ['serial', 'at', 'K_gx', '[1]', 'D_gx', '[rad/s]', *expected]
+    # All do not fit on a screen: their names do.
+    assert main(['catalogue', str(done), '--columns', '*']) == 0
+    out = capsys.readouterr().out
+    assert out.startswith('3 rows of 79 columns: key, recording,') and 'K_gx [1], ' in out
     assert main(['catalogue', str(done), '--sql', 'select nothing']) == 2
     assert 'nothing' in capsys.readouterr().err
     assert main(['catalogue', str(done), '--sql', f"select * from '{csv}'"]) == 2

@@ -195,7 +195,7 @@ def test_the_command_refuses_what_it_cannot_do(laboratory: Path, run: Run, tmp_p
     assert run(tmp_path)[0] == 2
     assert run(laboratory, '--on', 'soon')[0] == 2
     code, _, err = run(laboratory, '--where', "imu = 'none'")
-    assert code == 1 and 'holds no calibration' in err
+    assert code == 1 and "no row meets imu = 'none'. It has " in err
 
 
 def test_two_days_make_a_history(tmp_path: Path, run: Run) -> None:
