@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,13 @@ from imu_calib.errors import InputError
 from imu_calib.imu import ImuSpec, load_imu, read_imu
 from imu_calib.model import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from imu_calib.reports.page import Contents, page
-from imu_calib.reports.repeatability import RepeatedParameter, repeated
+from imu_calib.reports.repeatability import (
+    Course,
+    RepeatedParameter,
+    repeatability_notes,
+    repeatability_table,
+    repeated,
+)
 from imu_calib.reports.svg import Axis
 from imu_calib.reports.terms import terms_section
 from imu_calib.segmentation.segmented import Rejected
@@ -32,6 +39,7 @@ from imu_calib.specification import Specification, Verdict, judge
 from imu_calib.units import ARCMIN, DEG_H, MICRO_G, PPM
 
 BROWSER = next(filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'chrome'))), None)
+FIRST = datetime(2026, 1, 1, tzinfo=timezone.utc)
 UNITS = {'ppm': PPM, 'arcmin': ARCMIN, 'deg/h': DEG_H, 'µg': MICRO_G}
 PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 
@@ -260,6 +268,35 @@ def test_spread_and_drift_of_a_hand_worked_case() -> None:
     assert bent.drift == pytest.approx((1.0, 0.1 / np.sqrt(2) * np.sqrt(150)))
 
 
+@pytest.mark.parametrize(
+    ('values', 'days', 'course'),
+    [
+        ([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], [0, 1, 2, 3, 4, 5], Course.DRIFTS),
+        ([0.0, 0.1, 0.0, 5.0, 5.1, 5.0], [0, 1, 2, 3, 4, 5], Course.STEPS),
+        # Nothing was measured in between, and two dates tell no course.
+        ([0.0, 0.1, 5.0, 5.1], [0, 1, 300, 301], Course.CHANGES),
+        ([0.0, 5.0], [0, 300], Course.SCATTERS),
+        ([0.0, 5.0, 0.1, 4.9], [0, 1, 2, 3], Course.SCATTERS),
+        ([0.0, 0.1, -0.1, 0.0], [0, 1, 2, 3], Course.REPEATS),
+    ],
+)
+def test_a_drift_and_a_step_are_named_where_the_values_tell_them_apart(
+    values: list[float], days: list[float], course: Course
+) -> None:
+    size = len(values)
+    row = RepeatedParameter(
+        PARAMETERS[0], np.array(values), np.full(size, 0.1), np.array(days, float), FIRST
+    )
+    assert row.course is course
+    (words,) = re.findall(r'badge \w+">(\w+)<', repeatability_table([row]))
+    assert words == course.value[0]
+    notes = repeatability_notes([row])
+    assert ('Stepping between two dates: K_gx (2026-01-03 to 2026-01-04).' in notes) is (
+        course is Course.STEPS
+    )
+    assert ('as a drift or a step explains: K_gx.' in notes) is (course is Course.CHANGES)
+
+
 def test_only_calibrations_of_one_unit_are_compared(contents: Contents) -> None:
     own = contents.calibration
     foreign = replace(own, imu=replace(own.imu, id='another'))
@@ -282,6 +319,16 @@ def test_only_calibrations_of_one_unit_are_compared(contents: Contents) -> None:
     wrong = replace(again, provenance={**own.provenance, 'recorded': 'yesterday'})
     with pytest.raises(InputError, match='recorded: found'):
         repeated([own, wrong], ['a', 'b'])
+
+
+def test_compare_may_be_repeated(contents: Contents, tmp_path: Path) -> None:
+    files = [tmp_path / f'{name}.yaml' for name in 'abc']
+    for by, file in enumerate(files):
+        moved(contents.calibration, float(by)).save(file)
+    first, *others = map(str, files)
+    asked = [word for other in others for word in ('--compare', other)]
+    assert main(['report', first, *asked, '-o', str(tmp_path / 'r.html')]) == 0
+    assert '3 calibrations;' in (tmp_path / 'r.html').read_text(encoding='utf-8')
 
 
 def test_the_recording_dates_the_calibration(result: Result) -> None:
