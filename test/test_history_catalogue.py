@@ -120,7 +120,7 @@ def test_one_unit_and_some_rows(laboratory: Path) -> None:
     assert [u.serial for u in few.units] == ['F003', 'F004']
     with pytest.raises(InputError, match=r"of a unit .* 'F900', its recordings failed"):
         imu_calib.history(laboratory, serial='F900')
-    with pytest.raises(NotObservable, match='holds no calibration for which serial = '):
+    with pytest.raises(NotObservable, match='no row meets serial = '):
         imu_calib.history(laboratory, where="serial = 'nobody'")
     with pytest.raises(InputError, match='nothing'):
         imu_calib.history(laboratory, where='nothing = 1')
