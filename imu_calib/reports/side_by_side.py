@@ -83,7 +83,7 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
     # Columns that do not fit into a line continue in the next: no number and no unit is cut.
     table = plain_table(('Table 1', 'here', *numbers, 'unit', ''), sides, no_wrap=True)
     differ = dict(zip(found.parameters, found.differ, strict=True))
-    places = _places(beside)
+    places = _places(compared)
     last = None
     for parameter in sorted(found.parameters, key=_table_order):
         if last is not None and section_of(parameter) != section_of(last):
@@ -113,12 +113,12 @@ def _alike(parameter: Parameter) -> tuple[object, ...]:
     return *section_of(parameter), parameter.kind
 
 
-def _places(beside: SideBySide) -> dict[tuple[object, ...], int]:
+def _places(compared: SideBySide) -> dict[tuple[object, ...], int]:
     """Return the decimals of rows: two of the deviation, and one of the difference of two."""
     places: dict[tuple[object, ...], int] = {}
-    for k, parameter in enumerate(beside.parameters):
-        shown, values = _as_table_1(parameter, beside.calibrations)
-        own = _table_decimals(parameter, shown, float(np.min(beside.std[:, k])))
+    for k, parameter in enumerate(compared.parameters):
+        shown, values = _as_table_1(parameter, compared.calibrations)
+        own = _table_decimals(parameter, shown, float(np.min(compared.std[:, k])))
         if len(values) == 2 and (apart := abs(values[0] - values[1])):
             first = int(np.ceil(-np.log10(apart)))
             own = max(own, min(first, own + _MORE))
