@@ -20,7 +20,7 @@ import pytest
 from buckets import put, served
 from dask_cluster import Cluster
 from installed import needs_modules
-from loopback import until
+from loopback import patience, until
 
 import imu_calib
 from imu_calib import InputError
@@ -434,7 +434,7 @@ def slow(job: Job, known: frozenset[str]) -> Done:
     path = Path(job.recording)
     with (path.parent / f'{path.name}.begun').open('a') as file:
         file.write('.')
-    until((path.parent / 'go').exists, 120)
+    until((path.parent / 'go').exists, patience(120))
     return a_row(int(path.name))
 
 
@@ -448,11 +448,11 @@ def test_a_scheduler_that_is_started_again_is_gone_on_with(
     kept = Catalogue(tmp_path / 'c', create=True)
     with ThreadPoolExecutor(1) as pool:
         running = pool.submit(run_batch, jobs, kept, Engine(scheduler=cluster.address), task=slow)
-        until((tmp_path / '0.begun').exists, 60)
+        assert until((tmp_path / '0.begun').exists)
         cluster.stop()
         (tmp_path / 'go').touch()
         cluster.start()
-        ended = running.result(120)
+        ended = running.result(patience(120))
     assert ended.failed == 3
     assert sorted(row['recording'] for row in rows(tmp_path / 'c')) == ['r0', 'r1', 'r2']
 
@@ -467,7 +467,7 @@ def test_two_clients_of_one_catalogue_add_each_row_once(
     folder = tmp_path / 'c'
     Catalogue(folder, create=True)
     # Each knows what is done when it begins: nothing.
-    both = threading.Barrier(2, timeout=120)
+    both = threading.Barrier(2, timeout=patience(120))
 
     def client(_: int) -> int:
         engine = Engine(scheduler=cluster.address)
@@ -573,7 +573,7 @@ def test_a_client_that_is_killed_goes_on_where_it_was(recordings: Path, tmp_path
     command[4] = str(copies / 'list.csv')
     first = subprocess.Popen([*command, '--workers', '1'], start_new_session=True)
     try:
-        until(lambda: bool(list((folder / 'rows').glob('part-*'))), 120)
+        assert until(lambda: bool(list((folder / 'rows').glob('part-*'))), patience(120))
     finally:
         os.killpg(first.pid, signal.SIGKILL)
         first.wait()
