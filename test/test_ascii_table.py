@@ -227,7 +227,8 @@ class Bench:
         self.node = None
 
     def open(self, *more):
-        arguments = [f'port:={self.controller.url}', 'reply_timeout:=0.1', *more]
+        # The controller is a thread of this process, which a busy machine may hold up.
+        arguments = [f'port:={self.controller.url}', 'reply_timeout:=0.4', *more]
         ros.init(args=['--ros-args', *(w for a in arguments for w in ('-p', a))])
         self.executor = ros.SingleThreadedExecutor()
         self.leader, self.node = Leader(), AsciiTableNode()

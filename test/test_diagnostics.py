@@ -192,8 +192,10 @@ def test_a_node_speaks_every_second_and_at_once_when_it_gets_worse(wire):
     assert spin(lambda: diagnostics.publisher.get_subscription_count() == 1)
     diagnostics.publish()
     assert spin(lambda: 'lab/talker: part' in heard)
+    # Whatever a busy machine takes: the word that comes once a second is not waited for.
+    diagnostics._timer.cancel()
     diagnostics.report('part', Level.ERROR, 'It is broken.', mass='0 kg')
-    assert spin(lambda: heard['lab/talker: part'][-1].message == 'It is broken.', 0.9)
+    assert spin(lambda: heard['lab/talker: part'][-1].message == 'It is broken.')
     assert heard['lab/talker: part'][0].message == 'It works.'
     assert [(v.key, v.value) for v in heard['lab/talker: part'][-1].values] == [('mass', '0 kg')]
     node.destroy_node()

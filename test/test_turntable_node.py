@@ -284,7 +284,7 @@ class Session:
         """Start the node as a process; return it when it drives the table through a turn."""
         self.open(with_node=False)
         # On a busy machine the table of this process may be held up for longer than a node waits.
-        process = self.start(code, **{'autostart': True, 'feedback_timeout': 30.0, **changes})
+        process = self.start(code, **{'autostart': True, **PATIENT, **changes})
         assert self.until(lambda: self.watcher.phase is Phase.TURNING), process.poll()
         assert self.until(lambda: not self.table.at_rest())
         return process
@@ -432,7 +432,7 @@ def test_a_pressed_stop_outlives_the_node_that_was_killed(session, said):
         session.watcher.destroy_publisher(estop)
     session.watcher.states.clear()
     before = len(session.table.setpoints)
-    session.start(autostart=True)
+    session.start(autostart=True, **PATIENT)
     assert session.until(lambda: session.watcher.phase is Phase.ABORTED), 'it remembers'
     assert session.until(lambda: len(session.table.setpoints) > before + 10)
     assert {s.mode for s in session.table.setpoints[before:]} == {Mode.HOLD}
