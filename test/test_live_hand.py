@@ -23,6 +23,7 @@ from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
 from imu_calib.methods.free_positions import FREE
 from imu_calib.model import PARAMETER_NAMES, ParameterKind
+from imu_calib.nodes import hand_node
 from imu_calib.nodes.live import SessionPhase
 from imu_calib.plan import load_plan
 from imu_calib.share import named_file
@@ -130,6 +131,25 @@ def test_the_hand_goes_where_it_is_told_and_nowhere_while_it_waits():
     for _ in range(120):
         hand.advance(0.1)
     assert hand.holds == 3
+
+
+@pytest.mark.parametrize(('speed', 'expected'), [(0.0, 1.0), (0.5, 0.5), (10.0, 1.0)])
+def test_a_hand_that_waits_for_advice_keeps_to_the_wall_clock(monkeypatch, speed, expected):
+    wall = [1000.0]
+    monkeypatch.setattr(hand_node.time, 'monotonic', lambda: wall[0])
+    hand = SimpleNamespace(
+        _line=SimpleNamespace(idle=True, connected=True),
+        _hardware=SimpleNamespace(waits=True, time=0.0),
+        _speed=speed,
+        _anchor=None,
+    )
+    while wall[0] < 1010.0:
+        if rest := hand_node.HandNode._rest(hand):
+            wall[0] += rest
+        else:
+            hand._hardware.time += 0.1
+    # To within a step.
+    assert hand._hardware.time == pytest.approx(10.0 * expected, abs=0.2)
 
 
 def progress(**changed):

@@ -85,11 +85,16 @@ def numbers(folder):
 
 
 def kill_everything(process, folder):
-    """End the command's process group and all nodes, as a power cut does."""
+    """End the command's process group and all nodes, as a power cut does.
+
+    The command is held first: it would end its nodes when one of them is missed, and they end by
+    themselves, with a word, when it is killed.
+    """
     nodes = numbers(folder)
-    os.killpg(process.pid, signal.SIGKILL)
+    os.killpg(process.pid, signal.SIGSTOP)
     for number in nodes:
         os.kill(number, signal.SIGKILL)
+    os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     assert until(lambda: not numbers(folder))
 
