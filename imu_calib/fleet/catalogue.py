@@ -23,7 +23,7 @@ from urllib.parse import quote
 
 from ..errors import InputError, NotObservable
 from ..extras import require
-from ..histories.words import listed
+from ..histories.sentences import listed
 from ..model import PARAMETER_NAMES, PARAMETERS
 from ..paths import user_path, write_whole
 from ..units import counted
