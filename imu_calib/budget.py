@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .stream import Floats
 
@@ -245,10 +244,6 @@ class Budget:
     def expanded(self) -> Floats:
         """Expanded uncertainties (n,) at `PROBABILITY`."""
         return np.asarray(self.coverage_factor * self.std)
-
-    def matters(self, least: float) -> NDArray[np.bool_]:
-        """Return for each source whether it exceeds a share of the variance of any parameter."""
-        return np.asarray(np.any(self.fractions > least, axis=1))
 
     @property
     def fractions(self) -> Floats:

@@ -60,8 +60,10 @@ def named_file(kind: str, name: str | Path) -> Path:
     if path.suffix in {'.yaml', '.yml'} or path.parent != Path():
         if path.is_file():
             return path
-        what = 'a folder, expected a file' if path.is_dir() else 'no such file'
-        raise InputError(f'{path}: {what}.')
+        what = 'a folder' if path.is_dir() else 'a device or a pipe'
+        raise InputError(
+            f'{path}: {what}, expected a file.' if path.exists() else f'{path}: no such file.'
+        )
     file = share_folder() / 'config' / kind / f'{path.name}.yaml'
     if file.is_file():
         return file

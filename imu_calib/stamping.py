@@ -20,6 +20,9 @@ KEY = 'clock'
 
 _LARGEST = 0.1
 """Largest plausible rate error of a clock; the simulator has the same limit."""
+_NOTICED = 0.05 * PPM
+"""Smallest rate error that an interval is corrected for by hand: it rounds to 0.1 ppm, a tenth of
+what the scale factors of the best gyros are known to."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +41,14 @@ class StampingClock:
     faster: float
     std: float
 
+    @property
+    def is_noticed(self) -> bool:
+        """Whether intervals between its stamps are to be corrected."""
+        return abs(self.faster) >= _NOTICED
+
     def pace(self, digits: int) -> str:
         """Return its relative rate in words, in ppm to some decimal digits."""
-        parts = f'{abs(self.faster) / PPM:.{digits}f}'
-        if float(parts) == 0:
-            return f'less than {0.1**digits:.{digits}f} ppm off'
-        return f'{parts} ppm {"fast" if self.faster > 0 else "slow"}'
+        return f'{abs(self.faster) / PPM:.{digits}f} ppm {"fast" if self.faster > 0 else "slow"}'
 
     def document(self) -> dict[str, Any]:
         """Return its section of a file."""

@@ -58,7 +58,7 @@ def first_last(folder: Path, task: int) -> tuple[int, int]:
     if task:
         (folder / str(task)).touch()
     else:
-        until((folder / '3').exists, 60)
+        until((folder / '3').exists)
     return task, os.getpid()
 
 

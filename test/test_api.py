@@ -194,7 +194,10 @@ def test_results_are_shown_in_a_line(folder: Path, result: imu_calib.Result) -> 
         str(result),
     )
     found = imu_calib.verify(result, folder / 'bag')
-    assert str(found).startswith('<Verification: not tested; gyros PASS (chi-square ')
+    assert repr(found).startswith('<Verification: not tested; gyros PASS (chi-square ')
+    first, second, *_ = str(found).splitlines()
+    assert first.startswith('NOT TESTED: the calibration was made from this recording.')
+    assert second.startswith('gyros: pass, chi-square ') and f'{found.verdict}' == 'pass'
 
 
 @pytest.mark.parametrize(

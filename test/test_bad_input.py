@@ -428,6 +428,17 @@ def test_a_folder_that_does_not_exist(cli: CommandLine, tmp_path: Path) -> None:
     cli.refuses(2, 'nowhere: no such recording; expected a rosbag2 folder', tmp_path / 'nowhere')
 
 
+def test_the_metadata_in_place_of_the_recording(cli: CommandLine, recorded: Path) -> None:
+    sentence = r'metadata.yaml describes a recording: give the folder that holds it'
+    cli.refuses(2, sentence, recorded / 'metadata.yaml')
+
+
+def test_a_device_in_place_of_a_file(cli: CommandLine, recorded: Path) -> None:
+    cli.refuses(
+        2, '/dev/null: a device or a pipe, expected a file', recorded, '--plan', '/dev/null'
+    )
+
+
 def test_an_output_folder_that_does_not_exist(cli: CommandLine, recorded: Path) -> None:
     code, text = cli('calibrate', recorded, '-o', cli.folder / 'no' / 'c.yaml')
     assert (code, 'no/c.yaml: the folder' in text, 'does not exist' in text) == (2, True, True)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from rich.console import Console
+from rich.table import Table
 from scipy.signal import lfilter
 from sessions import LATITUDE, at_one_rate, calibrate, quick_plan, session, stand, truth
 from test_free_positions import result as by_hand
@@ -544,6 +545,19 @@ def test_free_positions_tell_noise_pulses_and_what_trembles() -> None:
     assert np.isfinite(lines[Source.NOISE].freedom[known]).all()
     # A share of the noise and one of the pulses: neither is all of it.
     assert (lines[Source.QUANTISATION].std[K_A] < calibration.std[K_A]).all()
+
+
+def test_what_concerns_no_estimated_parameter_has_no_row_and_no_column() -> None:
+    # As where only the gyros are calibrated, and gravity is a source of the others alone.
+    whole = made('six_position', 'six_position')
+    of_gyros = [p.triad == 'g' for p in whole.parameters]
+    covariance = np.where(np.outer(of_gyros, of_gyros), whole.covariance, np.nan)
+    tables = budget_tables(replace(whole, covariance=covariance))
+    headings = [
+        str(c.header) for table in tables if isinstance(table, Table) for c in table.columns
+    ]
+    assert 'noise' in headings and 'gravity' not in headings
+    assert not any('gravity at the site' in line for line in tables if isinstance(line, str))
 
 
 def test_a_method_that_does_not_tell_says_so() -> None:

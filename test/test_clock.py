@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from loopback import environment, start, until
+from loopback import environment, patience, start, until
 
 from imu_calib.bags import Journal, open_recording
 from imu_calib.cdr import Kind, encode_imu
@@ -86,8 +86,8 @@ class Bench:
     def _hear(self, message):
         self.words |= {s.name.partition(': ')[2]: s.message for s in message.status}
 
-    def until(self, condition, seconds=30.0):
-        return until(condition, seconds, self._spin)
+    def until(self, condition):
+        return until(condition, step=self._spin)
 
     def _spin(self):
         ros.spin_once(self.node, timeout_sec=0.002)
@@ -95,9 +95,7 @@ class Bench:
 
     def tell(self, seconds):
         self.clock.publish(M.Clock(clock=M.TimeMsg(sec=seconds)))
-        assert self.until(
-            lambda: int(self.node.get_clock().now().nanoseconds) == seconds * NS, 15.0
-        )
+        assert self.until(lambda: int(self.node.get_clock().now().nanoseconds) == seconds * NS)
 
     def send(self, first):
         before = self.count
@@ -115,7 +113,7 @@ def test_what_waits_at_the_end_is_recorded_however_much_it_is(monkeypatch, tmp_p
     with Bench(monkeypatch, tmp_path) as bench:
         bench.tell(EPOCH)
         ros.publish_all(bench.pulses, samples(EPOCH, count).payloads())
-        assert ros.acknowledged(bench.pulses, 15.0)
+        assert ros.acknowledged(bench.pulses, patience())
         assert bench.count == 0
     assert len(log_times(tmp_path / 'journal')[TOPIC]) == count
 
@@ -185,15 +183,14 @@ def test_no_node_ends_whatever_the_clock_says(monkeypatch, tmp_path, name):
             # Two words of it: the second was said after the clock was heard.
             assert until(
                 lambda: len(heard) > 1 or process.poll() is not None,
-                30.0,
-                lambda: ros.spin_once(peer, timeout_sec=0.01),
+                step=lambda: ros.spin_once(peer, timeout_sec=0.01),
             )
             assert process.poll() is None, process.stderr.read()
 
         for seconds in (0, 1, EPOCH, EPOCH + 1, 0, 3, 2**31 - 1, 7):
             tell(seconds)
         process.terminate()
-        assert process.wait(30) == 0
+        assert process.wait(patience()) == 0
     finally:
         process.kill()
         process.communicate()

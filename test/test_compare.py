@@ -90,6 +90,23 @@ def test_another_nominal_scale_factor_is_no_difference_of_the_unit() -> None:
     assert all(abs(float(row[2])) < 1e-9 for row in rows(first, second).values())
 
 
+def test_rows_of_a_kind_have_the_same_decimals() -> None:
+    # Deviations of different size, and a difference below all of them.
+    first = unit()
+    parameters = list(first.parameters)
+    scale = np.geomspace(1.0, 1e-2, len(parameters))
+    spread = first.covariance * np.outer(scale, scale)
+    first = replace(first, covariance=spread)
+    step = np.where([p.name == 'D_ax' for p in parameters], 5e-8, 2e-6)
+    moved = first.model.with_values(first.parameters, first.values + step)
+    found = rows(first, replace(first, model=moved))
+    assert float(found['D_ax'][2]) == pytest.approx(-5e-8 / STANDARD_GRAVITY, rel=0.2)
+    for kind in ('K_g', 'K_a', 'E_g', 'E_a', 'D_a', 'G_g'):
+        cells = [row[:3] for name, row in found.items() if name.startswith(kind)]
+        after = {len(cell.partition('.')[2]) for row in cells for cell in row}
+        assert len(cells) >= 3 and len(after) == 1, kind
+
+
 def test_two_units_are_said_to_be_two() -> None:
     """A unit without a serial number, the truth of a simulation for one, may be any."""
     first, second = (replace(unit(), serial_number=n) for n in ('A1004', 'A1005'))

@@ -186,7 +186,7 @@ def test_a_calibration_comes_by_topic_if_it_is_good_and_of_this_unit(monkeypatch
         provisional = calibration_message(result(), M.ImuCalibration.PROVISIONAL, 'imu_link', now)
         send(provisional)
         bench.until(lambda: False, 1.5)
-        assert bench.said('calibration', 'No calibration', '/calibration')
+        assert bench.until(lambda: bench.said('calibration', 'No calibration', '/calibration'))
         lacking = {**result().provenance, 'missing_positions': ['11', '12']}
         half = replace(result(), provenance=lacking)
         send(calibration_message(half, final_status(half), 'imu_link', now))

@@ -226,7 +226,7 @@ def test_a_node_that_ends_leaves_the_table_on_the_way_to_a_stop(session, monkeyp
     monkeypatch.setattr(stand, 'FakeTable', FollowingTable)
     session.turn_at(90).open(with_node=False)
     session.executor.add_node(session.table.controller)
-    process = session.start(output='trajectory', feedback_timeout=30.0)
+    process = session.start(output='trajectory', **stand.PATIENT)
     # Refused until it has found table and controller.
     assert session.until(lambda: session.press('start')[0])
     session.reaches(Phase.TURNING)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dask_cluster import Cluster, first_last, refused
-from loopback import CHECKOUT, until
+from loopback import CHECKOUT, patience, until
 from test_montecarlo import study
 
 from imu_calib import NotObservable
@@ -99,7 +99,7 @@ def test_what_callbacks_of_dask_raise_is_not_logged(
     with Engine(scheduler).connected() as client:
         for callback in (fails, over.set):
             client.loop.add_callback(callback)
-        assert over.wait(60)
+        assert over.wait(patience())
     assert begun.is_set()
     assert 'no future' not in caplog.text
 
@@ -120,10 +120,10 @@ def test_ctrl_c_ends_a_study(where: str, request: pytest.FixtureRequest) -> None
     group = os.getpgid(running.pid)
     try:
         # Both have processes or threads of their own when they are at work.
-        until(lambda: at_work(running.pid, where), 120)
+        assert until(lambda: at_work(running.pid, where), patience(120))
         # As a terminal sends it: to all of them.
         os.killpg(group, signal.SIGINT)
-        _, said = running.communicate(timeout=120)
+        _, said = running.communicate(timeout=patience(120))
     finally:
         if running.poll() is None:
             os.killpg(group, signal.SIGKILL)
@@ -131,7 +131,7 @@ def test_ctrl_c_ends_a_study(where: str, request: pytest.FixtureRequest) -> None
     assert running.returncode == 130
     assert said.strip().splitlines()[-1] == 'imu-calib montecarlo: interrupted'
     assert 'Traceback' not in said
-    until(lambda: not in_group(group), 30)
+    assert until(lambda: not in_group(group))
 
 
 def at_work(process: int, where: str) -> bool:

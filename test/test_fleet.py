@@ -20,16 +20,16 @@ import pytest
 from buckets import put, served
 from dask_cluster import Cluster
 from installed import needs_modules
-from loopback import until
+from loopback import patience, until
 
 import imu_calib
 from imu_calib import InputError
 from imu_calib.api.stated import Stated
 from imu_calib.cli.main import main
 from imu_calib.fleet.catalogue import Catalogue, schema
-from imu_calib.fleet.recordings import Job, Labels, find_jobs, read_manifest
+from imu_calib.fleet.recordings import COLUMNS, Job, Labels, convertible, find_jobs, read_manifest
 from imu_calib.fleet.running import run_batch
-from imu_calib.fleet.task import DEFECT, LOST, Done, failed, key_of, run
+from imu_calib.fleet.task import DEFECT, LOST, Done, content_of, failed, key_of, run
 from imu_calib.workers import Engine
 
 needs_modules('pyarrow', 'duckdb', 'distributed')
@@ -50,6 +50,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
         imu_calib.simulate(plan, folder / name, seed=seed, latitude=34.65, serial=f'S{seed}')
     shutil.copytree(folder / 'a', folder / 'deeper' / 'again')
     (folder / 'broken.mcap').write_bytes(b'no mcap at all')
+    (folder / 'log.csv').write_text('t,x\n0,1\n', encoding='utf-8')
     return folder
 
 
@@ -91,6 +92,20 @@ def test_sources_are_found(recordings: Path) -> None:
         find_jobs([str(recordings / 'x*')], Stated())
 
 
+def test_files_to_convert_are_counted(recordings: Path, tmp_path: Path) -> None:
+    folder = tmp_path / 'folder'
+    shutil.copytree(recordings / 'a', folder / 'a')
+    (folder / 'a' / 'notes.txt').touch()
+    (folder / 'list.csv').write_text('stand, recording\neast, a\n')
+    logs = [folder / 'log.CSV', folder / 'ros1.bag', folder / 'deeper' / 'log.txt']
+    logs[-1].parent.mkdir()
+    for log in logs:
+        log.write_bytes(b'\xff\x00' * 3)
+    assert convertible([folder]) == logs
+    assert convertible([folder / '*']) == [logs[2], *logs[:2]]
+    assert not convertible([folder / 'list.csv', folder / 'a', 's3://nowhere'])
+
+
 def test_a_manifest_says_what_recordings_do_not(tmp_path: Path) -> None:
     (tmp_path / 'own.yaml').write_text('{}')
     csv = tmp_path / 'list.csv'
@@ -129,6 +144,7 @@ def test_a_manifest_says_what_recordings_do_not(tmp_path: Path) -> None:
         ('recording,imu_only\nx,perhaps\n', 'row 2: imu_only: found .perhaps., expected yes or no'),
         ('recording,date\nx,soon\n', 'row 2: date: found .soon., expected 2026-11-22'),
         ('recording,colour\nx,red\n', 'row 2: found the column .colour., expected of: recording'),
+        ('recording,mount\nx,y\n', 'row 2: found the column .mount., expected of: recording'),
         ('recording,serial\n,A1\n', 'row 2: found no recording'),
         ('bag,serial\nx,A1\n', 'found the column .bag.*The column recording is missing'),
         ('recording;latitude\nx;48,1\n', 'row 2: latitude: found .48,1.* write 48.1.'),
@@ -141,13 +157,19 @@ def test_a_broken_manifest_gets_a_sentence(tmp_path: Path, text: str, sentence: 
         find_jobs([str(path)], Stated())
 
 
+def test_the_page_names_every_column_of_a_manifest() -> None:
+    page = (Path(__file__).parents[1] / 'docs' / 'fleet.md').read_text(encoding='utf-8')
+    section = page.partition('## Sources of a batch')[2].partition('\n## ')[0]
+    assert not [name for name in COLUMNS if f'`{name}`' not in section]
+
+
 def test_a_task_is_known_by_what_counts(recordings: Path, tmp_path: Path) -> None:
     imu = tmp_path / 'unit.yaml'
     shutil.copy(imu_calib.share.named_file('imus', 'fog_medium'), imu)
     job = Job(str(recordings / 'a'), Stated(imu=str(imu)))
 
     def key(job: Job) -> str:
-        return key_of(job, Path(job.recording))[0]
+        return key_of(job, content_of(Path(job.recording)))
 
     known = key(job)
     moved = tmp_path / 'renamed.yaml'
@@ -190,8 +212,30 @@ def test_what_is_done_is_not_done_again_and_what_failed_is_said(
     assert main(['batch', str(recordings), '-o', str(done), '--workers', '1']) == 1
     out, err = capsys.readouterr()
     assert '0 calibrated, 0 failed, 4 done before (1 failed)' in out
+    assert '1 file (.csv) is no recording; imu-calib convert' in out
     assert '1 without a calibration; imu-calib catalogue' in err.replace('\n', ' ')
+    assert '1 failed before and did not change: --retry repeats them.' in err.replace('\n', ' ')
     assert rows(done) == before
+
+
+def test_what_cannot_be_read_is_one_row_until_it_changes(recordings: Path, tmp_path: Path) -> None:
+    lacking = tmp_path / 'one' / 'rec'
+    shutil.copytree(recordings / 'a', lacking)
+    (storage,) = lacking.glob('*.mcap')
+    storage.unlink()
+    copied = shutil.copytree(lacking, tmp_path / 'two' / 'rec')
+    first = run(Job(str(lacking)))
+    assert first.row is not None and not first.row['sha256']
+    known = frozenset([first.key])
+    # Again, by another path, and copied: none is news.
+    for path in (lacking, tmp_path / 'two' / '..' / 'one' / 'rec', copied):
+        assert run(Job(str(path)), known) == Done(first.key)
+    assert run(Job(str(lacking)), frozenset()).row is not None
+    (copied / 'another.db3').touch()
+    assert run(Job(str(copied)), known).row is not None
+    # Nothing but its path is known of one that is not there.
+    gone = [run(Job(str(tmp_path / name / 'rec'))).key for name in ('three', 'four')]
+    assert len({*gone, first.key}) == 3
 
 
 def test_catalogue_lists_filters_and_exports(
@@ -218,6 +262,10 @@ def test_catalogue_lists_filters_and_exports(
     heading = capsys.readouterr().out.split('\n')[0]
     expected = ['temperature', '[degC]']
     assert heading.split() == ['serial', 'at', 'K_gx', '[1]', 'D_gx', '[rad/s]', *expected]
+    # All do not fit on a screen: their names do.
+    assert main(['catalogue', str(done), '--columns', '*']) == 0
+    out = capsys.readouterr().out
+    assert out.startswith('3 rows of 79 columns: key, recording,') and 'K_gx [1], ' in out
     assert main(['catalogue', str(done), '--sql', 'select nothing']) == 2
     assert 'nothing' in capsys.readouterr().err
     assert main(['catalogue', str(done), '--sql', f"select * from '{csv}'"]) == 2
@@ -386,7 +434,7 @@ def slow(job: Job, known: frozenset[str]) -> Done:
     path = Path(job.recording)
     with (path.parent / f'{path.name}.begun').open('a') as file:
         file.write('.')
-    until((path.parent / 'go').exists, 120)
+    until((path.parent / 'go').exists, patience(120))
     return a_row(int(path.name))
 
 
@@ -400,11 +448,11 @@ def test_a_scheduler_that_is_started_again_is_gone_on_with(
     kept = Catalogue(tmp_path / 'c', create=True)
     with ThreadPoolExecutor(1) as pool:
         running = pool.submit(run_batch, jobs, kept, Engine(scheduler=cluster.address), task=slow)
-        until((tmp_path / '0.begun').exists, 60)
+        assert until((tmp_path / '0.begun').exists)
         cluster.stop()
         (tmp_path / 'go').touch()
         cluster.start()
-        ended = running.result(120)
+        ended = running.result(patience(120))
     assert ended.failed == 3
     assert sorted(row['recording'] for row in rows(tmp_path / 'c')) == ['r0', 'r1', 'r2']
 
@@ -419,7 +467,7 @@ def test_two_clients_of_one_catalogue_add_each_row_once(
     folder = tmp_path / 'c'
     Catalogue(folder, create=True)
     # Each knows what is done when it begins: nothing.
-    both = threading.Barrier(2, timeout=120)
+    both = threading.Barrier(2, timeout=patience(120))
 
     def client(_: int) -> int:
         engine = Engine(scheduler=cluster.address)
@@ -525,7 +573,7 @@ def test_a_client_that_is_killed_goes_on_where_it_was(recordings: Path, tmp_path
     command[4] = str(copies / 'list.csv')
     first = subprocess.Popen([*command, '--workers', '1'], start_new_session=True)
     try:
-        until(lambda: bool(list((folder / 'rows').glob('part-*'))), 120)
+        assert until(lambda: bool(list((folder / 'rows').glob('part-*'))), patience(120))
     finally:
         os.killpg(first.pid, signal.SIGKILL)
         first.wait()

@@ -220,7 +220,9 @@ def test_the_same_catalogue_gives_the_same_page(known: Fleet) -> None:
     assert page(known) == page(replace(known))
 
 
-def test_a_catalogue_of_failures_has_a_page(tmp_path: Path) -> None:
+def test_a_catalogue_of_failures_has_a_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / 'catalogue'
     Catalogue(folder, create=True)
     path = imu_calib.fleet_report(folder, tmp_path / 'none.html')
@@ -231,6 +233,12 @@ def test_a_catalogue_of_failures_has_a_page(tmp_path: Path) -> None:
     assert '1 unit: 1 with a failed newest recording, 0 fine.' in text
     assert '1 failed recording did not say of which unit.' in text
     assert 'It failed: &lt;b&gt;x&lt;/b&gt;.' in text
+    # The command says what the page begins with.
+    assert main(['fleet', str(folder), '-o', str(path)]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith(
+        '1 unit: 1 with a failed newest recording, 0 fine.\n2 recordings written'
+    )
 
 
 def test_wrong_usage_gets_a_sentence(
@@ -246,6 +254,9 @@ def test_wrong_usage_gets_a_sentence(
     ):
         assert main(['fleet', *words]) == 2
         assert said in ' '.join(capsys.readouterr().err.split())
+    assert main(['fleet', str(catalogue), *out, '--where', "imu = 'none'"]) == 1
+    said = ' '.join(capsys.readouterr().err.split())
+    assert "no row meets imu = 'none'. It has " in said and ', fog_medium, mems' in said
     assert not (tmp_path / 'page.html').exists()
     monkeypatch.setattr('imu_calib.extras.find_spec', lambda name: None if name == 'bokeh' else 1)
     with pytest.raises(InputError, match=r'needs bokeh.*imu_calib\[fleet\]'):

@@ -14,7 +14,7 @@ from imu_calib.api.stated import Stated
 from imu_calib.cli.main import main
 from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.recordings import Job, find_jobs
-from imu_calib.fleet.task import LOST, key_of, lost, run
+from imu_calib.fleet.task import LOST, content_of, key_of, lost, run
 
 needs_modules('pyarrow', 'duckdb', 'distributed')
 
@@ -99,13 +99,14 @@ def test_what_is_done_is_not_done_again_until_the_list_changes(
     assert third.row is not None and third.key in known
     changed = folder / 'changed.yaml'
     changed.write_text(SIMULATED + NOBODY + '# turned\n')
-    before = key_of(job, Path(job.recording))
-    assert key_of(replace(job, imus=str(changed)), Path(job.recording))[0] != before[0]
+    sha256 = content_of(Path(job.recording))
+    before = key_of(job, sha256)
+    assert key_of(replace(job, imus=str(changed)), sha256) != before
     imu = folder / 'my_imu.yaml'
     text = imu.read_text()
     try:
         imu.write_text(text + '# another scale\n')
-        assert key_of(job, Path(job.recording))[0] != before[0]
+        assert key_of(job, sha256) != before
     finally:
         imu.write_text(text)
 
@@ -146,6 +147,9 @@ def test_a_recording_that_gives_nothing_is_a_row_for_each_unit(folder: Path) -> 
             ('A1', 'fog_medium', code),
             ('A2', 'fog_medium', code),
         ]
+    # It is no news as long as it does not change.
+    known = frozenset(one.key for one in run(job).every)
+    assert [one.row for one in run(job, known).every] == [None, None]
 
 
 def test_the_list_of_a_row_counts_before_that_of_all(folder: Path, tmp_path: Path) -> None:

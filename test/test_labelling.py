@@ -262,6 +262,27 @@ def test_a_rest_whose_joints_are_off_is_no_rest_of_the_position() -> None:
     assert found.notes == ('joint inner is -0.5 deg off its setpoint of position c',)
 
 
+@pytest.mark.parametrize('mode', [Mode.POSITION, Mode.RATE])
+@pytest.mark.parametrize(('seconds', 'used'), [(9.9, True), (10.1, False)])
+def test_where_a_stand_is_switched_on_again_is_no_rest_of_the_setpoint_before(
+    mode: Mode, seconds: float, used: bool
+) -> None:
+    setpoints = (asked(0, 'c', mode, angles=(10.0, 0.0)), asked(60, 'a', angles=(0.0, 0.0)))
+    resting = rest(30, UPS['b'], angles=(0.0, 90.0)), rest(65, UPS['a'], angles=(0.0, 0.0))
+    silence = (round((29.5 - seconds) * NS), round(29.5 * NS))
+    resumed = replace(session(*resting, setpoints=setpoints), interruptions=(silence,))
+    found = label(resumed, plan(), TABLE)
+    assert len(found.segments) == (2 if used else 1) and found.rejected == ()
+    assert names(found)[-1] == 'a'
+
+
+def test_a_table_that_kept_its_place_goes_on_with_its_rest() -> None:
+    held = rest(30, UPS['c'], angles=(10.0, 0.0))
+    resumed = session(held, setpoints=(asked(0, 'c', angles=(10.0, 0.0)),))
+    resumed = replace(resumed, interruptions=((5 * NS, 25 * NS),))
+    assert names(label(resumed, plan(), TABLE)) == ['c']
+
+
 def test_without_an_attitude_it_is_rejected_or_has_that_of_the_plan() -> None:
     setpoints = (asked(0, 'c'), asked(20, 'x'))
     found = label(session(rest(5), rest(25), setpoints=setpoints), plan(), None)

@@ -154,7 +154,7 @@ def test_what_is_launched_ends_with_its_launcher_even_if_that_is_killed(command,
         assert left(mark)
         launcher.kill()
         launcher.wait()
-        assert until(lambda: not left(mark), 20), left(mark)
+        assert until(lambda: not left(mark)), left(mark)
     finally:
         launcher.stdout.close()
         for number in left(mark):

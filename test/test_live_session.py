@@ -353,7 +353,7 @@ def test_an_imu_of_another_clock_than_the_tables_is_an_error_at_once(tmp_path, w
     session.intakes[Kind.JOINTS].newest = session.intakes[Kind.IMU].newest + later * 3600 * 10**9
     session.intakes[Kind.IMU].received_at = time.monotonic()
     received_at = Words()
-    report_session(session, received_at, imu_timeout=0.5)
+    report_session(session, received_at, imu_timeout=60.0)
     session.close()
     level, text = received_at.said['stream']
     assert level is (Level.ERROR if later else Level.OK)

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,13 @@ from imu_calib.errors import InputError
 from imu_calib.imu import ImuSpec, load_imu, read_imu
 from imu_calib.model import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from imu_calib.reports.page import Contents, page
-from imu_calib.reports.repeatability import RepeatedParameter, repeated
+from imu_calib.reports.repeatability import (
+    Course,
+    RepeatedParameter,
+    repeatability_notes,
+    repeatability_table,
+    repeated,
+)
 from imu_calib.reports.svg import Axis
 from imu_calib.reports.terms import terms_section
 from imu_calib.segmentation.segmented import Rejected
@@ -32,6 +39,7 @@ from imu_calib.specification import Specification, Verdict, judge
 from imu_calib.units import ARCMIN, DEG_H, MICRO_G, PPM
 
 BROWSER = next(filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'chrome'))), None)
+FIRST = datetime(2026, 1, 1, tzinfo=timezone.utc)
 UNITS = {'ppm': PPM, 'arcmin': ARCMIN, 'deg/h': DEG_H, 'µg': MICRO_G}
 PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 
@@ -45,13 +53,19 @@ def result() -> Result:
     return replace(found, labelled=replace(found.labelled, rejected=(disturbed,)))
 
 
+def moved(calibration: Calibration, by: float) -> Calibration:
+    """A calibration of another session: each parameter is off by some of its deviations."""
+    values = calibration.values + by * calibration.std
+    return replace(calibration, model=calibration.model.with_values(calibration.parameters, values))
+
+
 @pytest.fixture(scope='module')
 def contents(result: Result) -> Contents:
     imu = load_imu('fog_medium')
     calibration = result.calibration
     dated = [
-        replace(calibration, provenance={**calibration.provenance, 'recorded': day})
-        for day in ('2026-01-01T00:00:00Z', '2026-03-01T00:00:00Z')
+        replace(moved(calibration, by), provenance={**calibration.provenance, 'recorded': day})
+        for by, day in ((-1.0, '2026-01-01T00:00:00Z'), (1.0, '2026-03-01T00:00:00Z'))
     ]
     return Contents(calibration, 'c.yaml', imu, result, {'b.yaml': dated[0], 'd.yaml': dated[1]})
 
@@ -254,6 +268,35 @@ def test_spread_and_drift_of_a_hand_worked_case() -> None:
     assert bent.drift == pytest.approx((1.0, 0.1 / np.sqrt(2) * np.sqrt(150)))
 
 
+@pytest.mark.parametrize(
+    ('values', 'days', 'course'),
+    [
+        ([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], [0, 1, 2, 3, 4, 5], Course.DRIFTS),
+        ([0.0, 0.1, 0.0, 5.0, 5.1, 5.0], [0, 1, 2, 3, 4, 5], Course.STEPS),
+        # Nothing was measured in between, and two dates tell no course.
+        ([0.0, 0.1, 5.0, 5.1], [0, 1, 300, 301], Course.CHANGES),
+        ([0.0, 5.0], [0, 300], Course.SCATTERS),
+        ([0.0, 5.0, 0.1, 4.9], [0, 1, 2, 3], Course.SCATTERS),
+        ([0.0, 0.1, -0.1, 0.0], [0, 1, 2, 3], Course.REPEATS),
+    ],
+)
+def test_a_drift_and_a_step_are_named_where_the_values_tell_them_apart(
+    values: list[float], days: list[float], course: Course
+) -> None:
+    size = len(values)
+    row = RepeatedParameter(
+        PARAMETERS[0], np.array(values), np.full(size, 0.1), np.array(days, float), FIRST
+    )
+    assert row.course is course
+    (words,) = re.findall(r'badge \w+">(\w+)<', repeatability_table([row]))
+    assert words == course.value[0]
+    notes = repeatability_notes([row])
+    assert ('Stepping between two dates: K_gx (2026-01-03 to 2026-01-04).' in notes) is (
+        course is Course.STEPS
+    )
+    assert ('as a drift or a step explains: K_gx.' in notes) is (course is Course.CHANGES)
+
+
 def test_only_calibrations_of_one_unit_are_compared(contents: Contents) -> None:
     own = contents.calibration
     foreign = replace(own, imu=replace(own.imu, id='another'))
@@ -262,15 +305,30 @@ def test_only_calibrations_of_one_unit_are_compared(contents: Contents) -> None:
     one, two = replace(own, serial_number='A1'), replace(own, serial_number='A2')
     with pytest.raises(InputError, match=r'b\.yaml: serial_number: found A2, expected A1'):
         repeated([one, two], ['a.yaml', 'b.yaml'])
-    assert repeated([own, two], ['a.yaml', 'b.yaml'])
+    with pytest.raises(InputError, match=r'b\.yaml: is the same calibration as a\.yaml'):
+        repeated([own, two], ['a.yaml', 'b.yaml'])
+    again = moved(own, 1.0)
+    assert repeated([own, again], ['a.yaml', 'b.yaml'])
+    with pytest.raises(InputError, match=r'c\.yaml: is the same calibration as b\.yaml'):
+        repeated([own, again, again], ['a.yaml', 'b.yaml', 'c.yaml'])
     scaled = replace(own, imu=replace(own.imu, accel=replace(own.imu.accel, scale_factor=0.02)))
     with pytest.raises(InputError, match='nominal scale factors'):
         repeated([own, scaled], ['a.yaml', 'b.yaml'])
-    undated = replace(own, provenance={**own.provenance, 'recorded': None})
+    undated = replace(again, provenance={**own.provenance, 'recorded': None})
     assert repeated([own, undated], ['a', 'b'])[0].days is None
-    wrong = replace(own, provenance={**own.provenance, 'recorded': 'yesterday'})
+    wrong = replace(again, provenance={**own.provenance, 'recorded': 'yesterday'})
     with pytest.raises(InputError, match='recorded: found'):
         repeated([own, wrong], ['a', 'b'])
+
+
+def test_compare_may_be_repeated(contents: Contents, tmp_path: Path) -> None:
+    files = [tmp_path / f'{name}.yaml' for name in 'abc']
+    for by, file in enumerate(files):
+        moved(contents.calibration, float(by)).save(file)
+    first, *others = map(str, files)
+    asked = [word for other in others for word in ('--compare', other)]
+    assert main(['report', first, *asked, '-o', str(tmp_path / 'r.html')]) == 0
+    assert '3 calibrations;' in (tmp_path / 'r.html').read_text(encoding='utf-8')
 
 
 def test_the_recording_dates_the_calibration(result: Result) -> None:

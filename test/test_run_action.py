@@ -277,7 +277,7 @@ def test_a_result_is_not_waited_for_for_ever(session):
 
 def test_a_node_that_ends_answers_its_client(session):
     session.turn_at(90).open(with_node=False)
-    process = session.start(feedback_timeout=30.0)
+    process = session.start(**stand.PATIENT)
     client = Client(session)
     _, ended = client.run()
     assert session.until(lambda: session.watcher.phase is Phase.TURNING or ended.done())

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
-from loopback import CHECKOUT, environment, until
+from loopback import CHECKOUT, environment, patience, until
 from test_devices import frame
 
 from imu_calib.cli.main import main
@@ -33,9 +33,6 @@ except ImuCalibError as error:
 
 NS = 1_000_000_000
 RATE = 200
-PATIENCE = 25.0
-"""Longest wait for a sentence, s: on a machine that is busy with other tests, and shorter than what
-the stand waits for its table."""
 
 
 class Screen:
@@ -66,7 +63,7 @@ class Screen:
     def __exit__(self, *_):
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        self.process.wait(timeout=30)
+        self.process.wait(timeout=patience())
         self._reader.join()
         self.process.stderr.close()
 
@@ -77,11 +74,11 @@ class Screen:
         return ''.join(self._seen)
 
     def says(self, *words):
-        return until(lambda: all(word in self.text for word in words), PATIENCE)
+        return until(lambda: all(word in self.text for word in words))
 
     def ends(self):
         """Wait for the end; return the exit code."""
-        code = self.process.wait(timeout=PATIENCE)
+        code = self.process.wait(timeout=patience())
         self._reader.join()
         return code
 
@@ -207,7 +204,7 @@ def test_a_silent_device_is_said_and_waited_for(tmp_path, serial):
             send(line)
             time.sleep(0.05)
 
-        assert until(lambda: 'imu_node: Frames come in.' in screen.text, PATIENCE, begins)
+        assert until(lambda: 'imu_node: Frames come in.' in screen.text, step=begins)
 
 
 class Serial:
@@ -229,7 +226,7 @@ def test_bytes_that_are_no_frames_end_it(tmp_path, serial):
             os.write(ours, rng.randbytes(400))
             return screen.process.poll() is not None
 
-        assert until(ended, PATIENCE, lambda: time.sleep(0.05))
+        assert until(ended, step=lambda: time.sleep(0.05))
         assert screen.ends() == 2
     assert 'no frame of the format simulated' in screen.text
     assert 'baud' in screen.text

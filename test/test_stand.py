@@ -36,12 +36,15 @@ def test_an_imu_whose_node_is_killed_that_falls_silent_and_sends_garbage(tmp_pat
         assert stand.reaches(State.DWELLING, step=15, since=jumped), stand.state
         stand.fault('garbage 500')
         finishes(stand)
-        assert stand.said('imu_node', 'Bytes are received that belong to no frame')
+        # On a busy machine the session may be over before imu_node says so.
+        garbage = 'Bytes are received that belong to no frame'
+        assert stand.wait(lambda: stand.said('imu_node', garbage))
 
 
 def test_calibrator_and_leader_are_killed_and_the_session_goes_on_from_its_journal(tmp_path):
     """The calibrator twice: the second time its journal is one that had been gone on with."""
-    waits = {'calibrator_timeout': 2.0, 'watchdog_timeout': LEASE + 10.0}
+    # On a busy machine a calibrator that lives may be silent for seconds.
+    waits = {'calibrator_timeout': 5.0, 'watchdog_timeout': LEASE + 10.0}
     with Stand(tmp_path, turntable_node=waits) as stand:
         assert stand.reaches(State.TURNING, step=1)
         stand.kill('turntable_node')
@@ -70,7 +73,7 @@ def done_without_its_leader_ends_no_session(stand):
     """
     steps = stand.state.steps
     listed = stand.node.get_publishers_info_by_topic
-    assert stand.wait(lambda: not listed('/turntable/state'), LEASE + 10.0)
+    assert stand.wait(lambda: not listed('/turntable/state'))
     with stranger('turntable/state') as output:
         assert stand.wait(lambda: output.get_subscription_count() >= 2)
         for _ in range(20):
@@ -86,7 +89,7 @@ def done_without_its_leader_ends_no_session(stand):
 def test_a_full_disk_stops_the_table_and_loses_nothing_and_then_the_table_vanishes(tmp_path):
     resource = pytest.importorskip('resource')
     # The journal is written once a second of the computer: a faster table is at its end by then.
-    with Stand(tmp_path, '--speed', '30', turntable_node={'watchdog_timeout': 1.0}) as stand:
+    with Stand(tmp_path, '--speed', '30', turntable_node={'watchdog_timeout': 3.0}) as stand:
         assert stand.reaches(State.DWELLING, step=2)
         number = stand.processes.number('calibrator_node')
         unlimited = resource.prlimit(number, resource.RLIMIT_FSIZE)

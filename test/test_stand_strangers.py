@@ -118,7 +118,7 @@ def a_pressed_stop_outlives_a_killed_turntable_node(stand):
     stand.estop(pressed=False)
     assert stand.table_stands(LEASE + 10.0)
     assert list(stand.joints.position) == list(before.position)
-    assert stand.wait(lambda: stand.call('turntable_node/release')[0], LEASE)
+    assert stand.wait(lambda: stand.call('turntable_node/release')[0])
 
 
 def test_who_turns_a_table_nobody_leads_is_stopped_and_no_session_is_more_than_its_data(tmp_path):

@@ -368,10 +368,12 @@ def test_a_unit_turned_in_its_mount_is_told_by_how_much() -> None:
 def test_another_gravity_is_told_from_accelerometers_that_have_changed() -> None:
     # Five degrees of latitude further north, as somebody believes: 440 ppm.
     site = Site.at(LATITUDE + 5 * DEG, gravity=normal_gravity(LATITUDE + 5 * DEG))
-    verification = verify(calibration(), at(site))
-    words = symptom(verification, gyros=False)
-    assert 'when gravity is 9.79' in words
-    assert f'instead of {site.gravity:.5f}' in words
+    alone = by_the_imu_alone()
+    by_lengths = replace(alone, evidence=replace(alone.evidence, site=site))
+    for seen in (at(site), by_lengths):
+        words = symptom(verify(calibration(), seen), gyros=False)
+        assert 'when gravity is 9.79' in words
+        assert f'instead of {site.gravity:.5f}' in words
 
 
 def test_without_plan_and_table_lengths_are_compared() -> None:

@@ -75,6 +75,8 @@ def find_files(path: AnyPath, losses: Losses) -> Found:
     if path.is_file():
         if (way := _OTHERS.get(path.suffix.lower())) is not None:
             raise RecordingError(f'{path} {way.format(path=path)}')
+        if path.name == NAME:
+            raise RecordingError(f'{path} describes a recording: give the folder that holds it.')
         return Found((path,), Metadata())
     if not path.is_dir():
         raise RecordingError(f'{path}: no such recording; expected a rosbag2 folder or file.')

@@ -87,10 +87,20 @@ def run(arguments: argparse.Namespace) -> Outcome:
         f'{counted(done.recordings, "recording")}{several} in {done.seconds:.1f} s: '
         f'{done.calibrated} calibrated, {done.failed} failed, {done.known} done before{before}'
     )
+    if done.convertible:
+        count = len(done.convertible)
+        endings = ', '.join(sorted({path.suffix.lower() for path in done.convertible}))
+        are = 'is no recording' if count == 1 else 'are no recordings'
+        OUTPUT.print(
+            f'{counted(count, "file")} ({endings}) {are}; imu-calib convert makes recordings of '
+            'text files and of bags of ROS 1'
+        )
     OUTPUT.print(f'written to {done.catalogue}', markup=False)
     failed = done.failed + done.known_failed
     if not failed:
         return Outcome()
     reasons = f'imu-calib catalogue {done.catalogue} --where "status = \'failed\'"'
     message = f'{failed} without a calibration; {reasons} lists the reasons.'
+    if done.known_failed:
+        message += f' {done.known_failed} failed before and did not change: --retry repeats them.'
     return Outcome(exit_code=NotObservable.exit_code, message=message)

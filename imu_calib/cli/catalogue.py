@@ -30,7 +30,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--columns',
         metavar='NAME,NAME',
-        help=f'columns in their order, * for all (default: {",".join(_SHOWN)})',
+        help='columns in their order, * for all in a file, or for their names on the screen '
+        f'(default: {",".join(_SHOWN)})',
     )
     parser.add_argument(
         '--sql', metavar='QUERY', help='an SQL query of your own; the table is called rows'
@@ -56,7 +57,9 @@ def run(arguments: argparse.Namespace) -> None:
     found = catalogue.query(
         arguments.sql or f'select {columns} from rows{where} order by date, recording'
     )
-    if path is None:
+    if path is None and found.num_columns == len(schema().names):
+        _list(found)
+    elif path is None:
         # What a query of one's own computes under a column's name may have another unit.
         _show(found, {} if arguments.sql else _units())
     else:
@@ -80,6 +83,17 @@ def _units() -> dict[str, str]:
     """Return the units of the columns that have one: DuckDB hands on no metadata."""
     units = {one.name: (one.metadata or {}).get(b'unit', b'').decode() for one in schema()}
     return {name: unit for name, unit in units.items() if unit}
+
+
+def _list(found: pa.Table) -> None:
+    """Print the names of all columns: no screen has room for their contents."""
+    units = _units()
+    names = [f'{name} [{units[name]}]' if name in units else name for name in found.column_names]
+    OUTPUT.print(f'{_rows(found)} of {len(names)} columns: {", ".join(names)}.', markup=False)
+    OUTPUT.print(
+        '\nA table shows some (--columns serial,K_gx), a file all of them (-o rows.csv).',
+        markup=False,
+    )
 
 
 def _show(found: pa.Table, units: Mapping[str, str]) -> None:

@@ -8,7 +8,9 @@ from datetime import datetime
 from ..errors import InputError
 from ..fleet.report import written
 from ..histories.results import USUAL
-from ..reports.fleet.contents import AHEAD, Flag, Fleet
+from ..reports.fleet.contents import AHEAD
+from ..reports.fleet.page import summary
+from ..units import counted
 from . import options
 from .terminal import OUTPUT, progress_bar
 
@@ -31,7 +33,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write the page, and print the matters for attention."""
+    """Write the page, and print its summary."""
     if not arguments.ahead >= 0:
         raise InputError(f'--ahead: found {arguments.ahead:g}, expected 0 days or more.')
     path, fleet = written(
@@ -44,16 +46,11 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.ahead,
         progress_bar,
     )
-    OUTPUT.print(f'{len(fleet.units)} units, {len(fleet.recordings.key)} recordings')
-    for words, number in _counts(fleet):
-        OUTPUT.print(f'{number:6} {words}')
-    OUTPUT.print(f'written to {path} ({path.stat().st_size / 1e6:.1f} MB)', markup=False)
-
-
-def _counts(fleet: Fleet) -> list[tuple[str, int]]:
-    """Return the flags of units with their numbers, without those of no unit."""
-    counts = [(flag.value.words, len(fleet.flagged(flag))) for flag in Flag]
-    return [(words, number) for words, number in counts if number]
+    OUTPUT.print(summary(fleet))
+    recordings = counted(len(fleet.recordings.key), 'recording')
+    OUTPUT.print(
+        f'{recordings} written to {path} ({path.stat().st_size / 1e6:.1f} MB)', markup=False
+    )
 
 
 def _date(text: str | None) -> datetime | None:

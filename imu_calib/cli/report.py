@@ -26,6 +26,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--compare',
         nargs='+',
+        action='extend',
         default=[],
         metavar='FILE',
         help='further calibrations of the unit: adds repeatability and drift',

@@ -9,9 +9,7 @@ from ..reports.verification import (
     dwell_table,
     limits_line,
     moved_table,
-    triad_lines,
     turn_table,
-    verdict_line,
 )
 from ..verification import Verdict, Verification
 from . import options
@@ -65,8 +63,8 @@ def _show(verification: Verification) -> None:
             OUTPUT.print(table)
             OUTPUT.print()
     OUTPUT.print(limits_line(verification))
-    for line in triad_lines(verification):
-        OUTPUT.print(line)
+    for triad in verification.triads:
+        OUTPUT.print(str(triad))
     sentence_list('Worth knowing', verification.findings)
     diagnoses = [t.diagnosis for t in verification.triads if t.diagnosis is not None]
     sentence_list('Symptoms', [d.symptom for d in diagnoses])
@@ -74,4 +72,4 @@ def _show(verification: Verification) -> None:
         if diagnosis.moved:
             OUTPUT.print()
             OUTPUT.print(moved_table(diagnosis.moved))
-    OUTPUT.print(f'\n{verdict_line(verification)}', style='bold')
+    OUTPUT.print(f'\n{verification.outcome}', style='bold')

@@ -154,9 +154,9 @@ def _vector(name: str, values: Floats, comment: str) -> str:
 
 
 def _by_clock(calibration: Calibration) -> str:
-    """Return the clock of the interval as text, if the session compared two."""
+    """Return the clock of the interval as text, if the session compared two that differ."""
     clock = calibration.clock
-    if clock is None:
+    if clock is None or not clock.is_noticed:
         return ''
     return (
         f'\n * By the {_comment(clock.against)}: the {_comment(clock.name)} are of a clock that '

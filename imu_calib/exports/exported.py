@@ -107,7 +107,7 @@ def always_left_out(calibration: Calibration, export: str) -> list[str]:
             'does not say so.'
         )
     clock = calibration.clock
-    if clock is not None and calibration.imu.units is Units.PULSES:
+    if clock is not None and clock.is_noticed and calibration.imu.units is Units.PULSES:
         sentences.append(
             f'Pulses count over seconds of the {clock.against}; the {clock.name} are of a clock '
             f'that is {clock.pace(1)}: divide an interval by it by {1 + clock.faster:.7f}. The '

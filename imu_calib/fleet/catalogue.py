@@ -21,10 +21,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from ..errors import InputError
+from ..errors import InputError, NotObservable
 from ..extras import require
+from ..histories.sentences import listed
 from ..model import PARAMETER_NAMES, PARAMETERS
 from ..paths import user_path, write_whole
+from ..units import counted
 from .task import CALIBRATED, Done
 
 if TYPE_CHECKING:
@@ -37,6 +39,8 @@ lacks."""
 _VERSION_KEY = b'imu_calib.catalogue'
 _UNIT_KEY = b'unit'
 _UNNAMED = 'unnamed'
+_USUAL = ('imu', 'serial', 'stand', 'status')
+"""Columns by which rows are selected most often."""
 _NO_COLUMN = re.compile(r'Referenced column "([^"]+)" not found')
 """Error text of DuckDB for an unknown column."""
 _NO_DATE = datetime(1970, 1, 1, tzinfo=timezone.utc)
@@ -176,6 +180,21 @@ class Catalogue:
         finally:
             connection.close()
 
+    def selected(self, where: str | None) -> pa.Table:
+        """Return the rows that meet a condition in SQL; all without one.
+
+        Raises:
+            InputError: As `query`.
+            NotObservable: No row meets it.
+
+        """
+        if where is None:
+            return self.table()
+        found = self.query(f'select * from rows where {where}')
+        if not len(found):
+            raise NotObservable(f'{self.folder}: no row meets {where}. {_contents(self, where)}')
+        return found
+
     def _with_file(self, one: Done, newest: dict[Path, str]) -> dict[str, Any]:
         """Write a calibration's files; return its row with the path of the first.
 
@@ -294,6 +313,18 @@ def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
     for one in missing:
         found = found.append_column(one, pa.nulls(len(found), one.type))
     return found.select(today.names).cast(today)
+
+
+def _contents(catalogue: Catalogue, where: str) -> str:
+    """Return a sentence on the values of the columns in a condition; else of the usual ones."""
+    table = catalogue.table()
+    if not len(table):
+        return 'It has no rows.'
+    texts = [one.name for one in table.schema if str(one.type) == 'string']
+    names = [name for name in texts if re.search(rf'\b{name}\b', where)] or _USUAL
+    values = [sorted({value or "''" for value in table[name].to_pylist()}) for name in names]
+    parts = [f'{name} {listed(found)}' for name, found in zip(names, values, strict=True)]
+    return f'It has {counted(len(table), "row")}, with {"; ".join(parts)}.'
 
 
 def rows_of(table: pa.Table) -> Iterable[dict[str, Any]]:

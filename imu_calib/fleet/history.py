@@ -56,7 +56,7 @@ def history(
 
     """
     found = catalogue if isinstance(catalogue, Catalogue) else Catalogue(catalogue)
-    table = found.table() if where is None else found.query(f'select * from rows where {where}')
+    table = found.selected(where)
     sessions, findings, limits = sessions_of(table)
     if not sessions.key:
         raise NotObservable(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import glob
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from datetime import datetime, timezone
@@ -12,6 +13,7 @@ from typing import Any
 
 import yaml
 
+from ..api.keywords import Session
 from ..api.stated import Stated
 from ..bags import AnyPath, RemotePath, is_url, located
 from ..errors import InputError
@@ -21,8 +23,12 @@ from ..yaml_text import load
 
 _STORAGE = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd', '.mcap.zst', '.db3.zst')
 _METADATA = 'metadata.yaml'
+_CONVERTIBLE = ('.csv', '.txt', '.tsv', '.dat', '.bag')
+"""Endings of files that imu-calib convert makes recordings of."""
 _MANIFESTS = ('.csv', '.yaml', '.yml')
 _RECORDING = 'recording'
+_LONGEST_HEADING = 10_000
+"""Characters: more than the names of all columns have. A file may be one line."""
 _IMUS = 'imus'
 OF_ONE = ('imu', 'serial', 'imu_topic')
 """Statements on one unit, which for several units are in their file."""
@@ -76,7 +82,7 @@ class Job:
 COLUMNS = (
     _RECORDING,
     _IMUS,
-    *(one.name for one in fields(Stated)),
+    *(one.name for one in fields(Stated) if one.name in Session.__annotations__),
     *(one.name for one in fields(Labels)),
 )
 """Columns of a manifest."""
@@ -142,15 +148,52 @@ def recordings_below(folder: AnyPath) -> Iterator[AnyPath | str]:
     if isinstance(folder, RemotePath):
         yield from _among(folder.below())
         return
+    for path in _below(folder):
+        if path.is_dir() or path.name.endswith(_STORAGE):
+            yield path
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    """Yield folders of rosbag2, and all files outside such folders."""
     inside = sorted(folder.iterdir())
-    storages = [p for p in inside if p.is_file() and p.name.endswith(_STORAGE)]
-    if storages and (folder / _METADATA).is_file():
+    files = [path for path in inside if path.is_file()]
+    if (folder / _METADATA) in files and any(path.name.endswith(_STORAGE) for path in files):
         yield folder
         return
-    yield from storages
+    yield from files
     for path in inside:
         if path.is_dir() and not path.name.startswith('.'):
-            yield from recordings_below(path)
+            yield from _below(path)
+
+
+def convertible(sources: Iterable[str | Path]) -> list[Path]:
+    """Return the files in local folders that are no recordings until they are converted.
+
+    Args:
+        sources: As of `find_jobs`.
+
+    """
+    found: dict[Path, None] = {}
+    for source in map(str, sources):
+        if is_url(source):
+            continue
+        path = user_path(source)
+        named = [path] if path.is_dir() else []
+        if not path.exists() and glob.has_magic(source):
+            named = [one for one in _matching(path) if isinstance(one, Path)]
+        for one in named:
+            inside = _below(one) if one.is_dir() else [one]
+            found.update(dict.fromkeys(p for p in inside if _is_convertible(p)))
+    return list(found)
+
+
+def _is_convertible(path: Path) -> bool:
+    """Return whether a file has such an ending, and is no manifest."""
+    if not path.is_file() or path.suffix.lower() not in _CONVERTIBLE:
+        return False
+    with path.open(encoding='utf-8-sig', errors='replace') as file:
+        heading = file.readline(_LONGEST_HEADING)
+    return _RECORDING not in [name.strip() for name in re.split('[,;\t]', heading)]
 
 
 def _among(files: Iterable[RemotePath]) -> Iterator[str]:

@@ -65,6 +65,7 @@ def fleet_report(
     Raises:
         InputError: There is no catalogue, the condition is invalid, the file cannot be written, or
             Bokeh is not installed.
+        NotObservable: No row meets the condition.
 
     """
     return written(catalogue, output, where, imu, rules, on, ahead, progress)[0]
@@ -85,7 +86,7 @@ def written(
     require('bokeh', 'A page on a catalogue', 'fleet')
     found = catalogue if isinstance(catalogue, Catalogue) else Catalogue(catalogue)
     with progress('looking back') as show:
-        table = found.table() if where is None else found.query(f'select * from rows where {where}')
+        table = found.selected(where)
         recordings = recordings_of(table, found.folder, path.parent)
         del table
         show(1, _STEPS)

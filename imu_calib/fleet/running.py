@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..mounted import load_units
 from ..workers import MEMORY, Engine, WorkerDied, outcomes
 from .catalogue import Catalogue
-from .recordings import OF_ONE, Job, find_jobs
+from .recordings import OF_ONE, Job, convertible, find_jobs
 from .task import CALIBRATED, Done, lost, run
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ class Batch:
         known: Number of units that the catalogue had already.
         known_failed: Those among them without a calibration.
         seconds: Duration.
+        convertible: Files in the folders of the sources that are no recordings until
+            `imu_calib.convert` makes some of them.
 
     """
 
@@ -56,6 +58,7 @@ class Batch:
     known: int
     known_failed: int
     seconds: float
+    convertible: tuple[Path, ...] = ()
 
 
 @with_keywords(Session)
@@ -106,7 +109,8 @@ def batch(
     jobs = find_jobs(listed, session, _units_file(imus, session))
     kept = Catalogue(catalogue, create=True)
     engine = Engine(scheduler, workers, memory)
-    return run_batch(jobs, kept, engine, retry=retry, progress=progress, connected=connected)
+    done = run_batch(jobs, kept, engine, retry=retry, progress=progress, connected=connected)
+    return replace(done, convertible=tuple(convertible(listed)))
 
 
 def _units_file(imus: str | Path | None, stated: Stated) -> str:
@@ -178,7 +182,8 @@ def run_batch(
                 show(k, len(jobs), f'{rate:.2g} recordings/s{lost_some}')
         finally:
             catalogue.add(unsaved, replace=retry)
-    return Batch(catalogue.folder, len(jobs), **count, seconds=time.monotonic() - begun)
+    seconds = time.monotonic() - begun
+    return Batch(catalogue.folder, len(jobs), **count, seconds=seconds, convertible=())
 
 
 def _each(

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timezone
+from pathlib import Path
 from typing import Any
 
 from ..api.calibrating import solve
@@ -16,8 +17,9 @@ from ..api.calibrating_units import serials_in, units_of_recording
 from ..api.opening import recording_at, session_of
 from ..api.stated import NO_PLAN
 from ..api.streams import units_of
-from ..bags import AnyPath, Recording, located
+from ..bags import AnyPath, Recording, is_url, located
 from ..bags.files import find_files
+from ..bags.metadata import NAME as METADATA
 from ..bags.recording import content_hash
 from ..bags.storage import Losses
 from ..calibrator import Result
@@ -65,32 +67,39 @@ class Done:
         return (self, *self.others)
 
 
-def key_of(job: Job, path: AnyPath) -> tuple[str, str]:
-    """Return the key of a task, and the SHA-256 of its recording.
+def key_of(job: Job, sha256: str) -> str:
+    """Return the key of a task.
 
     The key is made from the recording's content, all statements with the content of the files that
     they name, the labels, and the package's version. The recording's name is not included: copies
     with two names have one key.
 
+    Args:
+        job: The task.
+        sha256: Of the recording's content.
+
     Raises:
-        InputError: The recording or a file cannot be read.
+        InputError: A file cannot be read.
 
     """
-    recording = content_of(path)
     stated = {one.name: getattr(job.stated, one.name) for one in fields(job.stated)}
     for name, folder in _FOLDERS.items():
         if stated[name] not in (None, NO_PLAN):
             stated[name] = named_file(folder, stated[name]).read_text(encoding='utf-8')
-    whole = [recording, stated, asdict(job.labels), version()]
+    whole = [sha256, stated, asdict(job.labels), version()]
     if job.imus:
         whole.append(_texts_of(job.imus))
-    text = json.dumps(whole, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:32], recording
+    return _hashed(whole)
 
 
 def key_of_unit(key: str, serial_number: str) -> str:
     """Return the key of one of several units, from that of all: they share unknowns."""
     return hashlib.sha256(f'{key} {serial_number}'.encode()).hexdigest()[:32]
+
+
+def _hashed(whole: list[Any]) -> str:
+    text = json.dumps(whole, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def _texts_of(imus: str) -> list[str]:
@@ -138,7 +147,8 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
     key, sha256 = '', ''
     try:
         path = located(job.recording)
-        key, sha256 = key_of(job, path)
+        sha256 = content_of(path)
+        key = key_of(job, sha256)
         if key in known:
             return Done(key)
         with recording_at(path, sha256) as recording:
@@ -159,7 +169,9 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
         # One recording must not end a batch: an unforeseen error is a row as well.
         sentence = f'Unforeseen error ({type(error).__name__}: {error}): please report it.'
         code = DEFECT
-    return _none_of(job, key, sha256, sentence, code, time.process_time() - begun)
+    ended = _none_of(job, key, sha256, sentence, code, time.process_time() - begun)
+    # What still cannot be read is no news; that of several units has their keys, not one.
+    return _as_one(Done(one.key) if one.key in known else one for one in ended.every)
 
 
 def _is_of_several(job: Job, recording: Recording) -> bool:
@@ -207,7 +219,7 @@ def _none_of(
     job: Job, key: str, sha256: str, sentence: str, code: int, seconds: float = math.nan
 ) -> Done:
     """Return the row of a failed recording, or of each unit if a file lists them."""
-    session = key or unread_key(job)
+    session = key or unread_key(job, sha256)
     try:
         units = load_units(job.imus) if job.imus else ()
     except ImuCalibError:
@@ -240,10 +252,13 @@ def failed(job: Job, key: str, sha256: str, sentence: str, code: int) -> dict[st
 
 def lost(job: Job) -> Done:
     """Return the row of a recording that killed its workers, one after the other."""
+    key, sha256 = '', ''
     try:
-        key, sha256 = key_of(job, located(job.recording))
+        sha256 = content_of(located(job.recording))
+        key = key_of(job, sha256)
     except ImuCalibError:
-        key, sha256 = '', ''
+        # Its row has another key.
+        pass
     sentence = (
         'Two workers ended while they calibrated this recording: it needs more memory than they '
         'have, or it crashes the reader. Run it alone with imu-calib calibrate.'
@@ -251,10 +266,41 @@ def lost(job: Job) -> Done:
     return _none_of(job, key, sha256, sentence, LOST)
 
 
-def unread_key(job: Job) -> str:
-    """Return the key of an unreadable recording: its name and the statements."""
-    text = json.dumps(['unread', asdict(job)], sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
+def unread_key(job: Job, sha256: str = '') -> str:
+    """Return the key of a task whose recording or statements cannot be read.
+
+    A recording without a hash is identified by its files, so that a copy in another folder has the
+    same key, and one that has changed another; by its path if it has none.
+
+    Args:
+        job: The task.
+        sha256: Of the recording's content; empty if it cannot be read.
+
+    """
+    content = sha256 or _files_of(job.recording) or _whole_path(job.recording)
+    return _hashed(['unread', content, asdict(job.stated), asdict(job.labels), job.imus])
+
+
+def _files_of(recording: str) -> list[tuple[str, int, str]]:
+    """Return name, size and, of metadata, text of a recording's files; none of a remote one."""
+    path = Path(recording)
+    if is_url(recording) or not path.exists():
+        return []
+    try:
+        files = sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
+        return [(one.name, one.stat().st_size, _text_of(one)) for one in files]
+    except OSError:
+        return []
+
+
+def _text_of(file: Path) -> str:
+    if file.name != METADATA:
+        return ''
+    return file.read_bytes().decode(errors='replace')
+
+
+def _whole_path(recording: str) -> str:
+    return recording if is_url(recording) else str(Path(recording).resolve())
 
 
 def limits_of(specification: Specification | None) -> list[float] | None:

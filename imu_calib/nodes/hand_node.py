@@ -121,12 +121,13 @@ class HandNode(ros.Node):
     def _rest(self) -> float:
         """Return the wait before the next step, s; 0: it is due.
 
-        While waiting for advice or for a reader, time follows the wall clock.
+        While waiting for advice or for a reader, time follows the wall clock, whatever speed is
+        allowed: advice takes its time.
         """
         if not self._line.idle:
             return _REST
         waits = self._hardware.waits or not self._line.connected
-        speed = (self._speed or 1.0) if waits else self._speed
+        speed = min(self._speed or 1.0, 1.0) if waits else self._speed
         if not speed:
             self._anchor = None
             return 0.0

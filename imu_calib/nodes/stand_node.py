@@ -283,13 +283,14 @@ class _Pace:
         """Return the wait before the next step at a simulated time, s; 0: it is due.
 
         Under setpoints, time stays close to the newest of them: their publisher has then received
-        everything before. Else it follows the wall clock.
+        everything before. Else it follows the wall clock, and is no faster whatever speed is
+        allowed: nobody waits for a table that is held, and every sample costs all nodes.
         """
         wall = time.monotonic()
         led = connected and self.led
         if led and now > self._newest + _AHEAD:
             return _REST
-        speed = self._speed if led else (self._speed or 1.0)
+        speed = self._speed if led else min(self._speed or 1.0, 1.0)
         if not speed:
             self._anchor = None
             return 0.0

@@ -77,7 +77,7 @@ class _Shown:
     Attributes:
         parameters: (p,) the estimated ones.
         rows: (p,) their indices in the calibration.
-        budget: Of all parameters.
+        budget: Of all parameters, by the sources that concern the shown ones.
         wide: (k,) which sources have a separate column.
 
     """
@@ -91,7 +91,9 @@ class _Shown:
     def of(cls, calibration: Calibration, budget: Budget) -> _Shown:
         rows = np.flatnonzero(np.isfinite(calibration.std))
         parameters = tuple(calibration.parameters[k] for k in rows)
-        return cls(parameters, rows, budget, budget.matters(_LEAST))
+        concerned = [line for line in budget.lines if np.any(line.std[rows] > 0)]
+        budget = Budget(tuple(concerned))
+        return cls(parameters, rows, budget, np.any(budget.fractions[:, rows] > _LEAST, axis=1))
 
     @property
     def sources(self) -> list[Source]:

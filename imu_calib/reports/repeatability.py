@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from enum import Enum
 from html import escape
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from ..calibration import Calibration
 from ..errors import InputError
 from ..gravity import same_place, without_gravity
+from ..histories.steps import FEWEST
 from ..model import Parameter
 from ..stream import Floats
 from .html import named_rows, paragraph, table
@@ -28,8 +33,21 @@ _DAY = 86400.0
 """s."""
 _FEWEST_FOR_A_DRIFT = 3
 """Number of dates: two always lie on a line."""
+_BETTER = 6.0
+"""Difference in chi-square from which a line explains values better than a step, or the reverse:
+strong evidence in Schwarz's criterion (Kass and Raftery 1995), since both have two parameters."""
 _ALIKE = 1e-6
 """Relative: scale factors that differ by more define other parameters."""
+
+
+class Course(Enum):
+    """How the values of a parameter differ, as far as they show it; the value is a badge."""
+
+    REPEATS = 'repeats', 'pass'
+    SCATTERS = 'scatters', 'marginal'
+    DRIFTS = 'drifts', 'fail'
+    STEPS = 'steps', 'fail'
+    CHANGES = 'changes', 'fail'
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +106,44 @@ class RepeatedParameter:
         excess = max(1.0, float(weights @ residuals**2) / max(1, len(self.value) - 2))
         return slope, float(np.sqrt(excess / information))
 
+    @property
+    def course(self) -> Course:
+        """Drift or step where one explains the values better than the other, else a change.
+
+        A step is significant by Student's t at all dates, as in a history (docs/history.md).
+        """
+        drift = self.drift
+        scatters = Course.SCATTERS if self.chance < _SURPRISING else Course.REPEATS
+        if drift is None or self.days is None:
+            return scatters
+        drifts = abs(drift[0]) > _SIGNIFICANT * drift[1]
+        freedom = len(self.value) - 2
+        line, step = self._chi_square(self.days), self._chi_square(self.days >= self.step_at)
+        apart = (line - step) / max(1.0, min(line, step) / freedom)
+        if drifts and apart < -_BETTER:
+            return Course.DRIFTS
+        gain = (self._chi_square(np.zeros(len(self.value))) - step) / max(1.0, step / freedom)
+        chance = 2 * scipy.special.stdtr(freedom, -np.sqrt(max(gain, 0.0)))
+        dates = len(set(self.days.tolist()))
+        if dates >= FEWEST and apart > _BETTER and chance * (dates - 1) < _SURPRISING:
+            return Course.STEPS
+        return Course.CHANGES if drifts else scatters
+
+    @property
+    def step_at(self) -> float:
+        """Day from which on the values are others, if they step: that which fits best."""
+        assert self.days is not None
+        days = self.days
+        later: list[float] = sorted(set(days.tolist()))[1:]
+        return min(later, key=lambda day: self._chi_square(days >= day))
+
+    def _chi_square(self, course: NDArray[Any]) -> float:
+        """Return chi-square about a mean and the multiple of a course that fit best."""
+        weights = 1 / np.maximum(self.std, 1e-300)
+        design = np.column_stack([weights, weights * course])
+        found = np.linalg.lstsq(design, weights * self.value, rcond=None)[0]
+        return float(np.sum((weights * self.value - design @ found) ** 2))
+
 
 def date_of(calibration: Calibration) -> datetime | None:
     """Return when the recording of a calibration began; None if it is not stated.
@@ -115,7 +171,7 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
         names: Of their files, for messages.
 
     Raises:
-        InputError: They are of different units, or have no parameter in common.
+        InputError: They are of different units, have no parameter in common, or one is there twice.
 
     """
     first = calibrations[0]
@@ -138,6 +194,12 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
             raise InputError(
                 f'{name}: its nominal scale factors or units are not those of {names[0]}: the '
                 'parameters cannot be compared.'
+            )
+    for (one, name), (other, again) in combinations(zip(calibrations, names, strict=True), 2):
+        if _same(one, other):
+            raise InputError(
+                f'{again}: is the same calibration as {name}: repeatability takes one of another '
+                'recording.'
             )
     dates = [date_of(c) for c in calibrations]
     known = [d for d in dates if d is not None]
@@ -166,6 +228,15 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
     if not found:
         raise InputError(f'{", ".join(names)}: no parameter was estimated in all of them.')
     return found
+
+
+def _same(one: Calibration, other: Calibration) -> bool:
+    """Return whether all numbers are equal, as no two recordings make them."""
+    return (
+        one.parameters == other.parameters
+        and np.array_equal(one.values, other.values, equal_nan=True)
+        and np.array_equal(one.covariance, other.covariance, equal_nan=True)
+    )
 
 
 def repeatability_table(rows: Sequence[RepeatedParameter]) -> str:
@@ -203,12 +274,8 @@ def _written(value: float, places: int) -> str:
 
 
 def _verdict(row: RepeatedParameter) -> str:
-    drift = row.drift
-    if drift is not None and abs(drift[0]) > _SIGNIFICANT * drift[1]:
-        return tag('span', 'drifts', class_='badge fail')
-    if row.chance < _SURPRISING:
-        return tag('span', 'scatters', class_='badge marginal')
-    return tag('span', 'repeats', class_='badge pass')
+    word, kind = row.course.value
+    return tag('span', word, class_=f'badge {kind}')
 
 
 def overlay(rows: Sequence[RepeatedParameter]) -> str:
@@ -221,7 +288,7 @@ def _over_time(row: RepeatedParameter) -> str:
     if row.days is None:
         return small(row.parameter, np.arange(float(count)), row.value, row.std, ('1', f'{count}'))
     line: list[tuple[float, float]] = []
-    if row.drift is not None and abs(row.drift[0]) > _SIGNIFICANT * row.drift[1]:
+    if row.drift is not None and row.course is Course.DRIFTS:
         middle, mean = float(row.days.mean()), float(row.value.mean())
         ends = float(row.days.min()), float(row.days.max())
         line = [(x, mean + row.drift[0] * (x - middle)) for x in ends]
@@ -252,8 +319,10 @@ def dates_table(calibrations: Sequence[Calibration], names: Sequence[str]) -> st
 def repeatability_notes(rows: Sequence[RepeatedParameter]) -> str:
     """Return sentences on the result of the comparison."""
     count = len(rows[0].value)
-    drifting = [r.parameter.name for r in rows if 'drifts' in _verdict(r)]
-    scattering = [r.parameter.name for r in rows if 'scatters' in _verdict(r)]
+    named: dict[Course, list[str]] = {course: [] for course in Course}
+    for row in rows:
+        when = f' ({_step_in_words(row)})' if row.course is Course.STEPS else ''
+        named[row.course].append(f'{row.parameter.name}{when}')
     sentences = [
         f'{count} calibrations; spread is the standard deviation of their values, stated std is '
         'the one that they state. "Scatters": fewer than one in a thousand such sets would spread '
@@ -263,8 +332,23 @@ def repeatability_notes(rows: Sequence[RepeatedParameter]) -> str:
         sentences.append('Not all of them state when they were recorded: drift is not evaluated.')
     elif rows[0].drift is None:
         sentences.append('To evaluate drift takes calibrations of three different dates.')
-    if drifting:
-        sentences.append(f'Drifting by more than three standard deviations: {", ".join(drifting)}.')
-    if scattering:
-        sentences.append(f'Scattering more than stated: {", ".join(scattering)}.')
+    for course, words in _WORDS.items():
+        if named[course]:
+            sentences.append(f'{words}: {", ".join(named[course])}.')
     return paragraph(' '.join(sentences), 'note')
+
+
+_WORDS = {
+    Course.DRIFTS: 'Drifting by more than three standard deviations',
+    Course.STEPS: 'Stepping between two dates',
+    Course.CHANGES: 'Changed by more than three standard deviations, as a drift or a step explains',
+    Course.SCATTERS: 'Scattering more than stated',
+}
+
+
+def _step_in_words(row: RepeatedParameter) -> str:
+    """Return the dates before and after a step."""
+    assert row.days is not None and row.first is not None
+    before = float(np.max(row.days[row.days < row.step_at]))
+    days = [row.first + timedelta(days=day) for day in (before, row.step_at)]
+    return f'{days[0]:%Y-%m-%d} to {days[1]:%Y-%m-%d}'

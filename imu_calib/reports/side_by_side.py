@@ -18,6 +18,9 @@ from ..stream import Floats, Units
 from ..units import ARCSEC, PPM, STANDARD_GRAVITY
 from .parameter_table import Shown, decimals, engineering, section_of
 
+_MORE = 2
+"""Most further decimals for a difference: a hundredth of the last digit is nothing."""
+
 
 @dataclass(frozen=True, eq=False)
 class SideBySide:
@@ -80,6 +83,7 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
     # Columns that do not fit into a line continue in the next: no number and no unit is cut.
     table = plain_table(('Table 1', 'here', *numbers, 'unit', ''), sides, no_wrap=True)
     differ = dict(zip(found.parameters, found.differ, strict=True))
+    places = _places(compared)
     last = None
     for parameter in sorted(found.parameters, key=_table_order):
         if last is not None and section_of(parameter) != section_of(last):
@@ -87,16 +91,16 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
         last = parameter
         k = found.parameters.index(parameter)
         shown, values = _as_table_1(parameter, calibrations)
-        places = _table_decimals(parameter, shown, float(np.min(std[:, k])))
+        digits = places[_alike(parameter)]
         rest = [f'{found.chi_square[k]:.1f}' if found.freedom[k] else '-']
         if two:
             one, other = (float(c.model.values((parameter,))[0]) for c in calibrations)
-            ratio = _signed((one - other) / std[0, k], 1) if std[0, k] > 0 else '-'
-            rest = [_signed(values[0] - values[1], places), ratio]
+            ratio = f'{(one - other) / std[0, k]:+.2f}' if std[0, k] > 0 else '-'
+            rest = [f'{values[0] - values[1]:+.{digits}f}', ratio]
         table.add_row(
             _table_name(parameter),
             parameter.name,
-            *(f'{v:.{places}f}' for v in values),
+            *(f'{v:.{digits}f}' for v in values),
             *rest,
             shown.unit,
             'differs' if differ[parameter] else '',
@@ -104,12 +108,22 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
     return table
 
 
-def _signed(value: float, places: int) -> str:
-    """Return a difference with its sign; one that rounds to zero with its first digit."""
-    text = f'{value:+.{places}f}'
-    if float(text):
-        return text
-    return f'{value:+.1g}' if value else '0'
+def _alike(parameter: Parameter) -> tuple[object, ...]:
+    """Return the key of the rows that have the same decimals: their points are in one column."""
+    return *section_of(parameter), parameter.kind
+
+
+def _places(compared: SideBySide) -> dict[tuple[object, ...], int]:
+    """Return the decimals of rows: two of the deviation, and one of the difference of two."""
+    places: dict[tuple[object, ...], int] = {}
+    for k, parameter in enumerate(compared.parameters):
+        shown, values = _as_table_1(parameter, compared.calibrations)
+        own = _table_decimals(parameter, shown, float(np.min(compared.std[:, k])))
+        if len(values) == 2 and (apart := abs(values[0] - values[1])):
+            first = int(np.ceil(-np.log10(apart)))
+            own = max(own, min(first, own + _MORE))
+        places[_alike(parameter)] = max(own, places.get(_alike(parameter), 0))
+    return places
 
 
 def agreement_lines(found: Agreement, count: int) -> list[str]:

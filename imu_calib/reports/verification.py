@@ -22,37 +22,6 @@ _SHOWN = {
 }
 _AT_REST = (Quantity.GRAVITY, Quantity.DIRECTION, Quantity.EARTH_RATE, Quantity.UP_RATE)
 _IN_TURNS = (Quantity.TURN, Quantity.TURN_AXIS)
-_WORDS = {Verdict.PASS: 'pass', Verdict.MARGINAL: 'marginal', Verdict.FAIL: 'fail'}
-
-
-def verdict_line(verification: Verification) -> str:
-    """Return the verdict in one line."""
-    if verification.own_recording and verification.verdict is not Verdict.FAIL:
-        return 'NOT TESTED: the calibration was made from this recording. Take a second one.'
-    if verification.own_recording:
-        return (
-            'REJECTED: the recording contradicts the calibration, which was made from it. '
-            'Something is stated otherwise than then (latitude, gravity, IMU, table, plan).'
-        )
-    words = {
-        Verdict.PASS: 'ACCEPTED: the recording is consistent with the calibration.',
-        Verdict.MARGINAL: (
-            'MARGINAL, accepted: the recording casts doubt on the calibration but does not '
-            'contradict it. Verify with another one: one sound session in a hundred is marginal by '
-            'chance, two in a row are not.'
-        ),
-        Verdict.FAIL: 'REJECTED: the recording contradicts the calibration.',
-    }
-    return words[verification.verdict]
-
-
-def triad_lines(verification: Verification) -> list[str]:
-    """Return the results of gyros and accelerometers, a line each."""
-    return [
-        f'{"gyros" if judged.gyros else "accelerometers"}: {_WORDS[judged.verdict]}, chi-square '
-        f'{judged.chi_square:.1f} with {judged.freedom} degrees of freedom'
-        for judged in verification.triads
-    ]
 
 
 def limits_line(verification: Verification) -> str:
@@ -112,7 +81,7 @@ def _table(verification: Verification, quantities: Sequence[Quantity]) -> Table 
             cells += [f'{one.deviation / scale:{sign}.{digits}f}', f'{one.std / scale:.{digits}f}']
         worst = _worst(row)
         passed = sum(worst > limit for limit in verification.limits)
-        table.add_row(*cells, f'{worst:.1f}', _WORDS[Verdict(passed)])
+        table.add_row(*cells, f'{worst:.1f}', str(Verdict(passed)))
     return table
 
 

@@ -35,6 +35,9 @@ _ARRIVAL_TOLERANCE = 0.2 * DEG
 off."""
 _ATTITUDE_TOLERANCE = 1.0 * DEG
 """rad: positions of plans are further apart."""
+_OUTAGE = 10_000_000_000
+"""ns: a shorter interruption of the IMU's stream may be a cable. A stand that is started anew takes
+longer, and the simulated one at least as long (cli/resume)."""
 _PART = ('', 'what lies after it is', 'what lies before it is', 'what lies between is')
 
 
@@ -83,7 +86,8 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
     """
     clock = session.clock
     offset = 0.0 if np.isnan(clock.offset) else clock.offset
-    setpoints = _Setpoints(session.setpoints if plan.is_stated else (), offset)
+    stated = session.setpoints if plan.is_stated else ()
+    setpoints = _Setpoints(stated, offset, session.interruptions)
     rejected: list[Rejected] = []
     segments: list[Segment] = list(session.segments)
     if plan.is_stated and session.setpoints:
@@ -241,14 +245,29 @@ class _Setpoints:
     HOLD does not move the table: a dwell at a position continues.
     """
 
-    def __init__(self, setpoints: Sequence[Setpoint], offset: float) -> None:
+    def __init__(
+        self,
+        setpoints: Sequence[Setpoint],
+        offset: float,
+        interruptions: Sequence[tuple[int, int]] = (),
+    ) -> None:
         setpoints = [s for s in setpoints if s.mode is not Mode.HOLD]
         self._setpoints = setpoints
         self._stamp = np.array([s.stamp for s in setpoints], dtype=np.int64) + round(offset * 1e9)
 
+        self._restarts = [begins for last, begins in interruptions if begins - last > _OUTAGE]
+
+    def are_of_before(self, segment: Segment) -> bool:
+        """Return whether the stand was started anew since the setpoint that was active."""
+        index = self._index((segment.start + segment.end) / 2)
+        return any(self._stamp[index] < begins <= segment.start for begins in self._restarts)
+
     def at(self, instant: float) -> Setpoint | None:
-        index = int(np.searchsorted(self._stamp, instant, side='right')) - 1
+        index = self._index(instant)
         return self._setpoints[index] if index >= 0 else None
+
+    def _index(self, instant: float) -> int:
+        return int(np.searchsorted(self._stamp, instant, side='right')) - 1
 
     def counts(self, instant: float) -> bool:
         """Return whether data at this instant is used: not while the table only passes through."""
@@ -266,7 +285,8 @@ def _by_setpoint(
     """Name the dwells by the setpoints that led to them.
 
     Setpoints are repeated while the table is commanded: before the first the session has not begun,
-    and the unit may still be warming up or being mounted.
+    and the unit may still be warming up or being mounted. So it is in a session that is resumed,
+    unless the table stands at its setpoint still.
 
     Returns:
         All dwells but those that are rejected; those without a position match none.
@@ -278,10 +298,14 @@ def _by_setpoint(
         setpoint = setpoints.at((segment.start + segment.end) / 2)
         if setpoint is None:
             continue
+        of_before = setpoints.are_of_before(segment)
         if setpoint.mode is not Mode.POSITION or setpoint.dwell <= 0:
-            named.append(segment)
+            if not of_before:
+                named.append(segment)
             continue
         reason = _off_setpoint(segment, setpoint, table)
+        if reason and of_before:
+            continue
         if setpoint.position not in known:
             reason = f'plan {plan.name} has no position {setpoint.position}'
         if reason and segment.attitude is not None:

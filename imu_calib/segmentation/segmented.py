@@ -134,6 +134,7 @@ class Segmented:
         temperature: Of the unit's thermometer; None without one.
         strangers: Sentence on joint states if none were the table's; else empty.
         lost_moves: Motions from one segment to the next that are not used, with the reason.
+        interruptions: Last stamp before and first after each interruption of the IMU's stream, ns.
     """
 
     segments: tuple[Segment, ...]
@@ -151,3 +152,4 @@ class Segmented:
     temperature: Temperature | None = None
     strangers: str = ''
     lost_moves: tuple[Rejected, ...] = ()
+    interruptions: tuple[tuple[int, int], ...] = ()

@@ -190,6 +190,7 @@ class Segmenter:
             self._thermometer.temperature,
             self._intake.strangers,
             self._moves.lost,
+            tuple(self._interruptions.found),
         )
 
     @property

@@ -48,6 +48,20 @@ class Verdict(IntEnum):
     MARGINAL = 1
     FAIL = 2
 
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+_OUTCOMES = {
+    Verdict.PASS: 'ACCEPTED: the recording is consistent with the calibration.',
+    Verdict.MARGINAL: (
+        'MARGINAL, accepted: the recording casts doubt on the calibration but does not '
+        'contradict it. Verify with another one: one sound session in a hundred is marginal by '
+        'chance, two in a row are not.'
+    ),
+    Verdict.FAIL: 'REJECTED: the recording contradicts the calibration.',
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Judged:
@@ -67,12 +81,19 @@ class Judged:
     freedom: int
     diagnosis: Diagnosis | None
 
+    def __str__(self) -> str:
+        """Return the result in one line."""
+        return (
+            f'{"gyros" if self.gyros else "accelerometers"}: {self.verdict}, chi-square '
+            f'{self.chi_square:.1f} with {self.freedom} degrees of freedom'
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units."""
         found = self.diagnosis
         return {
             'sensors': 'gyros' if self.gyros else 'accelerometers',
-            'verdict': self.verdict.name.lower(),
+            'verdict': str(self.verdict),
             'chi_square': float(self.chi_square),
             'degrees_of_freedom': int(self.freedom),
             'symptom': None if found is None else found.symptom,
@@ -109,6 +130,24 @@ class Verification:
         outcome = 'not tested' if self.own_recording else self.verdict.name
         return f'<Verification: {outcome}; {triads}; {counted(len(self.findings), "finding")}>'
 
+    def __str__(self) -> str:
+        """Return the outcome, a line on each triad, symptoms and findings."""
+        symptoms = [t.diagnosis.symptom for t in self.triads if t.diagnosis is not None]
+        triads = [str(triad) for triad in self.triads]
+        return '\n'.join([self.outcome, *triads, *(f'- {s}' for s in (*symptoms, *self.findings))])
+
+    @property
+    def outcome(self) -> str:
+        """The verdict in a sentence."""
+        if self.own_recording and self.verdict is not Verdict.FAIL:
+            return 'NOT TESTED: the calibration was made from this recording. Take a second one.'
+        if self.own_recording:
+            return (
+                'REJECTED: the recording contradicts the calibration, which was made from it. '
+                'Something is stated otherwise than then (latitude, gravity, IMU, table, plan).'
+            )
+        return _OUTCOMES[self.verdict]
+
     @property
     def accepted(self) -> bool:
         """Whether it passes, by a recording other than its own."""
@@ -123,7 +162,7 @@ class Verification:
         """Return it as plain values, SI units, by the keys of docs/files/output.md."""
         doubt, rejection = self.limits
         return {
-            'verdict': self.verdict.name.lower(),
+            'verdict': str(self.verdict),
             'own_recording': self.own_recording,
             'limits': {'doubt': doubt, 'rejection': rejection},
             'triads': [triad.to_dict() for triad in self.triads],

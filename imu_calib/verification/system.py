@@ -40,6 +40,8 @@ _ROUNDS_OF_LENGTHS = 100
 """Most steps with lengths, where a calibration itself is judged: the variance of a square depends
 on the state, and errors shrink by a constant factor a step or oscillate until steps are halved.
 Calibrations with biases off by 0.005 to 20 deg/s took up to 85 steps, or 59 half steps."""
+_ROUNDS_OF_SHARE = 3
+"""Newton's steps for a factor that is known to some percent: two leave 1e-8 of it."""
 
 _TOO_FEW = 2.0
 """Degrees of freedom up to which residuals do not determine the noise."""
@@ -238,12 +240,26 @@ class TriadSystem:
     def share(self, values: Floats) -> float:
         """Return the factor on the outputs that fits a model best."""
         if self.up is not None:
-            bias = Triad.from_vector(values).bias
-            return self.magnitude / float(np.median(np.linalg.norm(self.outputs - bias, axis=1)))
+            return self._share_by_lengths(values)
         # Moves read no difference and do not determine the factor.
         seen = self.equations.outputs[self._mine]
         weighed = seen / np.diagonal(self.spread(values), axis1=1, axis2=2).ravel()
         return float(weighed @ self.predicted(values).ravel() / (weighed @ seen))
+
+    def _share_by_lengths(self, values: Floats) -> float:
+        bias = Triad.from_vector(values).bias
+        share = self.magnitude / float(np.median(np.linalg.norm(self.outputs - bias, axis=1)))
+        if self.gyros:
+            return share
+        # Scale factors of some percent would hide a gravity that is off by less.
+        for _ in range(_ROUNDS_OF_SHARE):
+            force, by_outputs, _ = self.sensors.compensated(
+                values, self.outputs * share, self.forces
+            )
+            length = np.linalg.norm(force, axis=1)
+            slope = np.einsum('ki,kij,kj->k', force, by_outputs, self.outputs) / length
+            share += float(slope @ (self.magnitude - length) / (slope @ slope))
+        return share
 
     def inflated(self, ratios: tuple[float, ...]) -> TriadSystem:
         """Return the system with its noise widened."""

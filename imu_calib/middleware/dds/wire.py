@@ -13,6 +13,7 @@ from ...errors import ImuCalibError
 from .interfaces import interface, type_hash
 from .participant import Participant, delete
 from .qos import QoSIncompatibleInfo, QoSProfile, to_dds
+from .type_data import describe
 
 _ANY = 3 | 12 | 112
 """State mask: samples read or not, of new or known writers, alive or not."""
@@ -41,6 +42,14 @@ def idl_type(name: str, prefix: str = '') -> Any:
     fields.update((f'{n}_', _idl_field(*desc)) for n, desc in interface(name).fields)
     struct = make_idl_struct(f'{short}_', f'{package}.{kind}.dds_.{short}_', fields)
     return annotations.final(struct)
+
+
+@cache
+def topic_type(name: str, prefix: str = '') -> Any:
+    """Return the wheel's type of a topic, with its description; see `idl_type`."""
+    found = idl_type(name, prefix)
+    describe(found, f'{name} {prefix} {type_hash(name)}')
+    return found
 
 
 def _idl_field(kind: int, details: Any) -> Any:
@@ -74,7 +83,7 @@ class Endpoint:
     ) -> None:
         self.participant = participant
         self.name = topic
-        self.topic = participant.topic(topic, idl_type(type_name, prefix))
+        self.topic = participant.topic(topic, topic_type(type_name, prefix))
         self._qos = to_dds(qos, f'{user_data}typehash={type_hash(type_name)};')
         self.entity: Any = None
 

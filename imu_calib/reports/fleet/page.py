@@ -79,21 +79,27 @@ def _data(name: str, text: str) -> str:
 
 
 def _outcome(fleet: Fleet) -> str:
-    """Return a summary of the catalogue in one sentence."""
+    """Return the summary, in the colour of the worst."""
+    flags = {flag.value.kind for flag in Flag if fleet.flagged(flag)}
+    bad = 'fail' in flags or fleet.history.stands.shifts
+    kind = 'fail' if bad else 'marginal' if 'marginal' in flags else 'pass'
+    return tag('div', tag('span', escape(summary(fleet))), class_=f'outcome {kind}')
+
+
+def summary(fleet: Fleet) -> str:
+    """Return a catalogue in one sentence."""
     numbers = {flag: len(fleet.flagged(flag)) for flag in Flag}
-    bad = [flag for flag in Flag if flag.value.kind == 'fail' and numbers[flag]]
-    doubtful = [flag for flag in Flag if flag.value.kind == 'marginal' and numbers[flag]]
-    off = fleet.history.stands.shifts
-    kind = 'fail' if bad or off else 'marginal' if doubtful else 'pass'
     words = [
-        f'{numbers[flag]} {_COLUMN_TEXTS.get(flag, flag.value.words)}' for flag in (*bad, *doubtful)
+        f'{numbers[flag]} {_COLUMN_TEXTS.get(flag, flag.value.words)}'
+        for kind in ('fail', 'marginal')
+        for flag in Flag
+        if flag.value.kind == kind and numbers[flag]
     ]
-    if off:
-        stands = {s.stand for s in off}
+    if fleet.history.stands.shifts:
+        stands = {s.stand for s in fleet.history.stands.shifts}
         words.insert(0, f'{count(len(stands), "stand")} off')
     fine = sum(not unit.flags for unit in fleet.units)
-    text = f'{count(len(fleet.units), "unit")}: {", ".join([*words, f"{fine} fine"])}.'
-    return tag('div', tag('span', escape(text)), class_=f'outcome {kind}')
+    return f'{count(len(fleet.units), "unit")}: {", ".join([*words, f"{fine} fine"])}.'
 
 
 _COLUMN_TEXTS = {
