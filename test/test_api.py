@@ -318,7 +318,7 @@ def test_two_calibrations_are_compared_in_any_form(
     assert imu_calib.compare(tmp_path / 'mine.yaml', exact).names == ('mine', 'second')
     assert main(['compare', str(tmp_path / 'mine.yaml'), str(truth)]) == 0
     shown = capsys.readouterr().out
-    assert f'{compared.normalised[0]:+.1f}' in shown
+    assert f'{compared.normalised[0]:+.2f}' in shown
     with pytest.raises(InputError, match=r'nothing\.yaml'):
         imu_calib.compare(result, tmp_path / 'nothing.yaml')
 

@@ -123,12 +123,13 @@ def test_the_rate_of_a_step_is_that_of_the_line_through_it() -> None:
 
 def test_a_step_is_tried_where_parts_begin_and_in_their_middle() -> None:
     held = session()
-    # One part at least lies before and one after it: the first dwell ends at 40 s.
-    wanted = [40.0, 45.0, 50.0, 70.0, 100.0]
-    assert (shapes(held, Course.STEP) * WHOLE).tolist() == pytest.approx(wanted)
+    # Two dwells or turns lie before it, and two after.
+    assert not len(shapes(held, Course.STEP))
+    held.turns.append(SimpleNamespace(start=EPOCH + 120 * NS, end=EPOCH + 132 * NS))
+    assert (shapes(held, Course.STEP) * 132.0).tolist() == pytest.approx([100.0])
     assert shapes(held, Course.TREND).tolist() == [1.0]
-    assert instant_of(held, 0.5) == EPOCH + 56 * NS
-    assert seconds_of(held, 0.5) == 56.0
+    assert instant_of(held, 0.5) == EPOCH + 66 * NS
+    assert seconds_of(held, 0.5) == 66.0
 
 
 def test_a_coefficient_acts_through_the_parameters_that_it_changes() -> None:

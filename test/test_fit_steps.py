@@ -317,6 +317,8 @@ def test_changes_that_a_session_does_not_tell_go_or_are_refused() -> None:
     assert found.shape == 0.25
     once = session()
     few = replace(once.evidence, segments=once.evidence.segments[:1], turns=())
+    with pytest.raises(NotObservable, match='two static dwells or turns before it and two after'):
+        changing.with_changes(Equations(few), session_term('step'))
     with pytest.raises(NotObservable) as refused:
         changing.with_changes(Equations(few), session_term('trend:D_g'))
     text = str(refused.value)

@@ -246,6 +246,9 @@ def test_several_sessions_of_one_place_share_the_error_of_gravity() -> None:
     for celsius in (0.0, 40.0):
         made = made_with(Site.at(LATITUDE))
         seen = {'mean': celsius, 'lowest': celsius, 'highest': celsius}
+        # Of two recordings: one in place of both would be refused.
+        values = made.model.vector() + celsius * 1e-12
+        made = replace(made, model=made.model.with_values(PARAMETERS, values))
         both.append(replace(made, provenance={**made.provenance, 'temperature': seen}))
     between = combine(both, ['a', 'b']).at(20.0)
     assert of_gravity(between) == pytest.approx(of_gravity(both[0]), rel=0.01)

@@ -58,6 +58,13 @@ def with_changes(
         return equations, ()
     if any(c.course is Course.THERMAL for c in changes):
         check_temperature(equations.evidence)
+    if any(c.course is Course.STEP for c in changes) and not len(
+        shapes(equations.evidence, Course.STEP)
+    ):
+        raise NotObservable(
+            f'{segments_in_words(equations.evidence)} do not determine step: not observable. It '
+            'takes two static dwells or turns before it and two after; or leave it out (`terms`).'
+        )
     changing = replace(equations, changes=tuple(changes), shape=_QUARTER)
     known, parameters = _determined(changing)
     if known.all() and parameters.all():

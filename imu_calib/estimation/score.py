@@ -225,7 +225,10 @@ def families(equations: Equations) -> tuple[Family, ...]:
     evidence = equations.evidence
     if not equations.changes:
         recorded = (Course.THERMAL,) if warms(evidence) else ()
-        courses = (*recorded, *LOOKED_FOR)
+        courses = [*recorded, *LOOKED_FOR]
+        if evidence.plan.by_hand or not len(shapes(evidence, Course.STEP)):
+            # In the hand a hold that leans looks like one.
+            courses.remove(Course.STEP)
         found += [Family(course.value, course=course) for course in courses]
     angles = [*(s.angles for s in evidence.segments), *(t.angles for t in evidence.turns)]
     if evidence.table is not None and all(one is not None for one in angles):

@@ -33,8 +33,9 @@ within the first dwell, and a longer one is a trend."""
 def shapes(evidence: Evidence, course: Course) -> Floats:
     """Return the grid of what shapes a course: time constant or instant, (k,) of the session.
 
-    A step is tried where each part of the session begins and in its middle, with at least one
-    before and one after it; 1 for a course without a shape.
+    A step is tried where each part of the session begins and in its middle, with at least two
+    dwells or turns before it and two after: at a single one it could not be told from an outlier. 1
+    for a course without a shape.
     """
     if course is Course.WARM_UP:
         return TIME_CONSTANTS
@@ -42,7 +43,9 @@ def shapes(evidence: Evidence, course: Course) -> Floats:
         return np.ones(1)
     starts, ends = spans(evidence)
     tried = np.unique(np.concatenate([starts, (starts + ends) / 2]))
-    return np.asarray(tried[(tried >= ends.min()) & (tried <= starts.max())] / ends.max())
+    count = len(evidence.segments) + len(evidence.turns)
+    first, last = np.sort(ends[:count])[:2].max(), np.sort(starts[:count])[-2:].min()
+    return np.asarray(tried[(tried >= first) & (tried <= last)] / ends.max())
 
 
 def spans(evidence: Evidence) -> tuple[Floats, Floats]:

@@ -95,8 +95,8 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
         rest = [f'{found.chi_square[k]:.1f}' if found.freedom[k] else '-']
         if two:
             one, other = (float(c.model.values((parameter,))[0]) for c in calibrations)
-            ratio = f'{(one - other) / std[0, k]:+.2f}' if std[0, k] > 0 else '-'
-            rest = [f'{values[0] - values[1]:+.{digits}f}', ratio]
+            ratio = _signed((one - other) / std[0, k], 2) if std[0, k] > 0 else '-'
+            rest = [_signed(values[0] - values[1], digits), ratio]
         table.add_row(
             _table_name(parameter),
             parameter.name,
@@ -106,6 +106,12 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
             'differs' if differ[parameter] else '',
         )
     return table
+
+
+def _signed(value: float, digits: int) -> str:
+    """Return a number with its sign; zero has none."""
+    text = f'{value:+.{digits}f}'
+    return text if float(text) else f'{0:.{digits}f}'
 
 
 def _alike(parameter: Parameter) -> tuple[object, ...]:
