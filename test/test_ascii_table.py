@@ -465,7 +465,7 @@ def test_without_a_heartbeat_nothing_moves_and_its_silence_is_a_stop(bench):
     bench.lead(None)
     clear.data = False
     timer.reset()
-    assert bench.until(lambda: bench.leader.says('source', 2, 'publishes stop'))
+    assert bench.until(lambda: bench.leader.says('source', 2, 'is false, which means stop'))
     bench.lead(FAR)
     bench.until(lambda: False, 0.2)
     assert bench.controller.count('MOVE') == 3
@@ -555,7 +555,7 @@ class Slow:
     def monotonic(self):
         return time.monotonic() + self.ahead
 
-    def ask(self, text):
+    def request(self, text):
         self.lines.append(text)
         if text.startswith('MOVE'):
             self.ahead += 3.0
@@ -605,7 +605,7 @@ def test_an_answer_to_an_earlier_question_is_none_to_this_one():
 
             answers = threading.Thread(target=answer)
             answers.start()
-            assert line.ask('STOP') == 'OK'
+            assert line.request('STOP') == 'OK'
             answers.join()
 
 
