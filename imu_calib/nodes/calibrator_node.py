@@ -298,6 +298,10 @@ class CalibratorNode(ros.Node):
         alone = sessions.open == [sessions.all[place]]
         if place in sessions.left_out:
             response.success, response.message = False, f'{serial} is left out already.'
+        elif sessions.over:
+            # Its recording is closed.
+            response.success = False
+            response.message = f'The session is over: {serial} is not left out.'
         elif alone or sessions.all[place].phase is SessionPhase.FINISHED:
             what = 'is the last unit' if alone else 'has its result'
             response.success, response.message = False, f'{serial} {what}: it is not left out.'
