@@ -616,7 +616,7 @@ def test_a_node_whose_terminal_is_gone_goes_on_and_says_its_last_word(node):
     got = []
     node.create_subscription(ros.messages.String, 'state', lambda m: got.append(m.data), 100)
     says = "self.publisher.publish(messages.String(data='"
-    process = start(LAST_WORD.replace(says, f"self.get_logger().error('a line') or {says}"))
+    process = start(LAST_WORD.replace(says, f"[self.get_logger().error('a line')] and {says}"))
     assert spun(node, lambda: 'moving' in got)
     process.stderr.close()
     got.clear()
