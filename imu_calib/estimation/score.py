@@ -195,7 +195,9 @@ def _changing(ideal: Equations, family: Family, derivatives: Floats, shape: floa
     """
     there = replace(ideal, changes=family.changes, shape=shape)
     columns = modulated(ideal.evidence, family.changes, derivatives, PARAMETERS, shape)
-    sizes = [_largest(change) / change_of(there, change) for change in family.changes]
+    # All coefficients of a term have its course.
+    moved = change_of(there, family.changes[0])
+    sizes = [_largest(change) / moved for change in family.changes]
     return columns * sizes, np.array(sizes)
 
 
