@@ -45,7 +45,22 @@ def declared(tmp_path_factory):
         for name, value in environment().items():
             patched.setenv(name, value)
         patched.chdir(tmp_path_factory.mktemp('nodes'))
+        if 'web_node' in NODES:
+            patched.setattr('imu_calib.web.server.Server', Unserved)
         return {name: declared_by(name, kind, patched) for name, kind in NODES.items()}
+
+
+class Unserved:
+    """In place of the server: NiceGUI starts once in a process, and another test may share it."""
+
+    def __init__(self, _, listens):
+        self._listens = listens
+
+    def start(self):
+        """Nothing is served."""
+
+    def stop(self):
+        self._listens.close()
 
 
 def declared_by(name, kind, patched):
@@ -68,10 +83,12 @@ def declared_by(name, kind, patched):
     }
     words = [w for k, v in given.get(name, {}).items() for w in ('-p', f'{k}:={v}')]
     ros.init(args=['--ros-args', *words])
-    node = getattr(module, kind)()
-    node.stop()
-    node.destroy_node()
-    ros.try_shutdown()
+    try:
+        node = getattr(module, kind)()
+        node.stop()
+        node.destroy_node()
+    finally:
+        ros.try_shutdown()
     return own
 
 
