@@ -170,7 +170,7 @@ class WebNode(ros.Node):
         self._joints = ros.open_drain(
             self, messages.JointState, 'turntable/joint_states', qos.glimpse(1)
         )
-        self._clients = {
+        self._command_clients = {
             name: self.create_client(ros.Trigger, f'turntable_node/{name}') for name in _COMMANDS
         }
         steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
@@ -245,7 +245,7 @@ class WebNode(ros.Node):
         while not self._commands.empty():
             name = self._commands.get()
             self.get_logger().info(f'a viewer of the page asks for {name}')
-            client = self._clients[name]
+            client = self._command_clients[name]
             if client.service_is_ready():
                 self._pending.append((name, client.call_async(ros.Trigger.Request()), now))
                 self._common_board.take_answer(f'{name.capitalize()}: sent to turntable_node.')
