@@ -471,8 +471,8 @@ def test_without_a_heartbeat_nothing_moves_and_its_silence_is_a_stop(bench):
     assert bench.controller.count('MOVE') == 3
 
 
-@pytest.mark.parametrize('bench', [('stop_required:=true', 'setpoint_timeout:=2.0')], indirect=True)
-def test_a_heartbeat_that_says_stop_is_no_matter_of_the_next_setpoint(bench):
+def moving_by_heartbeat(bench):
+    """Let the table move, as a heartbeat allows; return its publisher and its timer."""
     beat = bench.leader.create_publisher(ros.messages.Bool, 'heartbeat', 10)
     timer = bench.leader.create_timer(
         0.05, lambda: beat.publish(ros.messages.Bool(data=True)), clock=STEADY
@@ -480,6 +480,12 @@ def test_a_heartbeat_that_says_stop_is_no_matter_of_the_next_setpoint(bench):
     assert bench.until(lambda: bench.leader.says('source', 0, 'one source'))
     bench.lead(FAR)
     assert bench.until(lambda: bench.controller.count('MOVE') == 3)
+    return beat, timer
+
+
+@pytest.mark.parametrize('bench', [('stop_required:=true', 'setpoint_timeout:=2.0')], indirect=True)
+def test_a_heartbeat_that_says_stop_is_no_matter_of_the_next_setpoint(bench):
+    beat, timer = moving_by_heartbeat(bench)
     bench.lead(None)
     # No setpoint is on its way any more.
     bench.until(lambda: False, 0.2)
@@ -493,13 +499,7 @@ def test_a_heartbeat_that_says_stop_is_no_matter_of_the_next_setpoint(bench):
 
 @pytest.mark.parametrize('bench', [('stop_required:=true',)], indirect=True)
 def test_a_heartbeat_that_says_stop_once_is_a_stop(bench):
-    beat = bench.leader.create_publisher(ros.messages.Bool, 'heartbeat', 10)
-    timer = bench.leader.create_timer(
-        0.05, lambda: beat.publish(ros.messages.Bool(data=True)), clock=STEADY
-    )
-    assert bench.until(lambda: bench.leader.says('source', 0, 'one source'))
-    bench.lead(FAR)
-    assert bench.until(lambda: bench.controller.count('MOVE') == 3)
+    beat, timer = moving_by_heartbeat(bench)
     before = bench.stops()
     for clear in (False, True):
         beat.publish(ros.messages.Bool(data=clear))

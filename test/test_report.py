@@ -26,8 +26,8 @@ from imu_calib.imu import ImuSpec, load_imu, read_imu
 from imu_calib.model import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from imu_calib.reports.page import Contents, page
 from imu_calib.reports.repeatability import (
-    Course,
     RepeatedParameter,
+    Variation,
     repeatability_notes,
     repeatability_table,
     repeated,
@@ -269,32 +269,32 @@ def test_spread_and_drift_of_a_hand_worked_case() -> None:
 
 
 @pytest.mark.parametrize(
-    ('values', 'days', 'course'),
+    ('values', 'days', 'variation'),
     [
-        ([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], [0, 1, 2, 3, 4, 5], Course.DRIFTS),
-        ([0.0, 0.1, 0.0, 5.0, 5.1, 5.0], [0, 1, 2, 3, 4, 5], Course.STEPS),
-        # Nothing was measured in between, and two dates tell no course.
-        ([0.0, 0.1, 5.0, 5.1], [0, 1, 300, 301], Course.CHANGES),
-        ([0.0, 5.0], [0, 300], Course.SCATTERS),
-        ([0.0, 5.0, 0.1, 4.9], [0, 1, 2, 3], Course.SCATTERS),
-        ([0.0, 0.1, -0.1, 0.0], [0, 1, 2, 3], Course.REPEATS),
+        ([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], [0, 1, 2, 3, 4, 5], Variation.DRIFTS),
+        ([0.0, 0.1, 0.0, 5.0, 5.1, 5.0], [0, 1, 2, 3, 4, 5], Variation.STEPS),
+        # Nothing was measured in between, and two dates show no course.
+        ([0.0, 0.1, 5.0, 5.1], [0, 1, 300, 301], Variation.CHANGES),
+        ([0.0, 5.0], [0, 300], Variation.SCATTERS),
+        ([0.0, 5.0, 0.1, 4.9], [0, 1, 2, 3], Variation.SCATTERS),
+        ([0.0, 0.1, -0.1, 0.0], [0, 1, 2, 3], Variation.REPEATS),
     ],
 )
 def test_a_drift_and_a_step_are_named_where_the_values_tell_them_apart(
-    values: list[float], days: list[float], course: Course
+    values: list[float], days: list[float], variation: Variation
 ) -> None:
     size = len(values)
     row = RepeatedParameter(
         PARAMETERS[0], np.array(values), np.full(size, 0.1), np.array(days, float), FIRST
     )
-    assert row.course is course
+    assert row.variation is variation
     (words,) = re.findall(r'badge \w+">(\w+)<', repeatability_table([row]))
-    assert words == course.value[0]
+    assert words == variation.value[0]
     notes = repeatability_notes([row])
     assert ('Stepping between two dates: K_gx (2026-01-03 to 2026-01-04).' in notes) is (
-        course is Course.STEPS
+        variation is Variation.STEPS
     )
-    assert ('as a drift or a step explains: K_gx.' in notes) is (course is Course.CHANGES)
+    assert ('as a drift or a step explains: K_gx.' in notes) is (variation is Variation.CHANGES)
 
 
 def test_only_calibrations_of_one_unit_are_compared(contents: Contents) -> None:

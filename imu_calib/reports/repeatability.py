@@ -40,7 +40,7 @@ _ALIKE = 1e-6
 """Relative: scale factors that differ by more define other parameters."""
 
 
-class Course(Enum):
+class Variation(Enum):
     """How the values of a parameter differ, as far as they show it; the value is a badge."""
 
     REPEATS = 'repeats', 'pass'
@@ -107,13 +107,13 @@ class RepeatedParameter:
         return slope, float(np.sqrt(excess / information))
 
     @property
-    def course(self) -> Course:
+    def variation(self) -> Variation:
         """Drift or step where one explains the values better than the other, else a change.
 
         A step is significant by Student's t at all dates, as in a history (docs/history.md).
         """
         drift = self.drift
-        scatters = Course.SCATTERS if self.chance < _SURPRISING else Course.REPEATS
+        scatters = Variation.SCATTERS if self.chance < _SURPRISING else Variation.REPEATS
         if drift is None or self.days is None:
             return scatters
         drifts = abs(drift[0]) > _SIGNIFICANT * drift[1]
@@ -121,13 +121,13 @@ class RepeatedParameter:
         line, step = self._chi_square(self.days), self._chi_square(self.days >= self.step_at)
         apart = (line - step) / max(1.0, min(line, step) / freedom)
         if drifts and apart < -_BETTER:
-            return Course.DRIFTS
+            return Variation.DRIFTS
         gain = (self._chi_square(np.zeros(len(self.value))) - step) / max(1.0, step / freedom)
         chance = 2 * scipy.special.stdtr(freedom, -np.sqrt(max(gain, 0.0)))
         dates = len(set(self.days.tolist()))
         if dates >= FEWEST and apart > _BETTER and chance * (dates - 1) < _SURPRISING:
-            return Course.STEPS
-        return Course.CHANGES if drifts else scatters
+            return Variation.STEPS
+        return Variation.CHANGES if drifts else scatters
 
     @property
     def step_at(self) -> float:
@@ -274,7 +274,7 @@ def _written(value: float, places: int) -> str:
 
 
 def _verdict(row: RepeatedParameter) -> str:
-    word, kind = row.course.value
+    word, kind = row.variation.value
     return tag('span', word, class_=f'badge {kind}')
 
 
@@ -288,7 +288,7 @@ def _over_time(row: RepeatedParameter) -> str:
     if row.days is None:
         return small(row.parameter, np.arange(float(count)), row.value, row.std, ('1', f'{count}'))
     line: list[tuple[float, float]] = []
-    if row.drift is not None and row.course is Course.DRIFTS:
+    if row.drift is not None and row.variation is Variation.DRIFTS:
         middle, mean = float(row.days.mean()), float(row.value.mean())
         ends = float(row.days.min()), float(row.days.max())
         line = [(x, mean + row.drift[0] * (x - middle)) for x in ends]
@@ -319,10 +319,10 @@ def dates_table(calibrations: Sequence[Calibration], names: Sequence[str]) -> st
 def repeatability_notes(rows: Sequence[RepeatedParameter]) -> str:
     """Return sentences on the result of the comparison."""
     count = len(rows[0].value)
-    named: dict[Course, list[str]] = {course: [] for course in Course}
+    named: dict[Variation, list[str]] = {one: [] for one in Variation}
     for row in rows:
-        when = f' ({_step_in_words(row)})' if row.course is Course.STEPS else ''
-        named[row.course].append(f'{row.parameter.name}{when}')
+        when = f' ({_step_in_words(row)})' if row.variation is Variation.STEPS else ''
+        named[row.variation].append(f'{row.parameter.name}{when}')
     sentences = [
         f'{count} calibrations; spread is the standard deviation of their values, stated std is '
         'the one that they state. "Scatters": fewer than one in a thousand such sets would spread '
@@ -332,17 +332,19 @@ def repeatability_notes(rows: Sequence[RepeatedParameter]) -> str:
         sentences.append('Not all of them state when they were recorded: drift is not evaluated.')
     elif rows[0].drift is None:
         sentences.append('To evaluate drift takes calibrations of three different dates.')
-    for course, words in _WORDS.items():
-        if named[course]:
-            sentences.append(f'{words}: {", ".join(named[course])}.')
+    for variation, words in _WORDS.items():
+        if named[variation]:
+            sentences.append(f'{words}: {", ".join(named[variation])}.')
     return paragraph(' '.join(sentences), 'note')
 
 
 _WORDS = {
-    Course.DRIFTS: 'Drifting by more than three standard deviations',
-    Course.STEPS: 'Stepping between two dates',
-    Course.CHANGES: 'Changed by more than three standard deviations, as a drift or a step explains',
-    Course.SCATTERS: 'Scattering more than stated',
+    Variation.DRIFTS: 'Drifting by more than three standard deviations',
+    Variation.STEPS: 'Stepping between two dates',
+    Variation.CHANGES: (
+        'Changed by more than three standard deviations, as a drift or a step explains'
+    ),
+    Variation.SCATTERS: 'Scattering more than stated',
 }
 
 
