@@ -39,13 +39,16 @@ class Ears:
         )
 
     def dwells(self):
-        """Yield what was heard at rest: mean rate and force, covariances, attitude, seconds."""
+        """Yield each dwell after a motion: rates and forces in it, and the attitude."""
         (rates,) = decode_imu(Messages.join(self.rates))
         (joints,) = decode_joints(Messages.join(self.joints))
         still = (joints.velocity == 0).all(axis=1)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
         table = load_table('three_axis')
         for first, end in edges.reshape(-1, 2):
+            if first == 0:
+                # The table stands where the last session left it, until this one starts.
+                continue
             start, stop = joints.stamp[first] + round(SETTLED * 1e9), joints.stamp[end - 1]
             if stop - start < 0.8 * DWELL * 1e9:
                 continue
