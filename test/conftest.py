@@ -7,6 +7,7 @@ import gc
 import os
 import signal
 from importlib.util import find_spec
+from itertools import islice
 
 import processes
 import pytest
@@ -45,67 +46,91 @@ _FAILED = pytest.StashKey[bool]()
 _REPEATS = pytest.StashKey[int]()
 
 
-_LONG = (
-    'test_ros_stand.py',
-    'test_ros_launched.py',
-    'test_security.py',
+_WAITING = (
     'test_stand.py',
     'test_turntable_node.py',
     'test_stand_strangers.py',
     'test_web_page.py',
-    'test_report_layout.py',
-    'test_fleet_page.py',
-    'test_remote.py',
+    'test_ros_stand.py',
+    'test_ros_launched.py',
+    'test_security.py',
     'test_clock.py',
-    'test_other_world.py',
-    'test_resume.py',
     'test_run_action.py',
-    'test_live_session.py',
-    'test_matrix.py',
     'test_middleware.py',
-    'test_planless.py',
-    'test_fleet_units.py',
-    'test_fleet.py',
-    'test_several_stand.py',
+    'test_fleet_page.py',
     'test_compensator_node.py',
-    'test_bad_input.py',
-    'test_verification.py',
-    'test_joint.py',
-    'test_notebooks.py',
-    'test_study.py',
-    'test_live_hand.py',
-    'test_score.py',
-    'test_calibration_session.py',
-    'test_startup.py',
     'test_ascii_table.py',
-    'test_processes.py',
-    'test_several_units.py',
-    'test_file_formats.py',
-    'test_free_positions.py',
-    'test_prediction.py',
-    'test_session_terms.py',
-    'test_moves.py',
-    'test_segmented_sessions.py',
-    'test_stillness.py',
     'test_controller.py',
-    'test_workspace.py',
-    'test_hand_session.py',
-    'test_stamps_apart.py',
-    'test_screen.py',
-    'test_sequencer.py',
+    'test_processes.py',
     'test_imu_node.py',
-    'test_robot.py',
-    'test_gravity.py',
-    'test_units_shared.py',
-    'test_certificate.py',
-    'test_documents.py',
-    'test_terms.py',
-    'test_several_sessions.py',
-    'test_units_page.py',
-    'test_steady_rates.py',
-    'test_conformance.py',
 )
-"""Files that take longest, in that order: begun last, one of them would be waited for alone."""
+"""Long files that wait for nodes, clients and pages more than they compute, the longest first."""
+
+_COMPUTING = (
+    'test_resume.py',
+    'test_matrix.py',
+    'test_bad_input.py',
+    'test_other_world.py',
+    'test_verification.py',
+    'test_several_stand.py',
+    'test_joint.py',
+    'test_calibration_session.py',
+    'test_live_session.py',
+    'test_notebooks.py',
+    'test_live_hand.py',
+    'test_study.py',
+    'test_fleet.py',
+    'test_prediction.py',
+    'test_terms.py',
+    'test_score.py',
+    'test_exact_table.py',
+    'test_planless.py',
+    'test_robot.py',
+    'test_several_units.py',
+    'test_remote.py',
+    'test_moves.py',
+    'test_report_layout.py',
+    'test_segmented_sessions.py',
+    'test_conformance.py',
+    'test_session_terms.py',
+    'test_startup.py',
+    'test_motion_terms.py',
+    'test_units_shared.py',
+    'test_file_formats.py',
+    'test_stillness.py',
+    'test_plans.py',
+    'test_api.py',
+    'test_gravity.py',
+    'test_documents.py',
+    'test_fleet_units.py',
+    'test_sequencer.py',
+    'test_report.py',
+    'test_budget.py',
+    'test_memory.py',
+    'test_units_page.py',
+)
+"""Long files that compute, or have others compute, the longest first."""
+
+
+def _order() -> dict[str, int]:
+    """Return the places of the long files: begun last, one would be waited for alone.
+
+    After each file that waits come three that compute: were all workers to wait at once, the
+    processors would have nothing to do.
+    """
+    names: list[str] = []
+    computing = iter(_COMPUTING)
+    for waiting in _WAITING:
+        names += [waiting, *islice(computing, 3)]
+    return {name: place for place, name in enumerate([*names, *computing])}
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """Take three workers more than there are processors: many tests wait for nodes."""
+    if 'PYTEST_XDIST_AUTO_NUM_WORKERS' in os.environ:
+        return None
+    return len(os.sched_getaffinity(0)) + 3
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -139,7 +164,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         config.stash[_REPEATS] = len(repeats)
         # Of a worker, for the process that reports.
         getattr(config, 'workeroutput', {})['repeats'] = len(repeats)
-    place = {name: k for k, name in enumerate(_LONG)}
+    place = _order()
     items.sort(key=lambda item: (place.get(item.path.name, len(place)), item.path))
 
 

@@ -113,17 +113,20 @@ def remainder_covariance(
     edges = np.concatenate([-directions[:1], -np.diff(directions, axis=0), directions[-1:]])
     found = np.zeros((3, 3))
     times = np.append(0.0, np.cumsum(seconds))
-    harmonics = np.arange(1, _HARMONICS + 1)
-    share = 1 / (2 * np.pi**2 * harmonics**2)
+    share = 1 / (2 * np.pi**2 * np.arange(1, _HARMONICS + 1) ** 2)
     for channel in np.flatnonzero(pulse):
         held = edges[:, :, channel]
         counted = np.append(0.0, np.cumsum(outputs[:, channel] * seconds)) / pulse[channel]
         off = doubt[channel] / pulse[channel]
         rates = _RATES if off * times[-1] < _EVEN else _medians()
-        faster = np.outer(rates * off, times)
-        phases = 2j * np.pi * harmonics[:, None, None] * (counted + faster)
-        sums = np.exp(phases) @ held
-        following = np.einsum('h,hra,hrb->ab', share, sums, sums.conj()).real / len(rates)
+        first = np.exp(2j * np.pi * (counted + np.outer(rates * off, times)))
+        following = np.zeros((3, 3))
+        # Each harmonic is a power of the first: a product costs a tenth of an exponential.
+        harmonic = np.ones_like(first)
+        for part in share / len(rates):
+            harmonic *= first
+            sums = harmonic @ held
+            following += part * (sums.T @ sums.conj()).real
         independent = (1 / 12 - share.sum()) * held.T @ held
         found += pulse[channel] ** 2 * (following + independent)
     return found
