@@ -54,6 +54,7 @@ _WAITING = (
     'test_ros_stand.py',
     'test_ros_launched.py',
     'test_security.py',
+    'test_failures.py',
     'test_clock.py',
     'test_run_action.py',
     'test_middleware.py',

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 import processes
 import pytest
+from extent import again
 from loopback import environment, patience, start, until
 from test_turntable_node import PLAN
 from test_turntable_node import TABLE as NIMBLE
@@ -630,8 +631,7 @@ def test_what_was_wanted_before_the_line_was_open_moves_nothing(follower):
     assert not any(text.startswith('MOVE') for text in line.lines)
 
 
-@pytest.mark.repeats
-@pytest.mark.parametrize('seconds', [3.0, 30.0])
+@pytest.mark.parametrize('seconds', [3.0, again(30.0)])
 def test_a_node_that_hangs_moves_nothing_when_it_goes_on(monkeypatch, request, seconds):
     for name, value in environment().items():
         monkeypatch.setenv(name, value)

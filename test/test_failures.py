@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from functools import cache
 
 import pytest
+from extent import again
 from loopback import CHECKOUT
 
 from imu_calib.errors import ImuCalibError
@@ -31,9 +32,14 @@ def rows():
 
 @cache
 def names_in(module):
-    """Return the names of the tests of a file."""
+    """Return the names of the tests of a file that are part of every run."""
     tree = ast.parse((CHECKOUT / 'test' / f'{module}.py').read_text(encoding='utf-8'))
-    return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+    return {
+        node.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef)
+        and 'pytest.mark.repeats' not in [ast.unparse(mark) for mark in node.decorator_list]
+    }
 
 
 def test_every_row_of_the_failure_table_has_tests_and_every_test_exists():
@@ -60,8 +66,7 @@ def hangs(stand, node, seconds):
         os.kill(number, signal.SIGCONT)
 
 
-@pytest.mark.repeats
-@pytest.mark.parametrize('seconds', [3.0, 30.0])
+@pytest.mark.parametrize('seconds', [3.0, again(30.0)])
 def test_every_node_may_hang_and_the_session_ends_in_the_true_parameters(tmp_path, seconds):
     """Of ten frames one is damaged besides, in the steps between."""
     waits = {'calibrator_timeout': 2.0, 'watchdog_timeout': 2.0}

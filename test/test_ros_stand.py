@@ -159,7 +159,6 @@ def test_the_tool_of_ros_cancels_a_goal_of_a_node_without_ros(tmp_path):
 
 
 @needs('launch_testing', 'launch_testing_ros')
-@pytest.mark.repeats
 def test_the_stand_passes_its_launch_test(tmp_path):
     net = Network(tmp_path)
     given = {'plan': short_plan(tmp_path), 'frame_port': free_port(), 'latitude': LATITUDE}

@@ -76,7 +76,6 @@ def test_the_readme_makes_both_packages_visible(workspace):
 
 
 @ros_only
-@pytest.mark.repeats
 def test_a_build_without_messages_says_so_and_so_does_the_node(workspace):
     built = run(workspace, 'colcon build --packages-select imu_calib')
     assert built.returncode == 0
