@@ -73,7 +73,7 @@ nitpick_ignore_regex = [
         'py:class',
         r'imu_calib\.(api\.progress\.Show|channel_noise\.ChannelNoise|repetition\.Outcome'
         r'|bags\.remote\..*|calibrator\.basis\..*|estimation\.(search|several)\..*|fleet\.task\..*'
-        r'|agreement\..*|reports\..*|specification\..*|api\.looking\..*|api\.stated\..*)',
+        r'|agreement\..*|reports\..*|specification\..*|api\.inspecting\..*|api\.stated\..*)',
     ),
     (
         'py:class',

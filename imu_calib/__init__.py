@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .api.converted import Converted
     from .api.converting import convert
     from .api.exporting import export
-    from .api.looking import Look, look
+    from .api.inspecting import Inspection, inspect
     from .api.predicting import Prediction, optimise, predict, reach
     from .api.repeating import Repeated, montecarlo
     from .api.reporting import report
@@ -67,7 +67,7 @@ _WHERE = {
     'ImuCalibError': 'errors',
     'ImuSpec': 'imu',
     'InputError': 'errors',
-    'Look': 'api.looking',
+    'Inspection': 'api.inspecting',
     'MountedUnit': 'mounted',
     'NotObservable': 'errors',
     'Optimum': 'prediction.optimise',
@@ -97,11 +97,11 @@ _WHERE = {
     'export': 'api.exporting',
     'history': 'fleet.history',
     'fleet_report': 'fleet.report',
+    'inspect': 'api.inspecting',
     'load_imu': 'imu',
     'load_plan': 'plan',
     'load_table': 'turntable',
     'load_units': 'mounted',
-    'look': 'api.looking',
     'montecarlo': 'api.repeating',
     'optimise': 'api.predicting',
     'predict': 'api.predicting',
@@ -130,7 +130,7 @@ __all__ = [
     'ImuCalibError',
     'ImuSpec',
     'InputError',
-    'Look',
+    'Inspection',
     'MountedUnit',
     'NotObservable',
     'Optimum',
@@ -160,11 +160,11 @@ __all__ = [
     'export',
     'fleet_report',
     'history',
+    'inspect',
     'load_imu',
     'load_plan',
     'load_table',
     'load_units',
-    'look',
     'montecarlo',
     'optimise',
     'predict',

@@ -208,17 +208,17 @@ def test_info_shows_the_topics_and_asks_for_what_is_not_stated(
 
 
 def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag: str) -> None:
-    looked = imu_calib.look(bag, Stated(latitude=LATITUDE))
-    assert looked.inside is not None
+    looked = imu_calib.inspect(bag, Stated(latitude=LATITUDE))
+    assert looked.streams is not None
     session = spread_holds(24, 1)
     holds = session.holds
-    assert len(looked.inside.dwells) == pytest.approx(24, abs=1)
-    for dwell in looked.inside.dwells:
+    assert len(looked.streams.dwells) == pytest.approx(24, abs=1)
+    for dwell in looked.streams.dwells:
         middle = dwell.at + dwell.seconds / 2
         mine = np.flatnonzero((holds[:, 0] < middle) & (middle < holds[:, 1]))
         assert len(mine) == 1
         assert dwell.heading is None
-    assert looked.inside.contradictions == ()
+    assert looked.streams.contradictions == ()
 
 
 def test_info_says_that_another_latitude_is_contradicted(
@@ -226,7 +226,7 @@ def test_info_says_that_another_latitude_is_contradicted(
 ) -> None:
     folder = str(tmp_path / 'six')
     assert main(['simulate', 'static_six', '-o', folder, '--seed', '1']) == 0
-    seen = imu_calib.look(folder).inside
+    seen = imu_calib.inspect(folder).streams
     assert seen is not None and seen.latitude is not None
     latitude, std = seen.latitude
     assert abs(latitude - 34.65) < 4 * std < 10

@@ -31,7 +31,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from imu_calib.api.looking import look_inside, topics
+from imu_calib.api.inspecting import inspect_streams, topics
 from imu_calib.api.stated import Stated
 from imu_calib.bags import RecordingError, RecordingWriter, open_recording, sqlite_rows
 from imu_calib.bags.mcap_records import walk
@@ -394,8 +394,8 @@ def test_a_cut_sqlite_file_is_looked_at_for_what_is_there_and_what_is_not(tmp_pa
     assert 0 < found.seconds < 0.7 * whole.seconds
     assert found.lost == tuple(losses)
     assert not whole.lost
-    looked = look_inside(found, Stated())
-    assert looked.inside is None
+    looked = inspect_streams(found, Stated())
+    assert looked.streams is None
     assert looked.lost == found.lost
 
 

@@ -149,7 +149,7 @@ ORIGIN = {
     'samples': 1000,
     'random_walk': [1e-6] * 6,
     'residual_rms': [1e-6, None, 1e-6, 1e-5, 1e-5, 1e-5],
-    'bias_wander': [1e-6] * 6,
+    'bias_drift': [1e-6] * 6,
     'condition_number': 4.2,
     'highest_rate': 1.0,
     'temperature': {'mean': 25.0, 'lowest': 24.0, 'highest': 26.0},

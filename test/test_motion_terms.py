@@ -88,7 +88,7 @@ def test_places_and_delays_are_found(found: Estimate) -> None:
 
 
 def test_places_and_delays_that_nobody_asked_for_are_found_and_named(moved: Evidence) -> None:
-    solution = solve(moved, look=True)
+    solution = solve(moved, find_terms=True)
     said = [f for f in solution.findings if 'The session shows' in f]
     assert ['size_effect' in one for one in said].count(True) == 1
     assert ['(delay' in one for one in said].count(True) == 1
@@ -113,7 +113,7 @@ def test_where_they_are_off_the_others_are_right_all_the_same(moved: Evidence) -
 
 
 def test_accelerometers_that_are_together_and_in_time_are_found_so() -> None:
-    solution = solve(gathered(ran(truth().model)), look=True)
+    solution = solve(gathered(ran(truth().model)), find_terms=True)
     assert not [f for f in solution.findings if 'The session shows' in f]
     tests = {test.name: test for test in solution.tests}
     for name in ('size_effect', 'delay'):

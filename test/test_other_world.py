@@ -106,7 +106,7 @@ def fed(
     seed: int = 0,
     plan: Plan | None = None,
     *,
-    look: bool = False,
+    find_terms: bool = False,
     table: Table | None = None,
 ) -> Calibrator:
     spec = ImuSpec(
@@ -119,7 +119,7 @@ def fed(
     site = Site.at(world.latitude, 0.0, world.gravity)
     plan = load_plan('twelve_position') if plan is None else plan
     table = load_table('three_axis') if table is None else table
-    setup = Setup(spec, plan, table, site, search_terms=look)
+    setup = Setup(spec, plan, table, site, search_terms=find_terms)
     calibrator = Calibrator(setup)
     for block in recorded(world, unit, seed):
         calibrator.feed(block)
@@ -237,7 +237,7 @@ def test_on_a_table_as_they_are_no_parameter_is_further_off_than_stated(
     name: str, grade: str, undescribed: Table
 ) -> None:
     unit = {'medium': MEDIUM, 'navigation': NAVIGATION}[grade]
-    found = fed(TABLES[name], unit, look=True, table=undescribed).finish().calibration
+    found = fed(TABLES[name], unit, find_terms=True, table=undescribed).finish().calibration
     off = errors(found, unit)
     # Of 24 sessions of 24 parameters chance passes 4.5 deviations in one once in 250 times.
     assert np.abs(off).max() < 4.5, np.round(off, 1)
@@ -252,7 +252,7 @@ def test_biases_that_fade_put_no_parameter_off(grade: str) -> None:
     fade, fading = (0.1 * DEG_H, -0.07 * DEG_H, 0.12 * DEG_H), 200.0
     pushed = (50 * MICRO_G, -40 * MICRO_G, 60 * MICRO_G)
     warming = replace(unit, gyro_fade=fade, accel_fade=pushed, fading=fading)
-    found = fed(World(), warming, look=True).finish().calibration
+    found = fed(World(), warming, find_terms=True).finish().calibration
     motions = schedule(World())
     # Dwells are spread over the session evenly: the biases are those of its mean.
     end = motions[-1].end + World().dwell
@@ -276,7 +276,7 @@ def test_biases_that_step_are_found_with_the_instant(grade: str, at: float) -> N
     pushed = tuple(size * d * MICRO_G for d in (50.0, -40.0, 60.0))
     end = schedule(World())[-1].end + World().dwell
     stepping = replace(unit, gyro_step=turned, accel_step=pushed, stepping=at * end)
-    found = fed(World(), stepping, look=True).finish().calibration
+    found = fed(World(), stepping, find_terms=True).finish().calibration
     mean = replace(
         unit,
         gyro_d=tuple(d + (1 - at) * s for d, s in zip(unit.gyro_d, turned, strict=True)),
@@ -304,7 +304,7 @@ def test_a_move_in_which_the_samples_froze_keeps_no_session_from_its_answer(
 ) -> None:
     """From the end of a dwell on, which has a part of it; the search comes to no end."""
     world = World(damage=Damage(freezes=(148.3,), frozen=3.0))
-    calibrator = fed(world, NAVIGATION, look=True)
+    calibrator = fed(world, NAVIGATION, find_terms=True)
     judged, refused = search._significant, []
 
     def judge(*given: Any) -> Any:

@@ -257,8 +257,8 @@ def test_a_comparison_is_a_document(program: Program, folder: Path) -> None:
 def test_a_look_is_a_document(program: Program, folder: Path) -> None:
     result = program('info', folder / 'one')['result']
     assert [t['name'] for t in result['topics']] == ['/imu/pulses']
-    assert len(result['inside']['dwells']) == 30
-    assert result['inside']['missing'] is None
+    assert len(result['streams']['dwells']) == 30
+    assert result['streams']['missing'] is None
 
 
 SHELL = ['-c', 'import sys; from imu_calib.cli.main import main; sys.exit(main())']

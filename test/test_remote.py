@@ -19,7 +19,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 import imu_calib
 from imu_calib import InputError
-from imu_calib.api.looking import topics
+from imu_calib.api.inspecting import topics
 from imu_calib.api.stated import Stated
 from imu_calib.bags import located, open_recording, remote_copy, retries
 from imu_calib.cli.main import main

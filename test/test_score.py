@@ -119,7 +119,7 @@ BLAMED = ('drift by', 'scatter', 'given less weight', 'elsewhere', 'arrive', 'ti
 def looked(world: World, unit: Unit, seed: int = 0) -> Calibration:
     """What a session says of a unit when nobody says which terms it has."""
     plan = UNPLANNED if world.program else None
-    return fed(world, unit, seed, plan, look=True).finish().calibration
+    return fed(world, unit, seed, plan, find_terms=True).finish().calibration
 
 
 # One of them where CI has not the time for all (`.ci/run`).
@@ -159,13 +159,15 @@ def test_a_sound_session_has_no_terms(world: World) -> None:
 
 def test_looking_for_terms_changes_nothing_where_there_are_none() -> None:
     """But that drifts that are not excluded count by how likely they are (test_undecided)."""
-    plain, look = (fed(UPRIGHT, NAVIGATION, 1, look=look).finish() for look in (False, True))
-    assert look.calibration.values.tobytes() == plain.calibration.values.tobytes()
-    assert look.solution.shares is not None
-    drifts = look.solution.shares[Source.TERMS].covariance
-    assert (plain.solution.covariance + drifts).tobytes() == look.solution.covariance.tobytes()
+    plain, searched = (fed(UPRIGHT, NAVIGATION, 1, find_terms=on).finish() for on in (False, True))
+    assert searched.calibration.values.tobytes() == plain.calibration.values.tobytes()
+    assert searched.solution.shares is not None
+    drifts = searched.solution.shares[Source.TERMS].covariance
+    assert (plain.solution.covariance + drifts).tobytes() == searched.solution.covariance.tobytes()
     # Where no drift shows deviations grow by some hundredths, those of K_az most.
-    assert (look.solution.covariance.diagonal() < 1.4 * plain.solution.covariance.diagonal()).all()
+    assert (
+        searched.solution.covariance.diagonal() < 1.4 * plain.solution.covariance.diagonal()
+    ).all()
 
 
 @cache
@@ -227,7 +229,7 @@ def test_a_rest_that_was_disturbed_is_no_term() -> None:
     evidence = noisy(evidence, 3)
     first = moved(evidence.segments[0], np.array([0, 0, 0, 60, -40, 50]) * MICRO_G)
     evidence = replace(evidence, segments=(first, *evidence.segments[1:]))
-    found = solve(evidence, look=True)
+    found = solve(evidence, find_terms=True)
     assert [text for text in found.findings if 'the accelerometers at position 1' in text]
     assert not [text for text in found.findings if 'The session shows' in text]
     off = (found.model.values(PARAMETERS) - model.values(PARAMETERS)) / found.std
@@ -256,7 +258,7 @@ def test_a_term_that_shows_in_part_is_named_and_widens_what_it_touches() -> None
             )
         )
     evidence = noisy(replace(evidence, segments=(*evidence.segments, *leaning), table=None), 5)
-    found = solve(evidence, look=True)
+    found = solve(evidence, find_terms=True)
     named = [text for text in found.findings if 'accel_cross' in text]
     assert len(named) == 1
     assert 'does not determine it' in named[0]

@@ -508,7 +508,7 @@ def test_what_is_not_confirmed_is_rejected_and_the_search_begins_again(
     # The last of three leaves the session open; of the other two one is not significant.
     assert tried == [set(), {'accel_cubic'}, {'accel_cubic', 'gyro_asymmetry'}]
     assert found == (trial, (Found(CUBIC, -9.0),), first, True)
-    assert search_terms(first.equations.evidence, look=False) == (first, (), first, False)
+    assert search_terms(first.equations.evidence, find_terms=False) == (first, (), first, False)
     monkeypatch.setattr(module, '_shown', lambda *_: ())
     assert search_terms(first.equations.evidence) == (first, (), first, True)
 

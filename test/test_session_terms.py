@@ -297,7 +297,7 @@ BLAMED = ('drift by', 'scatter', 'given less weight', 'elsewhere')
 
 
 def test_a_drift_that_nobody_asked_for_is_found_and_named(drifting: Evidence) -> None:
-    found = solve(replace(drifting, temperature=None), look=True)
+    found = solve(replace(drifting, temperature=None), find_terms=True)
     assert found.changes is not None
     assert {c.course for c in found.changes.changes} == {Course.TREND}
     told = [f for f in found.findings if 'The session shows' in f]
@@ -316,7 +316,7 @@ def test_what_follows_a_recorded_temperature_is_found_and_holds_beyond_the_sessi
     drifting: Evidence,
 ) -> None:
     """A drift with time would do as well where the temperature rises evenly: it is its rival."""
-    found = solve(drifting, look=True)
+    found = solve(drifting, find_terms=True)
     assert found.changes is not None
     assert {c.course for c in found.changes.changes} == {Course.THERMAL}
     told = [f for f in found.findings if 'The session shows' in f]
@@ -351,7 +351,7 @@ def test_a_warm_up_that_nobody_asked_for_is_told_from_a_drift(
     warming: tuple[Evidence, Floats],
 ) -> None:
     evidence, wanted = warming
-    found = solve(evidence, look=True)
+    found = solve(evidence, find_terms=True)
     assert found.changes is not None
     assert {c.course for c in found.changes.changes} == {Course.WARM_UP}
     told = [f for f in found.findings if 'The session shows' in f]

@@ -265,7 +265,7 @@ _PROVENANCE = [
     Key('samples', _COUNT, 'samples used'),
     Key('random_walk', _SIX, 'of the channels, rad/sqrt(s) and (m/s)/sqrt(s)'),
     Key('residual_rms', _SIX, 'root mean square of the residuals, rad/s and m/s^2'),
-    Key('bias_wander', _SIX, 'bias drift included in the standard deviations, rad/s and m/s^2'),
+    Key('bias_drift', _SIX, 'bias drift included in the standard deviations, rad/s and m/s^2'),
     Key('condition_number', _NUMBER, 'of the equations'),
     Key('highest_rate', number(least=0), 'of the turns, rad/s'),
     Key('temperature', _noted(_TEMPERATURE), 'of the unit', None, 'not recorded'),

@@ -217,7 +217,7 @@ _TURN = [
     _key('position', _TEXT, 'of the plan; empty without one'),
 ]
 _LATITUDE = array(_NUMBER, 2, 2, 'list of 2 numbers')
-_INSIDE = [
+_STREAMS = [
     _key('dwells', _rows(_DWELL), 'static dwells'),
     _key('turns', _rows(_TURN), 'whole turns'),
     _key('plan', _TEXT, 'its name; empty without one'),
@@ -235,8 +235,8 @@ _INFO = [
     _key('compensated', _TEXT, 'calibration that it was compensated with; empty if none'),
     _key('topics', _rows(_TOPIC), 'all of them'),
     _key('lost', _TEXTS, 'missing or damaged data of the topics that were read'),
-    _key('inside', _maybe(_below(_INSIDE)), 'the streams; `null` if their meaning is not stated'),
-    _key('not_said', _TEXT, 'what must be stated for that; the exit code is 2 then'),
+    _key('streams', _maybe(_below(_STREAMS)), 'the streams; `null` if their meaning is not stated'),
+    _key('missing_input', _TEXT, 'what must be stated for that; the exit code is 2 then'),
 ]
 _REPORT = [_FILE, _SPECIFIED]
 _DAY = _maybe(_TEXT, 'date, `2026-11-22`, or `null`')
@@ -446,7 +446,7 @@ TABLES: Tables = {
     'all': _ALL,
     'info': _INFO,
     'topics': _TOPIC,
-    'inside': _INSIDE,
+    'streams': _STREAMS,
     'dwells': _DWELL,
     'turns': _TURN,
     'report': _REPORT,

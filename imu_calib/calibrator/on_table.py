@@ -44,7 +44,7 @@ class Calibrator:
         check_plan(setup.method_name, setup.plan, setup.site)
         self._setup = setup
         arguments = setup.method_name, setup.terms, setup.changes
-        self._solver = method(*arguments, look=setup.search_terms)
+        self._solver = method(*arguments, find_terms=setup.search_terms)
         self._glance = provisional(*arguments)
         self._segmenter = Segmenter(setup.imu, setup.table)
         self._gathered: tuple[tuple[object, ...], Evidence] | None = None

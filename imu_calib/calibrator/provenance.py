@@ -34,7 +34,7 @@ def provenance(
     if missing := evidence.missing_positions():
         special['missing_positions'] = missing
     if solution.bias_drift is not None:
-        special['bias_wander'] = [float(v) for v in solution.bias_drift]
+        special['bias_drift'] = [float(v) for v in solution.bias_drift]
     changes = () if solution.changes is None else solution.changes.changes
     if comparison is not None:
         special['closed_form'] = comparison.document()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.converting import convert
-from ..api.looking import Topic, topics
+from ..api.inspecting import Topic, topics
 from ..units import counted
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list

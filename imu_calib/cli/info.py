@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.table import Table as Rows
 
-from ..api.looking import Look, look_inside, topics
+from ..api.inspecting import Inspection, inspect_streams, topics
 from ..plain_table import plain_table
 from ..units import DEG, DEG_H, STANDARD_GRAVITY, counted
 from . import options
@@ -16,7 +16,7 @@ from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
     # Loaded only if it is stated how the streams are to be read.
-    from ..api.inside import Inside
+    from ..api.stream_contents import StreamContents
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -43,16 +43,16 @@ def run(arguments: argparse.Namespace) -> Outcome:
     if arguments.topics:
         sentence_list('Lost', outside.lost)
         return Outcome(outside.to_dict())
-    found = look_inside(outside, options.stated(arguments), progress_bar)
-    if found.inside is None:
+    found = inspect_streams(outside, options.stated(arguments), progress_bar)
+    if found.streams is None:
         sentence_list('Lost', outside.lost)
-        message = f'{found.not_said} Until then the topics alone are shown.'
+        message = f'{found.missing_input} Until then the topics alone are shown.'
         return Outcome(found.to_dict(), WRONG_INPUT, message)
-    _show(found.inside)
+    _show(found.streams)
     return Outcome(found.to_dict())
 
 
-def _show_topics(found: Look) -> None:
+def _show_topics(found: Inspection) -> None:
     rows = plain_table(('topic', 'type', 'messages', 'rate, Hz'), 'llrr')
     for topic in found.topics:
         rate = '-' if topic.rate is None else f'{topic.rate:.1f}'
@@ -65,35 +65,35 @@ def _show_topics(found: Look) -> None:
         )
 
 
-def _show(inside: Inside) -> None:
+def _show(contents: StreamContents) -> None:
     OUTPUT.print('\ntimes: s from the start of the recording\n')
-    OUTPUT.print(_dwells(inside))
+    OUTPUT.print(_dwells(contents))
     OUTPUT.print()
-    OUTPUT.print(_outputs(inside))
-    if inside.turns:
+    OUTPUT.print(_outputs(contents))
+    if contents.turns:
         OUTPUT.print()
-        OUTPUT.print(_turns(inside))
+        OUTPUT.print(_turns(contents))
     else:
         OUTPUT.print('\nno whole turns')
-    plan = f'plan {inside.plan}' if inside.plan else 'no plan'
-    sentence = inside.summary
-    if inside.missing is not None:
-        missing = ', '.join(inside.missing)
+    plan = f'plan {contents.plan}' if contents.plan else 'no plan'
+    sentence = contents.summary
+    if contents.missing is not None:
+        missing = ', '.join(contents.missing)
         sentence = f'missing of {plan}: {missing}' if missing else 'complete'
     OUTPUT.print(f'\n{plan}: {sentence}', markup=False)
-    if inside.latitude is not None:
-        seen, std = inside.latitude
+    if contents.latitude is not None:
+        seen, std = contents.latitude
         OUTPUT.print(f'the gyros show a latitude of {seen:.1f} +- {std:.1f} deg at rest')
-    sentence_list('Problems', inside.contradictions)
-    sentence_list('Left out', inside.left_out)
-    sentence_list('Lost', inside.lost)
+    sentence_list('Problems', contents.contradictions)
+    sentence_list('Left out', contents.left_out)
+    sentence_list('Lost', contents.lost)
 
 
-def _dwells(inside: Inside) -> Rows:
+def _dwells(contents: StreamContents) -> Rows:
     """List every static dwell: start, duration, attitude, and position in the plan."""
     headings = ('dwell', 'at, s', 'for, s', 'left out', 'up', 'heading, deg', 'position')
     rows = plain_table(headings, 'rrrrlrl')
-    for k, dwell in enumerate(inside.dwells):
+    for k, dwell in enumerate(contents.dwells):
         rows.add_row(
             str(k + 1),
             f'{dwell.at:.1f}',
@@ -106,10 +106,10 @@ def _dwells(inside: Inside) -> Rows:
     return rows
 
 
-def _outputs(inside: Inside) -> Rows:
+def _outputs(contents: StreamContents) -> Rows:
     """List the mean outputs of every dwell."""
     rows = plain_table(('dwell', 'fx, g', 'fy, g', 'fz, g', 'wx', 'wy', 'wz, deg/h'), 'r' * 7)
-    for k, dwell in enumerate(inside.dwells):
+    for k, dwell in enumerate(contents.dwells):
         rows.add_row(
             str(k + 1),
             *(f'{v / STANDARD_GRAVITY:.4f}' for v in dwell.mean[3:]),
@@ -118,12 +118,12 @@ def _outputs(inside: Inside) -> Rows:
     return rows
 
 
-def _turns(inside: Inside) -> Rows:
+def _turns(contents: StreamContents) -> Rows:
     """List every measurement of whole turns: start, axis, rate, number of turns."""
     rows = plain_table(
         ('turn', 'at, s', 'for, s', 'up', 'rate, deg/s', 'turns', 'position'), 'rrrlrrl'
     )
-    for k, turn in enumerate(inside.turns):
+    for k, turn in enumerate(contents.turns):
         rows.add_row(
             str(k + 1),
             f'{turn.at:.1f}',

@@ -74,9 +74,16 @@ def _setup(
     arguments: argparse.Namespace, imu: ImuSpec, plan: Plan, table: Table | None, site: Site
 ) -> Setup:
     stated = options.stated(arguments)
-    terms, changes, look = stated.sensor_terms, stated.changes, stated.search_terms
+    terms, changes, find_terms = stated.sensor_terms, stated.changes, stated.search_terms
     return Setup(
-        imu, plan, table, site, arguments.method, terms=terms, changes=changes, search_terms=look
+        imu,
+        plan,
+        table,
+        site,
+        arguments.method,
+        terms=terms,
+        changes=changes,
+        search_terms=find_terms,
     )
 
 

@@ -176,7 +176,7 @@ def search_terms(
     parameters: tuple[Parameter, ...] = PARAMETERS,
     changes: tuple[Change, ...] = (),
     *,
-    look: bool = True,
+    find_terms: bool = True,
 ) -> Search:
     """Estimate the parameters of a session and the terms that it shows.
 
@@ -184,7 +184,7 @@ def search_terms(
         evidence: The session.
         parameters: Always estimated.
         changes: Coefficients of their changes during the session, always estimated.
-        look: Whether other families are switched on; those that are off are tested in any case.
+        find_terms: Estimate other families that are significant, too; all others are tested.
 
     Raises:
         NotObservable: Names what the session cannot observe.
@@ -194,7 +194,7 @@ def search_terms(
     noisy = first.equations.own_variances.max() > SMALLEST_VARIANCE
     rejected = set[Family]()
     broken_off = False
-    while look and noisy:
+    while find_terms and noisy:
         try:
             found = _shown(start, first, rejected)
         except NotConverged:
@@ -211,7 +211,7 @@ def search_terms(
         if len(kept) == len(found):
             return _concluded(trial, kept, first, weigh=True)
         rejected |= {one.family for one in found} - {one.family for one in kept}
-    search = _concluded(first, (), first, weigh=look and noisy)
+    search = _concluded(first, (), first, weigh=find_terms and noisy)
     return replace(search, broken_off=True) if broken_off else search
 
 

@@ -75,7 +75,11 @@ _CHECKS: dict[str, Callable[[Plan, Site], None]] = {
 
 
 def method(
-    name: str, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = (), *, look: bool = False
+    name: str,
+    terms: tuple[Term, ...] = (),
+    changes: tuple[Change, ...] = (),
+    *,
+    find_terms: bool = False,
 ) -> Callable[[Evidence], Solution]:
     """Return the solver of a name.
 
@@ -83,7 +87,7 @@ def method(
         name: Of the method.
         terms: To be estimated in addition to the method's parameters.
         changes: Coefficients of changes during the session, likewise.
-        look: Whether terms that the session shows are estimated too, if the method supports terms.
+        find_terms: Estimate other terms that are significant, too, if the method supports terms.
 
     Raises:
         InputError: Unknown method (the message lists all), or one without terms.
@@ -92,7 +96,7 @@ def method(
         raise InputError(f'No method is called {name!r}; there are: {", ".join(sorted(METHODS))}.')
     if name in JOINT:
         own = (*JOINT[name], *terms)
-        solve = partial(joint.solve, terms=own, changes=changes, look=look)
+        solve = partial(joint.solve, terms=own, changes=changes, find_terms=find_terms)
         return partial(_in_table_time, solve)
     if terms or changes:
         raise InputError(

@@ -50,7 +50,7 @@ def solve(
     terms: tuple[Term, ...] = (),
     changes: tuple[Change, ...] = (),
     *,
-    look: bool = False,
+    find_terms: bool = False,
 ) -> Solution:
     """Estimate the 24 parameters, and those of terms, from a session of any plan.
 
@@ -58,7 +58,7 @@ def solve(
         evidence: The session.
         terms: Of the sensors, always estimated.
         changes: Coefficients of changes during the session, always estimated.
-        look: Whether terms that it shows are estimated too.
+        find_terms: Estimate other terms that are significant, too.
 
     Raises:
         NotObservable: Names the parameters that the session does not determine, or the
@@ -66,7 +66,7 @@ def solve(
         InputError: The outputs are not in the units that the IMU's description states.
     """
     try:
-        search = search_terms(evidence, parameters_of(terms), changes, look=look)
+        search = search_terms(evidence, parameters_of(terms), changes, find_terms=find_terms)
     except NotConverged:
         if not evidence.plan.by_hand:
             _check_that_no_latitude_converges(evidence)
@@ -75,7 +75,7 @@ def solve(
         _check_that_no_latitude_explains(search.before_search)
     if contradicted(search):
         evidence = as_the_best(evidence)
-        search = search_terms(evidence, parameters_of(terms), changes, look=look)
+        search = search_terms(evidence, parameters_of(terms), changes, find_terms=find_terms)
     return concluded(search, terms, changes)
 
 

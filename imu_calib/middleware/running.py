@@ -82,11 +82,11 @@ def run(
     try:
         node = node_factory()
         try:
-            look = time.monotonic() + _LOOK_AROUND
+            next_search = time.monotonic() + _LOOK_AROUND
             while ok() and not stop.is_set and not (done is not None and done(node)):
                 spin_once(node, timeout_sec=_TICK)
-                if time.monotonic() > look:
-                    look = math.inf
+                if time.monotonic() > next_search:
+                    next_search = math.inf
                     _warn_of_namesakes(node)
         except ExternalShutdownException:
             pass

@@ -115,7 +115,7 @@ def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
         'terms that the joint estimate adds; auto: those that are significant',
     )
     named, changes = split_terms(wanted)
-    terms, look = named_terms(named), asks_for_search(wanted)
+    terms, find_terms = named_terms(named), asks_for_search(wanted)
     serial = declare(node, 'serial_number', '', 'of the unit; empty: not stated')
     if math.isnan(latitude):
         raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')
@@ -133,7 +133,7 @@ def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
         if not math.isnan(azimuth):
             described = replace(described, azimuth=azimuth * DEG)
     setup = Setup(
-        load_imu(imu), laid_out, described, site, method or None, serial, terms, changes, look
+        load_imu(imu), laid_out, described, site, method or None, serial, terms, changes, find_terms
     )
     return setup, describe(plan, imu, None if laid_out.by_hand else table, site, serial)
 

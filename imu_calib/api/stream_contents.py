@@ -71,7 +71,7 @@ class Turned:
 
 
 @dataclass(frozen=True)
-class Inside:
+class StreamContents:
     """Contents of a recording's streams.
 
     Attributes:
@@ -98,7 +98,7 @@ class Inside:
     lost: tuple[str, ...]
 
 
-def inside(opened: Opened, progress: Progress) -> Inside:
+def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
     """Read the streams, and return their contents.
 
     Raises:
@@ -119,7 +119,7 @@ def inside(opened: Opened, progress: Progress) -> Inside:
     contradictions = [refusal] if refusal else []
     if seen is not None and found is not None and contradicts(*seen, setup.site.latitude):
         contradictions.insert(0, _other_latitude(seen, found, setup))
-    return Inside(
+    return StreamContents(
         tuple(_dwells(session, labelled, setup.plan, zero, free=free)),
         tuple(_turns(labelled, setup.plan, zero)),
         setup.plan.name if setup.plan.is_stated else '',

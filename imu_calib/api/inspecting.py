@@ -16,7 +16,7 @@ from .stated import Stated
 
 if TYPE_CHECKING:
     # Loaded only if it is stated how the streams are to be read.
-    from .inside import Inside
+    from .stream_contents import StreamContents
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Topic:
 
 
 @dataclass(frozen=True)
-class Look:
+class Inspection:
     """Contents of a recording.
 
     Attributes:
@@ -40,8 +40,8 @@ class Look:
         compensated: The calibration that compensated it; empty without one.
         topics: All of them.
         lost: Missing or broken data, as far as the topics were examined.
-        inside: Contents of the streams; None if it is unknown how to read them.
-        not_said: What must be stated to read them, in a sentence.
+        streams: Contents of the streams; None if it is unknown how to read them.
+        missing_input: What must be stated to read them, in a sentence.
 
     """
 
@@ -51,15 +51,15 @@ class Look:
     compensated: str
     topics: tuple[Topic, ...]
     lost: tuple[str, ...] = ()
-    inside: Inside | None = None
-    not_said: str = ''
+    streams: StreamContents | None = None
+    missing_input: str = ''
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units except headings and latitudes (deg)."""
         return asdict(self)
 
 
-def look(bag: Named, stated: Stated | None = None, progress: Progress = silent) -> Look:
+def inspect(bag: Named, stated: Stated | None = None, progress: Progress = silent) -> Inspection:
     """Examine the topics of a recording, then the streams if their meaning is known.
 
     Args:
@@ -72,10 +72,10 @@ def look(bag: Named, stated: Stated | None = None, progress: Progress = silent) 
 
     """
     outside = topics(bag, progress)
-    return look_inside(outside, stated or Stated(), progress)
+    return inspect_streams(outside, stated or Stated(), progress)
 
 
-def topics(bag: Named, progress: Progress = silent) -> Look:
+def topics(bag: Named, progress: Progress = silent) -> Inspection:
     """Examine only the topics."""
     with open_recording(bag) as recording:
         counts, seconds = _extent(recording, progress)
@@ -90,19 +90,19 @@ def topics(bag: Named, progress: Progress = silent) -> Look:
         )
         by = recording.custom_data.get(COMPENSATED, '')
         lost = tuple(recording.losses)
-        return Look(str(bag), seconds, len(recording.files), by, rows, lost)
+        return Inspection(str(bag), seconds, len(recording.files), by, rows, lost)
 
 
-def look_inside(outside: Look, stated: Stated, progress: Progress = silent) -> Look:
+def inspect_streams(outside: Inspection, stated: Stated, progress: Progress = silent) -> Inspection:
     """Add the contents of the streams if their meaning is known."""
     try:
         opened = open_session(outside.path, stated)
     except NotStated as error:
-        return Look(**{**vars(outside), 'not_said': str(error)})
-    from .inside import inside
+        return Inspection(**{**vars(outside), 'missing_input': str(error)})
+    from .stream_contents import stream_contents
 
     with opened.recording:
-        return Look(**{**vars(outside), 'inside': inside(opened, progress)})
+        return Inspection(**{**vars(outside), 'streams': stream_contents(opened, progress)})
 
 
 def _extent(recording: Recording, progress: Progress) -> tuple[Counter[str], float]:
