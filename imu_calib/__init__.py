@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from .api.exporting import export
     from .api.inspecting import Inspection, inspect
     from .api.predicting import Prediction, optimise, predict, reach
-    from .api.repeating import Repeated, montecarlo
+    from .api.repeating import MonteCarloResult, montecarlo
     from .api.reporting import report
     from .api.simulating import Simulated, simulate
     from .api.simulating_units import SimulatedUnits, simulate_units
-    from .api.standing import Stood, stand
+    from .api.standing import StandRun, stand
     from .api.verifying import verify
     from .calibration import Calibration
     from .calibrator import Result
@@ -68,17 +68,17 @@ _WHERE = {
     'ImuSpec': 'imu',
     'InputError': 'errors',
     'Inspection': 'api.inspecting',
+    'MonteCarloResult': 'api.repeating',
     'MountedUnit': 'mounted',
     'NotObservable': 'errors',
     'Optimum': 'prediction.optimise',
     'Plan': 'plan',
     'Prediction': 'api.predicting',
     'Reached': 'prediction',
-    'Repeated': 'api.repeating',
     'Result': 'calibrator',
     'Simulated': 'api.simulating',
     'SimulatedUnits': 'api.simulating_units',
-    'Stood': 'api.standing',
+    'StandRun': 'api.standing',
     'Table': 'turntable',
     'ThermalCalibration': 'compensation.thermal',
     'UnitResult': 'api.calibrating_units',
@@ -131,17 +131,17 @@ __all__ = [
     'ImuSpec',
     'InputError',
     'Inspection',
+    'MonteCarloResult',
     'MountedUnit',
     'NotObservable',
     'Optimum',
     'Plan',
     'Prediction',
     'Reached',
-    'Repeated',
     'Result',
     'Simulated',
     'SimulatedUnits',
-    'Stood',
+    'StandRun',
     'Table',
     'ThermalCalibration',
     'UnitResult',

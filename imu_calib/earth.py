@@ -152,7 +152,7 @@ class Site:
         return cls(latitude, gravity, MEASURED, gravity_std or 0.0, height, latitude_std)
 
     @property
-    def gravity_doubt(self) -> float:
+    def gravity_relative_std(self) -> float:
         """Relative standard deviation of gravity."""
         return self.gravity_std / self.gravity
 

@@ -38,21 +38,23 @@ def gravity_slope(model: SensorModel, parameters: Sequence[Parameter]) -> Floats
     return np.asarray(np.where(degree > 0, slope, 0.0))
 
 
-def gravity_covariance(model: SensorModel, parameters: Sequence[Parameter], doubt: float) -> Floats:
+def gravity_covariance(
+    model: SensorModel, parameters: Sequence[Parameter], relative_std: float
+) -> Floats:
     """Return the contribution of gravity's uncertainty to a covariance, (n, n), of rank one.
 
     Args:
         model: The values of the parameters.
         parameters: The parameters of the rows.
-        doubt: Relative standard deviation of gravity.
+        relative_std: Relative standard deviation of gravity.
     """
-    deviation = gravity_slope(model, parameters) * doubt
+    deviation = gravity_slope(model, parameters) * relative_std
     return np.asarray(np.outer(deviation, deviation))
 
 
 def with_gravity(calibration: Calibration, site: Site) -> Calibration:
     """Return a calibration that includes the uncertainty of its gravity."""
-    share = gravity_covariance(calibration.model, calibration.parameters, site.gravity_doubt)
+    share = gravity_covariance(calibration.model, calibration.parameters, site.gravity_relative_std)
     findings = (*calibration.findings, *_findings(calibration, site))
     return replace(calibration.with_share(Source.GRAVITY, Share.known(share)), findings=findings)
 
@@ -105,8 +107,8 @@ def _findings(calibration: Calibration, site: Site) -> list[str]:
         return _of_another_place(site)
     return [
         'The height of the site was not stated and is taken as 0 m: gravity is known to '
-        f'{site.gravity_doubt / PPM:.0f} ppm (1 sigma), and so are all K_a alike. State `height`, '
-        'or `gravity` as measured.'
+        f'{site.gravity_relative_std / PPM:.0f} ppm (1 sigma), and so are all K_a alike. '
+        'State `height`, or `gravity` as measured.'
     ]
 
 

@@ -20,7 +20,7 @@ from .lifetime import ENDS_WITH
 from .methods import METHODS
 from .model import named_terms
 from .mounted import PULSES, load_units, remaining
-from .network import LOOPBACK, REACH, check_domain, kept_to
+from .network import LOOPBACK, REACH, check_domain, interface_variables
 from .paths import user_path
 from .plan import load_plan
 from .security import in_enclave
@@ -154,7 +154,7 @@ def _on_its_own() -> list[Any]:
     check_domain('a table')
     if os.environ.get(REACH, '').strip():
         return []
-    own = kept_to(LOOPBACK)
+    own = interface_variables(LOOPBACK)
     text = ' '.join(f"{name}='{value}'" for name, value in own.items())
     return [
         *(SetEnvironmentVariable(name, value) for name, value in own.items()),

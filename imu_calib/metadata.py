@@ -145,7 +145,7 @@ def _mount_key(topic: str) -> str:
     return f'imu_calib.mount:{topic}'
 
 
-def described_anew(
+def stream_description(
     data: Mapping[str, str], topic: str, imu: ImuSpec, *, raw_is_kept: bool
 ) -> dict[str, str]:
     """Return own entries with those of a computed Imu stream.

@@ -76,7 +76,7 @@ def check_domain(whose: str) -> None:
     )
 
 
-def kept_to(interface: str) -> dict[str, str]:
+def interface_variables(interface: str) -> dict[str, str]:
     """Return the variables that restrict nodes to an interface; those set by the user stay.
 
     Raises:
@@ -86,7 +86,7 @@ def kept_to(interface: str) -> dict[str, str]:
     user = os.environ.get(_URI, '').strip()
     named = names_interface(user)
     if interface == LOOPBACK and not named and reach not in {'', *_STAYS}:
-        raise InputError(leaving(reach, 'name it with `network`'))
+        raise InputError(network_refusal(reach, 'name it with `network`'))
     own = {REACH: reach or ('LOCALHOST' if interface == LOOPBACK else 'SUBNET')}
     if not named:
         own[_URI] = ','.join(filter(None, (on_interface(interface), user)))
@@ -134,7 +134,7 @@ def _claim(domain: int) -> socket.socket | None:
     return claim
 
 
-def leaving(reach: str, how: str) -> str:
+def network_refusal(reach: str, how: str) -> str:
     """Return the sentence for a request for a network without an interface.
 
     Args:

@@ -97,7 +97,7 @@ class TableErrors:
 
 
 @dataclass(frozen=True)
-class Doubts:
+class ErrorSizes:
     """Errors stated in a table's file.
 
     Attributes:
@@ -111,7 +111,7 @@ class Doubts:
     raised: tuple[str, ...]
 
 
-def read_doubts(section: Section, joints: int) -> Doubts:
+def read_error_sizes(section: Section, joints: int) -> ErrorSizes:
     """Read a table's own errors from its mapping, and fill in the missing ones.
 
     Args:
@@ -137,7 +137,7 @@ def read_doubts(section: Section, joints: int) -> Doubts:
             raised.append(key)
         sizes[key] = size
     left_out = tuple(key for key in counts if not section.has(key))
-    return Doubts(sizes, left_out, tuple(raised))
+    return ErrorSizes(sizes, left_out, tuple(raised))
 
 
 def counting(joints: int) -> list[str]:
@@ -146,7 +146,7 @@ def counting(joints: int) -> list[str]:
 
 
 def assumption(table: str, assumed: Sequence[str], raised: Sequence[str]) -> str:
-    """Return the sentences on the assumptions for a table, by the keys of `Doubts`."""
+    """Return the sentences on the assumptions for a table, by the keys of `ErrorSizes`."""
     figures = ', '.join(f'{key} {ASSUMED[key] / ARCSEC:g} arcsec' for key in assumed)
     sentences = []
     if assumed:

@@ -22,7 +22,7 @@ from .table_errors import (
     assumption,
     counting,
     leaning,
-    read_doubts,
+    read_error_sizes,
 )
 from .units import DEG, PPM, Dimension
 
@@ -111,7 +111,7 @@ class Table:
         return (*self.assumed, *self.raised)
 
     @property
-    def too_fine(self) -> tuple[str, ...]:
+    def understated_errors(self) -> tuple[str, ...]:
         """Keys of errors with stated values below `FINEST`."""
         sizes = {f.name: getattr(self.errors, f.name) for f in fields(TableErrors)}
         count = counting(len(self.joints))
@@ -123,13 +123,13 @@ class Table:
 
     def as_the_best(self) -> Table:
         """Return the table with stated values below `FINEST` raised to it."""
-        found = dict.fromkeys(self.too_fine, FINEST)
+        found = dict.fromkeys(self.understated_errors, FINEST)
         positioning = found.pop('positioning', self.positioning)
         return replace(
             self,
             positioning=positioning,
             errors=replace(self.errors, **found),
-            raised=(*self.raised, *self.too_fine),
+            raised=(*self.raised, *self.understated_errors),
             described=self,
         )
 
@@ -359,8 +359,8 @@ def read_table(section: Section) -> Table:
             f'{section.key("clock")}: found {clock / PPM:g} ppm, expected at most '
             f'{_WORST_CLOCK / PPM:g} ppm.'
         )
-    doubts = read_doubts(section, len(joints))
-    sizes = doubts.sizes
+    errors = read_error_sizes(section, len(joints))
+    sizes = errors.sizes
     table = Table(
         section.text('name'),
         joints,
@@ -370,8 +370,8 @@ def read_table(section: Section) -> Table:
         clock,
         TableErrors(**{f.name: sizes[f.name] for f in fields(TableErrors)}),
         sizes['level'],
-        doubts.assumed,
-        doubts.raised,
+        errors.assumed,
+        errors.raised,
     )
     section.finish()
     return table

@@ -98,7 +98,7 @@ class Alone:
 
     @property
     def rested(self) -> bool:
-        return self.sessions.rested
+        return self.sessions.may_review
 
     def poll(self) -> bool:
         return bool(self.sessions.poll())
@@ -110,7 +110,7 @@ class Alone:
 def ended(session: Any) -> Any:
     """Let a live session end, and return it closed."""
     session.end()
-    assert until(lambda: session.over, step=lambda: session.poll() or time.sleep(0.01))
+    assert until(lambda: session.is_over, step=lambda: session.poll() or time.sleep(0.01))
     session.close()
     return session
 

@@ -254,8 +254,8 @@ class Given:
 def joined(monkeypatch: pytest.MonkeyPatch, squares: Any, sizes: Any, seen: Any) -> Any:
     """Join units of which these chi-squares, sizes and numbers of rests of ten are known."""
     monkeypatch.setattr(module, '_System', lambda units, size: Given(units, size, squares))
-    found_by = lambda of: sizes[of]  # noqa: E731
-    monkeypatch.setattr(module, 'CommonSizes', type('Sizes', (), {'found_by': found_by}))
+    of_one_unit = lambda of: sizes[of]  # noqa: E731
+    monkeypatch.setattr(module, 'CommonSizes', type('Sizes', (), {'of_one_unit': of_one_unit}))
     monkeypatch.setattr(module, 'dwells_seen', lambda _: (seen, 10))
     units = [type('Alone', (str,), {'equations': name})(name) for name in sizes]
     return join(units)

@@ -147,9 +147,9 @@ def test_latitude_table_and_rates_err_for_all(units: Any, states: Any) -> None:
 
 def test_sizes_are_those_that_a_unit_found(units: Any) -> None:
     found = replace(units[0], positioning=PositioningErrors(1e-6, 2e-6))
-    assert CommonSizes.found_by(found) == CommonSizes(ERRORS, PositioningErrors(1e-6, 2e-6))
+    assert CommonSizes.of_one_unit(found) == CommonSizes(ERRORS, PositioningErrors(1e-6, 2e-6))
     bare = Equations(evidence_of())
-    assert CommonSizes.found_by(bare) == CommonSizes(TableErrors(), PositioningErrors())
+    assert CommonSizes.of_one_unit(bare) == CommonSizes(TableErrors(), PositioningErrors())
 
 
 def test_the_share_of_what_is_stated_is_of_squares(units: Any) -> None:

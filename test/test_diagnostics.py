@@ -36,7 +36,7 @@ def first_texts(path, name, at=0):
 
 def reported(path):
     """Return the parts that a source reports, or judges."""
-    return first_texts(path, 'report') | first_texts(path, 'judge')
+    return first_texts(path, 'report') | first_texts(path, 'report_fault')
 
 
 def spoken():
@@ -162,8 +162,8 @@ def test_a_table_that_rests_and_is_led_lives_in_longer_steps(wire, monkeypatch):
     assert spin(lambda: len(steps) > 2)
     assert set(steps) == {0.1}
     # Setpoints come; then the table is held.
-    assert spin(lambda: pace.lead(0.0) or steps[-1] == 0.2)
-    pace.follow_the_wall()
+    assert spin(lambda: pace.take_setpoint(0.0) or steps[-1] == 0.2)
+    pace.use_wall_clock()
     assert spin(lambda: steps[-1] == 0.1)
 
 
@@ -173,9 +173,9 @@ def test_a_table_that_is_held_keeps_to_the_wall_clock(monkeypatch, speed, held):
     monkeypatch.setattr(stand_node.time, 'monotonic', lambda: wall[0])
     pace, now = stand_node._Pace(speed), 0.0
     # A step led, and then the table is held.
-    pace.lead(now)
+    pace.take_setpoint(now)
     assert pace.rest(now, connected=True) == 0.0
-    pace.follow_the_wall()
+    pace.use_wall_clock()
     while wall[0] < 1010.0:
         rest = pace.rest(now, connected=True)
         now, wall[0] = (now, wall[0] + rest) if rest else (now + 0.1, wall[0])

@@ -71,7 +71,7 @@ def test_drifts_are_as_likely_and_do_as_much_as_is_said() -> None:
     # What it does is what is allowed for, where noise hides it: beyond, few are very large.
     hidden = probability < 0.5
     does = ((coefficients @ SLOPES.T) ** 2)[hidden]
-    allowed = np.array([np.diag(one.doubt) for one in found])[hidden]
+    allowed = np.array([np.diag(one.covariance) for one in found])[hidden]
     spread = 4 * does.std(axis=0) / np.sqrt(len(does))
     assert np.abs(does.mean(axis=0) - allowed.mean(axis=0)) == pytest.approx(0, abs=spread.max())
 
@@ -80,4 +80,4 @@ def test_what_cannot_be_tested_counts_for_nothing() -> None:
     ((score, slopes),) = seen(np.full(3, 9.0))
     none = undecided({DRIFT: [(replace(score, rank=0), slopes)]}, 2)
     assert none.probability == {}
-    assert not none.doubt.any()
+    assert not none.covariance.any()

@@ -17,7 +17,7 @@ from imu_calib.model import SensorModel, Triad
 from imu_calib.observation import evidence as module
 from imu_calib.observation import known_noise as noise_module
 from imu_calib.observation.evidence import Evidence, vertical_axis
-from imu_calib.observation.free import FreeEquations, led_on
+from imu_calib.observation.free import FreeEquations, at_headings_by_moves
 from imu_calib.observation.known_noise import known_noise
 from imu_calib.observation.level import Tilt, tilt_bias, widened_for_tilt
 from imu_calib.observation.positioning_errors import (
@@ -480,7 +480,7 @@ def free(*gaps: int) -> FreeEquations:
         if k not in gaps
     )
     held = replace(CLEAN, segments=segments, turns=(), moves=moves, free=True)
-    return FreeEquations(led_on(held, ups, SensorModel()))
+    return FreeEquations(at_headings_by_moves(held, ups, SensorModel()))
 
 
 def test_runs_end_where_a_move_is_missing() -> None:

@@ -93,7 +93,7 @@ def test_what_a_session_shows_of_them_is_counted_as_of_the_best_tables() -> None
     assert solution.search is not None
     table = solution.search.estimate.equations.evidence.table
     assert table is not None
-    assert table.raised == KEYS and table.described is TABLE and table.too_fine == ()
+    assert table.raised == KEYS and table.described is TABLE and table.understated_errors == ()
     assert table.errors == TableErrors(*[FINEST] * 4) and table.positioning == FINEST
 
 
@@ -121,7 +121,7 @@ def test_a_real_table_is_not_stated_better_than_any_is_known() -> None:
     stated = '\n'.join(f'{key}: 0 arcsec' for key in KEYS[:-1])
     text = f'name: ours\njoints:\n{joints}\n{stated}\nencoder: 1 arcsec\nlevel: 0.5 arcsec\n'
     table = read_table(Section.parse(text, 'ours.yaml'))
-    assert (table.raised, table.assumed, table.too_fine) == (KEYS[:-1], (), ())
+    assert (table.raised, table.assumed, table.understated_errors) == (KEYS[:-1], (), ())
     assert table.positioning == FINEST
     assert table.errors == TableErrors(FINEST, FINEST, FINEST, pytest.approx(ONE))
     assert table.level == pytest.approx(0.5 * ARCSEC)
@@ -131,9 +131,9 @@ def test_a_real_table_is_not_stated_better_than_any_is_known() -> None:
     )
     simulated = read_table(Section.parse(f'{text}simulated: true\n', 'ours.yaml'))
     assert (simulated.raised, simulated.assumption) == ((), '')
-    assert simulated.too_fine == KEYS[:-1]
+    assert simulated.understated_errors == KEYS[:-1]
     alone: Table = replace(simulated, joints=simulated.joints[:1])
-    assert alone.too_fine == ('positioning', 'wobble')
+    assert alone.understated_errors == ('positioning', 'wobble')
 
 
 def test_a_prediction_says_what_it_rests_on(capsys: pytest.CaptureFixture[str]) -> None:

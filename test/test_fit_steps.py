@@ -383,7 +383,7 @@ def test_the_time_constant_is_the_one_that_explains_most_and_is_doubted_by_the_o
     assert state[:24] == pytest.approx(true[:24], abs=1e-6)
     assert state[-8:] == pytest.approx(true[-8:], rel=1e-3, abs=1e-7)
     # Beside the others of the grid, by so much as they explain the outputs.
-    doubt = stubbed(there, outputs, changing.doubt_of_shape, state)
+    doubt = stubbed(there, outputs, changing.shape_covariance, state)
     off, squares = [], []
     for fraction in [2 ** (k / 2) for k in range(-8, 3)]:
         one = replace(there, shape=fraction)
@@ -395,7 +395,7 @@ def test_the_time_constant_is_the_one_that_explains_most_and_is_doubted_by_the_o
     wanted = sum(w * np.outer(o, o) for w, o in zip(weights, off, strict=True)) / weights.sum()
     assert doubt[:24, :24] == pytest.approx(wanted[:24, :24], rel=1e-2, abs=1e-3 * wanted.max())
     assert changing.with_shape(plain, true[:-8]) == (plain, pytest.approx(true[:-8]))
-    assert changing.doubt_of_shape(plain, true[:-8]) is None
+    assert changing.shape_covariance(plain, true[:-8]) is None
 
 
 def test_an_instant_is_found_between_those_of_the_grid_and_doubted_by_its_neighbours() -> None:
@@ -416,7 +416,7 @@ def test_an_instant_is_found_between_those_of_the_grid_and_doubted_by_its_neighb
     jacobian, _ = stubbed(found, outputs, whitened, state)
     std = np.sqrt(np.diag(Information.of(jacobian).covariance))
     assert (np.abs(state - true) < std)[-6:].all()
-    doubt = stubbed(found, outputs, changing.doubt_of_shape, state)
+    doubt = stubbed(found, outputs, changing.shape_covariance, state)
     # Against the integral over a fine line of instants, each with its likelihood.
     fine = found.shape + np.linspace(-3, 3, 241) * 1e9 / (end - begin)
     start, off, squares = np.append(state[:-6], np.zeros(6)), [], []

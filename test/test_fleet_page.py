@@ -33,7 +33,7 @@ from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.recordings import Job
 from imu_calib.fleet.task import Done, failed
 from imu_calib.reports.fleet import packed
-from imu_calib.reports.fleet.attention import matters
+from imu_calib.reports.fleet.attention import issues
 from imu_calib.reports.fleet.contents import Flag, Fleet
 from imu_calib.reports.fleet.page import page
 
@@ -148,7 +148,7 @@ def test_numbers_are_packed_as_exactly_as_they_are_shown() -> None:
 
 
 def test_what_needs_a_person_is_said_with_numbers(known: Fleet, made: fleets.Invented) -> None:
-    found = {matter.title: matter for matter in matters(known)}
+    found = {matter.title: matter for matter in issues(known)}
     assert next(iter(found)) == 'Stands that are off'
     assert 'Stand west is off: it adds +5 ppm' in found['Stands that are off'].sentences[0]
     lost = found['Failed recordings']
@@ -177,7 +177,7 @@ def test_what_is_due_depends_on_the_day(known: Fleet) -> None:
     assert late == {s for s, d in due.items() if d < day} and len(late) == 21
     until = day + np.timedelta64(30, 'D')
     assert soon == {s for s, d in due.items() if day <= d <= until} and soon
-    found = {matter.title: matter for matter in matters(later)}
+    found = {matter.title: matter for matter in issues(later)}
     first = found['Overdue for recalibration']
     assert str(order[0])[:10] in first.cases[0][2] and len(first.cases) == 21
     assert '21 units were to be recalibrated from' in first.sentences[0]

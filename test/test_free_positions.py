@@ -31,7 +31,7 @@ from imu_calib.methods.free_positions import (
 )
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
 from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.free import FreeEquations, led_on
+from imu_calib.observation.free import FreeEquations, at_headings_by_moves
 from imu_calib.observation.gyro_paths import followed
 from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
@@ -232,7 +232,7 @@ def on_the_earth() -> tuple[FreeEquations, Floats]:
     ups /= np.linalg.norm(ups, axis=1)[:, None]
     evidence = held(model, ups, rng, SITE)
     evidence = replace(evidence, moves=evidence.moves[:5] + evidence.moves[6:])
-    equations = FreeEquations(led_on(evidence, ups, model), ESTIMATES)
+    equations = FreeEquations(at_headings_by_moves(evidence, ups, model), ESTIMATES)
     state = equations.nominal()
     state[: len(ESTIMATES)] = model.values(ESTIMATES)
     state[equations.north] = 0.8, -1.1, 0.3, 0.9

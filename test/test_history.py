@@ -8,8 +8,8 @@ import scipy
 from histories import MONTH, SCALE, START, index, joined, of, sessions
 
 from imu_calib import InputError
+from imu_calib.histories.backtest import backtest
 from imu_calib.histories.charts import chart_limits
-from imu_calib.histories.looking_back import look_back
 from imu_calib.histories.results import Cause, Chart, Rules
 from imu_calib.histories.run_length import ewma_limit, mean_run_length
 from imu_calib.histories.scatter import between, interval
@@ -131,7 +131,7 @@ def quiet():
     rng = np.random.default_rng(11)
     parts = [sessions(rng, 50, 8, stands=('east', 'west', 'south')) for _ in range(2)]
     rules = Rules(false_alarm=0.05)
-    return [look_back(one, LIMITS, rules) for one in parts]
+    return [backtest(one, LIMITS, rules) for one in parts]
 
 
 def most(share: float, count: int) -> float:
@@ -185,7 +185,7 @@ def test_a_course_says_scatter_and_trend() -> None:
     def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
         return of(D_gx=0.3 * months) * (unit == 0)
 
-    found = look_back(sessions(np.random.default_rng(21), 20, 8, truth=truth), LIMITS)
+    found = backtest(sessions(np.random.default_rng(21), 20, 8, truth=truth), LIMITS)
     unit = found.units[0]
     slope = unit.trend.slope / SCALE
     # Half-yearly sessions over 42 months with a scatter of 1.12: 0.028 a month.
@@ -210,7 +210,7 @@ def test_units_are_inside_when_they_are_due_as_often_as_stated() -> None:
     limit = np.full(24, np.nan)
     limit[p] = 10.0 * SCALE[p]
     made = sessions(rng, count, 10, apart=0.0, truth=truth)
-    found = look_back(made, {'fog': limit}, Rules(inside=0.9))
+    found = backtest(made, {'fog': limit}, Rules(inside=0.9))
     inside, due = 0, 0
     for k, unit in enumerate(found.units):
         at = unit.forecast.recalibrate
@@ -233,7 +233,7 @@ def test_the_line_leaves_the_limit_where_it_does() -> None:
     made = sessions(
         np.random.default_rng(3), 1, 10, turn_on=0.0, stated=0.01, apart=0.0, truth=truth
     )
-    unit = look_back(made, {'fog': 200 * SCALE}).units[0]
+    unit = backtest(made, {'fog': 200 * SCALE}).units[0]
     crossing = START + np.timedelta64(int(100 * MONTH), 's')
     leaves = unit.forecast.leaves[index('D_ay')]
     assert abs((leaves - crossing.astype('datetime64[D]')).astype(int)) <= 3
@@ -253,7 +253,7 @@ def test_a_mount_shift_and_a_repair_are_told_apart() -> None:
         return of(K_gz=30.0, D_gz=-20.0) * (k >= 6) if unit == 1 else of()
 
     made = sessions(np.random.default_rng(41), 20, 10, truth=truth)
-    first, second, *others = look_back(made, LIMITS).units
+    first, second, *others = backtest(made, LIMITS).units
     (shift,) = first.steps
     assert shift.index == 4 and shift.cause is Cause.MOUNT
     assert set(shift.parameters) == set(turn)
@@ -277,7 +277,7 @@ def test_a_large_step_is_where_it_is() -> None:
         return of(K_gz=1e6) * (unit == 0 and k >= 6)
 
     made = sessions(np.random.default_rng(42), 20, 10, truth=truth)
-    assert [step.index for step in look_back(made, LIMITS).units[0].steps] == [6]
+    assert [step.index for step in backtest(made, LIMITS).units[0].steps] == [6]
 
 
 def test_charts_see_a_unit_that_changes() -> None:
@@ -287,7 +287,7 @@ def test_charts_see_a_unit_that_changes() -> None:
         changed = {0: of(K_gx=12.0) * (k == 7), 1: of(K_ay=3.0) * (k >= 4), 2: together * (k == 7)}
         return changed.get(unit, of())
 
-    found = look_back(sessions(np.random.default_rng(51), 30, 12, truth=truth), LIMITS)
+    found = backtest(sessions(np.random.default_rng(51), 30, 12, truth=truth), LIMITS)
 
     def seen(unit: int, chart: Chart) -> set[tuple[int, str]]:
         return {
@@ -304,7 +304,7 @@ def test_what_is_outside_is_said_with_its_limit() -> None:
     def truth(unit: int, months: float, k: int, stand: str) -> np.ndarray:
         return of(K_gx=400.0) if unit == 1 else of()
 
-    found = look_back(sessions(np.random.default_rng(61), 3, 3, apart=1.0, truth=truth), LIMITS)
+    found = backtest(sessions(np.random.default_rng(61), 3, 3, apart=1.0, truth=truth), LIMITS)
     good, bad, _ = found.units
     assert bad.outside == ('K_gx',) and bad.verdict is Verdict.FAIL
     assert found.outside == (bad,)
@@ -315,7 +315,7 @@ def test_what_is_outside_is_said_with_its_limit() -> None:
 def test_few_sessions_say_what_they_do_not_tell() -> None:
     rng = np.random.default_rng(71)
     for count, words in ((1, 'One session'), (2, 'Two sessions'), (3, None)):
-        unit = look_back(sessions(rng, 1, count), LIMITS).units[0]
+        unit = backtest(sessions(rng, 1, count), LIMITS).units[0]
         assert (words is None) or any(s.startswith(words) for s in unit.findings)
         assert not unit.trend.significant.any() and unit.steps == ()
         if count < 3:
@@ -325,7 +325,7 @@ def test_few_sessions_say_what_they_do_not_tell() -> None:
     # Others of its type lend what one session lacks.
     young = sessions(rng, 1, 1, imu='fog')
     young = replace(young, serial=('young',))
-    found = look_back(joined(sessions(rng, 30, 6, apart=5.0), young), LIMITS)
+    found = backtest(joined(sessions(rng, 30, 6, apart=5.0), young), LIMITS)
     (unit,) = (u for u in found.units if u.serial == 'young')
     assert unit.forecast.borrowed and np.isnan(unit.trend.slope).all()
     assert unit.forecast.reason == '' or 'beyond the horizon' in unit.forecast.reason
@@ -333,7 +333,7 @@ def test_few_sessions_say_what_they_do_not_tell() -> None:
 
 def test_sessions_of_one_date_tell_no_trend() -> None:
     made = sessions(np.random.default_rng(81), 1, 5)
-    unit = look_back(replace(made, date=np.full(5, START)), LIMITS).units[0]
+    unit = backtest(replace(made, date=np.full(5, START)), LIMITS).units[0]
     assert np.isnan(unit.trend.slope).all() and not unit.trend.significant.any()
     assert np.isfinite(unit.scatter.std).all()
     assert any('one date' in s for s in unit.findings)
@@ -346,7 +346,7 @@ def test_what_does_not_count_is_said() -> None:
     values = made.values.copy()
     values[1] = np.nan
     serial = (*made.serial[:2], '', *made.serial[3:])
-    found = look_back(replace(made, date=date, values=values, serial=serial), LIMITS)
+    found = backtest(replace(made, date=date, values=values, serial=serial), LIMITS)
     said = ' '.join(found.findings)
     for reason in ('no date', 'no serial number', 'no estimated parameter'):
         assert f'1 of 12 sessions are ignored: they have {reason}' in said
@@ -356,7 +356,7 @@ def test_what_does_not_count_is_said() -> None:
 def test_a_type_without_limits_and_a_number_of_two_types() -> None:
     rng = np.random.default_rng(92)
     other = replace(sessions(rng, 2, 3, imu='mems'), serial=('F000',) * 3 + ('M1',) * 3)
-    found = look_back(joined(sessions(rng, 2, 3), other), LIMITS)
+    found = backtest(joined(sessions(rng, 2, 3), other), LIMITS)
     said = ' '.join(found.findings)
     assert 'No specification of mems is known' in said
     assert 'Serial number F000 occurs with the types fog and mems: counted as 2 units' in said
@@ -370,15 +370,15 @@ def test_a_type_without_limits_and_a_number_of_two_types() -> None:
 
 def test_without_deviations_and_with_singular_covariances() -> None:
     made = sessions(np.random.default_rng(93), 20, 5, stands=('a', 'b', 'c'))
-    bare = look_back(replace(made, covariance=np.full_like(made.covariance, np.nan)), LIMITS)
+    bare = backtest(replace(made, covariance=np.full_like(made.covariance, np.nan)), LIMITS)
     assert any('states a standard deviation: all scatter' in s for s in bare.findings)
     # 1 between and 0.5 within, both taken for between.
     assert np.median(bare.populations['fog'].turn_on / SCALE) == pytest.approx(1.12, abs=0.1)
     some = made.covariance.copy()
     some[:7] = np.nan
-    said = look_back(replace(made, covariance=some), LIMITS).findings
+    said = backtest(replace(made, covariance=some), LIMITS).findings
     assert any(s.startswith('7 of 100 sessions of fog state no standard deviation') for s in said)
-    exact = look_back(replace(made, covariance=np.zeros_like(made.covariance)), LIMITS)
+    exact = backtest(replace(made, covariance=np.zeros_like(made.covariance)), LIMITS)
     assert np.median(exact.populations['fog'].turn_on / SCALE) == pytest.approx(1.12, abs=0.1)
     for one in (bare, exact):
         assert all(np.isfinite(u.trend.slope).all() for u in one.units)
@@ -389,7 +389,7 @@ def test_a_triad_that_is_not_estimated_is_left_out() -> None:
     values, covariance = made.values.copy(), made.covariance.copy()
     values[:, 12:] = np.nan
     covariance[:, 12:, :] = covariance[:, :, 12:] = np.nan
-    found = look_back(replace(made, values=values, covariance=covariance), LIMITS)
+    found = backtest(replace(made, values=values, covariance=covariance), LIMITS)
     unit = found.units[0]
     assert np.isfinite(unit.trend.slope[:12]).all() and np.isnan(unit.trend.slope[12:]).all()
     assert np.isnan(unit.charts.score[:, 12:]).all()
@@ -406,5 +406,5 @@ def test_rules_are_refused_that_are_none(wrong: dict[str, float]) -> None:
 
 def test_nothing_is_nothing() -> None:
     made = sessions(np.random.default_rng(95), 1, 1)
-    found = look_back(replace(made, serial=('',)), LIMITS)
+    found = backtest(replace(made, serial=('',)), LIMITS)
     assert found.units == () and found.populations == {}

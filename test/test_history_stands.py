@@ -7,8 +7,8 @@ import pytest
 from histories import SCALE, index, joined, of, sessions
 from scipy.spatial.transform import Rotation
 
+from imu_calib.histories.backtest import backtest
 from imu_calib.histories.crossed import crossed
-from imu_calib.histories.looking_back import look_back
 from imu_calib.histories.patterns import turned
 from imu_calib.histories.population import critical_deviate, lot_shifts, outliers
 from imu_calib.histories.results import Rules
@@ -49,7 +49,7 @@ def laboratory(seed: int, shift: np.ndarray, stands=THREE, units: int = 30, coun
 
 
 def test_a_stand_that_shifts_accelerometers_by_5_ppm_is_named() -> None:
-    found = look_back(laboratory(1, of(K_ax=5.0, K_ay=5.0, K_az=5.0)), LIMITS)
+    found = backtest(laboratory(1, of(K_ax=5.0, K_ay=5.0, K_az=5.0)), LIMITS)
     (shift,) = found.stands.shifts
     assert (shift.stand, shift.what, shift.alone) == ('south', 'K_a', True)
     assert shift.others == ('east', 'west') and shift.units >= 25 and shift.unit == '1'
@@ -60,7 +60,7 @@ def test_a_stand_that_shifts_accelerometers_by_5_ppm_is_named() -> None:
 
 @pytest.mark.parametrize('name', ['E_gxy', 'E_azx'])
 def test_a_stand_that_shifts_a_misalignment_by_a_hundredth_of_an_arcminute_is_named(name) -> None:
-    found = look_back(laboratory(2, of(**{name: 0.01})), LIMITS)
+    found = backtest(laboratory(2, of(**{name: 0.01})), LIMITS)
     (shift,) = found.stands.shifts
     assert (shift.stand, shift.what, shift.alone) == ('south', name, True)
     assert shift.low < 0.01 * SCALE[index(name)] < shift.high
@@ -68,12 +68,12 @@ def test_a_stand_that_shifts_a_misalignment_by_a_hundredth_of_an_arcminute_is_na
 
 def test_a_stand_that_is_far_off_is_named_once() -> None:
     """Chances of large shifts are all zero in floating point."""
-    found = look_back(laboratory(1, of(K_ax=5e4, K_ay=5e4, K_az=5e4)), LIMITS)
+    found = backtest(laboratory(1, of(K_ax=5e4, K_ay=5e4, K_az=5e4)), LIMITS)
     assert [(s.stand, s.what, s.alone) for s in found.stands.shifts] == [('south', 'K_a', True)]
 
 
 def test_a_fixture_that_is_turned_is_one_shift() -> None:
-    found = look_back(laboratory(3, 0.01 * turned(1)), LIMITS)
+    found = backtest(laboratory(3, 0.01 * turned(1)), LIMITS)
     (shift,) = found.stands.shifts
     assert (shift.stand, shift.what) == ('south', 'E about Y')
     assert set(shift.parameters) == {'E_gxz', 'E_gzx', 'E_axz', 'E_azx'}
@@ -113,7 +113,7 @@ def test_what_a_stand_adds_is_no_step_of_its_units() -> None:
     stand = tuple('east' if k % 6 == 5 else s for k, s in enumerate(stand))
     values[5::6] -= shift / ROUGH * SCALE
     moves = replace(moves, stand=stand, values=values, serial=tuple(f'M{s}' for s in moves.serial))
-    found = look_back(joined(stays, moves), LIMITS)
+    found = backtest(joined(stays, moves), LIMITS)
     (one,) = found.stands.shifts
     assert (one.stand, one.what) == ('south', 'K_a')
     assert not any(unit.steps for unit in found.units)
@@ -131,13 +131,13 @@ def test_what_a_unit_does_is_not_blamed_on_a_stand() -> None:
 
     made = sessions(np.random.default_rng(5), 30, 6, stands=THREE, truth=truth)
     stand = (*('east',) * 3, *('south',) * 3, *made.stand[6:])
-    found = look_back(replace(made, stand=stand), LIMITS)
+    found = backtest(replace(made, stand=stand), LIMITS)
     assert found.stands.shifts == ()
     assert [s.parameters for s in found.units[0].steps] == [('K_gx',)]
 
 
 def test_of_two_stands_none_is_blamed() -> None:
-    found = look_back(laboratory(6, of(K_ax=9, K_ay=9, K_az=9), stands=('east', 'south')), LIMITS)
+    found = backtest(laboratory(6, of(K_ax=9, K_ay=9, K_az=9), stands=('east', 'south')), LIMITS)
     (shift,) = found.stands.shifts
     assert not shift.alone and {shift.stand, *shift.others} == {'east', 'south'}
     assert 'Which of them is off needs a further stand' in found.findings[0]
@@ -150,13 +150,13 @@ def test_stands_that_no_unit_links_are_not_compared() -> None:
     one = sessions(rng, 15, 4, stands=('east',), apart=1.0)
     other = sessions(rng, 15, 4, stands=('south',), apart=1.0, truth=lambda *_: shift)
     other = replace(other, serial=tuple(f'S{s}' for s in other.serial))
-    found = look_back(joined(one, other), LIMITS)
+    found = backtest(joined(one, other), LIMITS)
     assert found.stands.shifts == () and np.isnan(found.stands.effect).all()
     assert found.stands.groups == (('east',), ('south',))
     assert any('No unit links these stands: east; south' in s for s in found.findings)
-    alone = look_back(one, LIMITS)
+    alone = backtest(one, LIMITS)
     assert any('All sessions were on one stand, east' in s for s in alone.findings)
-    unknown = look_back(replace(one, stand=('',) * 60), LIMITS)
+    unknown = backtest(replace(one, stand=('',) * 60), LIMITS)
     assert any('No session says on which stand' in s for s in unknown.findings)
 
 
@@ -165,10 +165,10 @@ def test_one_unit_on_both_sides_links_groups() -> None:
     one = sessions(rng, 5, 4, stands=('a', 'b'))
     other = sessions(rng, 5, 4, stands=('c', 'd'))
     other = replace(other, serial=tuple(f'S{s}' for s in other.serial))
-    apart = look_back(joined(one, other), LIMITS)
+    apart = backtest(joined(one, other), LIMITS)
     assert apart.stands.groups == (('a', 'b'), ('c', 'd'))
     linked = replace(other, serial=(one.serial[0], *other.serial[1:]))
-    together = look_back(joined(one, linked), LIMITS)
+    together = backtest(joined(one, linked), LIMITS)
     assert together.stands.groups == (('a', 'b', 'c', 'd'),)
 
 
@@ -178,7 +178,7 @@ def test_stands_used_one_after_the_other_are_not_told_from_drift() -> None:
     date = np.where(np.arange(40) % 2, made.date[1], made.date[0])
     stand = tuple('new' if k % 2 else 'old' for k in range(40))
     values = made.values + np.outer(np.arange(40) % 2, 50 * SCALE)
-    found = look_back(replace(made, date=date, stand=stand, values=values), LIMITS)
+    found = backtest(replace(made, date=date, stand=stand, values=values), LIMITS)
     assert found.stands.shifts == ()
     assert any('cannot be separated from the drift of the units' in s for s in found.findings)
 
@@ -290,7 +290,7 @@ def test_a_unit_and_a_lot_apart_are_found() -> None:
 
     made = sessions(np.random.default_rng(13), 40, 2, truth=truth)
     lots = tuple('B' if int(s[1:]) >= 30 else 'A' for s in made.serial)
-    population = look_back(replace(made, lot=lots), LIMITS).populations['fog']
+    population = backtest(replace(made, lot=lots), LIMITS).populations['fog']
     (outlier,) = population.outliers
     assert (outlier.serial, outlier.parameter) == ('F003', 'E_gxy') and abs(outlier.score) > 4
     assert {lot.parameter for lot in population.lots} == {'D_az'}
@@ -311,7 +311,7 @@ def test_lots_are_compared_by_what_units_differ_within() -> None:
 
 def test_a_population_says_how_its_units_are_distributed() -> None:
     made = sessions(np.random.default_rng(14), 200, 1, apart=30.0)
-    population = look_back(made, LIMITS, Rules()).populations['fog']
+    population = backtest(made, LIMITS, Rules()).populations['fog']
     expected = np.sqrt(30.0**2 + 1.0 + 0.25)
     # Of 200 units: 5 % by standard deviation, 8 % by median absolute deviation, 24 of each.
     assert population.std / SCALE == pytest.approx(np.full(24, expected), rel=0.2)

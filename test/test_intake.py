@@ -139,14 +139,14 @@ def joints(seconds: list[float], names: tuple[str, ...] = ('a', 'b')) -> JointBl
 def test_samples_wait_until_they_are_dropped() -> None:
     intake = StreamBuffer(TABLE, skewed=False)
     assert (intake.duration, intake.first_stamp, intake.last_stamp) == (0.0, None, None)
-    assert not intake.all_here(0)
+    assert not intake.is_complete_until(0)
     intake.take_imu(imu(1, 2, 3))
     assert intake.samples == 3
     # The last one waits for the next.
     assert (intake.first_stamp, intake.last_stamp) == (NS, 2 * NS)
     assert intake.duration == 1.0
-    assert intake.all_here(2 * NS)
-    assert not intake.all_here(2 * NS + 1)
+    assert intake.is_complete_until(2 * NS)
+    assert not intake.is_complete_until(2 * NS + 1)
     assert intake.imu.values.tolist() == [[0, 1, 2, 1, 1, 1], [3, 4, 5, 1, 1, 1]]
     intake.take_imu(imu(4))
     intake.finish()
@@ -160,11 +160,11 @@ def test_a_skewed_gyro_is_awaited() -> None:
     intake = StreamBuffer(TABLE, skewed=True)
     assert intake.skew is not None
     intake.take_imu(imu(1, 2, 3, 4))
-    assert not intake.all_here(NS)
+    assert not intake.is_complete_until(NS)
     stamp = np.array([1, 2, 3]) * NS
     intake.take_skew(SkewBlock(stamp, np.array([7.0, np.nan, 9.0])))
-    assert intake.all_here(NS)
-    assert not intake.all_here(2 * NS)
+    assert intake.is_complete_until(NS)
+    assert not intake.is_complete_until(2 * NS)
     assert intake.skew.values.tolist() == [[7.0, 0, 0, 0, 0, 0]]
     intake.take_skew(SkewBlock(stamp[:1], np.array([7.0])))
     intake.finish()
@@ -207,7 +207,7 @@ def test_joints_come_in_the_order_of_the_table() -> None:
     assert intake.take_joints(joints([9], ('a',))).stamp.tolist() == []
     assert intake.take_joints(joints([9, 10], ())).stamp.tolist() == []
     assert intake.finish().values.tolist() == [[3.0, 1.0]]
-    assert intake.strangers == ''
+    assert intake.foreign_joints == ''
     expected = 'not all joints of table bench (a, b)'
     assert intake.losses() == [
         f'1 joint states left out: they name a, {expected}',
@@ -217,10 +217,10 @@ def test_joints_come_in_the_order_of_the_table() -> None:
     other = StreamBuffer(TABLE, skewed=False)
     other.take_joints(joints([1], ('x', 'y')))
     other.take_joints(joints([2], ('z',)))
-    assert other.strangers == 'The joint states name x, y; z; table bench has a, b.'
+    assert other.foreign_joints == 'The joint states name x, y; z; table bench has a, b.'
     alone = StreamBuffer(None, skewed=False)
     assert alone.take_joints(joints([1, 2])).stamp.tolist() == []
-    assert (alone.strangers, alone.losses()) == ('', [])
+    assert (alone.foreign_joints, alone.losses()) == ('', [])
 
 
 @pytest.mark.parametrize(

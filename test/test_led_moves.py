@@ -487,7 +487,7 @@ def test_pulses_rounding_and_lost_samples_are_told_apart() -> None:
     steps = move().velocity_steps
     assert steps is not None
     one = replace(move(), velocity_steps=replace(steps, pulse=pulses))
-    np.testing.assert_allclose(linked(one).held_back[0], np.eye(3) * 14e-6 / 18)
+    np.testing.assert_allclose(linked(one).by_remainders[0], np.eye(3) * 14e-6 / 18)
 
 
 def test_what_many_velocities_feel_alike_is_by_places_delay_and_the_earth() -> None:

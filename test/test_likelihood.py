@@ -11,7 +11,7 @@ from scipy.stats import chi2, multivariate_normal
 
 from imu_calib.estimation.bias_drift import BiasDrift
 from imu_calib.estimation.likelihood import (
-    gained_by_noise,
+    gain_by_noise,
     log_likelihood,
     log_likelihoods_by_columns,
     log_likelihoods_by_ratio,
@@ -111,9 +111,9 @@ def test_noise_that_few_blocks_know_may_be_larger_than_it_seems() -> None:
         return normal(left, grown) + float(blocks)
 
     best = minimize(lambda logs: -together(np.exp(logs)), np.zeros(2), method='Nelder-Mead')
-    found = gained_by_noise(covariance, left, list(zip(parts, freedoms, strict=True)))
+    found = gain_by_noise(covariance, left, list(zip(parts, freedoms, strict=True)))
     assert found > 1.0
     # The simplex ends where values differ by 1e-4.
     assert found == pytest.approx(-float(best.fun) - together(np.ones(2)), abs=1e-3)
     # What is known exactly gains nothing.
-    assert gained_by_noise(covariance, left, [(n, np.inf) for n in parts]) == 0.0
+    assert gain_by_noise(covariance, left, [(n, np.inf) for n in parts]) == 0.0

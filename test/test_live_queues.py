@@ -109,7 +109,7 @@ def test_what_comes_again_and_again_is_dropped_and_the_rest_goes_on() -> None:
     assert compensator.take(samples(0, 20)) == []
     assert (compensator.repeats, compensator.waiting) == (33, 20)
     assert [len(out) for out in compensator.take(samples(20, 60))] == [1, 19, 40]
-    assert (compensator.odd_steps, compensator.dropped) == (0, 0)
+    assert (compensator.irregular_steps, compensator.dropped) == (0, 0)
 
 
 def test_stamps_that_stand_still_wait_for_a_second_at_most() -> None:

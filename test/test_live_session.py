@@ -104,7 +104,7 @@ def finish(session):
 
 def rested(session):
     """The next solving waits no longer than the last one took: seconds, never the machine's age."""
-    assert until(lambda: session.rested, patience(10))
+    assert until(lambda: session.may_review, patience(10))
 
 
 def offline(folder):

@@ -115,7 +115,7 @@ def test_other_methods_go_on_without_it_and_take_it_no_more(tmp_path, wire, monk
     session = begin(tmp_path / 'journal', replace(SETUP, method='twelve_position'))
     send(session, wire[:40], without={Kind.SKEW})
     assert session.without_skew
-    assert not session.over
+    assert not session.is_over
     send(session, wire[40:80])
     assert session.intakes[Kind.SKEW].count == 0
     session.solve()

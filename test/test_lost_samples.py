@@ -13,7 +13,7 @@ from imu_calib.segmentation.bridging import (
     _gain,
     _likely,
     bridged,
-    steadily,
+    filled_at_steady_rate,
 )
 from imu_calib.segmentation.statistics import Samples
 from imu_calib.stream import Floats
@@ -120,11 +120,11 @@ def test_gaps_are_filled_anew_from_as_many_as_help() -> None:
     values = np.arange(60.0) ** 2
     rows = without(60, 30)
     near = bridged(samples(rows, values[rows]), WALK, 1).samples
-    again = steadily(near, WALK)
+    again = filled_at_steady_rate(near, WALK)
     used = [*range(22, 30), *range(31, 39)]
     assert again.increments[30, 0] == pytest.approx(values[used].mean())
     plain = samples(rows, values[rows])
-    assert steadily(plain, WALK) is plain
+    assert filled_at_steady_rate(plain, WALK) is plain
 
 
 # Counters

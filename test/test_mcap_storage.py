@@ -544,19 +544,19 @@ def test_chunks_that_lie_together_are_loaded_as_one(
 
 def test_memory_is_lent_again_when_nobody_holds_anything_of_it() -> None:
     memory = Memory()
-    lent = memory.lend(100)
+    lent = memory.allocate(100)
     place = lent.ctypes.data
     held = np.frombuffer(lent.data[20:], np.uint8)[::2]
     del lent
-    other = memory.lend(100)
+    other = memory.allocate(100)
     assert other.ctypes.data != place
     held[:] = 1
     del held
-    again = memory.lend(104)
+    again = memory.allocate(104)
     assert (len(again), again.ctypes.data) == (104, place)
     # A block that is too small is given up for one that is not.
     del again, other
-    assert len(memory.lend(1000)) == 1000
+    assert len(memory.allocate(1000)) == 1000
 
 
 def test_chunks_without_a_sound_index_are_walked_over_and_the_others_are_not() -> None:

@@ -20,62 +20,62 @@ def gate():
 
 def test_setpoints_of_one_source_pass_as_they_came(gate):
     for k in range(20):
-        assert gate.admit(replace(GO, stamp=k), A, 0.1 * k) == replace(GO, stamp=k)
+        assert gate.checked(replace(GO, stamp=k), A, 0.1 * k) == replace(GO, stamp=k)
     assert gate.reason == ''
 
 
 @pytest.mark.parametrize('second', [GO, HOLD, replace(GO, mode=Mode.RATE)])
 def test_a_second_source_makes_the_table_stand_whoever_speaks(gate, second):
-    gate.admit(GO, A, 0.0)
-    assert gate.admit(second, B, 0.1).mode is Mode.HOLD
+    gate.checked(GO, A, 0.0)
+    assert gate.checked(second, B, 0.1).mode is Mode.HOLD
     # The first one's too: nobody knows which of them is right.
-    assert gate.admit(GO, A, 0.2).mode is Mode.HOLD
+    assert gate.checked(GO, A, 0.2).mode is Mode.HOLD
     assert 'two sources' in gate.reason
 
 
 def test_of_two_that_go_on_neither_moves_the_table_and_neither_does_the_one_that_is_left(gate):
     for k in range(40):
-        assert (gate.admit(GO, (A, B)[k % 2], 0.05 * k).mode is Mode.HOLD) == (k > 0)
+        assert (gate.checked(GO, (A, B)[k % 2], 0.05 * k).mode is Mode.HOLD) == (k > 0)
     for k in range(40, 80):
-        assert gate.admit(GO, B, 0.05 * k).mode is Mode.HOLD
+        assert gate.checked(GO, B, 0.05 * k).mode is Mode.HOLD
     assert 'setpoints still arrive' in gate.reason
 
 
 @pytest.mark.parametrize('pause', [HOLD, None])
 def test_who_ceases_to_ask_for_a_movement_is_followed_again(gate, pause):
-    gate.admit(GO, A, 0.0)
-    gate.admit(GO, B, 0.1)
-    gate.admit(GO, A, 0.2)
+    gate.checked(GO, A, 0.0)
+    gate.checked(GO, B, 0.1)
+    gate.checked(GO, A, 0.2)
     for k in range(6):
         if pause is not None:
-            assert gate.admit(pause, A, 0.3 + 0.1 * k) == pause
-    assert gate.admit(GO, A, 0.2 + TIMEOUT + 0.2) == GO
+            assert gate.checked(pause, A, 0.3 + 0.1 * k) == pause
+    assert gate.checked(GO, A, 0.2 + TIMEOUT + 0.2) == GO
     assert gate.reason == ''
 
 
 def test_another_may_lead_when_the_first_has_been_silent_until_the_table_stopped(gate):
-    gate.admit(GO, A, 0.0)
-    assert gate.admit(GO, B, TIMEOUT + 0.01) == GO
-    assert gate.admit(GO, A, TIMEOUT + 0.02).mode is Mode.HOLD
+    gate.checked(GO, A, 0.0)
+    assert gate.checked(GO, B, TIMEOUT + 0.01) == GO
+    assert gate.checked(GO, A, TIMEOUT + 0.02).mode is Mode.HOLD
 
 
 def test_a_source_that_holds_the_table_has_it(gate):
-    gate.admit(HOLD, A, 0.0)
-    assert gate.admit(GO, B, 0.3).mode is Mode.HOLD
+    gate.checked(HOLD, A, 0.0)
+    assert gate.checked(GO, B, 0.3).mode is Mode.HOLD
 
 
 def test_what_forbids_stops_once_and_nothing_goes_on_by_itself(gate):
     assert gate.forbid('No heartbeat.') is None
-    assert gate.admit(GO, A, 0.0).mode is Mode.HOLD
+    assert gate.checked(GO, A, 0.0).mode is Mode.HOLD
     assert gate.reason == 'No heartbeat.'
     assert gate.forbid('') is None
     assert gate.reason == ''
     # It is still asked for: whoever leads has not seen the stop.
-    assert gate.admit(GO, A, 0.1).mode is Mode.HOLD
-    assert gate.admit(HOLD, A, 0.2) == HOLD
-    assert gate.admit(GO, A, 0.7) == GO
+    assert gate.checked(GO, A, 0.1).mode is Mode.HOLD
+    assert gate.checked(HOLD, A, 0.2) == HOLD
+    assert gate.checked(GO, A, 0.7) == GO
     stop = gate.forbid('No heartbeat.')
     assert stop == HOLD
     assert gate.forbid('No heartbeat.') is None
-    assert gate.admit(HOLD, A, 0.8) == HOLD
+    assert gate.checked(HOLD, A, 0.8) == HOLD
     assert gate.reason == 'No heartbeat.'

@@ -132,7 +132,7 @@ def test_rests_turns_and_moves_are_found_however_they_come_in(cut: int) -> None:
     assert (session.samples, session.duration) == (4000, pytest.approx(39.99))
     assert session.start == START + 10_000_000
     assert (session.rejected, session.losses, session.mount_shifts) == ((), (), ())
-    assert (session.temperature, session.strangers) == (None, '')
+    assert (session.temperature, session.foreign_joints) == (None, '')
 
 
 def test_a_clock_that_is_ahead_shifts_all_that_follows_its_first_motion() -> None:
@@ -360,12 +360,12 @@ def test_joint_states_of_another_table_are_named() -> None:
         '2001 joint states left out: they name q, not all joints of table bench (j)',
         'There are no joint states of table bench',
     )
-    assert session.strangers == 'The joint states name q; table bench has j.'
+    assert session.foreign_joints == 'The joint states name q; table bench has j.'
     states = joint()
     both = np.hstack([states.position + 1.0, states.position])
     more = found(unit(), JointBlock(states.stamp, ('q', 'j'), both, both))
     assert rests(more) == RESTS
-    assert more.strangers == ''
+    assert more.foreign_joints == ''
     assert more.losses == (
         'The joint states name further joints (q), which are not of table bench: they are ignored',
     )

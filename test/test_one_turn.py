@@ -326,5 +326,5 @@ def test_the_rate_of_a_whole_way_is_as_sure_as_what_the_gyros_read_at_rest(walk:
     # Without it the stated deviation would be too small.
     assert off.std() > 1.1 * sqrt(own) / turn.rate()
     # It is the line that is surer where gyros are noisy: 0.05 deg of 360 are 140 ppm at most.
-    assert turn.by_the_surer(noises).whole_way is turn.whole_way
-    assert turn.by_the_surer(np.full(6, 300 * ARCSEC)).whole_way is None
+    assert turn.by_more_accurate_rate(noises).whole_way is turn.whole_way
+    assert turn.by_more_accurate_rate(np.full(6, 300 * ARCSEC)).whole_way is None

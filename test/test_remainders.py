@@ -130,7 +130,7 @@ def test_rests_and_turns_all_around_tell_what_the_sensors_answer() -> None:
     found = roughly(ups, [0, 1, 2])
     np.testing.assert_allclose(found.model.vector(), MODEL.vector(), atol=1e-12)
     # Four unknowns of eight rests: half of the variance of one.
-    assert found.doubt == pytest.approx(np.sqrt(OWN * 4 / 8))
+    assert found.accel_std == pytest.approx(np.sqrt(OWN * 4 / 8))
 
 
 def test_where_no_turn_shows_the_gyros_their_misalignment_is_in_doubt() -> None:
@@ -143,7 +143,7 @@ def test_where_no_turn_shows_the_gyros_their_misalignment_is_in_doubt() -> None:
     np.testing.assert_allclose(found.model.gyro.response, response, atol=1e-12)
     np.testing.assert_allclose(found.model.gyro.bias, MODEL.gyro.bias, atol=1e-12)
     # A milliradian of gravity.
-    assert found.doubt == pytest.approx(np.sqrt(OWN * 4 / 6 + (1e-3 * 9.8) ** 2))
+    assert found.accel_std == pytest.approx(np.sqrt(OWN * 4 / 6 + (1e-3 * 9.8) ** 2))
 
 
 @pytest.mark.parametrize(('small', 'seen'), [(1.6e-3, 3), (1.9e-3, 4)])

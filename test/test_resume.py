@@ -221,7 +221,7 @@ def ended(folder, *, finished, result=False):
     arguments = dispatch.build_parser().parse_args(['stand', 'twelve_position', '-o', str(folder)])
     folder.mkdir()
     arguments.imu, arguments.truth = 'fog_medium', 'cao2022_table1'
-    resume.keep(arguments, folder)
+    resume.save_settings(arguments, folder)
     journal = Journal(folder / 'journal', {}, {'/imu/pulses': Kind.IMU})
     write(journal, 10)
     journal.close(finished=finished)
@@ -253,7 +253,7 @@ def test_what_cannot_be_gone_on_with_is_refused(tmp_path, capsys):
     failed = ended(tmp_path / 'failed', finished=True)
     assert 'ended without a result' in says(capsys, '--resume', str(failed))
     left = ended(tmp_path / 'left', finished=False)
-    with resume.claimed(left):
+    with resume.locked_folder(left):
         assert f'still runs (process {os.getpid()})' in says(capsys, '--resume', str(left))
     assert 'found --imu too' in says(capsys, '--resume', str(left), '--imu', 'si')
     assert 'found PLAN too' in says(capsys, 'six_position', '--resume', str(left))

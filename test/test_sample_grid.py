@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imu_calib.imu import load_imu
-from imu_calib.segmentation.bridging import bridged, steadily
+from imu_calib.segmentation.bridging import bridged, filled_at_steady_rate
 from imu_calib.segmentation.bunches import sampling_times
 from imu_calib.segmentation.grid import clock_steps, read_grid
 from imu_calib.segmentation.motion import JointTracker, Motion, Rest
@@ -358,7 +358,7 @@ def test_rates_that_change_are_read_from_right_beside() -> None:
     assert near.samples.increments[:, 0] == pytest.approx(ramp * FOG.gyro.scale_factor)
     assert (near.rows < 0).nonzero()[0].tolist() == [50, 150, 250]
     assert np.isnan(near.values(values[index])[[50, 150, 250]]).all()
-    steady = steadily(near.samples.part(201, 300), SENSOR.walk)
+    steady = filled_at_steady_rate(near.samples.part(201, 300), SENSOR.walk)
     assert steady.increments[:, 0] == pytest.approx(2000 * FOG.gyro.scale_factor)
 
 

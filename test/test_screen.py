@@ -316,7 +316,13 @@ class Stops:
 
     def __init__(self):
         self.heard = 0
-        self.outcome, self.stopped, self.begun, self.text, self.duration = None, '', True, '', 7.0
+        self.outcome, self.stopped, self.is_running, self.text, self.duration = (
+            None,
+            '',
+            True,
+            '',
+            7.0,
+        )
 
     def spin(self, _):
         self.heard += 1

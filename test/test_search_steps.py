@@ -31,7 +31,7 @@ from imu_calib.estimation.score import (
 from imu_calib.estimation.search import (
     Found,
     Search,
-    _by_rivals,
+    _by_alternatives,
     _confirmed,
     _likeliest,
     _limit,
@@ -258,19 +258,19 @@ def test_what_follows_the_temperature_is_not_taken_for_a_drift_that_explains_as_
 def test_errors_of_the_table_are_as_large_as_what_is_seen_by_students_t() -> None:
     model = _Model(evidence_of(), PARAMETERS)
     estimate = np.array([3e-5, 0.0, 4e-5])
-    doubts, size, seen = _size(model, WOBBLE, score(9.0, 2, estimate=estimate))
+    considered, size, seen = _size(model, WOBBLE, score(9.0, 2, estimate=estimate))
     # Two deviations' chance with two degrees of freedom, and the mean square of 5e-5 over both.
     wider = t.ppf(norm.cdf(2), 2) / 2
-    assert doubts == ()
+    assert considered == ()
     assert size == pytest.approx(wider * 5e-5 / np.sqrt(2))
     assert seen == pytest.approx(5e-5 / np.sqrt(2))
     # A term that the session determines is estimated, and so is what follows time.
     assert _size(model, SENSES, score(9.0, 2, estimate=estimate)) == ((), 0.0, 0.0)
     assert _size(model, TREND, score(9.0, 2, estimate=estimate)) == ((), 0.0, 0.0)
-    doubts, *sizes = _size(model, OF_ACCELS, score(9.0, 2, estimate=estimate))
+    considered, *sizes = _size(model, OF_ACCELS, score(9.0, 2, estimate=estimate))
     assert sizes == [0.0, 0.0]
-    assert [p for p, _ in doubts] == list(ACCEL_CUBIC.parameters)
-    assert [v for _, v in doubts] == pytest.approx([wider * 5e-5 / np.sqrt(2)] * 3)
+    assert [p for p, _ in considered] == list(ACCEL_CUBIC.parameters)
+    assert [v for _, v in considered] == pytest.approx([wider * 5e-5 / np.sqrt(2)] * 3)
 
 
 def test_a_model_is_what_was_found_and_can_do_without_it() -> None:
@@ -282,12 +282,12 @@ def test_a_model_is_what_was_found_and_can_do_without_it() -> None:
             Found(CUBIC, -9.0),
             Found(TREND, -9.0),
             Found(WOBBLE, -9.0, size=2e-5),
-            Found(OF_ACCELS, -9.0, doubts=doubt),
+            Found(OF_ACCELS, -9.0, considered=doubt),
         ]
     )
     assert model.parameters == (*PARAMETERS, *GYRO_CUBIC.parameters)
     assert model.changes == session_term('trend')
-    assert model.doubts == doubt
+    assert model.considered == doubt
     assert model.evidence.table is not None
     assert model.evidence.table.errors == TableErrors(zeros=1e-4, wobble=2e-5)
     assert model.without(CUBIC).parameters == PARAMETERS
@@ -357,7 +357,7 @@ def test_confirmed_is_what_is_significant_beside_the_others_with_rivals_close_by
     # A chi-square of nine, in the scale of what is there: 18; of the table nothing is a rival.
     (kept,) = _confirmed(start, trial, trial, [Found(CUBIC, -1.0)])
     assert kept.log_p == best.log_p
-    assert kept.rivals == (SENSES,)
+    assert kept.alternatives == (SENSES,)
     # 16.3 is what three degrees of freedom have once in a thousand, 17.7 once in two thousand.
     judged(monkeypatch, {CUBIC: replace(best, statistic=2 * 17.5), SENSES: best})
     assert _confirmed(start, trial, trial, [Found(CUBIC, -1.0)]) == ()
@@ -369,7 +369,7 @@ def test_what_spares_outputs_must_spare_more_than_it_has_coefficients(
     start = _Model(stated().evidence, PARAMETERS)
     monkeypatch.setattr(_Model, 'on', lambda *_: (trial.equations, trial.state))
     judged(monkeypatch, {CUBIC: score(90.0), SENSES: score(90.0)})
-    both = [Found(CUBIC, -1.0, spares=3), Found(SENSES, -1.0)]
+    both = [Found(CUBIC, -1.0, min_saved_outputs=3), Found(SENSES, -1.0)]
     first = estimated(down=9)
     for down, names in ((6, ['gyro_asymmetry']), (5, ['gyro_cubic', 'gyro_asymmetry'])):
         trial = estimated(down=down)
@@ -432,7 +432,7 @@ def test_families_are_found_one_after_the_other_the_most_significant_first(
     monkeypatch.setattr(module, 'fit', lambda _, state: state)
     monkeypatch.setattr(_Model, 'on', lambda _, equations, state: (equations, state))
     found = _shown(start, first, set())
-    assert [(one.family, one.spares) for one in found] == [(SENSES, 0), (CUBIC, 3)]
+    assert [(one.family, one.min_saved_outputs) for one in found] == [(SENSES, 0), (CUBIC, 3)]
     assert [one.log_p for one in found] == [score(90.0).log_p, score(70.0).log_p]
     assert [names for _, names in views[::2]] == [
         ['gyro_cubic', 'gyro_asymmetry', 'trend'],
@@ -542,7 +542,7 @@ def test_a_rival_counts_by_its_likelihood_and_by_how_far_parameters_are_off(
     monkeypatch.setattr(module, 'current_chi_square', lambda *_: next(squares))
     # By the rival every one of the 24 is larger by two, and what was found is zero.
     monkeypatch.setattr(module, 'fit', lambda _, start: start + 2.0)
-    found = _by_rivals(current, Found(CUBIC, -9.0, rivals=(SENSES,)))
+    found = _by_alternatives(current, Found(CUBIC, -9.0, alternatives=(SENSES,)))
     off = np.array([*[2.0] * 24, -24.0, -25.0, -26.0])
     # Likelihoods of exp(-10 / 2) and exp(-12 / 2).
     assert found == pytest.approx(np.outer(off, off) * np.exp(-6) / (np.exp(-5) + np.exp(-6)))
@@ -552,7 +552,7 @@ def test_a_rival_counts_by_its_likelihood_and_by_how_far_parameters_are_off(
         raise NotConverged('no end')
 
     monkeypatch.setattr(module, 'fit', refused)
-    assert not _by_rivals(current, Found(CUBIC, -9.0, rivals=(SENSES,))).any()
+    assert not _by_alternatives(current, Found(CUBIC, -9.0, alternatives=(SENSES,))).any()
 
 
 def test_what_rivals_and_drifts_would_make_is_a_share_of_its_own() -> None:
@@ -566,7 +566,7 @@ def test_what_rivals_and_drifts_would_make_is_a_share_of_its_own() -> None:
     assert both[Source.TERMS].covariance.tolist() == [[5.0, 0.0], [0.0, 2.0]]
     assert both[Source.TERMS].freedom is known.freedom
     assert both[Source.NOISE] is known
-    none = replace(search, doubt=np.zeros((2, 2)))
+    none = replace(search, undecided_covariance=np.zeros((2, 2)))
     assert none.shares() == {Source.TERMS: known, Source.NOISE: known}
 
 
@@ -605,8 +605,8 @@ def test_of_what_is_off_it_is_said_what_it_would_do(monkeypatch: pytest.MonkeyPa
     assert WOBBLE not in found.leverage
     assert list(found.probability) == [TREND]
     drifts = module.undecided({TREND: [(found.scores[TREND], found.leverage[TREND])]}, 24)
-    assert found.by_drifts == pytest.approx(drifts.doubt)
-    assert found.doubt == pytest.approx(drifts.doubt)
+    assert found.by_drifts == pytest.approx(drifts.covariance)
+    assert found.undecided_covariance == pytest.approx(drifts.covariance)
     none = module._concluded(current, (), current, weigh=False)
     assert none.probability == {}
     assert not none.by_drifts.any()

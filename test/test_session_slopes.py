@@ -247,7 +247,7 @@ def test_what_outputs_have_in_common_has_its_source() -> None:
 
 def test_parameters_in_doubt_count_with_their_deviations() -> None:
     doubted = PARAMETERS[24:26]
-    equations, state = at(some(), doubts=tuple(zip(doubted, (2e-5, 3e-5), strict=True)))
+    equations, state = at(some(), considered=tuple(zip(doubted, (2e-5, 3e-5), strict=True)))
     columns = equations.by_parameters(state, doubted) * [2e-5, 3e-5]
     np.testing.assert_allclose(part(equations, state, Source.TERMS), columns @ columns.T)
 

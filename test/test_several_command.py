@@ -77,7 +77,7 @@ def test_a_stand_keeps_the_units_and_all_files_that_they_name(file, tmp_path):
     settings = tmp_path / 'settings'
     settings.mkdir()
     before = load_units(given)
-    several.keep(argparse.Namespace(imus=given), settings)
+    several.save_settings(argparse.Namespace(imus=given), settings)
     own.unlink()
     after = load_units(settings / 'imus.yaml')
     assert [unit.name for unit in after] == [unit.name for unit in before]

@@ -67,7 +67,7 @@ def send(sessions, wire, start=0.0, stop=1.0, without=()):
             if part := share(wire[topic], k, rounds):
                 sessions.take_common(kind, part, NOW + k)
         for place, (serial, topic) in enumerate(TOPICS.items()):
-            if serial not in without and not sessions.all[place].over:
+            if serial not in without and not sessions.all[place].is_over:
                 sessions.all[place].take(Kind.IMU, share(wire[topic], k, rounds), NOW + k)
 
 
@@ -78,7 +78,7 @@ def share(all_, k, rounds):
 def over(sessions):
     """Let the sessions end, and return their phases."""
     sessions.end()
-    assert until(lambda: sessions.poll() is not None and sessions.over, patience(120))
+    assert until(lambda: sessions.poll() is not None and sessions.is_over, patience(120))
     sessions.close()
     return [session.phase for session in sessions.all]
 
@@ -171,7 +171,7 @@ def test_nothing_is_concluded_before_every_unit_is_ready(wire, tmp_path):
     before = time.monotonic()
     while time.monotonic() - before < 0.3:
         sessions.poll()
-    assert [session.over for session in sessions.all] == [False] * 3
+    assert [session.is_over for session in sessions.all] == [False] * 3
     assert over(sessions) == [SessionPhase.FINISHED] * 3
 
 
@@ -187,7 +187,7 @@ def test_sessions_are_reviewed_in_rounds_with_as_much_time_between(wire, tmp_pat
         lambda: sessions.poll() is not None and all(s.review for s in sessions.all), patience(60)
     )
     took = time.monotonic() - began
-    assert not sessions.rested
-    assert until(lambda: sessions.rested, patience(60))
+    assert not sessions.may_review
+    assert until(lambda: sessions.may_review, patience(60))
     assert time.monotonic() - began > took
     sessions.close()

@@ -307,7 +307,7 @@ def test_a_live_table_can_forget_its_past():
     now = 0.0
     for step in range(20):
         now = run(table, now, mode=Mode.POSITION, angles=(10 * (step % 2), 0, 0), step=step)
-        table.forget(now)
+        table.drop_before(now)
     assert len(table.motion(now).track.start) < 10
     with pytest.raises(InputError, match='backwards'):
         table.advance(now - 1)

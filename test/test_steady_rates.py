@@ -18,7 +18,7 @@ from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.model import SensorModel
 from imu_calib.plan import Plan
 from imu_calib.segmentation.motion import Motion
-from imu_calib.segmentation.plateau import find_turns, why_none
+from imu_calib.segmentation.plateau import find_turns, no_turn_reason
 from imu_calib.share import named_file
 from imu_calib.simulation import StandOptions, simulate
 from imu_calib.simulation.table import SimulatedTable
@@ -118,7 +118,7 @@ def test_a_line_that_rests_on_the_ends_of_a_gap_alone_is_no_plateau() -> None:
     heard = (since < 0.2 * 190 / 18) | (since > 0.8 * 190 / 18)
     seen = replace(whole, stamp=whole.stamp[heard], position=whole.position[heard])
     assert find_turns(seen) == []
-    assert why_none(seen) == 'the joint states show no constant rate'
+    assert no_turn_reason(seen) == 'the joint states show no constant rate'
 
 
 def test_one_motion_may_hold_several_rates() -> None:
@@ -138,9 +138,11 @@ def test_ramps_are_no_turns(plateau: float, noise: float) -> None:
     seen = motion(90.0, RAMPS, plateau, noise=noise)
     assert find_turns(seen) == []
     if plateau < 180:
-        assert why_none(seen) == 'the joint states show no constant rate'
+        assert no_turn_reason(seen) == 'the joint states show no constant rate'
     else:
-        said = re.search(r'show 90 deg/s for (\d+) deg, less than a whole turn', why_none(seen))
+        said = re.search(
+            r'show 90 deg/s for (\d+) deg, less than a whole turn', no_turn_reason(seen)
+        )
         assert said is not None
         # 7 arcsec do not show what a ramp of 20 deg/s^2 does within 0.05 s: 4.5 deg at either end.
         assert float(said[1]) == pytest.approx(plateau, abs=9.0)

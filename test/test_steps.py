@@ -11,7 +11,7 @@ import pytest
 from imu_calib.errors import InputError
 from imu_calib.plan import Step, load_plan
 from imu_calib.sequencing.obstacles import Obstacles
-from imu_calib.sequencing.steps import check, end_of, held, laid_out, motion_time, setpoint_of
+from imu_calib.sequencing.steps import check, end_of, held, motion_time, setpoint_of, steps_of_plan
 from imu_calib.stream import Mode
 from imu_calib.turntable import TURN, load_table
 from imu_calib.units import DEG
@@ -85,11 +85,11 @@ def test_a_hold_is_told_where_the_table_is_within_its_limits():
 
 def test_the_way_home_of_a_plan_is_where_the_table_stood():
     start = np.array([0.1, 0.2, 0.3])
-    steps, home = laid_out(load_plan('twelve_position'), TABLE, start)
-    assert home.index == steps[-1].index
-    np.testing.assert_array_equal(home.angles, start)
-    assert (home.mode, home.dwell, home.turns) == (Mode.POSITION, 0.0, 0)
-    assert not home.rates.any()
+    steps, return_step = steps_of_plan(load_plan('twelve_position'), TABLE, start)
+    assert return_step.index == steps[-1].index
+    np.testing.assert_array_equal(return_step.angles, start)
+    assert (return_step.mode, return_step.dwell, return_step.turns) == (Mode.POSITION, 0.0, 0)
+    assert not return_step.rates.any()
 
 
 @pytest.mark.parametrize(('turns', 'fits'), [(1, True), (2, False)])

@@ -26,7 +26,7 @@ from imu_calib.segmentation.plateau import (
     _whole_turns,
     find_plateaus,
     find_turns,
-    why_none,
+    no_turn_reason,
 )
 from imu_calib.stream import Floats
 from imu_calib.units import DEG
@@ -459,13 +459,13 @@ def test_plateaus_are_listed_as_they_follow_each_other() -> None:
 
 
 def test_a_motion_without_a_turn_says_what_it_shows() -> None:
-    assert why_none(trapezoid(40.0, 5.0, 0.0)) == 'the joint states show no constant rate'
+    assert no_turn_reason(trapezoid(40.0, 5.0, 0.0)) == 'the joint states show no constant rate'
     # Of two plateaus the one that turned further, however short it was: 250 deg and what of its
     # ramps cannot be told from it.
     two = joined(trapezoid(-50.0, 0.5, 5.0), trapezoid(20.0, 0.5, 10.0))
     longest = max(plateau.turned for plateau in find_plateaus(two)) / DEG
     assert longest == pytest.approx(250.0, abs=4.0)
-    assert why_none(two) == (
+    assert no_turn_reason(two) == (
         f'the joint states show 50 deg/s for {longest:.0f} deg, less than a whole turn: ramps '
         'take the rest (more turns, a slower rate or faster ramps leave one)'
     )

@@ -90,7 +90,7 @@ def score(statistic: float, deviation: Any, rank: int = 3, freedom: float = 1e9)
         ),
         (
             # Never less than a thousand: that is what the search asks for.
-            Found(TREND, -2 * LN10, rivals=(WARM_UP, CUBIC)),
+            Found(TREND, -2 * LN10, alternatives=(WARM_UP, CUBIC)),
             'The session shows parameters that drift evenly with time (trend, by chance once in '
             '10^3 sessions): it is estimated. warm_up or gyro_cubic would explain it as well, and '
             f'the standard deviations allow for that. {TO_TELL}',
@@ -103,7 +103,7 @@ def score(statistic: float, deviation: Any, rank: int = 3, freedom: float = 1e9)
             'not stable. The biases stated are the mean over the session.',
         ),
         (
-            Found(TREND, -5 * LN10, rivals=(THERMAL,)),
+            Found(TREND, -5 * LN10, alternatives=(THERMAL,)),
             'The session shows parameters that drift evenly with time (trend, by chance once in '
             '10^5 sessions): it is estimated. thermal would explain it as well, and the standard '
             f'deviations allow for that. {TO_TELL_HEAT}',
@@ -114,14 +114,14 @@ def score(statistic: float, deviation: Any, rank: int = 3, freedom: float = 1e9)
             'is estimated.',
         ),
         (
-            Found(CUBIC, -6 * LN10, doubts=tuple((p, 25e-6) for p in GYRO_CUBIC.parameters)),
+            Found(CUBIC, -6 * LN10, considered=tuple((p, 25e-6) for p in GYRO_CUBIC.parameters)),
             'The session shows gyro cubic term (gyro_cubic, by chance once in 10^6 sessions) and '
             'does not determine it: the standard deviations allow for coefficients of 25 ppm. To '
             'determine it takes turns about each axis at two rates or more, four to tell it from '
             'gyro_rate_dependence.',
         ),
         (
-            Found(CUBIC, -6 * LN10, rivals=(Family('gyro_asymmetry', GYRO_ASYMMETRY), TREND)),
+            Found(CUBIC, -6 * LN10, alternatives=(Family('gyro_asymmetry', GYRO_ASYMMETRY), TREND)),
             'The session shows gyro cubic term (gyro_cubic, by chance once in 10^6 sessions): it '
             'is estimated. gyro_asymmetry or trend would explain it as well, and the standard '
             'deviations allow for that. To tell them apart takes turns about each axis at two '
@@ -167,7 +167,7 @@ def test_every_family_becomes_what_was_made_of_it() -> None:
     slope = np.zeros((24, 3))
     slope[13, 1], slope[14, 2] = 50.0, 1e-9
     search = searched(
-        (Found(CUBIC, -5 * LN10), Found(TREND, -4 * LN10, doubts=((BY_NAME['K_gx'], 1.0),))),
+        (Found(CUBIC, -5 * LN10), Found(TREND, -4 * LN10, considered=((BY_NAME['K_gx'], 1.0),))),
         {TREND: 0.25},
         scores=scores,
         alpha=1e-4,

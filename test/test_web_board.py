@@ -151,16 +151,19 @@ def test_a_node_that_falls_silent_is_wrong_until_it_speaks_or_the_session_is_ove
     board = Board(expected)
     board.take_diagnostics(said('imu_node: stream', 0, 'Frames come in.'), 1.0)
     board.take_diagnostics(said('stand_node: table', 1, 'It is late.'), 6.5)
-    assert [s.text for s in board.snapshot(7.0).wrong] == [
+    assert [s.text for s in board.snapshot(7.0).invalid_field] == [
         'No message has come for 6 s: has it ended?',
         'It is late.',
     ]
     board.take_diagnostics(said('imu_node: stream', 2, 'No frame has come.'), 7.0)
-    assert [s.text for s in board.snapshot(7.0).wrong] == ['No frame has come.', 'It is late.']
+    assert [s.text for s in board.snapshot(7.0).invalid_field] == [
+        'No frame has come.',
+        'It is late.',
+    ]
     # The banner says how it ended, and why.
     board.take_calibration(calibration('VALID'))
     board.take_diagnostics(said('calibrator_node: calibration', 1, 'There are findings.'), 59.0)
-    assert board.snapshot(60.0).wrong == ()
+    assert board.snapshot(60.0).invalid_field == ()
 
 
 def test_deviations_shrink_towards_what_the_plan_predicts(expected):
@@ -174,7 +177,7 @@ def test_deviations_shrink_towards_what_the_plan_predicts(expected):
     assert row.course == ((10.0, 4e-6), (30.0, 2e-6))
     assert row.parameter.name == 'K_gx'
     assert (row.shown(row.std), row.unit) == ('2', 'ppm')
-    assert row.there
+    assert row.is_reached
     assert row.limit == FOG.specification.limit(row.parameter)
     # Cao 2022: a plan of twelve positions and this unit reach some ppm and tenths of deg/h.
     assert 1e-6 < row.predicted < 5e-6
@@ -308,10 +311,10 @@ def test_the_noise_of_dwells_is_the_data_sheets_random_walk():
     dwells = Dwells(FOG)
     for k in range(4):
         begin = int(k * 200e9)
-        dwells.stands(begin)
+        dwells.add(begin)
         for block in blocks(FOG, 120.0, 100.0, begin, rng):
             dwells.take(block)
-            dwells.grow()
+            dwells.update()
         dwells.moves(begin + int(120e9))
     found = dwells.streams
     assert found.dwells == 4
@@ -332,13 +335,13 @@ def test_the_curve_grows_while_a_dwell_goes_on_and_turns_do_not_count():
     moving = list(blocks(FOG, 20.0, 100.0, 0, rng))
     for block in moving:
         dwells.take(block)
-        dwells.grow()
+        dwells.update()
     assert dwells.streams.revision == 0
-    dwells.stands(int(20e9))
+    dwells.add(int(20e9))
     revisions = []
     for block in blocks(FOG, 60.0, 100.0, int(20e9), rng):
         dwells.take(block)
-        dwells.grow()
+        dwells.update()
         revisions.append(dwells.streams.revision)
     assert revisions[-1] > 3
     assert dwells.streams.dwells == 0

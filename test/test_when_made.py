@@ -147,7 +147,7 @@ def test_a_queue_is_no_other_rate(session: Recording, stall: float, each: float)
     stamps, force, compensator = out_of(block, 1)
     assert (len(stamps), compensator.dropped) == (len(made), 0)
     assert force == pytest.approx(forces(session), rel=1e-6)
-    assert compensator.odd_steps == 0
+    assert compensator.irregular_steps == 0
 
 
 @pytest.mark.parametrize(('stall', 'within'), [(0.4, 1.0), (3.0, 0.1), (4.9, 0.1)])

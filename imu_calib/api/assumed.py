@@ -86,7 +86,7 @@ def plan_by_hand() -> Plan:
     return load_plan(_BY_HAND)
 
 
-def was_in_the_hand(session: Segmented) -> bool:
+def is_hand_held(session: Segmented) -> bool:
     """Return whether the static dwells of a session are as short as in a hand."""
     seconds = [s.statistics.duration for s in session.segments]
     return not seconds or float(np.median(seconds)) < _LONGEST_HOLD

@@ -11,7 +11,7 @@ from ..errors import NotObservable, NotStated
 from ..metadata import interpolated_from
 from ..segmentation.segmented import Segmented
 from ..threads import by_one_thread
-from .assumed import ASSUMED_BY_HAND, ask_for_plan, was_in_the_hand
+from .assumed import ASSUMED_BY_HAND, ask_for_plan, is_hand_held
 from .conforming import specification_of
 from .keywords import Session, with_keywords
 from .named import Named
@@ -157,5 +157,5 @@ def _interpolated(rate: float) -> str:
 
 def _check_that_it_was(opened: Opened, session: Segmented) -> None:
     """Refuse a session that was assumed to be in the hand and was not."""
-    if not was_in_the_hand(session):
+    if not is_hand_held(session):
         raise NotStated(ask_for_plan(opened.recording.path))

@@ -24,10 +24,10 @@ from ..compensation.thermal import (
 from ..compensation.whole_stream import WholeStream
 from ..errors import InputError
 from ..imu import ImuSpec, compensated_imu
-from ..metadata import COMPENSATED, described_anew
+from ..metadata import COMPENSATED, stream_description
 from ..stream import ImuBlock, Stamps
 from .named import Named, as_applied
-from .outputs import new_folder, whole_or_not_at_all
+from .outputs import new_folder, removed_on_failure
 from .progress import Progress, silent
 from .stated import Stated, serial_of, stated_imu
 from .streams import imu_topic, skew_topic, temperature_topic
@@ -108,7 +108,7 @@ def compensate(
     loaded, name = as_applied(calibration)
     file = Path(calibration).name if isinstance(calibration, str | Path) else ''
     written = new_folder(output)
-    with open_recording(bag) as recording, whole_or_not_at_all(written):
+    with open_recording(bag) as recording, removed_on_failure(written):
         topic = _topic(imu_topic, recording, serial or first_of(loaded).serial_number)
         stated = Stated(imu=imu, serial=serial)
         spec = _check_unit(loaded, name, stated, recording, topic)
@@ -116,7 +116,7 @@ def compensate(
         stamps = _all_stamps(recording, topic, first_of(loaded).imu.sample_rate, progress)
         compensator = Compensator(loaded, stamps.instants())
         further_topics = _take_aside(compensator, recording, topic, progress)
-        meant = described_anew(
+        meant = stream_description(
             recording.custom_data,
             target,
             compensated_imu(spec, *noise_gains(first_of(loaded).model)),

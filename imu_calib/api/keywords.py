@@ -62,7 +62,7 @@ class Optimised(AtSite, OnTable, total=False):
     """A session whose plan is optimised."""
 
 
-class Stood(AtSite, Solved, total=False):
+class StandRun(AtSite, Solved, total=False):
     """A session that is run live."""
 
 

@@ -65,7 +65,7 @@ def _below_a_folder(output: Named) -> Path:
 
 
 @contextmanager
-def whole_or_not_at_all(folder: Path) -> Iterator[None]:
+def removed_on_failure(folder: Path) -> Iterator[None]:
     """Remove a new folder if its writing ends early, by Ctrl-C too."""
     try:
         yield

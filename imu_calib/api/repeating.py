@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Repeated:
+class MonteCarloResult:
     """A session that was simulated and calibrated many times.
 
     Attributes:
@@ -82,7 +82,7 @@ def montecarlo(
     bias_instability: bool = False,
     progress: Progress = silent,
     **stated: Unpack[Planned],
-) -> Repeated:
+) -> MonteCarloResult:
     """Simulate a session with many seeds, calibrate from each, and compare with the truth.
 
     Args:
@@ -121,7 +121,7 @@ def montecarlo(
     findings = [held.assumption] if held is not None and held.assumption else []
     if refusals:
         findings.append(f'Refused: {len(outcome.refused)} runs. {" ".join(refusals[:5])}')
-    return Repeated(study.setup, outcome, tuple(findings))
+    return MonteCarloResult(study.setup, outcome, tuple(findings))
 
 
 def _study(

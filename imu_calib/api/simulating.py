@@ -34,7 +34,7 @@ from ..stream import (
 from ..turntable import Table, load_table
 from .keywords import AtSite, with_keywords
 from .named import Named, as_imu, load_truth
-from .outputs import new_folder, whole_or_not_at_all
+from .outputs import new_folder, removed_on_failure
 from .progress import Progress, silent
 from .stated import TRUE_TABLE, Stated, azimuth_of
 
@@ -148,7 +148,7 @@ def simulate(
         stand = SimulatedStand(steps, stands, spec, true.model, place, stated, seed)
         duration, blocks = stand.duration, stand.blocks()
     data = describe(str(plan), str(imu), None if named is None else str(named), place, serial or '')
-    with whole_or_not_at_all(target):
+    with removed_on_failure(target):
         with RecordingWriter(target, data, compression) as writer:
             write_blocks(writer, blocks, duration, progress)
         true.save(target / TRUTH)

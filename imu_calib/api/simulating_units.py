@@ -20,7 +20,7 @@ from ..simulation import SeveralOnTable, SimulatedUnit
 from ..turntable import load_table
 from .keywords import AtSite, with_keywords
 from .named import Named, as_imu, load_truth
-from .outputs import new_folder, whole_or_not_at_all
+from .outputs import new_folder, removed_on_failure
 from .progress import Progress, silent
 from .simulating import options_of, save_true_table, write_blocks
 from .stated import Stated
@@ -129,7 +129,7 @@ def simulate_units(
         data |= unit_description(one.topic, one.imu, one.serial_number)
         if one.turned:
             data |= mount_description(one.topic, one.mount)
-    with whole_or_not_at_all(target):
+    with removed_on_failure(target):
         with RecordingWriter(target, data, compression) as writer:
             write_blocks(writer, stand.blocks(), stand.duration, progress)
         (target / TRUTHS).mkdir()

@@ -27,7 +27,7 @@ _ERRORS = {error.exit_code: error for error in (InputError, NotObservable)}
 
 
 @dataclass(frozen=True, eq=False)
-class Stood:
+class StandRun:
     """A completed session of a simulated stand.
 
     Attributes:
@@ -46,7 +46,7 @@ class Stood:
     true_table: Path | None
 
 
-@with_keywords(keywords.Stood)
+@with_keywords(keywords.StandRun)
 def stand(
     plan: Named,
     output: Named = 'stand',
@@ -60,8 +60,8 @@ def stand(
     imperfections: Named | None = None,
     seed: int = 0,
     speed: float | None = None,
-    **stated: Unpack[keywords.Stood],
-) -> Stood:
+    **stated: Unpack[keywords.StandRun],
+) -> StandRun:
     """Run a plan live on a simulated stand: nodes in separate processes, connected by DDS.
 
     `simulate` and `calibrate` give the same result much faster. This tests the nodes as on a real
@@ -105,7 +105,7 @@ def stand(
     words = [f'--{name}={value}' for name, value in given.items() if value is not None]
     _run(['stand', f'--output={folder}', *words, '--', str(plan)])
     drawn = folder / TRUE_TABLE
-    return Stood(
+    return StandRun(
         folder,
         folder / 'journal',
         Calibration.load(folder / 'calibration.yaml'),

@@ -305,8 +305,8 @@ def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> S
         return replace(stated, latitude_std=VAGUE / DEG).site(_ANYWHERE)
     own = described_site(recording.custom_data, str(recording.path))
     height, gravity = stated.height, stated.gravity
-    doubts = (stated.height_std, stated.gravity_std, stated.latitude_std)
-    if all(value is None for value in (height, gravity, *doubts)):
+    deviations = (stated.height_std, stated.gravity_std, stated.latitude_std)
+    if all(value is None for value in (height, gravity, *deviations)):
         return own
     if height is None:
         height = own.height

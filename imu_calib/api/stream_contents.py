@@ -108,8 +108,8 @@ def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
     setup = opened.setup
     free = setup.method_name == _FREE
     session, refusal = (_held if free else _on_table)(setup, opened.blocks(progress))
-    if session.strangers:
-        raise InputError(session.strangers)
+    if session.foreign_joints:
+        raise InputError(session.foreign_joints)
     labelled = (
         Labelled(session.segments, (), ()) if free else label(session, setup.plan, setup.table)
     )

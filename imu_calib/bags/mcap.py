@@ -177,7 +177,7 @@ class McapStorage:
     def _fetch(self, group: ChunkGroup) -> _Stored:
         """Read the stored bytes of chunks into memory."""
         first, size = group.start, group.reach - group.start
-        memory = None if group.compression else self._memory.lend(size)
+        memory = None if group.compression else self._memory.allocate(size)
         with self.path.open('rb', buffering=0) as file:
             content = _read(file, first, size, memory)
             tables = [_tables(chunk, content, first, file) for chunk in group.chunks]
@@ -190,7 +190,7 @@ class McapStorage:
         buffer, size = np.frombuffer(content, np.uint8), group.size
         together = bool(group.compression) and size <= TOGETHER
         if together:
-            buffer = self._memory.lend(size)
+            buffer = self._memory.allocate(size)
         parts: list[Part] = []
         for chunk, table in zip(group.chunks, tables, strict=True):
             start = chunk.data - group.start

@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..extras import require
 from ..paths import user_path
 from .remote_copy import Copy, Reader
-from .retries import tried
+from .retries import with_retries
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -140,7 +140,7 @@ class RemotePath:
 
         """
         if self._held is None:
-            entries = tried(self._url, lambda: self._files.ls(self._inside, detail=True))
+            entries = with_retries(self._url, lambda: self._files.ls(self._inside, detail=True))
             # Kept, with their fetched content: a folder is listed more than once.
             self._held = {path.name: path for path in self._paths(entries)}
         yield from self._held.values()
@@ -152,7 +152,7 @@ class RemotePath:
             InputError: It cannot be listed.
 
         """
-        entries = tried(self._url, lambda: self._files.find(self._inside, detail=True))
+        entries = with_retries(self._url, lambda: self._files.find(self._inside, detail=True))
         yield from self._paths(entries.values())
 
     def matching(self) -> Iterator[RemotePath]:
@@ -162,7 +162,7 @@ class RemotePath:
             InputError: It cannot be listed.
 
         """
-        entries = tried(self._url, lambda: self._files.glob(self._inside, detail=True))
+        entries = with_retries(self._url, lambda: self._files.glob(self._inside, detail=True))
         yield from self._paths(entries.values())
 
     def _paths(self, entries: Any) -> Iterator[RemotePath]:
@@ -216,7 +216,7 @@ _NOTHING: _Kind = ('', None)
 def _looked_up(url: str, files: AbstractFileSystem, inside: str) -> _Kind:
     """Return the kind of a path, and its size."""
     try:
-        entry = tried(url, lambda: files.info(inside))
+        entry = with_retries(url, lambda: files.info(inside))
     except FileNotFoundError:
         return _NOTHING
     return entry['type'], entry.get('size')

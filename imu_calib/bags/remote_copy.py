@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InputError
-from .retries import tried
+from .retries import with_retries
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -95,7 +95,7 @@ class Copy:
             return content
 
         try:
-            return tried(self._url, request)
+            return with_retries(self._url, request)
         except FileNotFoundError:
             raise InputError(f'{self._url}: is no longer there.') from None
 

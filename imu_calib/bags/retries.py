@@ -16,7 +16,7 @@ PAUSE = 0.5
 """s before the second try; doubled before the third: about the restart time of a server."""
 
 
-def tried(url: str, request: Callable[[], Result]) -> Result:
+def with_retries(url: str, request: Callable[[], Result]) -> Result:
     """Return the result of a request; repeat it if the connection is lost.
 
     Raises:

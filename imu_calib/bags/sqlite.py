@@ -14,7 +14,7 @@ import numpy as np
 
 from .metadata import custom_data_of
 from .sqlite_pages import HEADER, OddPagesError, Rows, TablePages, Window
-from .sqlite_rows import DAMAGE, LAST_ROW, RowQueries, why
+from .sqlite_rows import DAMAGE, LAST_ROW, RowQueries, damage_text
 from .storage import Cache, Described, Losses, MessageBatch, RecordingError, Times, Topic
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class SqliteStorage:
             self._open_for_the_first_time()
         except DAMAGE as error:
             raise RecordingError(
-                f'{path.name} is not a sound sqlite3 file: {why(error)}.'
+                f'{path.name} is not a sound sqlite3 file: {damage_text(error)}.'
             ) from None
 
     def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[MessageBatch]]:

@@ -117,7 +117,7 @@ class RowQueries:
             return rows, None
         following = self._next_readable(database, last + 1, end)
         where = f'rows {last + 1} to {following - 1}' if following else f'the rows after {last}'
-        self._losses.add(f'{self._name}: {where} cannot be read ({why(error)}).')
+        self._losses.add(f'{self._name}: {where} cannot be read ({damage_text(error)}).')
         return rows, following
 
     def _next_readable(self, database: sqlite3.Connection, damaged: int, end: int) -> int | None:
@@ -134,7 +134,7 @@ class RowQueries:
         return beyond
 
 
-def why(error: Exception) -> str:
+def damage_text(error: Exception) -> str:
     """Return the damage of a file, in words."""
     return (
         'it states a length beyond the memory of this machine'

@@ -165,7 +165,7 @@ class Memory:
         self._free: list[Bytes] = []
         self._lock = threading.Lock()
 
-    def lend(self, size: int) -> Bytes:
+    def allocate(self, size: int) -> Bytes:
         """Return (size,) bytes of undefined content."""
         with self._lock:
             while self._free and len(self._free[-1]) < size:

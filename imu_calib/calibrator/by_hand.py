@@ -183,8 +183,8 @@ class HandCalibrator:
         # Further holds do not reduce the uncertainty of gravity: guidance counts noise alone.
         reached = None if result is None else result.solution.std[: len(PARAMETERS)][FREE]
         guidance = self._guidance(session, still, reached)
-        doubt = self._setup.site.gravity_doubt
-        share = np.diag(gravity_covariance(SensorModel(), PARAMETERS, doubt))
+        relative_std = self._setup.site.gravity_relative_std
+        share = np.diag(gravity_covariance(SensorModel(), PARAMETERS, relative_std))
         std = np.sqrt(guidance.std**2 + share)[FREE]
         if result is not None:
             std = result.calibration.std[: len(PARAMETERS)][FREE]

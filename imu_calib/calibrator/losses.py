@@ -9,7 +9,7 @@ from ..segmentation.segmented import Segmented
 from .setup import Setup
 
 
-def nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
+def losses_of_all_segments(session: Segmented, labelled: Labelled, setup: Setup) -> str:
     """Return sentences that no dwell or whole turn was found, and why."""
     if not session.samples:
         return 'The IMU stream is empty: nothing can be determined.'

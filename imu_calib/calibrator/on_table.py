@@ -23,7 +23,7 @@ from ..segmentation.segmenter import Segmenter
 from ..stream import Block
 from ..table_clock import clock_share
 from .basis import Basis
-from .losses import loss_findings, nothing_found
+from .losses import loss_findings, losses_of_all_segments
 from .results import Result, Review
 from .setup import Setup
 from .unsupported import unsupported_steps
@@ -61,8 +61,8 @@ class Calibrator:
             NotObservable: The data does not determine all parameters; names them and the reason.
         """
         session = self._segmenter.finish()
-        if session.strangers:
-            raise InputError(session.strangers)
+        if session.foreign_joints:
+            raise InputError(session.foreign_joints)
         return self._solve(session, self._labelled(session), final=True)
 
     def snapshot(self) -> Calibrator:
@@ -116,8 +116,8 @@ class Calibrator:
         except NotObservable:
             return {}
         setup, ideal = self._setup, SensorModel()
-        doubt = setup.site.gravity_doubt
-        share = np.diag(gravity_covariance(ideal, parameters, doubt))
+        relative_std = setup.site.gravity_relative_std
+        share = np.diag(gravity_covariance(ideal, parameters, relative_std))
         if setup.table is not None:
             clock = clock_share(ideal, parameters, setup.imu.units, setup.table.clock)
             share = share + np.diag(clock.covariance)
@@ -184,7 +184,7 @@ class Calibrator:
         setup = self._setup
         used = self._used(labelled)
         if not used.segments and not used.turns:
-            raise NotObservable(nothing_found(session, labelled, setup))
+            raise NotObservable(losses_of_all_segments(session, labelled, setup))
         evidence = self._evidence(used, session)
         lost = loss_findings(setup, evidence, labelled, session)
         try:

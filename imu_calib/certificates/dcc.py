@@ -9,7 +9,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from datetime import date
 
-from .dcc_elements import DCC, SI, content, element, identification, leaf, statement
+from .dcc_elements import DCC, SI, content, element, identification, statement, text_element
 from .dcc_results import measurement, software
 from .fields import Contact, Fields
 from .statement import PROBABILITY, Certificate
@@ -39,7 +39,7 @@ def _administration(certificate: Certificate) -> ET.Element:
     fields = certificate.fields
     laboratory = element(
         'calibrationLaboratory',
-        leaf('calibrationLaboratoryCode', fields.accreditation),
+        text_element('calibrationLaboratoryCode', fields.accreditation),
         _contact('contact', fields.laboratory),
     )
     return element(
@@ -65,15 +65,15 @@ def _core(fields: Fields) -> ET.Element:
         )
     return element(
         'coreData',
-        leaf('countryCodeISO3166_1', fields.laboratory.country),
-        leaf('usedLangCodeISO639_1', 'en'),
-        leaf('mandatoryLangCodeISO639_1', 'en'),
-        leaf('uniqueIdentifier', fields.number),
+        text_element('countryCodeISO3166_1', fields.laboratory.country),
+        text_element('usedLangCodeISO639_1', 'en'),
+        text_element('mandatoryLangCodeISO639_1', 'en'),
+        text_element('uniqueIdentifier', fields.number),
         identifications,
-        leaf('receiptDate', fields.received),
-        leaf('beginPerformanceDate', first),
-        leaf('endPerformanceDate', last),
-        leaf('performanceLocation', fields.location),
+        text_element('receiptDate', fields.received),
+        text_element('beginPerformanceDate', first),
+        text_element('endPerformanceDate', last),
+        text_element('performanceLocation', fields.location),
     )
 
 
@@ -89,7 +89,7 @@ def _item(certificate: Certificate) -> ET.Element:
         content('name', item.description),
         content('description', f'Condition: {item.condition}', f'Adjustment: {item.adjustment}'),
         element('manufacturer', content('name', item.manufacturer)),
-        leaf('model', item.model),
+        text_element('model', item.model),
         element('identifications', *known),
     )
 
@@ -97,16 +97,16 @@ def _item(certificate: Certificate) -> ET.Element:
 def _contact(name: str, contact: Contact) -> ET.Element:
     location = element(
         'location',
-        leaf('city', contact.city),
-        leaf('countryCode', contact.country),
-        leaf('postCode', contact.postcode),
-        leaf('street', contact.street),
+        text_element('city', contact.city),
+        text_element('countryCode', contact.country),
+        text_element('postCode', contact.postcode),
+        text_element('street', contact.street),
     )
     return element(
         name,
         content('name', contact.name),
-        leaf('eMail', contact.email),
-        leaf('phone', contact.phone),
+        text_element('eMail', contact.email),
+        text_element('phone', contact.phone),
         location,
     )
 
@@ -116,26 +116,28 @@ def _persons(fields: Fields) -> Iterable[ET.Element]:
         yield element(
             'respPerson',
             element('person', content('name', signature.name)),
-            leaf('role', signature.role),
-            leaf('mainSigner', 'true' if k == 0 else 'false'),
+            text_element('role', signature.role),
+            text_element('mainSigner', 'true' if k == 0 else 'false'),
         )
 
 
 def _statements(certificate: Certificate) -> list[ET.Element]:
     fields, worst = certificate.fields, certificate.conformity
     found = [
-        statement('Date of issue.', 'basic_dateOfIssue', date=leaf('date', _day(fields.issued))),
+        statement(
+            'Date of issue.', 'basic_dateOfIssue', date=text_element('date', _day(fields.issued))
+        ),
         statement(
             f"Coverage probability {PROBABILITY:.0%}; coverage factors by Student's t for the "
             'effective degrees of freedom (Welch-Satterthwaite).',
             'basic_measurementUncertainty',
-            norm=leaf('norm', 'JCGM 100:2008'),
+            norm=text_element('norm', 'JCGM 100:2008'),
         ),
         *(
             statement(
                 f'{e.name}: {e.traceability}',
                 'basic_traceability',
-                traceable=leaf('traceable', 'true'),
+                traceable=text_element('traceable', 'true'),
             )
             for e in fields.equipment
         ),
@@ -145,8 +147,8 @@ def _statements(certificate: Certificate) -> list[ET.Element]:
             statement(
                 f'{fields.requirement}. {fields.rule.words}',
                 'basic_conformity',
-                norm=leaf('norm', 'ILAC-G8:09/2019'),
-                conformity=leaf('conformity', worst.value),
+                norm=text_element('norm', 'ILAC-G8:09/2019'),
+                conformity=text_element('conformity', worst.value),
             )
         )
     found += [statement(remark, 'basic_remark') for remark in fields.remarks]

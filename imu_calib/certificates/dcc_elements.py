@@ -23,7 +23,7 @@ def of_si(name: str, text: str, *parts: ET.Element) -> ET.Element:
     return made
 
 
-def leaf(name: str, text: object) -> ET.Element | None:
+def text_element(name: str, text: object) -> ET.Element | None:
     """Return an element with a text; None without a text."""
     return element(name, text=str(text)) if text not in (None, '') else None
 
@@ -39,8 +39,8 @@ def identification(issuer: str, value: str, name: str, kind: str = '') -> ET.Ele
     attributes = {'refType': kind} if kind else {}
     return element(
         'identification',
-        leaf('issuer', issuer),
-        leaf('value', value),
+        text_element('issuer', issuer),
+        text_element('value', value),
         content('name', name),
         **attributes,
     )

@@ -19,9 +19,9 @@ from .dcc_elements import (
     element,
     expanded,
     identification,
-    leaf,
     number_with_unit,
     statement,
+    text_element,
 )
 from .dsi import ARCSECOND, ONE, Digital, digital
 from .fields import CONDITIONS, Equipment
@@ -46,8 +46,8 @@ def software() -> ET.Element:
     return element(
         'software',
         content('name', 'imu_calib'),
-        leaf('release', version()),
-        leaf('type', 'application'),
+        text_element('release', version()),
+        text_element('type', 'application'),
     )
 
 
@@ -58,7 +58,7 @@ def measurement(certificate: Certificate) -> ET.Element:
         'usedMethod',
         content('name', fields.procedure),
         content('description', _described(calibration)),
-        leaf('reference', fields.procedure_reference),
+        text_element('reference', fields.procedure_reference),
     )
     results = [
         _result(title, [_quantity(r) for r in some]) for title, some in groups(certificate.results)
@@ -109,7 +109,7 @@ def _equipment(equipment: Equipment) -> ET.Element:
         content('name', equipment.name),
         content('description', *words),
         manufacturer,
-        leaf('model', equipment.model),
+        text_element('model', equipment.model),
         element('identifications', *known),
     )
 
@@ -147,7 +147,7 @@ def _quantity(result: Stated) -> ET.Element:
                 'Largest amount to either side of zero.',
                 'basic_conformity',
                 'metaData',
-                conformity=leaf('conformity', result.conformity.value),
+                conformity=text_element('conformity', result.conformity.value),
                 data=element('data', element('quantity', limit)),
             )
         )
@@ -222,8 +222,8 @@ def _file(calibration: Calibration) -> ET.Element:
     whole = element(
         'byteData',
         content('name', 'The calibration as imu_calib reads it'),
-        leaf('fileName', 'calibration.yaml'),
-        leaf('mimeType', 'application/yaml'),
-        leaf('dataBase64', data),
+        text_element('fileName', 'calibration.yaml'),
+        text_element('mimeType', 'application/yaml'),
+        text_element('dataBase64', data),
     )
     return element('result', content('name', 'File'), element('data', whole))

@@ -55,7 +55,7 @@ def follow(processes: Processes, reports: NodeReports) -> Outcome:
             if _entered():
                 monitor.solve()
         finished, text = monitor.outcome
-        return Outcome(finished, text, monitor.worked)
+        return Outcome(finished, text, monitor.data_span)
 
 
 def view(progress: Any, refusal: str = '') -> Group:

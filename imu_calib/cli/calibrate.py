@@ -120,7 +120,7 @@ def show(result: Result, truth: Calibration | None = None) -> None:
             'over some 1000 s (by the data sheet and the session)'
         )
     OUTPUT.print(
-        f'gravity {setup["gravity"]:.6f} m/s^2 ({_source(setup)}), {_doubt(setup)}; '
+        f'gravity {setup["gravity"]:.6f} m/s^2 ({_source(setup)}), {_gravity_std(setup)}; '
         f'latitude {_latitude(setup)}'
     )
     if session.temperature is not None:
@@ -159,7 +159,7 @@ def _source(provenance: Mapping[str, Any]) -> str:
     return f'{source}; the height of {height:g} m is not used'
 
 
-def _doubt(provenance: Mapping[str, Any]) -> str:
+def _gravity_std(provenance: Mapping[str, Any]) -> str:
     """Return the standard deviation of gravity, which limits that of every K_a."""
     doubt = provenance['gravity_std'] / provenance['gravity']
     if not doubt:

@@ -12,7 +12,7 @@ from ..api.conforming import Conformity, conformity
 from ..api.outputs import output_or_default
 from ..reports.assessment import summary
 from ..reports.budget import budget_tables
-from ..reports.several import comparison_tables, seen_table
+from ..reports.several import comparison_tables, table_estimate
 from . import options
 from .outcome import DONE, NO_ANSWER, OUTSIDE, WRONG_INPUT, Outcome, error_document, kind_of
 from .terminal import OUTPUT, print_whole, progress_bar, sentence_list
@@ -74,7 +74,7 @@ def _show(found: UnitResults, judged: Mapping[str, Conformity]) -> None:
             f'({", ".join(found.shared)})',
             style='bold',
         )
-        print_whole(seen_table(found.table))
+        print_whole(table_estimate(found.table))
     by_serial = {
         u.serial_number: u.result.calibration.findings for u in solved if u.result is not None
     }

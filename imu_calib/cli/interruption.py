@@ -22,7 +22,7 @@ def clear_interrupt() -> None:
     exec('')
 
 
-def say_interrupted(argv: Sequence[str]) -> int:
+def report_interruption(argv: Sequence[str]) -> int:
     """Report an interruption before the command was known; return the exit code.
 
     Without the console of rich: the interruption may have occurred while its modules loaded.

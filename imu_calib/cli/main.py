@@ -18,9 +18,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return run(given, alone=argv is None)
     except KeyboardInterrupt:
         # During the loading of modules, or a second Ctrl-C during the answer to the first.
-        from .interruption import say_interrupted
+        from .interruption import report_interruption
 
-        return say_interrupted(given)
+        return report_interruption(given)
 
 
 if __name__ == '__main__':

@@ -79,7 +79,7 @@ class Monitor:
         self._reports.show()
 
     @property
-    def begun(self) -> bool:
+    def is_running(self) -> bool:
         """Whether the table runs its plan."""
         return self._first is not None
 
@@ -113,7 +113,7 @@ class Monitor:
         return self._progress
 
     @property
-    def worked(self) -> float:
+    def data_span(self) -> float:
         """Time between the first and the last data in progress reports, s."""
         return self._span[1] - self._span[0]
 

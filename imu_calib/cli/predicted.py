@@ -136,11 +136,11 @@ def _show_forecast(
     OUTPUT.print(f'\n{_ON_A_TABLE if on_a_table else _IN_THE_HAND}')
     if not on_a_table and found.method != free_positions.NAME:
         OUTPUT.print(_LEANING)
-    doubt = found.evidence.site.gravity_doubt
-    if doubt:
+    relative_std = found.evidence.site.gravity_relative_std
+    if relative_std:
         OUTPUT.print(
-            f'K_a includes the uncertainty of gravity, {doubt / PPM:.3g} ppm: state --height, or '
-            '--gravity as measured, to reduce it.'
+            f'K_a includes the uncertainty of gravity, {relative_std / PPM:.3g} ppm: state '
+            '--height, or --gravity as measured, to reduce it.'
         )
 
 

@@ -24,7 +24,7 @@ from ..network import (
     REACH,
     check_domain,
     check_interface,
-    kept_to,
+    interface_variables,
     on_interface,
     own_domain,
 )
@@ -208,7 +208,7 @@ def network_of_hardware(interface: str | None, *, alone: bool) -> dict[str, str]
     """
     if interface is not None:
         check_interface(interface)
-    own = kept_to(interface or LOOPBACK)
+    own = interface_variables(interface or LOOPBACK)
     if not alone:
         check_domain('a table')
     elif not os.environ.get('ROS_DOMAIN_ID', '').strip():

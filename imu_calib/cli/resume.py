@@ -56,7 +56,7 @@ _PATIENCE = 30.0
 acknowledgement."""
 
 
-def keep(arguments: argparse.Namespace, folder: Path) -> None:
+def save_settings(arguments: argparse.Namespace, folder: Path) -> None:
     """Write the settings of a session into its folder, with paths of the copies there.
 
     Files are copied: the session is resumed unchanged even if the originals change.
@@ -73,7 +73,7 @@ def keep(arguments: argparse.Namespace, folder: Path) -> None:
             text = named_file(kind, name).read_text(encoding='utf-8')
             (settings / f'{option}.yaml').write_text(text, encoding='utf-8')
     if arguments.imus:
-        several.keep(arguments, settings)
+        several.save_settings(arguments, settings)
     kept = {k: v for k, v in vars(arguments).items() if k not in {*_OF_THE_RUN, *_FILES, 'imus'}}
     # Last, and atomically: a folder without it does not belong to a stand.
     draft = settings / f'{_OPTIONS}.new'
@@ -156,7 +156,7 @@ def command(folder: str) -> str:
 
 
 @contextmanager
-def claimed(folder: Path) -> Iterator[int]:
+def locked_folder(folder: Path) -> Iterator[int]:
     """Lock a folder for this run; yield the file descriptor that its nodes must inherit.
 
     The lock ends with the last process that has it, in every case.

@@ -145,7 +145,7 @@ def remappings(arguments: argparse.Namespace) -> dict[str, dict[str, str]]:
     }
 
 
-def keep(arguments: argparse.Namespace, settings: Path) -> None:
+def save_settings(arguments: argparse.Namespace, settings: Path) -> None:
     """Copy the units' file and all files that it names into the settings of a session."""
     file = user_path(arguments.imus)
     units = {unit.name: unit for unit in load_units(file)}

@@ -136,8 +136,8 @@ def _begin(arguments: argparse.Namespace) -> None:
     from . import resume, stand_session
 
     folder.mkdir(parents=True)
-    with resume.claimed(folder) as claim, stand_session.signals():
-        resume.keep(arguments, folder)
+    with resume.locked_folder(folder) as claim, stand_session.signals():
+        resume.save_settings(arguments, folder)
         stand_session.run(arguments, folder, truth, claim, reports)
 
 
@@ -148,7 +148,7 @@ def _go_on(arguments: argparse.Namespace) -> None:
     folder = resume.restore(arguments)
     complete(arguments)
     # Nodes of the interrupted stand that are still ending occupy the port.
-    with resume.claimed(folder) as claim, stand_session.signals():
+    with resume.locked_folder(folder) as claim, stand_session.signals():
         resume.check_unfinished(folder)
         several.check(arguments)
         real = several.is_real(arguments)

@@ -152,7 +152,7 @@ def run(
                 missing = _print_result(arguments, folder, truth, outcome, time.monotonic() - began)
             elif processes.runs(web_page.NODE):
                 ERRORS.print(outcome.text, style='red', markup=False)
-            web_page.stay(arguments, processes)
+            web_page.serve_until_interrupted(arguments, processes)
     except NothingComes:
         if not arguments.resume:
             # Nothing was recorded: the same command must work when the device is connected.
@@ -200,7 +200,7 @@ def _print_result(
 def _of_true_table(arguments: argparse.Namespace, folder: Path) -> list[str]:
     """Say which comparison with the truth shows errors of a table that is described as exact."""
     table = load_table(arguments.table)
-    if not (table.too_fine and (folder / TRUE_TABLE).exists()):
+    if not (table.understated_errors and (folder / TRUE_TABLE).exists()):
         return []
     return [
         f'The simulated table has the errors of {folder / TRUE_TABLE}, and its description, '
@@ -266,9 +266,9 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
     simulated = not several.is_real(arguments)
     mounted = several.units_of(arguments)
     stated = ('height', 'gravity', 'height_std', 'gravity_std', 'latitude_std')
-    doubts = {name: v for name in stated if (v := getattr(arguments, name)) is not None}
-    doubts['latitude'] = LUOYANG if arguments.latitude is None else arguments.latitude
-    site = {name: value for name, value in doubts.items() if not name.endswith('_std')}
+    stated_site = {name: v for name in stated if (v := getattr(arguments, name)) is not None}
+    stated_site['latitude'] = LUOYANG if arguments.latitude is None else arguments.latitude
+    site = {name: value for name, value in stated_site.items() if not name.endswith('_std')}
     clock = {'use_sim_time': simulated}
     port = free_ports(max(len(mounted), 1)) if simulated else 0
     if mounted:
@@ -294,7 +294,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
         'calibrator_node': {
             **clock,
             **described,
-            **doubts,
+            **stated_site,
             'plan': arguments.plan,
             'method': arguments.method or '',
             'terms': arguments.terms or AUTO_TERMS,
@@ -388,5 +388,5 @@ def _follow(
                         f'The table has stopped. {shown} Go on from the page, or end with Ctrl-C.'
                     )
                     ERRORS.print(text, style='yellow', markup=False)
-            if not monitor.begun and time.monotonic() > deadline:
+            if not monitor.is_running and time.monotonic() > deadline:
                 raise InputError(f'The stand does not start: {monitor.text}.')

@@ -96,7 +96,7 @@ def _cells(row: Converging | None) -> list[RenderableType]:
     if row is None:
         return [''] * len(_COLUMNS)
     limit = '' if row.limit is None else f'\u00b1{row.shown(row.limit)}'
-    style = 'dim' if not row.determined else 'green' if row.there else ''
+    style = 'dim' if not row.determined else 'green' if row.is_reached else ''
     now = row.shown(row.std) if row.determined else '\u2013'
     return [row.parameter.name, Text(now, style=style), row.shown(row.predicted), limit, row.unit]
 

@@ -123,7 +123,7 @@ def start(arguments: argparse.Namespace, processes: Processes, given: dict[str, 
         ERRORS.print(exposed, style='yellow', markup=False)
 
 
-def stay(arguments: argparse.Namespace, processes: Processes) -> None:
+def serve_until_interrupted(arguments: argparse.Namespace, processes: Processes) -> None:
     """Keep the page after the session, until Ctrl-C."""
     if arguments.web is None or not processes.runs(NODE):
         return

@@ -157,9 +157,9 @@ class Compensator:
         return self._clock.typical
 
     @property
-    def odd_steps(self) -> int:
+    def irregular_steps(self) -> int:
         """Number of steps between stamps that are no sample interval."""
-        return self._clock.odd
+        return self._clock.irregular_steps
 
     def take(self, block: Block) -> list[Reading]:
         """Take a block of any topic; return the samples that are ready."""
@@ -191,7 +191,7 @@ class Compensator:
     def _without_repeats(self, block: ImuBlock) -> ImuBlock:
         """Separate samples that share a stamp; drop repeated ones."""
         values = np.concatenate([block.gyro, block.accel], axis=1)
-        stamp, self.kept = self._shared.set_apart(block.stamp, values)
+        stamp, self.kept = self._shared.separate_stamps(block.stamp, values)
         if self.kept is None:
             return block if stamp is block.stamp else replace(block, stamp=stamp)
         kept = self.kept

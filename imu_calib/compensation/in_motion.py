@@ -116,7 +116,7 @@ def _freed(before: Applied | None, samples: Applied, after: Applied | None) -> A
     spin, change = changes.of_each(lambda v: v.rate), changes.of_each(lambda v: v.force)
     by_each = slopes(model, values.rate, spin, change)
     force = values.force - (by_each * model.values(MOTION)).sum(axis=-1)
-    covariance = values.force_covariance + _doubt(samples, by_each, changes.seconds)
+    covariance = values.force_covariance + _parameter_covariance(samples, by_each, changes.seconds)
     # Element 0 marks an unknown force; a force that depends on an unknown rate is unknown too.
     unknown = values.force_covariance[:, 0] < 0
     covariance[unknown] = values.force_covariance[unknown]
@@ -125,7 +125,7 @@ def _freed(before: Applied | None, samples: Applied, after: Applied | None) -> A
     return replace(samples, values=replace(values, force=force, force_covariance=covariance))
 
 
-def _doubt(samples: Applied, by_each: Floats, seconds: Floats) -> Floats:
+def _parameter_covariance(samples: Applied, by_each: Floats, seconds: Floats) -> Floats:
     """Return the addition to the covariance of forces, (n, 9): from parameters and noise.
 
     The noise is that of a difference of two independent samples; correlations of these parameters

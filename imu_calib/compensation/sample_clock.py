@@ -101,7 +101,7 @@ class SampleClock:
         self._bunch: _Bunch | None = None
 
     @property
-    def odd(self) -> int:
+    def irregular_steps(self) -> int:
         """Number of steps skipped so far."""
         return self._odd
 
@@ -219,8 +219,8 @@ class SampleClock:
             if not count:
                 part = stamp[done : done + _WINDOW]
                 steps = np.diff(part, prepend=self._last)
-                odd = np.flatnonzero(~self._is_regular(steps))
-                plain = int(odd[0]) if len(odd) else len(part)
+                irregular_steps = np.flatnonzero(~self._is_regular(steps))
+                plain = int(irregular_steps[0]) if len(irregular_steps) else len(part)
                 if plain:
                     intervals[done : done + plain] = self._follow_plain(part[:plain], steps[:plain])
                 done += plain

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..segmentation.bunches import SHORT, sampling_times
 from ..segmentation.grid import read_grid
-from ..segmentation.lateness import surely_late
+from ..segmentation.lateness import late_samples
 from ..segmentation.shared_stamps import SharedStamps
 from ..stream import ImuBlock, Stamps
 from .sample_clock import LONGEST
@@ -39,7 +39,7 @@ class WholeStream:
     def take(self, block: ImuBlock) -> None:
         """Take the stamps of samples."""
         values = np.concatenate([block.gyro, block.accel], axis=1)
-        stamp, kept = self._shared.set_apart(block.stamp, values)
+        stamp, kept = self._shared.separate_stamps(block.stamp, values)
         self._stamps.append(stamp.copy() if kept is None else stamp[kept])
 
     def instants(self) -> Stamps:
@@ -87,4 +87,4 @@ def _around(stamp: Stamps) -> Stamps:
         return made
     grid = read_grid(stamp)
     line = grid.stamps(stamp)
-    return np.asarray(np.where(surely_late(stamp - line, grid.period), line, stamp))
+    return np.asarray(np.where(late_samples(stamp - line, grid.period), line, stamp))

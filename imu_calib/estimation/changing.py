@@ -130,7 +130,7 @@ def with_shape(equations: Equations, state: Floats) -> tuple[Equations, Floats]:
     return best, least_squares(found, best.whitened, np.add, _STEPS)
 
 
-def doubt_of_shape(equations: Equations, state: Floats) -> Floats | None:
+def shape_covariance(equations: Equations, state: Floats) -> Floats | None:
     """Return the scatter of the state over likely time constants or instants, (n, n).
 
     Each is weighted by its likelihood, and an instant by the part of the session that it stands

@@ -23,7 +23,7 @@ from ..observation.information import Information
 from ..observation.positioning_errors import NO_POSITIONING_ERRORS
 from ..observation.session_model import Nuisance
 from ..stream import Floats
-from .changing import doubt_of_shape, with_changes, with_shape
+from .changing import shape_covariance, with_changes, with_shape
 from .excess_scatter import ExcessScatter, excess
 from .fit import check_observable, fit, headed, levelled, start, with_scatter
 from .outliers import (
@@ -124,7 +124,7 @@ def estimate(
     evidence: Evidence,
     parameters: tuple[Parameter, ...] = PARAMETERS,
     changes: tuple[Change, ...] = (),
-    doubts: tuple[tuple[Parameter, float], ...] = (),
+    considered: tuple[tuple[Parameter, float], ...] = (),
 ) -> Estimate:
     """Fit all of a session at once.
 
@@ -132,12 +132,12 @@ def estimate(
         evidence: The session.
         parameters: Of the sensors.
         changes: By which they change during the session.
-        doubts: As in `Equations`.
+        considered: As in `Equations`.
 
     Raises:
         NotObservable: Names what the session cannot observe.
     """
-    equations = Equations(evidence, parameters, doubts=doubts)
+    equations = Equations(evidence, parameters, considered=considered)
     check_observable(equations)
     equations, constant = with_changes(equations, changes)
     # Moves lead between attitudes of a known table; they hold less information on its azimuth.
@@ -164,7 +164,7 @@ def estimate(
         equations, scatter = turns_downweighted(equations, state)
         found = _without_outliers(equations, state, turns=False)
         found = replace(found, turns_scatter=scatter)
-    between = doubt_of_shape(found.equations, found.state)
+    between = shape_covariance(found.equations, found.state)
     covariance = found.covariance if between is None else found.covariance + between
     return replace(
         found, covariance=covariance, rejected_moves=astray, constant=constant, between=between

@@ -46,7 +46,7 @@ def as_the_best(evidence: Evidence) -> Evidence:
 def contradicted(search: Search) -> bool:
     """Return whether a session shows errors of a table whose file states too small ones."""
     evidence = search.estimate.equations.evidence
-    if evidence.plan.by_hand or evidence.table is None or not evidence.table.too_fine:
+    if evidence.plan.by_hand or evidence.table is None or not evidence.table.understated_errors:
         return False
     of_table = any(one.family.of_table for one in search.found)
     return of_table or search.estimate.scatter.positioning_probability >= SHOWN
@@ -92,7 +92,7 @@ def resting_on_the_table(equations: Equations, state: Floats, std: Floats) -> li
         std: (n,) of the parameters by these equations.
     """
     table = equations.evidence.table
-    if equations.evidence.plan.by_hand or table is None or not table.too_fine:
+    if equations.evidence.plan.by_hand or table is None or not table.understated_errors:
         return []
     there = on_the_best(equations, state, std)
     times = np.divide(there, std, out=np.ones(len(std)), where=std > 0)
@@ -117,5 +117,5 @@ def resting_on_the_table(equations: Equations, state: Floats, std: Floats) -> li
 def _described(table: Table) -> str:
     return (
         f'table {table.name} as its file describes it, with less than {_FIGURE} of '
-        f'{", ".join(table.too_fine)}'
+        f'{", ".join(table.understated_errors)}'
     )

@@ -36,7 +36,7 @@ from ..observation.positioning_errors import NO_POSITIONING_ERRORS, PositioningE
 from ..stream import Floats
 from .bias_drift import STATED_TIME, BiasDrift
 from .likelihood import (
-    gained_by_noise,
+    gain_by_noise,
     log_likelihood,
     log_likelihoods_by_columns,
     log_likelihoods_by_ratio,
@@ -143,7 +143,7 @@ class _Triad:
         The variance of the noise is marginalised; its uncertainty follows from the number of
         blocks.
         """
-        return gained_by_noise(
+        return gain_by_noise(
             self.positioning_covariance(joints, stops) + drift, self.residuals, self.noise
         )
 

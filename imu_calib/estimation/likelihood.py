@@ -34,7 +34,7 @@ def log_likelihood(covariance: Floats, residuals: Floats) -> float:
     return -0.5 * float(z @ z) - size
 
 
-def gained_by_noise(
+def gain_by_noise(
     covariance: Floats, residuals: Floats, parts: Sequence[tuple[Floats, float]]
 ) -> float:
     """Return the gain in log likelihood where noise is known only by its estimate.

@@ -61,22 +61,22 @@ class Found:
     Attributes:
         family: The family.
         log_p: Natural logarithm of the probability by chance.
-        doubts: Coefficients of a term that the session does not determine, with the prior standard
-            deviation about zero of each; empty where it is estimated.
+        considered: Coefficients of a term that the session does not determine, each with its prior
+            standard deviation about zero; empty where it is estimated.
         size: Standard deviation assigned to an error of the table, rad; 0 for a term.
         seen: Root mean square of its observed part, rad, likewise.
-        spares: Number of coefficients, which must save more outputs than that; 0 for a family that
-            is significant with all outputs set aside by the first estimate.
-        rivals: Families that explain the session equally well.
+        min_saved_outputs: More outputs than that, its number of coefficients, must no longer be set
+            aside; 0 for a family that is significant with all set aside by the first estimate.
+        alternatives: Families that explain the session equally well.
     """
 
     family: Family
     log_p: float
-    doubts: tuple[tuple[Parameter, float], ...] = ()
+    considered: tuple[tuple[Parameter, float], ...] = ()
     size: float = 0.0
     seen: float = 0.0
-    spares: int = 0
-    rivals: tuple[Family, ...] = ()
+    min_saved_outputs: int = 0
+    alternatives: tuple[Family, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,12 +88,13 @@ class Search:
         found: Families in the order of their selection.
         scores: Of families that are off.
         alpha: Chance at which each of them is tested.
-        doubt: (n, n) covariance of the parameters by rivals, and by drifts that are not shown.
+        undecided_covariance: (n, n) covariance of the parameters by alternative families, and by
+            drifts that are not significant.
         leverage: Derivatives of parameters (n,) by each coefficient (k,) of a term that is off, (n,
             k), SI units.
         probability: Of each drift that is off; empty without a search.
         before_search: The estimate before anything was found.
-        by_drifts: (n, n) part of `doubt` by drifts that are not shown.
+        by_drifts: (n, n) part of `undecided_covariance` by such drifts.
         broken_off: Whether the search did not end: nothing is on though something may be needed.
     """
 
@@ -101,7 +102,7 @@ class Search:
     found: tuple[Found, ...]
     scores: Mapping[Family, Score]
     alpha: float
-    doubt: Floats
+    undecided_covariance: Floats
     leverage: Mapping[Family, Floats]
     probability: Mapping[Family, float]
     before_search: Estimate
@@ -109,27 +110,29 @@ class Search:
     broken_off: bool = False
 
     def shares(self) -> dict[Source, Share]:
-        """Return the covariance of the parameters by source, rivals included."""
+        """Return the covariance of the parameters by source, alternatives included."""
         shares = self.estimate.shares()
         known = shares.get(Source.TERMS)
-        if self.doubt.any() and known is not None:
-            shares[Source.TERMS] = Share(known.covariance + self.doubt, known.freedom)
-        elif self.doubt.any():
-            shares[Source.TERMS] = Share.known(self.doubt)
+        if self.undecided_covariance.any() and known is not None:
+            shares[Source.TERMS] = Share(
+                known.covariance + self.undecided_covariance, known.freedom
+            )
+        elif self.undecided_covariance.any():
+            shares[Source.TERMS] = Share.known(self.undecided_covariance)
         return shares
 
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """Estimated unknowns: parameters, doubts, and errors of the table (in the evidence)."""
+    """Unknowns: parameters, estimated and considered, and errors of the table (in the evidence)."""
 
     evidence: Evidence
     parameters: tuple[Parameter, ...]
     changes: tuple[Change, ...] = ()
-    doubts: tuple[tuple[Parameter, float], ...] = ()
+    considered: tuple[tuple[Parameter, float], ...] = ()
 
     def estimate(self) -> Estimate:
-        return estimate(self.evidence, self.parameters, self.changes, self.doubts)
+        return estimate(self.evidence, self.parameters, self.changes, self.considered)
 
     def with_found(self, found: Sequence[Found]) -> _Model:
         model = self
@@ -141,8 +144,8 @@ class _Model:
                 errors = replace(table.errors, **{one.family.name: one.size})
                 evidence = replace(model.evidence, table=replace(table, errors=errors))
                 model = replace(model, evidence=evidence)
-            elif one.doubts:
-                model = replace(model, doubts=(*model.doubts, *one.doubts))
+            elif one.considered:
+                model = replace(model, considered=(*model.considered, *one.considered))
             else:
                 terms = (*terms_of(model.parameters), *terms_of(one.family.parameters))
                 model = replace(model, parameters=parameters_of(terms))
@@ -159,7 +162,9 @@ class _Model:
         """Return equations of a session with the families on, and their state; new ones are 0."""
         evidence = replace(equations.evidence, table=self.evidence.table)
         sensors = values_of(self.parameters, equations, state)
-        here = replace(equations, parameters=self.parameters, doubts=self.doubts, evidence=evidence)
+        here = replace(
+            equations, parameters=self.parameters, considered=self.considered, evidence=evidence
+        )
         courses = {change.course for change in self.changes}
         known = dict(zip(equations.changes, state[equations.changing], strict=True))
         kept = {c: v for c, v in known.items() if c.course in courses}
@@ -250,8 +255,8 @@ def _significant(
             return tuple(found)
         family = _likeliest(shown, best)
         score = min((one[family] for one in scores), key=lambda score: score.log_p)
-        spares = 0 if scores[-1][family].log_p < limit else score.rank
-        found.append(Found(family, score.log_p, *_size(model, family, score), spares))
+        min_saved_outputs = 0 if scores[-1][family].log_p < limit else score.rank
+        found.append(Found(family, score.log_p, *_size(model, family, score), min_saved_outputs))
         model = start.with_found(found)
         try:
             views = [model.on(*view) for view in views]
@@ -317,20 +322,20 @@ def _under_own_scatter(
 def _confirmed(
     start: _Model, first: Estimate, trial: Estimate, found: Sequence[Found]
 ) -> tuple[Found, ...]:
-    """Return those that are significant beside the others once all is fitted, with their rivals.
+    """Return those that remain significant once all are fitted, with their alternatives.
 
     Those that are insignificant with the first estimate's outliers set aside must save more outputs
     than they have coefficients.
     """
     kept = []
     spared = first.downweighted_outputs - trial.downweighted_outputs
-    needed = sum(one.spares for one in found)
+    needed = sum(one.min_saved_outputs for one in found)
     for k, one in enumerate(found):
-        if one.spares and spared <= needed:
+        if one.min_saved_outputs and spared <= needed:
             continue
         model = start.with_found((*found[:k], *found[k + 1 :]))
         without, state = model.on(trial.equations, trial.state)
-        # An erroneous table has as many patterns as outputs: only terms are rivals.
+        # An erroneous table has as many patterns as outputs: only terms are alternatives.
         others = [f for f in families(without) if not f.of_table or f == one.family]
         columns = columns_of(others, without, state)
         residuals = WhitenedResiduals.of(one.family.weighed(without, trial.scatter), state)
@@ -338,21 +343,21 @@ def _confirmed(
         here, limit = scores[one.family], _limit(families(without))
         if here.log_p >= limit:
             continue
-        rivals = tuple(
+        alternatives = tuple(
             f
             for f, other in scores.items()
             if f != one.family
             and other.log_p < limit
             and here.statistic - other.statistic < _APART * here.scale
         )
-        kept.append(replace(one, log_p=here.log_p, rivals=rivals))
+        kept.append(replace(one, log_p=here.log_p, alternatives=alternatives))
     return tuple(kept)
 
 
 def _size(
     model: _Model, family: Family, score: Score
 ) -> tuple[tuple[tuple[Parameter, float], ...], float, float]:
-    """Return the treatment of an undetermined family: doubts, size of an error, observed part.
+    """Return for an undetermined family: coefficients to consider, size and observed part.
 
     The unobserved part is assumed as large as the observed part, by Student's t for as many
     directions as are observed.
@@ -361,14 +366,14 @@ def _size(
         return (), 0.0, 0.0
     if family.term is not None:
         terms = (*terms_of(model.parameters), family.term)
-        trial = Equations(model.evidence, parameters_of(terms), doubts=model.doubts)
+        trial = Equations(model.evidence, parameters_of(terms), considered=model.considered)
         if determined(nominal_information(trial), trial.parameters).all():
             return (), 0.0, 0.0
     two = float(scipy.special.ndtr(2.0))
     wider = float(scipy.special.stdtrit(score.rank, two)) / 2
     seen = float(np.sqrt(score.estimate @ score.estimate / score.rank))
-    doubts = tuple((p, wider * seen) for p in family.parameters)
-    return doubts, *((wider * seen, seen) if family.of_table else (0.0, 0.0))
+    considered = tuple((p, wider * seen) for p in family.parameters)
+    return considered, *((wider * seen, seen) if family.of_table else (0.0, 0.0))
 
 
 def _concluded(
@@ -402,9 +407,9 @@ def _concluded(
 
     leverage = {f: slopes(columns[f][scores[f].chosen]) for f in off if not f.of_table}
     alpha = CHANCE / max(1, len(off))
-    doubt = np.zeros((n, n))
+    undecided_covariance = np.zeros((n, n))
     for one in found:
-        doubt += _by_rivals(current, one)
+        undecided_covariance += _by_alternatives(current, one)
     drifts = UndecidedDrifts({}, np.zeros((n, n)))
     if weigh:
         drifts = undecided(
@@ -415,33 +420,33 @@ def _concluded(
         found,
         scores,
         alpha,
-        doubt + drifts.doubt,
+        undecided_covariance + drifts.covariance,
         leverage,
         drifts.probability,
         plain,
-        drifts.doubt,
+        drifts.covariance,
     )
 
 
-def _by_rivals(current: Estimate, found: Found) -> Floats:
-    """Return the additional covariance if a rival may be true in place of a family.
+def _by_alternatives(current: Estimate, found: Found) -> Floats:
+    """Return the additional covariance if an alternative may be true in place of a family.
 
-    Each explanation is weighted by its likelihood; the mean square of a rival's effect on the
-    common parameters is added (Hoeting et al. 1999, Statist. Sci. 14, 382).
+    Each explanation is weighted by its likelihood; the mean square of an alternative's effect on
+    the common parameters is added (Hoeting et al. 1999, Statist. Sci. 14, 382).
     """
     equations = current.equations
     n = equations.sensors
-    doubt = np.zeros((n, n))
+    undecided_covariance = np.zeros((n, n))
     mine = set(found.family.parameters)
     common = [k for k, p in enumerate(equations.parameters) if p not in mine]
     own = [k for k, p in enumerate(equations.parameters) if p in mine]
     chi_square = current_chi_square(equations, current.state)
     model = _Model(
-        equations.evidence, equations.parameters, equations.changes, equations.doubts
+        equations.evidence, equations.parameters, equations.changes, equations.considered
     ).without(found.family)
-    for rival in found.rivals:
+    for alternative in found.alternatives:
         try:
-            other, start = model.with_found([Found(rival, 0.0)]).on(equations, current.state)
+            other, start = model.with_found([Found(alternative, 0.0)]).on(equations, current.state)
             state = fit(other, start)
         except NotObservable:
             continue
@@ -450,8 +455,8 @@ def _by_rivals(current: Estimate, found: Found) -> Floats:
         off = np.zeros(n)
         off[common] = state[kept] - current.state[common]
         off[own] = -current.state[own]
-        doubt += weight * np.outer(off, off)
-    return doubt
+        undecided_covariance += weight * np.outer(off, off)
+    return undecided_covariance
 
 
 def current_chi_square(equations: Equations, state: Floats) -> float:

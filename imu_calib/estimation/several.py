@@ -157,7 +157,7 @@ def _likeliest(alone: Sequence[Estimate]) -> _System:
     By the restricted likelihood of all units: a unit whose own scatter looks like errors of the
     table does not raise it for the others.
     """
-    sizes = dict.fromkeys(CommonSizes.found_by(found.equations) for found in alone)
+    sizes = dict.fromkeys(CommonSizes.of_one_unit(found.equations) for found in alone)
     systems: list[_System] = []
     refused: NotObservable | None = None
     for size in sizes:

@@ -140,7 +140,7 @@ def tested(
         mine = tuple(c for c in requested_changes if c.course.value == name)
         result.append(TermTest(name, TermState.ASKED, changes=mine))
     for one in search.found:
-        state = TermState.NOT_DETERMINED if one.doubts else TermState.FOUND
+        state = TermState.NOT_DETERMINED if one.considered else TermState.FOUND
         family = one.family
         found = TermTest(family.name, state, one.log_p / _LN10, family.parameters, family.changes)
         result.append(found)
@@ -263,9 +263,9 @@ def _found(found: Found, search: Search, table: Table | None) -> str:
         if family.course is Course.STEP:
             equations = search.estimate.equations
             text += f' It is at {at(instant_of(equations.evidence, equations.shape))}. {_STEPPED}'
-        if found.rivals:
-            names = ' or '.join(rival.name for rival in found.rivals)
-            courses = {family.course, *(rival.course for rival in found.rivals)}
+        if found.alternatives:
+            names = ' or '.join(rival.name for rival in found.alternatives)
+            courses = {family.course, *(rival.course for rival in found.alternatives)}
             remedy = _BY_TEMPERATURE if Course.THERMAL in courses else _RECORD
             text += (
                 f' {names} would explain it as well, and the standard deviations allow for that. '
@@ -274,18 +274,18 @@ def _found(found: Found, search: Search, table: Table | None) -> str:
         return text
     assert family.term is not None
     words = family.term.kind.value.words
-    if found.doubts:
-        unit = found.doubts[0][0].unit
+    if found.considered:
+        unit = found.considered[0][0].unit
         text = (
             f'The session shows {words} ({family.name}, {chance}) and does not determine it: the '
             'standard deviations allow for coefficients of '
-            f'{significant(found.doubts[0][1] / unit.scale)} {unit.shown}. '
+            f'{significant(found.considered[0][1] / unit.scale)} {unit.shown}. '
             f'To determine it takes {family.term.needs}.'
         )
     else:
         text = f'The session shows {words} ({family.name}, {chance}): it is estimated.'
-    if found.rivals:
-        names = ' or '.join(rival.name for rival in found.rivals)
+    if found.alternatives:
+        names = ' or '.join(rival.name for rival in found.alternatives)
         text += (
             f' {names} would explain it as well, and the standard deviations allow for that. To '
             f'tell them apart takes {family.term.needs}.'

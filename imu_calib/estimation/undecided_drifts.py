@@ -42,11 +42,11 @@ class UndecidedDrifts:
 
     Attributes:
         probability: Of each course, all of its time constants together.
-        doubt: (n, n) covariance of their effect on the parameters.
+        covariance: (n, n) covariance of their effect on the parameters.
     """
 
     probability: Mapping[Family, float]
-    doubt: Floats
+    covariance: Floats
 
 
 Possible = tuple[Score, Floats]
@@ -62,7 +62,7 @@ def undecided(courses: Mapping[Family, Sequence[Possible]], count: int) -> Undec
         count: n of the parameters.
     """
     logs: dict[Family, float] = {}
-    doubts: dict[Family, Floats] = {}
+    covariances: dict[Family, Floats] = {}
     for family, every in courses.items():
         tested = [(score, slopes) for score, slopes in every if score.tested]
         if not tested:
@@ -71,16 +71,19 @@ def undecided(courses: Mapping[Family, Sequence[Possible]], count: int) -> Undec
         total = float(np.logaddexp.reduce(each))
         odds = _ODDS_OF_A_STEP if family.course is Course.STEP else _ODDS
         logs[family] = float(np.log(odds / len(every))) + total
-        doubts[family] = sum(
-            (np.exp(one - total) * _doubt(*it) for one, it in zip(each, tested, strict=True)),
+        covariances[family] = sum(
+            (
+                np.exp(one - total) * _drift_covariance(*it)
+                for one, it in zip(each, tested, strict=True)
+            ),
             np.zeros((count, count)),
         )
     whole = float(np.logaddexp.reduce([0.0, *logs.values()]))
     probability = {family: float(np.exp(log - whole)) for family, log in logs.items()}
-    doubt = np.zeros((count, count))
+    covariance = np.zeros((count, count))
     for family, share in probability.items():
-        doubt += share * doubts[family]
-    return UndecidedDrifts(probability, doubt)
+        covariance += share * covariances[family]
+    return UndecidedDrifts(probability, covariance)
 
 
 def _square(score: Score) -> tuple[float, int]:
@@ -116,7 +119,7 @@ def shrinkage(square: float, rank: int) -> tuple[float, float]:
     return 1 - lost, 1 - 2 * lost + b * (b + 1) / z**2 * third / first
 
 
-def _doubt(score: Score, slopes: Floats) -> Floats:
+def _drift_covariance(score: Score, slopes: Floats) -> Floats:
     """Return the mean squared effect of a course on the parameters, (n, n)."""
     mean, mean_square = shrinkage(*_square(score))
     moved = slopes @ score.estimate

@@ -14,7 +14,7 @@ from ..imu import ImuSpec
 from ..model import AXES, Product, SensorModel, terms_of
 from ..stream import Floats, Units
 from ..units import DEG, STANDARD_GRAVITY
-from .exported import Exported, ExportSource, always_left_out
+from .exported import Exported, ExportSource, common_omissions
 
 _EXACT = 1e-17
 """Remaining relative error: that of a double."""
@@ -76,7 +76,7 @@ def export(source: ExportSource) -> Exported:
         unused='' if per_interval else '    (void)seconds;\n',
         **_with_terms(model, imu, per_interval),
     )
-    return Exported(text, tuple(always_left_out(calibration, 'c')))
+    return Exported(text, tuple(common_omissions(calibration, 'c')))
 
 
 def _with_terms(model: SensorModel, imu: ImuSpec, per_interval: str) -> dict[str, str]:

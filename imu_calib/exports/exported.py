@@ -88,7 +88,7 @@ def left_out(calibration: Calibration, export: str) -> list[str]:
     ]
 
 
-def always_left_out(calibration: Calibration, export: str) -> list[str]:
+def common_omissions(calibration: Calibration, export: str) -> list[str]:
     """Return sentences on the content that most formats omit.
 
     Args:

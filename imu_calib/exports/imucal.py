@@ -15,7 +15,7 @@ import numpy as np
 from ..model import Triad
 from ..stream import Floats, Units
 from ..units import DEG
-from .exported import Exported, ExportSource, always_left_out
+from .exported import Exported, ExportSource, common_omissions
 
 _FORMAT = '2.0.0'
 _UNITS = {
@@ -55,7 +55,7 @@ def export(source: ExportSource) -> Exported:
     }
     sentences = [
         f"Input: accelerometers in '{acc_unit}', gyros in '{gyr_unit}'; output: m/s^2 and deg/s.",
-        *always_left_out(calibration, 'imucal'),
+        *common_omissions(calibration, 'imucal'),
     ]
     if imu.units is Units.PULSES:
         sentences.append(

@@ -21,7 +21,7 @@ from ..imu import TriadSpec
 from ..observation.evidence import SMALLEST_VARIANCE
 from ..stream import Floats, Units
 from ..units import HOUR
-from .exported import Exported, ExportSource, always_left_out
+from .exported import Exported, ExportSource, common_omissions
 
 _HEAD = """\
 # {imu} by imu_calib, in Kalibr's scale-misalignment model: raw = M x + b, x in rad/s and m/s^2.
@@ -61,7 +61,7 @@ def export(source: ExportSource) -> Exported:
         },
     }
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=10**6)
-    sentences = [*bounds, *always_left_out(calibration, 'kalibr')]
+    sentences = [*bounds, *common_omissions(calibration, 'kalibr')]
     if calibration.imu.units is not Units.SI:
         sentences.append(
             f'The topic has to carry rad/s and m/s^2: {calibration.imu.units.value} times the '

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..api.named import Named, as_imu
 from ..errors import InputError, NotObservable
-from ..histories.looking_back import look_back
+from ..histories.backtest import backtest
 from ..histories.results import USUAL, History, Rules, Sessions
 from ..histories.sentences import listed
 from ..imu import ImuSpec
@@ -64,7 +64,7 @@ def history(
             f'{"" if where is None else f" for which {where}"}: there is no history.'
         )
     given = [imu] if isinstance(imu, ImuSpec | str | Path) else list(imu)
-    whole = look_back(sessions, {**limits, **_limits_of(given)}, rules)
+    whole = backtest(sessions, {**limits, **_limits_of(given)}, rules)
     whole = replace(whole, findings=(*whole.findings, *findings))
     if serial is None:
         return whole

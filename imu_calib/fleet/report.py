@@ -15,7 +15,7 @@ from ..api.named import Named
 from ..api.outputs import output_path
 from ..api.progress import Progress, silent
 from ..extras import require
-from ..histories.looking_back import look_back
+from ..histories.backtest import backtest
 from ..histories.results import USUAL, History, Rules, Sessions
 from ..imu import ImuSpec
 from ..model import PARAMETER_NAMES
@@ -109,7 +109,7 @@ def _nothing(rules: Rules) -> History:
     dates, values = np.array([], 'M8[s]'), np.empty((0, size))
     covariance = np.empty((0, size, size))
     sessions = Sessions(none, none, none, none, none, dates, values, covariance)
-    return look_back(sessions, {}, rules)
+    return backtest(sessions, {}, rules)
 
 
 def _day(on: datetime | None) -> np.datetime64:

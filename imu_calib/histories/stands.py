@@ -221,8 +221,8 @@ def _shifts(
     tests = groups * len(tried) * s
     effect = np.nan_to_num(np.column_stack([one.effect for one in group.effects]))
     explained = {one.pattern.name: np.zeros_like(effect) for one in tried}
-    rivals: dict[tuple[str, int], NDArray[np.bool_]] = {}
-    while tried and len(rivals) < _MOST:
+    alternatives: dict[tuple[str, int], NDArray[np.bool_]] = {}
+    while tried and len(alternatives) < _MOST:
         rest = effect - sum(explained.values())
         t = np.array([one.partial(rest + explained[one.pattern.name]) for one in tried])
         freedom = np.array([[one.freedom] for one in tried], dtype=float)
@@ -234,7 +234,7 @@ def _shifts(
         best = tried[i]
         # Odds of two stands with equal prior probabilities: exp of half of this.
         near = t[i] ** 2 > t[i, k] ** 2 + 2 * np.log(rules.false_alarm)
-        rivals[best.pattern.name, k] = near & (np.arange(s) != k)
+        alternatives[best.pattern.name, k] = near & (np.arange(s) != k)
         best.chosen.append(k)
         own = rest + explained[best.pattern.name]
         explained[best.pattern.name] = best.added(best.sizes(own)[0])
@@ -243,7 +243,7 @@ def _shifts(
         if one.chosen:
             size, std = one.sizes(effect - total + explained[one.pattern.name])
             for place, value, deviation in zip(one.chosen, size, std, strict=True):
-                near = rivals[one.pattern.name, place]
+                near = alternatives[one.pattern.name, place]
                 yield _shift(
                     group,
                     one,
@@ -266,7 +266,7 @@ def _shift(
     tests: int,
     rules: Rules,
 ) -> StandShift:
-    """Return one shift of one stand: its index in the group, size, deviation, and rivals."""
+    """Return one shift of one stand: its index in the group, size, deviation, and alternatives."""
     k, size, std, near = found
     names = [every[q] for q in group.stands]
     doubtful = [name for name, also in zip(names, near, strict=True) if also]

@@ -52,13 +52,13 @@ class Slopes:
     Attributes:
         mean: Per month; NaN if too few units determine it.
         variance: Of the units' true slopes.
-        doubt: Variance of the mean.
+        mean_variance: Variance of the mean.
 
     """
 
     mean: Floats
     variance: Floats
-    doubt: Floats
+    mean_variance: Floats
 
 
 def fit_lines(
@@ -93,7 +93,7 @@ def fit_lines(
             alone.square, np.asarray(alone.freedom, dtype=float)
         )
         if slopes is not None:
-            of_type = Slopes(slopes.mean[p], slopes.variance[p], slopes.doubt[p])
+            of_type = Slopes(slopes.mean[p], slopes.variance[p], slopes.mean_variance[p])
             rows = _with_slope(columns, weights[u, p], block.values[u, p], scale[u, p], of_type)
             alone = fit(*rows)
         whole = scale[u, p] * alone.inverse
@@ -111,7 +111,7 @@ def _with_slope(
     """Return design, weights and values with the type's slope as one more observation."""
     row = np.zeros((*design.shape[:-2], 1, design.shape[-1]))
     row[..., 1] = 1.0
-    variance = slopes.variance + slopes.doubt
+    variance = slopes.variance + slopes.mean_variance
     determined = np.isfinite(slopes.mean) & np.isfinite(scale)
     weight = np.where(determined, scale / np.maximum(variance, _TINY), 0.0)
     mean = np.broadcast_to(np.where(determined, slopes.mean, 0.0), weight.shape)
@@ -149,9 +149,9 @@ def slopes_of(slope: Floats, variance: Floats) -> Slopes:
         low, high = np.where(above, middle, low), np.where(above, high, middle)
     none = mean_at(np.zeros_like(high))[2] <= count - 1
     extra = np.where(none, 0.0, high)
-    mean, doubt, _ = mean_at(extra)
+    mean, mean_variance, _ = mean_at(extra)
     unknown = np.where(enough, 0.0, np.nan)
-    return Slopes(mean + unknown, extra + unknown, doubt + unknown)
+    return Slopes(mean + unknown, extra + unknown, mean_variance + unknown)
 
 
 def quantile(freedom: Floats, confidence: float) -> Floats:

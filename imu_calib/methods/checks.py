@@ -111,7 +111,7 @@ def far_scales(model: SensorModel) -> list[str]:
     ]
 
 
-def mistaken(scale: float, name: str) -> str:
+def wrong_scale_sentence(scale: float, name: str) -> str:
     """Return a sentence on units that give sensors so many times the response; empty for none."""
     for factor, mistake in _MISTAKES[name].items():
         if abs(scale / factor - 1) < _NEAR:
@@ -136,7 +136,7 @@ def check_axes(response: Floats, name: str, what: str) -> None:
         raise InputError(
             f'The {name} answer {scale:.4g} times what they should to {what}: units or scale '
             "factor of the IMU's description are not those of the recording."
-            f'{mistaken(scale, name)}{TIMES if name == "gyros" else ""}'
+            f'{wrong_scale_sentence(scale, name)}{TIMES if name == "gyros" else ""}'
         )
     largest = np.abs(response).max(axis=1)
     if np.all(np.diag(response) == largest) and np.all(

@@ -19,7 +19,7 @@ from ..observation.earth_seen import latitude_seen, up_rate_seen
 from ..observation.evidence import Evidence
 from ..stream import Floats
 from ..units import DEG
-from .checks import SCALE_LIMIT, TIMES, mistaken
+from .checks import SCALE_LIMIT, TIMES, wrong_scale_sentence
 
 _ASTRAY = 10 * DEG
 """rad, root mean square over the turns: gravity turned by the gyros misses the next hold by more
@@ -70,7 +70,7 @@ def check_turns(evidence: Evidence, model: SensorModel) -> None:
         raise InputError(
             f'The gyros turn gravity {scale:.3g} times as far as the accelerometers do: units or '
             "scale factor of the IMU's description are not those of the recording."
-            f'{mistaken(scale, "gyros")}{TIMES}'
+            f'{wrong_scale_sentence(scale, "gyros")}{TIMES}'
         )
     raise Contradiction(
         f'The gyros contradict the accelerometers: from hold to hold {_in_words(response)}. '
@@ -87,7 +87,7 @@ def other_latitudes(evidence: Evidence) -> tuple[float, ...]:
     return (-stated,) if found is None else (-stated, found[0])
 
 
-def doubts_latitude(evidence: Evidence) -> bool:
+def contradicts_latitude(evidence: Evidence) -> bool:
     """Return whether the gyros at rest contradict the Earth rate of the stated latitude.
 
     By three standard deviations: a doubt, not a contradiction. The attitudes have the ups of the

@@ -24,13 +24,13 @@ from ..estimation.converge import least_squares
 from ..estimation.estimate import shares
 from ..model import G_SENSITIVITY, PARAMETERS, Parameter, ParameterKind, SensorModel, Term, Triad
 from ..observation.evidence import Evidence
-from ..observation.free import FreeEquations, led_on
+from ..observation.free import FreeEquations, at_headings_by_moves
 from ..observation.information import Information
 from ..observation.layout import Indices
 from ..stream import Floats
 from ..units import DEG, STANDARD_GRAVITY, counted
 from .checks import check_axes
-from .free_checks import check_turns, doubts_latitude, other_latitudes, wrong_latitude
+from .free_checks import check_turns, contradicts_latitude, other_latitudes, wrong_latitude
 from .solution import Solution
 
 NAME = 'free_positions'
@@ -284,7 +284,7 @@ def is_clear(evidence: Evidence) -> bool:
         return False
     step = information.gain @ rows[:, -1]
     rest = rows[:, -1] - rows[:, :-1] @ step
-    if _largest(step, equations) > _STRAIGHT or doubts_latitude(equations.evidence):
+    if _largest(step, equations) > _STRAIGHT or contradicts_latitude(equations.evidence):
         return False
     if _outstanding_turn(state, np.linalg.qr(rows[:, :-1])[0], rest, _OUTLYING) is not None:
         return False
@@ -316,7 +316,7 @@ def initial_equations(evidence: Evidence) -> tuple[FreeEquations, Floats]:
     model = SensorModel(gyro, accel)
     forces = model.compensate(outputs[:, :3], outputs[:, 3:])[1]
     ups = forces / np.linalg.norm(forces, axis=1)[:, None]
-    equations = FreeEquations(led_on(evidence, ups, model), ESTIMATES)
+    equations = FreeEquations(at_headings_by_moves(evidence, ups, model), ESTIMATES)
     values = equations.nominal()
     values[: len(ESTIMATES)] = model.values(ESTIMATES)
     return equations, values
@@ -333,7 +333,7 @@ def _weighed(state: _State) -> _State:
         scatter, freedom, chances = _scatter(state)
         state = replace(state, scatter_chances=chances)
         if np.allclose(scatter, state.scatter, rtol=0.02):
-            if (doubt := _doubt(freedom)).max() > 1:
+            if (doubt := _scatter_limit(freedom)).max() > 1:
                 state = state.scattering(scatter * doubt).settled()
             break
         state = state.scattering(scatter)
@@ -488,7 +488,7 @@ def _square_and_freedom(state: _State, group: int) -> tuple[float, float]:
     return float(own @ own), float(len(rows) - (basis[rows] ** 2).sum())
 
 
-def _doubt(freedom: Floats) -> Floats:
+def _scatter_limit(freedom: Floats) -> Floats:
     """Return the factor by which scatter (n,) may exceed its estimate, by degrees of freedom.
 
     The posterior mean of a variance estimated as X / v with v degrees of freedom is X / (v - 2),

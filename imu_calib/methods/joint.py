@@ -88,7 +88,7 @@ def concluded(search: Search, terms: tuple[Term, ...], changes: tuple[Change, ..
     found = _concluded(search.estimate, confounded_errors(search))
     return replace(
         found,
-        covariance=found.covariance + search.doubt,
+        covariance=found.covariance + search.undecided_covariance,
         findings=(
             *findings(search),
             *found.findings,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from ..errors import InputError
-from ..network import LOOPBACK, REACH, leaving, names_interface, on_interface
+from ..network import LOOPBACK, REACH, names_interface, network_refusal, on_interface
 
 LAST_DOMAIN = 232
 """The ports of a higher one do not exist (RTPS: 7400 + 250 * domain)."""
@@ -52,7 +52,7 @@ def configuration() -> str:
         reach = 'LOCALHOST'
     if not named and reach in {'SUBNET', 'SYSTEM_DEFAULT'}:
         example = on_interface('eth0')
-        raise InputError(leaving(reach, f"set CYCLONEDDS_URI='{example}' with its name"))
+        raise InputError(network_refusal(reach, f"set CYCLONEDDS_URI='{example}' with its name"))
     own = '' if named else on_interface(LOOPBACK)
     return ','.join(part for part in (own, _of_reach(reach), user) if part)
 

@@ -96,7 +96,7 @@ class AsciiTableNode(Node):
         return int(self.get_clock().now().nanoseconds)
 
     def _work(self) -> None:
-        self._commands.give(self._control.command)
+        self._commands.dispatch(self._control.command)
         block = self._control.take()
         if block is not None:
             publish_all(self._joints, encode_joints(block).payloads())
@@ -112,7 +112,7 @@ class AsciiTableNode(Node):
             bad_replies=str(status.bad),
             line_breaks=str(status.breaks),
         )
-        self._diagnostics.judge('setpoints', status.refusal, 'No setpoint is refused.')
+        self._diagnostics.report_fault('setpoints', status.refusal, 'No setpoint is refused.')
 
 
 if __name__ == '__main__':

@@ -198,10 +198,10 @@ class CalibratorNode(ros.Node):
         for kind, payloads in subscriptions.take():
             came = True
             # Samples of a second device cannot be distinguished from those of the first.
-            two = kind is Kind.IMU and not session.over and subscriptions.two_devices
+            two = kind is Kind.IMU and not session.is_over and subscriptions.two_devices
             if two and session.backwards(kind, payloads):
                 self._two_publishers(place)
-            elif not session.over:
+            elif not session.is_over:
                 session.take(kind, payloads, now)
         return came
 
@@ -218,7 +218,7 @@ class CalibratorNode(ros.Node):
                     f'{topic} is published best effort: messages can be lost on the way.',
                 )
         for place, subscriptions in enumerate(self._of_units):
-            if subscriptions.two_devices_stay() and not self._sessions.all[place].over:
+            if subscriptions.two_devices_persist() and not self._sessions.all[place].is_over:
                 self._two_publishers(place)
         self._turntable.check_publishers(time.monotonic())
         self._sessions.flush()
@@ -262,7 +262,9 @@ class CalibratorNode(ros.Node):
     def _report(self) -> None:
         for place, results in enumerate(self._results):
             if place in self._sessions.left_out:
-                results.tell('calibration', Level.WARN, 'The unit is left out of this session.')
+                results.report_part(
+                    'calibration', Level.WARN, 'The unit is left out of this session.'
+                )
             else:
                 results.report(self._sessions.all[place], self._imu_timeout)
 
@@ -270,7 +272,7 @@ class CalibratorNode(ros.Node):
         """End the session with the data received so far."""
         sessions = self._sessions
         first = sessions.all[0]
-        response.success = not sessions.over
+        response.success = not sessions.is_over
         response.message = self._sentence()
         review = first.review
         if self._setup.table is None and review is not None and review.result is None:
@@ -298,7 +300,7 @@ class CalibratorNode(ros.Node):
         alone = sessions.open == [sessions.all[place]]
         if place in sessions.left_out:
             response.success, response.message = False, f'{serial} is left out already.'
-        elif sessions.over:
+        elif sessions.is_over:
             # Its recording is closed.
             response.success = False
             response.message = f'The session is over: {serial} is not left out.'

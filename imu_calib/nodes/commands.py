@@ -35,7 +35,7 @@ class Commands:
             node, messages.TurntableSetpoint, 'turntable/setpoint', qos.command()
         )
 
-    def give(self, follow: Callable[[Setpoint], None]) -> None:
+    def dispatch(self, follow: Callable[[Setpoint], None]) -> None:
         """Pass on new setpoints, and HOLD if the heartbeat is lost; to be called often."""
         stop = self._gate.forbid(self._heartbeat.reason)
         if stop is not None:
@@ -44,12 +44,12 @@ class Commands:
         for payload, source in drain_sources(self._drain):
             for block in decode_setpoints(Messages.join([payload]), self._malformed):
                 for setpoint in block.setpoints:
-                    follow(self._gate.admit(setpoint, source or self._known(), now))
+                    follow(self._gate.checked(setpoint, source or self._known(), now))
 
     def report(self, diagnostics: Diagnostics) -> None:
         """Report whose setpoints are followed, or why none are."""
         publishers = names_of(self._listed())
-        diagnostics.judge(
+        diagnostics.report_fault(
             'source',
             self._gate.reason,
             'Setpoints of one source are followed.',

@@ -150,7 +150,7 @@ class CompensatorNode(ros.ManagedNode):
             return
         for block in self._decoder.decode(payloads, self._reports.malformed):
             self._publish(compensator.take(block))
-        self._reports.worked(time.perf_counter() - begun)
+        self._reports.record_latency(time.perf_counter() - begun)
 
     def _on_skew(self, payloads: list[bytes]) -> None:
         if compensator := self._compensating():
@@ -181,7 +181,7 @@ class CompensatorNode(ros.ManagedNode):
             if not payloads:
                 continue
             ros.publish_all(self._publisher, payloads)
-            self._reports.give(len(payloads), int(stamp[-1]))
+            self._reports.count_output(len(payloads), int(stamp[-1]))
 
     def _on_second(self) -> None:
         if not self._active:

@@ -68,12 +68,12 @@ class CompensatorReports:
         """Count incoming samples."""
         self._second.taken += count
 
-    def give(self, count: int, newest: int) -> None:
+    def count_output(self, count: int, newest: int) -> None:
         """Count outgoing samples; `newest` is the latest stamp, ns."""
         self._second.given += count
         self._second.newest = newest
 
-    def worked(self, seconds: float) -> None:
+    def record_latency(self, seconds: float) -> None:
         """Record how long samples were in the node."""
         self._second.work.append(seconds)
 
@@ -109,7 +109,7 @@ class CompensatorReports:
         level, text = Level.OK, f'{topic} is received and compensated.'
         if compensator is not None:
             figures['sample interval'] = f'{compensator.period * 1e3:.6f} ms'
-            figures['irregular intervals between stamps'] = str(compensator.odd_steps)
+            figures['irregular intervals between stamps'] = str(compensator.irregular_steps)
             figures['waiting'] = str(compensator.waiting)
             figures['left out'] = str(compensator.dropped)
             figures['received twice'] = str(compensator.repeats)

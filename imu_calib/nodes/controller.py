@@ -102,7 +102,7 @@ class Controller:
             self._asked_at = None
             self._fail(f'has not answered a goal within {_ANSWER_TIMEOUT:g} s')
         fine = 'The joint_trajectory_controller accepts goals.'
-        diagnostics.judge('controller', missing or self._fault, fine)
+        diagnostics.report_fault('controller', missing or self._fault, fine)
 
     def _on_answer(self, number: int, future: Any) -> None:
         handle, newest = future.result(), number == self._number

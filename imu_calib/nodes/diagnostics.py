@@ -58,7 +58,7 @@ class Diagnostics:
         """
         self.report_of('', part, level, text, figures)
 
-    def judge(self, part: str, fault: str, otherwise: str, **figures: str) -> None:
+    def report_fault(self, part: str, fault: str, otherwise: str, **figures: str) -> None:
         """Replace the report on a part: an error if there is a fault; see `report`.
 
         Args:

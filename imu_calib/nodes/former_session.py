@@ -30,7 +30,7 @@ class FormerSession:
         timed = {k: intakes[k].newest for k in (Kind.IMU, Kind.JOINTS) if k in intakes}
         self._ends = {k: newest for k, newest in timed.items() if newest is not None}
 
-    def set_back(self, intake: TopicIntake, blocks: Sequence[Block]) -> str:
+    def adjust_to_journal(self, intake: TopicIntake, blocks: Sequence[Block]) -> str:
         """Return a warning if stamps begin so far before the journal's last that steps are lost.
 
         Samples older than the preceding ones are dropped until the old time is reached: after a

@@ -46,7 +46,7 @@ class FrameServer:
         """Whether the reader has taken all that was sent."""
         return not self._unsent
 
-    def tend(self) -> None:
+    def serve(self) -> None:
         """Accept a reader, and send on the bytes that wait."""
         now = time.monotonic()
         if now >= self._look_at:
@@ -106,7 +106,7 @@ class Lines:
         return any(server.connected for server in self._servers)
 
     @property
-    def unread(self) -> int | None:
+    def without_client(self) -> int | None:
         """The first port without a client; None where all have one."""
         return next((s.port for s in self._servers if not s.connected), None)
 
@@ -120,10 +120,10 @@ class Lines:
         """Number of bytes lost without a reader."""
         return sum(server.dropped for server in self._servers)
 
-    def tend(self) -> None:
+    def serve(self) -> None:
         """Accept readers, and send on the bytes that wait."""
         for server in self._servers:
-            server.tend()
+            server.serve()
 
     def send(self, lines: Sequence[bytes]) -> None:
         """Send bytes on each line; they are lost without a client."""

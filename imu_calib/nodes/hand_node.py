@@ -108,7 +108,7 @@ class HandNode(ros.Node):
     def _live(self) -> None:
         """Advance simulated time until the node ends."""
         while not self._ending.is_set():
-            self._line.tend()
+            self._line.serve()
             if rest := self._rest():
                 time.sleep(rest)
                 continue

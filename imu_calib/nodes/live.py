@@ -113,7 +113,7 @@ class LiveSession:
         return self._feed.without_skew
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether no more messages are accepted."""
         return self.phase in {SessionPhase.FINISHED, SessionPhase.FAILED}
 
@@ -135,7 +135,7 @@ class LiveSession:
     @property
     def _closed(self) -> bool:
         """Whether no more data is accepted: the recording must hold the data of the result only."""
-        return self.over or self._solver.concludes
+        return self.is_over or self._solver.concludes
 
     def take(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
         """Take serialised messages of a topic.
@@ -160,7 +160,7 @@ class LiveSession:
             payloads = sound
         messages = Messages.join(payloads)
         blocks = list(kind.decode(messages, intake.malformed))
-        if self._former is not None and (why := self._former.set_back(intake, blocks)):
+        if self._former is not None and (why := self._former.adjust_to_journal(intake, blocks)):
             self.fail(why, finished=False)
             return
         self.journal.write(intake.topic, kind.type_name, messages, now)
@@ -175,7 +175,7 @@ class LiveSession:
         """Take a block from the session before a crash."""
         self._take_in(kind, block)
 
-    def go_on(self, losses: Sequence[str]) -> None:
+    def end_of_journal(self, losses: Sequence[str]) -> None:
         """Record that the old journal has been read, and which parts could not be."""
         self.notes += losses
         self._former = FormerSession(self.journal.path, self.intakes)
@@ -195,7 +195,7 @@ class LiveSession:
 
     def flush(self) -> None:
         """Secure the received data, and retry what a full disk refused."""
-        if not self.over and not self.journal.flush():
+        if not self.is_over and not self.journal.flush():
             self.fail(f'{self.trouble} The buffer in memory is full, too.')
 
     def table_done(self, stamp: int) -> None:
@@ -209,7 +209,7 @@ class LiveSession:
 
     def end(self) -> None:
         """Solve the received data for the final result."""
-        if not self.over:
+        if not self.is_over:
             self._ending = True
             if self._feed.calibrator is None:
                 self._fail_if(self._feed.begin(with_skew=self.intakes[Kind.SKEW].count > 0))
@@ -218,7 +218,7 @@ class LiveSession:
     def solve(self) -> None:
         """Begin to solve the received data, unless a solution is running."""
         calibrator = self._feed.calibrator
-        if not (self._solver.busy or self.over or calibrator is None):
+        if not (self._solver.busy or self.is_over or calibrator is None):
             until = self._leader.newest or 0
             self._solver.begin(calibrator, until, final=self._ending)
 
@@ -227,7 +227,7 @@ class LiveSession:
         if self._done_at is not None and not self._ending and self._all_here(self._done_at):
             self.end()
         solved = self._solver.poll()
-        if solved is None or self.over:
+        if solved is None or self.is_over:
             return False
         try:
             self.review = solved.future.result()
@@ -254,7 +254,7 @@ class LiveSession:
     def close(self) -> None:
         """Close the journal so that it can be resumed."""
         self._solver.close()
-        if not self.over:
+        if not self.is_over:
             self.journal.close(finished=False)
 
     def _all_here(self, done_at: int) -> bool:

@@ -57,6 +57,6 @@ def own_topic() -> QoSProfile:
     return QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-def glimpse(depth: int) -> QoSProfile:
+def observer_profile(depth: int) -> QoSProfile:
     """Return the profile of an observer: publishers do not wait for it, it may miss messages."""
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)

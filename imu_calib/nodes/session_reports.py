@@ -29,7 +29,7 @@ def session_sentence(session: LiveSession) -> str:
         return session.failure or session.trouble
     known = 0 if session.review is None else int((session.review.std > 0).sum())
     imu = session.intakes[Kind.IMU]
-    if session.guidance is not None and not session.over:
+    if session.guidance is not None and not session.is_over:
         return session.guidance.text
     words = {
         SessionPhase.WAITING: f'Waiting for {imu.topic}.',
@@ -105,14 +105,14 @@ def report_session(
         level = Level.WARN if session.calibration.findings else Level.OK
     figures = {} if session.review is None else _worst(session.review)
     text = session_sentence(session)
-    if session.guidance is not None and not session.over:
+    if session.guidance is not None and not session.is_over:
         known = int((session.review.std > 0).sum()) if session.review is not None else 0
         total = len(session.parameters)
         text = f'{session.guidance.holds} holds, {known} of {total} parameters are determined.'
     diagnostics.report('calibration', level, text, **figures)
     if session.trouble:
         shared.report('journal', Level.ERROR, session.trouble)
-    elif not session.over:
+    elif not session.is_over:
         shared.report('journal', Level.OK, journal_sentence(session.journal.path))
 
 
@@ -139,10 +139,10 @@ def _report_imu(
     level, text = Level.OK, f'{imu.topic} is received.'
     if imu.newest is None:
         level, text = Level.WARN, f'There is no message on {imu.topic} yet.'
-    elif joints is None and not session.over:
+    elif joints is None and not session.is_over:
         if time.monotonic() - imu.received_at > max(_SILENCE_BY_HAND, imu_timeout):
             level, text = Level.ERROR, f'{imu.topic} is silent.'
-    elif joints is not None and joints.newest is not None and not session.over:
+    elif joints is not None and joints.newest is not None and not session.is_over:
         behind = (joints.newest - imu.newest) * 1e-9
         figures['behind the table'] = f'{behind:.3f} s'
         if not is_fed(session, imu_timeout):

@@ -69,14 +69,14 @@ class Sessions:
             for session, kind in fed[topic]:
                 session.feed_former(kind, block)
         for session in self.all:
-            session.go_on(self.journal.losses)
+            session.end_of_journal(self.journal.losses)
         for name in filter(None, self.journal.former.get(LEFT_OUT, '').split(',')):
             self.leave_out(self._names.index(name))
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether no more messages are accepted."""
-        return all(session.over for session in self.all)
+        return all(session.is_over for session in self.all)
 
     @property
     def open(self) -> list[LiveSession]:
@@ -84,20 +84,20 @@ class Sessions:
         return [s for k, s in enumerate(self.all) if k not in self.left_out]
 
     @property
-    def rested(self) -> bool:
+    def may_review(self) -> bool:
         """Whether the pause since the last round of reviews is as long as that round."""
-        return self._solver.rested
+        return self._solver.may_review
 
     def take_common(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
         """Take messages of the table; see `LiveSession.take`."""
         for session in self.all:
-            if not session.over:
+            if not session.is_over:
                 session.take(kind, payloads, now)
 
     def record(self, topic: str, type_name: str, payload: bytes, now: int) -> None:
         """Record a message that calibration does not use."""
         for session in self.all:
-            if not session.over:
+            if not session.is_over:
                 session.record(topic, type_name, payload, now)
                 return
 
@@ -114,14 +114,14 @@ class Sessions:
     def poll(self) -> list[int]:
         """Check for results of the solver and for the end; return the units with news."""
         news = [place for place, session in enumerate(self.all) if session.poll()]
-        parts = [p for p, s in zip(self._parts, self.all, strict=True) if not s.over]
+        parts = [p for p, s in zip(self._parts, self.all, strict=True) if not s.is_over]
         if parts and all(part.ready for part in parts):
             self._solver.conclude(parts)
         return news
 
     def solve(self) -> None:
         """Begin a round of reviews, one of each session, if the last one is long enough ago."""
-        if self.rested:
+        if self.may_review:
             for session in self.all:
                 session.solve()
 
@@ -154,7 +154,7 @@ class Sessions:
         With several units it is FINISHED as soon as one of them has a result.
         """
         phases = [session.phase for session in self.open]
-        if phases and all(session.over for session in self.open):
+        if phases and all(session.is_over for session in self.open):
             return SessionPhase.FINISHED if SessionPhase.FINISHED in phases else phases[0]
         if SessionPhase.FAILED in phases or not phases:
             return SessionPhase.FAILED

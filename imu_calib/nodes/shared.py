@@ -165,7 +165,7 @@ class SharedSolver:
         self.threads = ThreadPoolExecutor(1, 'solver')
 
     @property
-    def rested(self) -> bool:
+    def may_review(self) -> bool:
         """Whether the pause since the last round of reviews is as long as that round.
 
         A round has one review of each session; the pause leaves time to record incoming data.
@@ -188,7 +188,7 @@ class SharedSolver:
     def conclude(self, parts: Sequence[SolverPart]) -> None:
         """Conclude sessions that are all ready for it."""
         serials = [part.serial_number for part in parts]
-        taken = [part.take_up() for part in parts]
+        taken = [part.final_calibrator() for part in parts]
         snapshots = [snapshot for snapshot, _ in taken]
         self.threads.submit(self._work, snapshots, serials, [future for _, future in taken])
 
@@ -249,7 +249,7 @@ class SolverPart:
         else:
             self._work = Solved(self._shared.review(calibrator), final, until)
 
-    def take_up(self) -> tuple[AnyCalibrator, Future[Review]]:
+    def final_calibrator(self) -> tuple[AnyCalibrator, Future[Review]]:
         """Return the calibrator to conclude in its present state, and the future of its review."""
         assert self._last is not None, 'it is not ready'
         (calibrator, until), self._last = self._last, None

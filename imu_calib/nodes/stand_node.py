@@ -175,7 +175,7 @@ class StandNode(ros.Node):
         """Advance simulated time until the node ends."""
         while not (self._ending.is_set() and self._hardware.state.at_rest):
             self._take_commands()
-            self._lines.tend()
+            self._lines.serve()
             if self._ending.is_set():
                 self._advance()
             elif rest := self._rest():
@@ -195,7 +195,7 @@ class StandNode(ros.Node):
         return self._pace.rest(self._hardware.time, lines.connected)
 
     def _take_commands(self) -> None:
-        self._commands.give(self._follow)
+        self._commands.dispatch(self._follow)
         while self._faults:
             text = self._faults.popleft()
             try:
@@ -207,12 +207,12 @@ class StandNode(ros.Node):
     def _follow(self, setpoint: Setpoint) -> None:
         self._hardware.command(setpoint)
         if setpoint.mode is Mode.HOLD:
-            self._pace.follow_the_wall()
+            self._pace.use_wall_clock()
         else:
-            self._pace.lead((setpoint.stamp - self._epoch) * 1e-9)
+            self._pace.take_setpoint((setpoint.stamp - self._epoch) * 1e-9)
 
     def _advance(self) -> None:
-        at_rest = self._pace.led and self._hardware.at_rest
+        at_rest = self._pace.is_commanded and self._hardware.at_rest
         output = self._hardware.advance(_STEP_AT_REST if at_rest else _STEP)
         # Send frames before the clock, so that a frame's stamp is never early.
         self._lines.send(output.lines)
@@ -226,15 +226,15 @@ class StandNode(ros.Node):
         self._commands.report(self._diagnostics)
         refusals, self._hardware.refusals = self._hardware.refusals, []
         last = refusals[-1] if refusals else ''
-        self._diagnostics.judge('table', last, 'The table follows its setpoints.')
+        self._diagnostics.report_fault('table', last, 'The table follows its setpoints.')
         text = (
             'The frames are read.'
-            if self._lines.unread is None
-            else f'No program reads the frames on port {self._lines.unread} yet.'
+            if self._lines.without_client is None
+            else f'No program reads the frames on port {self._lines.without_client} yet.'
         )
         self._diagnostics.report(
             'IMU',
-            Level.OK if self._lines.unread is None else Level.WARN,
+            Level.OK if self._lines.without_client is None else Level.WARN,
             text,
             frames=_joined(self._hardware.frames),
             dropped=f'{self._lines.dropped} bytes',
@@ -266,16 +266,16 @@ class _Pace:
         self._received_at = -math.inf
         self._anchor: tuple[float, float, float] | None = None
 
-    def lead(self, stamp: float) -> None:
+    def take_setpoint(self, stamp: float) -> None:
         """Record a setpoint with a stamp in s of simulated time."""
         self._newest, self._received_at = stamp, time.monotonic()
 
-    def follow_the_wall(self) -> None:
+    def use_wall_clock(self) -> None:
         """Continue at the pace of the wall clock: the table is held."""
         self._received_at = -math.inf
 
     @property
-    def led(self) -> bool:
+    def is_commanded(self) -> bool:
         """Whether setpoints command the table."""
         return time.monotonic() - self._received_at < _ALIVE
 
@@ -287,10 +287,10 @@ class _Pace:
         allowed: nobody waits for a table that is held, and every sample costs all nodes.
         """
         wall = time.monotonic()
-        led = connected and self.led
-        if led and now > self._newest + _AHEAD:
+        is_commanded = connected and self.is_commanded
+        if is_commanded and now > self._newest + _AHEAD:
             return _REST
-        speed = self._speed if led else min(self._speed or 1.0, 1.0)
+        speed = self._speed if is_commanded else min(self._speed or 1.0, 1.0)
         if not speed:
             self._anchor = None
             return 0.0

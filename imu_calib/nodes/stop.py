@@ -222,7 +222,7 @@ class EmergencyStop:
         return self.obstacle if self._record.pressed else ''
 
     @property
-    def kept_in(self) -> str:
+    def record_path(self) -> str:
         """The file of the saved stop."""
         return str(self._record.path)
 

@@ -87,7 +87,7 @@ class Subscriptions:
         """Whether the IMU's topic has more than one publisher."""
         return bool(self._node.count_publishers(self.topics[Kind.IMU]) > 1)
 
-    def two_devices_stay(self) -> bool:
+    def two_devices_persist(self) -> bool:
         """Return whether there are two for long: a killed one stays listed for ten seconds."""
         if not self.two_devices:
             self._two_since = None

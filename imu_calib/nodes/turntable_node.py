@@ -334,13 +334,13 @@ class TurntableNode(Node):
             self._check_heartbeat()
         words = ' '.join(filter(None, found.values()))
         fine = 'Every topic of the table has one publisher.'
-        self._diagnostics.judge('publishers', words, fine)
+        self._diagnostics.report_fault('publishers', words, fine)
         self._send_what_is_due(now)
 
     def _check_heartbeat(self) -> None:
         reason = self._heartbeat.reason
         self._sequencer.forbid('heartbeat', reason)
-        self._diagnostics.judge('heartbeat', reason, 'The heartbeat is received.')
+        self._diagnostics.report_fault('heartbeat', reason, 'The heartbeat is received.')
 
     def _on_foreign(self, name: str, payload: bytes) -> None:
         """Take a foreign message on this node's own topics."""
@@ -362,7 +362,9 @@ class TurntableNode(Node):
 
     def _report_stop(self) -> None:
         fine = 'The emergency stop is not pressed.'
-        self._diagnostics.judge('stop', self._estop.reason, fine, kept_in=self._estop.kept_in)
+        self._diagnostics.report_fault(
+            'stop', self._estop.reason, fine, kept_in=self._estop.record_path
+        )
 
     def _release(self) -> str:
         """Release the emergency stop; no other call does."""

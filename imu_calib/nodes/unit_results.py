@@ -103,7 +103,7 @@ class UnitResults:
         """Report the state of its streams and calibration on /diagnostics."""
         report_session(session, self._diagnostics, imu_timeout, self._stand)
 
-    def tell(self, part: str, level: Level, text: str) -> None:
+    def report_part(self, part: str, level: Level, text: str) -> None:
         """Report on a part of the unit on /diagnostics."""
         self._diagnostics.report(part, level, text)
 

@@ -31,7 +31,7 @@ def progress_of_all(
 
     """
     open_ = [(s, m) for s, m in zip(sessions.all, each, strict=True) if s in sessions.open]
-    running = [(s, m) for s, m in open_ if not s.over] or open_ or [(sessions.all[0], each[0])]
+    running = [(s, m) for s, m in open_ if not s.is_over] or open_ or [(sessions.all[0], each[0])]
     std: dict[str, float] = {}
     for _, message in running:
         pairs = zip(message.parameter_names, message.standard_deviations, strict=True)
@@ -73,14 +73,14 @@ def _state(sessions: Sessions, imu_timeout: float) -> tuple[SessionPhase, str]:
         return phase, 'All units are left out.'
     if phase in _ENDS:
         done = len(sessions.open) - len(failed)
-        if sessions.over:
+        if sessions.is_over:
             return phase, f'{done} of {len(sessions.open)} units are calibrated. {reasons}'.strip()
         return phase, f'{reasons} Leave the unit out to go on with the others, or call ~/reset.'
     silent = [s for s in sessions.open if not is_fed(s, imu_timeout)]
     if silent and phase is not SessionPhase.FINISHED:
         names = ', '.join(_name(s) for s in silent)
         return SessionPhase.WAITING, f'No samples come from {names}.'
-    running = [s for s in sessions.open if not s.over] or sessions.open
+    running = [s for s in sessions.open if not s.is_over] or sessions.open
     known = [0 if s.review is None else int((s.review.std > 0).sum()) for s in running]
     least = running[known.index(min(known))]
     reached = f'{min(known)} of {len(least.parameters)} parameters'

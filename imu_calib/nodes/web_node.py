@@ -162,27 +162,27 @@ class WebNode(ros.Node):
         for unit in units:
             topics = topics_of_unit(unit.setup, unit.name, unit.topic)
             self._samples[unit.name] = ros.open_drain(
-                self, messages.Imu, topics[Kind.IMU], qos.glimpse(_DEEP)
+                self, messages.Imu, topics[Kind.IMU], qos.observer_profile(_DEEP)
             )
             self._temperatures[unit.name] = ros.open_drain(
-                self, messages.Temperature, topics[Kind.TEMPERATURES], qos.glimpse(1)
+                self, messages.Temperature, topics[Kind.TEMPERATURES], qos.observer_profile(1)
             )
         self._joints = ros.open_drain(
-            self, messages.JointState, 'turntable/joint_states', qos.glimpse(1)
+            self, messages.JointState, 'turntable/joint_states', qos.observer_profile(1)
         )
         self._command_clients = {
             name: self.create_client(ros.Trigger, f'turntable_node/{name}') for name in _COMMANDS
         }
         steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
         self.create_timer(_DRAIN, self._drain_topics, clock=steady)
-        self.create_timer(_GROWTH, self._grow, clock=steady)
+        self.create_timer(_GROWTH, self._update_dwells, clock=steady)
 
     def _on_state(self, message: Any) -> None:
         self._board.take_state(message, time.monotonic())
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         for dwells in self._dwells.values():
             if message.phase == Phase.DWELLING:
-                dwells.stands(stamp)
+                dwells.add(stamp)
             else:
                 dwells.moves(stamp)
 
@@ -235,9 +235,9 @@ class WebNode(ros.Node):
         payloads = ros.drain(subscription, _MOST)
         return kind.decode(Messages.join(payloads), self._malformed) if payloads else ()
 
-    def _grow(self) -> None:
+    def _update_dwells(self) -> None:
         for dwells in self._dwells.values():
-            dwells.grow()
+            dwells.update()
 
     def _command(self) -> None:
         """Pass commands to turntable_node, and its answers to the board."""

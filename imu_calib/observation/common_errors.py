@@ -83,7 +83,7 @@ class CommonSizes:
     positioning: PositioningErrors
 
     @classmethod
-    def found_by(cls, unit: Equations) -> CommonSizes:
+    def of_one_unit(cls, unit: Equations) -> CommonSizes:
         """Return the estimates of one unit by itself."""
         table = unit.evidence.table
         return cls(TableErrors() if table is None else table.errors, unit.positioning)

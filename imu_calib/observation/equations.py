@@ -39,7 +39,7 @@ GIVEN_AZIMUTH = 1 * ARCMIN
 """Standard deviation of a table's azimuth where its configuration states it."""
 
 
-def once_weighed(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Floats], Value]:
+def cached_by_weights(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Floats], Value]:
     """Cache results that depend on the weights alone, at the last states (n,).
 
     A fit ends where the next step begins, often with new equation objects.
@@ -48,11 +48,11 @@ def once_weighed(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Float
     @wraps(method)
     def remembered(self: Equations, state: Floats) -> Value:
         key = (method.__name__, type(self), state.tobytes(), self.weights)
-        for known, inflation, value in reversed(self.evidence.weighed):
+        for known, inflation, value in reversed(self.evidence.cached_results):
             if known == key and inflation is self.inflation:
                 return cast(Value, value)
         found = method(self, state)
-        self.evidence.weighed.append((key, self.inflation, found))
+        self.evidence.cached_results.append((key, self.inflation, found))
         return found
 
     return remembered
@@ -69,7 +69,8 @@ class Equations(SessionModel):
         positioning: Scatter of positioning errors beyond that of the table's file.
         extra: Further parts of the covariance of the outputs.
         inflation: (m,) factors on the variance of each output's own noise, or None.
-        doubts: Parameters that are not in the state, and the standard deviation about zero of each.
+        considered: Consider parameters: not in the state, each with its standard deviation about
+            zero.
         held: Kinds of parameters of motion that are exactly zero: for others that are not in the
             state the covariance allows.
     """
@@ -79,7 +80,7 @@ class Equations(SessionModel):
     positioning: PositioningErrors = NO_POSITIONING_ERRORS
     extra: tuple[Component, ...] = field(default=(), repr=False)
     inflation: Floats | None = field(default=None, repr=False)
-    doubts: tuple[tuple[Parameter, float], ...] = ()
+    considered: tuple[tuple[Parameter, float], ...] = ()
     held: frozenset[ParameterKind] = frozenset()
 
     @property
@@ -141,8 +142,8 @@ class Equations(SessionModel):
             *self.extra,
             *self._by_positioning(state),
         ]
-        if self.doubts:
-            parameters, deviations = zip(*self.doubts, strict=True)
+        if self.considered:
+            parameters, deviations = zip(*self.considered, strict=True)
             columns = self.by_parameters(state, parameters) * np.array(deviations)
             found.append(Component(Source.TERMS, Factor(columns)))
         if self.layout.moves_with_accels:
@@ -171,7 +172,7 @@ class Equations(SessionModel):
         )
         return self.layout.joined(at_rest, turned, led)
 
-    @once_weighed
+    @cached_by_weights
     def covariance(self, state: Floats) -> Floats:
         """Return the covariance of the outputs, (m,) square."""
         result = np.diag(self.own_variances)
@@ -242,7 +243,7 @@ class Equations(SessionModel):
         """Return the lower root of `covariance`, (m,) square, by which outputs are whitened."""
         return self._weighed(state)[0]
 
-    @once_weighed
+    @cached_by_weights
     def _weighed(self, state: Floats) -> tuple[Floats, Floats]:
         """Return the root of the covariance, and the columns whitened by it."""
         factor = np.asarray(np.linalg.cholesky(self.covariance(state)), dtype=float)
@@ -259,7 +260,7 @@ class Equations(SessionModel):
             self.any_heading,
             self.positioning,
             self.extra,
-            self.doubts,
+            self.considered,
             self.held,
         )
 

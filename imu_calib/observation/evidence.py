@@ -117,7 +117,7 @@ class Evidence:
         walk, freedom = known_noise(labelled.segments, imu)
         return cls(
             labelled.segments,
-            tuple(turn.by_the_surer(walk) for turn in labelled.turns),
+            tuple(turn.by_more_accurate_rate(walk) for turn in labelled.turns),
             plan,
             site,
             session.clock,
@@ -162,7 +162,7 @@ class Evidence:
         return deque(maxlen=_CACHED)
 
     @cached_property
-    def weighed(self) -> deque[tuple[Any, ...]]:
+    def cached_results(self) -> deque[tuple[Any, ...]]:
         """Cached results at the last states with the last weights (`Equations`)."""
         return deque(maxlen=_WEIGHED)
 

@@ -126,7 +126,7 @@ class FreeEquations(Equations):
         return replace(self, evidence=self.evidence.with_attitudes(attitudes)), state
 
 
-def led_on(evidence: Evidence, ups: Floats, model: SensorModel) -> Evidence:
+def at_headings_by_moves(evidence: Evidence, ups: Floats, model: SensorModel) -> Evidence:
     """Return a session in attitudes with given ups, at the headings found by the moves.
 
     Args:

@@ -120,11 +120,11 @@ def _led(
     rates, _ = model.compensate(outputs, accel)
     counts = [len(each) for each in seconds]
     halves = rotations_last(rates * (np.concatenate(seconds) / -2)[:, None])
-    wholes, after = followed(product(halves, halves), counts)
+    wholes, after = propagated(product(halves, halves), counts)
     return rates, product(after, halves), wholes
 
 
-def followed(passed: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
+def propagated(passed: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
     """Transform fixed vectors through m motions, one after the other.
 
     Args:

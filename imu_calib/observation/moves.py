@@ -269,11 +269,13 @@ class Moves:
             return result
         mine = [(push, courses[k]) for push, k in zip(pushes, self._pushed, strict=True)]
         leant = np.array([summed(push.turning, course) for push, course in mine])
-        pushed = np.array([push.pushed(course) for push, course in mine])
+        integrated_courses = np.array([push.integrated_courses(course) for push, course in mine])
         slopes = np.zeros((len(pushes), 3, len(parameters)))
         slopes[..., gyros] = leant[:, :, by.channels[gyros], by.index[gyros]]
-        slopes[..., accels] = -pushed[:, :, by.channels[accels] - len(AXES), by.index[accels]]
-        specific_force = np.array([push.pushed_by_force for push in pushes])
+        slopes[..., accels] = -integrated_courses[
+            :, :, by.channels[accels] - len(AXES), by.index[accels]
+        ]
+        specific_force = np.array([push.integrated_force for push in pushes])
         for k, parameter in enumerate(parameters):
             if parameter in _LINEAR:
                 slopes[..., k] = -specific_force[:, :, parameter.row, parameter.column]
@@ -409,20 +411,20 @@ class Moves:
             found[k, :3] = ends + link.rounding[:3] + bent + link.move.filled
             found[k, 3:] = turning[3:] * (ends.mean() / 4 + bent / 12 + link.move.filled / 4)
             if (gained := link.move.velocity_steps) is not None:
-                held = np.diag(self.held_back[k])
+                held = np.diag(self.by_remainders[k])
                 own = link.rounding[3:].mean() + gained.filled + link.second_order_error**2
                 found[k, 3:] += held + own
         return found
 
     @cached_property
-    def held_back(self) -> Floats:
+    def by_remainders(self) -> Floats:
         """The covariances of velocities by the remainders of counters, (m, 3, 3) (m/s)^2."""
         found = np.zeros((len(self), 3, 3))
         for k in self.with_accels:
             gained = self.links[k].move.velocity_steps
             if gained is not None and gained.pulse.any():
-                doubt = _FORESEEN * gained.pulse if gained.foreseen else np.zeros(3)
-                found[k] = self._held_back(k, gained.pulse, doubt)
+                accel_std = _FORESEEN * gained.pulse if gained.foreseen else np.zeros(3)
+                found[k] = self._held_back(k, gained.pulse, accel_std)
         return found
 
     def _held_back(self, index: int, pulse: Floats, least: Floats) -> Floats:
@@ -432,8 +434,8 @@ class Moves:
         path = self.paths(self.rough.model)[index]
         directions = self.attitudes[self.links[index].second] @ path.axes
         _, outputs = self.rough.model.predict(path.rates, path.forces)
-        doubt = np.maximum(self.rough.doubt, least)
-        return remainder_covariance(directions, path.seconds, outputs, doubt, pulse)
+        accel_std = np.maximum(self.rough.accel_std, least)
+        return remainder_covariance(directions, path.seconds, outputs, accel_std, pulse)
 
     def encoders(self) -> Floats:
         """Return the variances of `misclosures` by the encoders' noise at both ends, (m, 6)."""

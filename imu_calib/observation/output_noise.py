@@ -94,7 +94,7 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
     ]
     if held := led.with_accels:
         # The remainder of a level channel is an error along both level axes.
-        across = led.held_back[list(held)] * (1 - np.eye(3))
+        across = led.by_remainders[list(held)] * (1 - np.eye(3))
         rows = np.array(evidence.layout.velocity)
         parts.append(Component(Source.QUANTISATION, Blocks(rows, across)))
     for k, segment in enumerate(segments):

@@ -53,11 +53,11 @@ class RoughAnswers:
 
     Attributes:
         model: Without terms, and without the Earth rate.
-        doubt: (3,) standard deviation of its accelerometers' outputs on the way, m/s^2.
+        accel_std: (3,) standard deviation of its accelerometers' outputs on the way, m/s^2.
     """
 
     model: SensorModel
-    doubt: Floats
+    accel_std: Floats
 
     @classmethod
     def of(
@@ -80,11 +80,11 @@ class RoughAnswers:
         accel, determined = _line(forces, at_rest[:, 3:])
         own = np.mean([s.statistics.variance(walk)[3:] for s in segments], axis=0)
         # Mean error of a line over its own points.
-        doubt = own * determined / len(segments)
+        accel_std = own * determined / len(segments)
         # A bias and three directions.
         if known < 4:
-            doubt = doubt + (_UNKNOWN * float(np.linalg.norm(forces[0]))) ** 2
-        return cls(SensorModel(gyro, accel), np.sqrt(doubt))
+            accel_std = accel_std + (_UNKNOWN * float(np.linalg.norm(forces[0]))) ** 2
+        return cls(SensorModel(gyro, accel), np.sqrt(accel_std))
 
 
 def _line(inputs: Floats, outputs: Floats) -> tuple[Triad, int]:
@@ -96,18 +96,18 @@ def _line(inputs: Floats, outputs: Floats) -> tuple[Triad, int]:
 
 
 def remainder_covariance(
-    directions: Floats, seconds: Floats, outputs: Floats, doubt: Floats, pulse: Floats
+    directions: Floats, seconds: Floats, outputs: Floats, accel_std: Floats, pulse: Floats
 ) -> Floats:
     """Return the covariance of a velocity by the remainders of three counters, (3, 3) (m/s)^2.
 
-    The phase of each counter is unknown; its rate is known to `doubt`.
+    The phase of each counter is unknown; its rate is known to `accel_std`.
 
     Args:
         directions: (n, 3, 3) transforms components from the body, half way through a step, to the
             frame.
         seconds: (n,) lengths of the steps, s.
         outputs: (n, 3) outputs of the channels in them, m/s^2.
-        doubt: (3,) its standard deviation, constant over the move, m/s^2.
+        accel_std: (3,) their standard deviation, constant over the move, m/s^2.
         pulse: (3,) size of a pulse, m/s; 0 where values are not counted.
     """
     edges = np.concatenate([-directions[:1], -np.diff(directions, axis=0), directions[-1:]])
@@ -117,7 +117,7 @@ def remainder_covariance(
     for channel in np.flatnonzero(pulse):
         held = edges[:, :, channel]
         counted = np.append(0.0, np.cumsum(outputs[:, channel] * seconds)) / pulse[channel]
-        off = doubt[channel] / pulse[channel]
+        off = accel_std[channel] / pulse[channel]
         rates = _RATES if off * times[-1] < _EVEN else _medians()
         first = np.exp(2j * np.pi * (counted + np.outer(rates * off, times)))
         following = np.zeros((3, 3))

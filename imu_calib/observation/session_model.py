@@ -43,7 +43,7 @@ _Inputs = tuple[Surroundings, Floats, Floats, Floats, Floats]
 Value = TypeVar('Value')
 
 
-def once(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Floats], Value]:
+def cached_by_state(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Floats], Value]:
     """Cache results at each state (n,) that do not depend on the weights."""
 
     @wraps(method)
@@ -124,12 +124,12 @@ class SessionModel:
         """Return the state (n,) of ideal sensors on the table as it is described."""
         return np.zeros(self.sensors + self.nuisances + len(self.changes))
 
-    @once
+    @cached_by_state
     def model(self, state: Floats) -> SensorModel:
         """Return the sensors of a state (n,), in the mean over the session."""
         return SensorModel().with_values(self.parameters, state[: self.sensors])
 
-    @once
+    @cached_by_state
     def surroundings(self, state: Floats) -> Surroundings:
         """Return Earth rate and gravity in the frame of the attitudes, by a state (n,).
 
@@ -158,7 +158,7 @@ class SessionModel:
         self.evidence.state_cache.append((key, self.parameters, self.changes, found))
         return found
 
-    @once
+    @cached_by_state
     def _inputs(self, state: Floats) -> _Inputs:
         """Return the surroundings, rates and forces at rest (s, 3), those of the turns (t, 8, 3).
 
@@ -189,7 +189,7 @@ class SessionModel:
             return predicted
         return np.asarray(predicted + self.jacobian(state)[:, self.changing] @ state[self.changing])
 
-    @once
+    @cached_by_state
     def _predicted(self, state: Floats) -> Floats:
         """Return the outputs predicted from the session's mean parameters, (m,)."""
         around, model = self.surroundings(state), self.model(state)
@@ -210,7 +210,7 @@ class SessionModel:
             np.concatenate(model.predict(turning, turning_force), axis=-1)
         )
 
-    @once
+    @cached_by_state
     def jacobian(self, state: Floats) -> Floats:
         """Return the derivatives of `predict`, (m, n).
 
@@ -268,7 +268,7 @@ class SessionModel:
             return np.setdiff1d(np.arange(len(self.layout)), self.layout.moving)
         return self.layout.turn[self.evidence.turn_inputs[2]].ravel()
 
-    @once
+    @cached_by_state
     def _by_clock(self, state: Floats) -> Floats:
         """Return the derivatives of the moves by the rate between the clocks, (m, 6)."""
         counted = self.evidence.units is Units.PULSES
@@ -292,7 +292,7 @@ class SessionModel:
         found = columns(self.evidence, self.changes, jacobian, *known, rates)
         return np.asarray(found @ state[self.changing])
 
-    @once
+    @cached_by_state
     def by_world(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by Earth rate and gravity.
 
@@ -373,7 +373,7 @@ class SessionModel:
         by_rate = self.by_world(state)[:, :3]
         return np.asarray(by_rate @ self.surroundings(state).rate_by_latitude)
 
-    @once
+    @cached_by_state
     def by_positioning(self, state: Floats) -> tuple[Floats, Floats]:
         """Return the effect of positioning errors on the outputs: (m, errors), per rad.
 
@@ -388,7 +388,7 @@ class SessionModel:
         joints, stops = np.split(leaning, [both[0].at_rest.shape[2]], axis=1)
         return np.hstack([joints, self.by_ways(state)]), stops
 
-    @once
+    @cached_by_state
     def _by_leaning(self, state: Floats) -> Floats:
         """Return the derivatives by rotations about the body axes, (s + t, 6, 3); without moves."""
         _, rate, force, turning, turning_force = self._inputs(state)

@@ -140,15 +140,15 @@ class VelocityIncrement:
         """Derivative of v by a specific force during a step, (n, 3, 3) s."""
         return np.asarray(self.path.axes * self.path.seconds[:, None, None])
 
-    def pushed(self, products: Floats) -> Floats:
+    def integrated_courses(self, products: Floats) -> Floats:
         """Return the velocities by courses (n, q) added to each accelerometer, (3, 3, q) m/s."""
         answer = np.linalg.inv(self.model.accel.response)
         return np.asarray(answer.T @ summed(self._timed_axes, products))
 
     @cached_property
-    def pushed_by_force(self) -> Floats:
+    def integrated_force(self) -> Floats:
         """The same by the whole specific force: for scale factors and misalignments."""
-        return self.pushed(self.specific_force)
+        return self.integrated_courses(self.specific_force)
 
     @cached_property
     def by_seconds(self) -> Floats:

@@ -38,7 +38,16 @@ from ..segmentation.segmented import Move
 from ..segmentation.thermometer import Temperature
 from ..stream import Floats, Mode
 from ..turntable import TURN
-from .readings import SPARE, each_turn, period_of, reading, skewed_alone, triads, unread, walk_of
+from .readings import (
+    SPARE,
+    duration_alone,
+    each_turn,
+    period_of,
+    reading,
+    skewed_alone,
+    triads,
+    walk_of,
+)
 from .schedule import SETTLE, schedule
 
 _UNSEEN = 0.5
@@ -166,7 +175,7 @@ def _read(turn: Turn, mean: Floats, setup: Setup, truth: SensorModel) -> Turn:
 
 def _interval(start: float, seconds: float) -> tuple[int, int, Statistics]:
     """Return the stamps and the duration without readings, from s since the first step."""
-    return nanoseconds(start), nanoseconds(start + seconds), unread(seconds)
+    return nanoseconds(start), nanoseconds(start + seconds), duration_alone(seconds)
 
 
 def _by_table(setup: Setup) -> _Times:

@@ -133,8 +133,8 @@ def resting_on_the_table(found: Forecast, truth: SensorModel) -> list[str]:
 
 def gravity_variances(found: Forecast, truth: SensorModel) -> Floats:
     """Return the part of gravity's uncertainty in the variances of a forecast, (n,)."""
-    doubt = found.evidence.site.gravity_doubt
-    return np.asarray(np.diag(gravity_covariance(truth, found.parameters, doubt)))
+    relative_std = found.evidence.site.gravity_relative_std
+    return np.asarray(np.diag(gravity_covariance(truth, found.parameters, relative_std)))
 
 
 def _with_common(found: Forecast, setup: Setup, truth: SensorModel) -> Forecast:

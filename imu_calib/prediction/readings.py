@@ -52,7 +52,7 @@ def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = N
             ).scaled(triad.scale_factor)
             gain[c], quantisation[c] = found.walk_gain, found.quantisation_variance
     return replace(
-        unread(seconds),
+        duration_alone(seconds),
         samples=round(seconds / period),
         mean=mean,
         walk_gain=gain,
@@ -62,7 +62,7 @@ def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = N
     )
 
 
-def unread(seconds: float) -> Statistics:
+def duration_alone(seconds: float) -> Statistics:
     """Return statistics that hold the duration alone, s."""
     nothing = np.full(6, np.nan)
     return Statistics(

@@ -46,7 +46,7 @@ class Converging:
         return self.std > 0
 
     @property
-    def there(self) -> bool:
+    def is_reached(self) -> bool:
         """Whether the predicted standard deviation is reached."""
         return self.std <= _THERE * self.predicted
 

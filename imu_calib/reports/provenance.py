@@ -156,9 +156,9 @@ def _clocks(facts: Facts) -> str:
     offset, rate = number(clock, 'offset_s'), number(clock, 'rate_ppm')
     if offset is None or rate is None or not clock.get('motions'):
         return 'not compared'
-    doubts = number(clock, 'offset_std_s'), number(clock, 'rate_std_ppm')
-    behind = '' if doubts[0] is None else f'{_APART}{1e3 * doubts[0]:.3f}'
-    faster = '' if doubts[1] is None else f'{_APART}{doubts[1]:.2f}'
+    deviations = number(clock, 'offset_std_s'), number(clock, 'rate_std_ppm')
+    behind = '' if deviations[0] is None else f'{_APART}{1e3 * deviations[0]:.3f}'
+    faster = '' if deviations[1] is None else f'{_APART}{deviations[1]:.2f}'
     return (
         f'offset {1e3 * offset:+.3f}{behind}\u00a0ms, rate {rate:+.2f}{faster}\u00a0ppm, '
         f'from {clock.get("motions")} motions'

@@ -36,7 +36,7 @@ def comparison_tables(units: Sequence[tuple[str, Calibration]]) -> Iterator[Tabl
         yield _table(units[first : first + _AT_ONCE], parameters)
 
 
-def seen_table(seen: TableSeen) -> Table:
+def table_estimate(seen: TableSeen) -> Table:
     """Return the table errors estimated from several units, with their prior values."""
     table = plain_table(('unknown', 'value', 'std', 'beforehand', 'unit'), 'lrrrl')
     for name, value, std, prior in zip(seen.names, seen.values, seen.std, seen.prior, strict=True):

@@ -129,7 +129,7 @@ def bridged(samples: Samples, walk: Floats, reach: int | None = None) -> Bridged
     return Bridged(whole, rows)
 
 
-def steadily(samples: Samples, walk: Floats) -> Samples:
+def filled_at_steady_rate(samples: Samples, walk: Floats) -> Samples:
     """Fill the gaps of samples at a steady rate anew, from as many around them as help."""
     if samples.filled is None or not samples.filled.any():
         return samples

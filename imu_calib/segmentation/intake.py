@@ -102,7 +102,7 @@ class StreamBuffer:
         return self._counted(self._joint_order.take(*rows))
 
     @property
-    def strangers(self) -> str:
+    def foreign_joints(self) -> str:
         """Sentence on joint states of other joints than the table's; empty if some were its own."""
         if self._table is None or self._of_the_table or not self._strange:
             return ''
@@ -126,7 +126,7 @@ class StreamBuffer:
         self._add_skew(self._skew_order.finish())
         return self._counted(self._joint_order.finish())
 
-    def all_here(self, until: float) -> bool:
+    def is_complete_until(self, until: float) -> bool:
         """Return whether the samples up to an instant (ns) have come in."""
         if self.last_stamp is None or self.last_stamp < until:
             return False

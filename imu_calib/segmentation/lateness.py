@@ -20,7 +20,7 @@ _LONG = 1.0
 (`interruptions`)."""
 
 
-def surely_late(late: Stamps, period: float) -> NDArray[np.bool_]:
+def late_samples(late: Stamps, period: float) -> NDArray[np.bool_]:
     """Return which samples are stamped after the next one was made, and beyond jitter, (n,).
 
     Args:
@@ -50,7 +50,7 @@ class Lateness:
             late: (n,) delay of their stamps, ns.
             period: Sample interval, s.
         """
-        beyond = surely_late(late, period)
+        beyond = late_samples(late, period)
         if not beyond.any():
             return
         self.count += int(np.count_nonzero(beyond))

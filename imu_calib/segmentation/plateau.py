@@ -136,7 +136,7 @@ def find_turns(motion: Motion) -> list[WholeTurns]:
     return [turns for turns in found if turns is not None]
 
 
-def why_none(motion: Motion) -> str:
+def no_turn_reason(motion: Motion) -> str:
     """Return a sentence on why a motion holds no whole turn at constant rate."""
     plateaus = find_plateaus(motion)
     if not plateaus:

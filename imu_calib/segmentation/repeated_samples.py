@@ -98,11 +98,11 @@ class Repetition:
         repeated = rates[edges[2 * most]].copy()
         return cls(len(values), float(same.mean()), int(lengths[most]), repeated)
 
-    def goes_on_in(self, mean: Floats) -> bool:
+    def continues_in(self, mean: Floats) -> bool:
         """Return whether a dwell with a mean output (6,), rad/s and m/s^2, repeats the sample."""
         return bool((np.abs(mean - self.sample) <= _SAME * np.abs(self.sample)).all())
 
-    def beyond_chance(self, share: float) -> bool:
+    def is_significant(self, share: float) -> bool:
         """Return whether the longest repetition exceeds chance, `share` for each."""
         return self.longest >= _FEWEST and self.samples * share**self.longest < _CHANCE
 

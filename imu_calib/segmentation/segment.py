@@ -228,7 +228,7 @@ class Turn:
         about_up = float(np.linalg.norm(walk[:3] * self.up))
         return math.hypot(self.whole_way.by_noise * about_up, self.whole_way.by_pulses)
 
-    def by_the_surer(self, walk: Floats) -> Turn:
+    def by_more_accurate_rate(self, walk: Floats) -> Turn:
         """Return the turn by the encoder's line where that gives the more accurate rate.
 
         For a short turn with long ramps, gyros with a random walk (6,) at rest on either side may

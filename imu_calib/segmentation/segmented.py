@@ -132,7 +132,7 @@ class Segmented:
         duration: From the first to the last IMU stamp, s.
         start: First IMU stamp, ns; None without samples.
         temperature: Of the unit's thermometer; None without one.
-        strangers: Sentence on joint states if none were the table's; else empty.
+        foreign_joints: Sentence on joint states if none were the table's; else empty.
         lost_moves: Motions from one segment to the next that are not used, with the reason.
         interruptions: Last stamp before and first after each interruption of the IMU's stream, ns.
     """
@@ -150,6 +150,6 @@ class Segmented:
     duration: float
     start: int | None = None
     temperature: Temperature | None = None
-    strangers: str = ''
+    foreign_joints: str = ''
     lost_moves: tuple[Rejected, ...] = ()
     interruptions: tuple[tuple[int, int], ...] = ()

@@ -188,7 +188,7 @@ class Segmenter:
             self._intake.duration,
             self._intake.first_stamp,
             self._thermometer.temperature,
-            self._intake.strangers,
+            self._intake.foreign_joints,
             self._moves.lost,
             tuple(self._interruptions.found),
         )
@@ -208,7 +208,7 @@ class Segmenter:
         self._split_long_rest()
         while self._pending and self._intake.last_stamp is not None:
             needed = self._pending[0].end + self._offset_ns + 2 * MARGIN_NS
-            if not last and not self._intake.all_here(needed):
+            if not last and not self._intake.is_complete_until(needed):
                 break
             if self._awaits_offset(last=last):
                 break
@@ -239,7 +239,9 @@ class Segmenter:
         motions = [m for m in (*self._trial, *self._pending) if isinstance(m, Motion)]
         far = round(FARTHEST * 1e9)
         until = max(motions[0].start + far, self._trial[-1].end)
-        waits = (self._joints.known_until or 0) < until or not self._intake.all_here(until + far)
+        waits = (self._joints.known_until or 0) < until or not self._intake.is_complete_until(
+            until + far
+        )
         if waits and not last and len(self._intake.imu) <= _LONGEST_REST:
             return True
         stamp, values = self._intake.imu.stamp, self._intake.imu.values
@@ -301,7 +303,7 @@ class Segmenter:
             end = int(stamp[first + _LONGEST_REST - 1]) - self._offset_ns
             if (tracker.known_until or 0) < end + MARGIN_NS:
                 return
-            if not self._intake.all_here(end + self._offset_ns + MARGIN_NS):
+            if not self._intake.is_complete_until(end + self._offset_ns + MARGIN_NS):
                 return
             rest = tracker.split_rest(end)
             if rest is None:
@@ -477,7 +479,7 @@ class Segmenter:
             after = int(np.searchsorted(instants, (segment.start + segment.end) / 2))
             adjacent = range(max(after - 1, 0), min(after + 1, len(frozen)))
             mean = segment.statistics.mean
-            if any(frozen[k] and self._repetitions[k].goes_on_in(mean) for k in adjacent):
+            if any(frozen[k] and self._repetitions[k].continues_in(mean) for k in adjacent):
                 reason = 'its samples are frozen, repeating the one of the motion next to it'
                 self._rejected.append(Rejected(segment.start, segment.end, reason))
             else:
@@ -505,7 +507,7 @@ class Segmenter:
         unknown.
         """
         usual = float(np.median([one.share for one in self._repetitions]))
-        found = np.array([one.beyond_chance(usual) for one in self._repetitions])
+        found = np.array([one.is_significant(usual) for one in self._repetitions])
         return found & (2 * int(found.sum()) < len(found))
 
     def _retime(self) -> None:

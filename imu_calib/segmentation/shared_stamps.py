@@ -50,12 +50,14 @@ class SharedStamps:
 
     def take(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats, Stamps]:
         """Take (n,) stamps, ns, and (n, columns) values; return those kept, and repeats' stamps."""
-        apart, kept = self.set_apart(stamp, values)
+        apart, kept = self.separate_stamps(stamp, values)
         if kept is None:
             return apart, values, stamp[:0]
         return apart[kept], values[kept], stamp[~kept]
 
-    def set_apart(self, stamp: Stamps, values: Floats) -> tuple[Stamps, NDArray[np.bool_] | None]:
+    def separate_stamps(
+        self, stamp: Stamps, values: Floats
+    ) -> tuple[Stamps, NDArray[np.bool_] | None]:
         """Process (n,) stamps, ns, and (n, columns) values.
 
         Returns:

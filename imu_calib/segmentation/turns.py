@@ -11,10 +11,10 @@ import numpy as np
 from ..stream import Floats, Stamps
 from ..turntable import TURN, Table
 from ..units import ARCSEC, DEG
-from .bridging import bridged, steadily
+from .bridging import bridged, filled_at_steady_rate
 from .counter import END_POINT_VARIANCE
 from .motion import Motion, averaged
-from .plateau import WholeTurns, find_turns, why_none
+from .plateau import WholeTurns, find_turns, no_turn_reason
 from .repeated_samples import repeating_samples
 from .segment import Statistics, Turn, WholeWay
 from .segmented import FreeMotion, Rejected
@@ -80,7 +80,7 @@ def read_turns(seen: Around, motion: Motion, table: Table, offset_ns: int) -> li
     found = find_turns(motion)
     if not found and motion.travel.max() > _TURN_AND_RUN_UP:
         start, end = motion.start + offset_ns, motion.end + offset_ns
-        return [Rejected(start, end, why_none(motion), turn=True)]
+        return [Rejected(start, end, no_turn_reason(motion), turn=True)]
     return [
         _read_turn(seen, turns, motion, table, offset_ns, alone=len(found) == 1) for turns in found
     ]
@@ -138,7 +138,7 @@ def _read_turn(
     # Samples beyond the cuts only improve the counts there: unsound ones are left out.
     if not _unreadable(seen, around):
         part = wide
-    part = steadily(part, seen.sensor.walk)
+    part = filled_at_steady_rate(part, seen.sensor.walk)
     statistics, each = _between(part, start, turns.seconds, count, seen.sensor.walk)
     skewed = _skewed_between(seen, start, turns, count)
     if skewed is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from ..plan import Plan, Step
 from ..turntable import Table
 from .rules import Rules
-from .steps import end_of, laid_out, motion_time
+from .steps import end_of, motion_time, steps_of_plan
 
 
 class Itinerary:
@@ -26,7 +26,7 @@ class Itinerary:
         self._table = table
         self._rules = rules
         self._steps: tuple[Step, ...] = ()
-        self._home: Step | None = None
+        self._return_step: Step | None = None
         self._queue: deque[Step] = deque()
         self._repeated: Counter[int] = Counter()
         self._times: dict[str | int, float] = {}
@@ -41,17 +41,17 @@ class Itinerary:
         return 0 if self.current is None else self.current.index
 
     @property
-    def goes_home(self) -> bool:
+    def is_returning(self) -> bool:
         """Whether the current step is the way back, or the plan is not laid out yet."""
-        return self.current is self._home
+        return self.current is self._return_step
 
     @property
-    def home(self) -> Step:
+    def return_step(self) -> Step:
         """The way back to the start position."""
-        assert self._home is not None
-        return self._home
+        assert self._return_step is not None
+        return self._return_step
 
-    def lay_out(self, angles: Sequence[float]) -> None:
+    def plan_steps(self, angles: Sequence[float]) -> None:
         """Recompute the steps.
 
         Args:
@@ -62,13 +62,13 @@ class Itinerary:
 
         """
         before = np.array(angles)
-        self._steps, self._home = laid_out(self._plan, self._table, before)
+        self._steps, self._return_step = steps_of_plan(self._plan, self._table, before)
         self._queue = deque(self._steps)
         self.current = self._steps[0]
         self._repeated.clear()
-        for step in (*self._steps, self._home):
+        for step in (*self._steps, self._return_step):
             time = motion_time(step, before, self._table) + self._rules.settle + step.dwell
-            self._times['home' if step is self._home else step.index] = time
+            self._times['home' if step is self._return_step else step.index] = time
             before = end_of(step)
 
     def leave_out(self, done: frozenset[int]) -> None:
@@ -76,7 +76,7 @@ class Itinerary:
         self._queue = deque(step for step in self._queue if step.index not in done)
         self.current = self._queue[0] if self._queue else self._steps[-1]
 
-    def put_back(self) -> None:
+    def repeat_current(self) -> None:
         """Run the interrupted current step first."""
         if self.current is not None:
             self._queue.appendleft(self.current)
@@ -99,7 +99,7 @@ class Itinerary:
     def seconds_left(self) -> float:
         """Return the duration of all after the current step, s."""
         seconds = sum(self._time_of(step) for step in self._queue)
-        if not self.goes_home and self._home not in self._queue:
+        if not self.is_returning and self._return_step not in self._queue:
             seconds += self._times['home']
         return seconds
 
@@ -108,4 +108,4 @@ class Itinerary:
         return 0.0 if self.current is None else self._time_of(self.current)
 
     def _time_of(self, step: Step) -> float:
-        return self._times['home' if step is self._home else step.index]
+        return self._times['home' if step is self._return_step else step.index]

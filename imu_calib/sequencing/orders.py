@@ -47,7 +47,7 @@ class Orders:
         """Whether the last command was to hold."""
         return self._setpoint is not None and self._setpoint.mode is Mode.HOLD
 
-    def to_hold(self, current: Step | None, at: Feedback | None) -> Setpoint:
+    def hold_setpoint(self, current: Step | None, at: Feedback | None) -> Setpoint:
         """Return the setpoint that stops the table where it is, not yet stamped."""
         angles = None if at is None else at.angles
         return held(current, angles, self._plan, self._table)
@@ -60,7 +60,7 @@ class Orders:
             at: The last joint state, if any.
 
         """
-        self._order(self.to_hold(current, at), None)
+        self._order(self.hold_setpoint(current, at), None)
 
     def stop(self, current: Step | None, at: Feedback | None) -> None:
         """Command the table to hold, and watch it come to rest; arguments as of `hold`."""
@@ -74,7 +74,7 @@ class Orders:
         self.turns_done = 0.0
         self._order(setpoint_of(motion, self._plan, self._table.names), motion)
 
-    def stay(self, goal: tuple[float, ...], at: Feedback | None) -> None:
+    def watch_goal(self, goal: tuple[float, ...], at: Feedback | None) -> None:
         """Watch that the table stays at its goal, (k,) angles, rad."""
         self._watch = Standing(self._table, self._rules, at)
         self._watch.keep(goal)
@@ -96,7 +96,7 @@ class Orders:
         return replace(self._setpoint, stamp=stamp)
 
     @property
-    def under_way(self) -> bool:
+    def is_sent(self) -> bool:
         """Whether the setpoint was sent: earlier measurements do not show its effect."""
         return self._sent
 

@@ -15,7 +15,7 @@ from .encoders import Feedback
 from .itinerary import Itinerary
 from .orders import Orders
 from .rules import Phase, Rules
-from .steps import check, end_of, way_to
+from .steps import approach_step, check, end_of
 
 
 class Leg(Enum):
@@ -95,12 +95,12 @@ class Run:
     def interrupt(self, at: Feedback | None) -> None:
         """Hold the table; the interrupted step is run first on continuing."""
         if self.leg in _WITHIN_A_STEP:
-            self.itinerary.put_back()
+            self.itinerary.repeat_current()
         self._stop(Leg.STOPPING, at)
 
     def follow(self, now: Feedback) -> str:
         """Process a joint state; return a sentence on a fault, or nothing."""
-        if not self.orders.under_way:
+        if not self.orders.is_sent:
             return ''
         there, fault = self.orders.check(now)
         return fault or self._go_on(now, there)
@@ -120,7 +120,7 @@ class Run:
             return ''
         again = self.itinerary.repeat(repeat_steps)
         self._place_is_known = False
-        return self._next(at) if again else self._begin(self.itinerary.home, at)
+        return self._next(at) if again else self._begin(self.itinerary.return_step, at)
 
     def seconds_left(self, at: Feedback | None) -> float:
         """Return the expected time to the end of the plan, s."""
@@ -163,23 +163,23 @@ class Run:
                 f'The calibrator did not report within {self._rules.repeat_wait:g} s '
                 'whether steps are to be repeated.'
             )
-            return self._begin(self.itinerary.home, now)
+            return self._begin(self.itinerary.return_step, now)
         return ''
 
     def _next(self, at: Feedback) -> str:
         """Begin the next step; after the last one ask the calibrator, then go home."""
         step = self.itinerary.take()
-        if step is None and self._rules.supervised and not self.itinerary.goes_home:
+        if step is None and self._rules.supervised and not self.itinerary.is_returning:
             self._stop(Leg.REVIEWING, at)
             return ''
-        return self._begin(step or self.itinerary.home, at)
+        return self._begin(step or self.itinerary.return_step, at)
 
     def _begin(self, step: Step, at: Feedback) -> str:
         """Command a step; a turn whose start may be off is preceded by a move there."""
         self.itinerary.current = step
         off = np.abs(step.angles - np.array(at.angles)).max()
         near = self._place_is_known and off <= self._rules.arrival
-        return self._move(way_to(step) if step.mode is Mode.RATE and not near else step, at)
+        return self._move(approach_step(step) if step.mode is Mode.RATE and not near else step, at)
 
     def _move(self, motion: Step, at: Feedback) -> str:
         self._enter(Leg.MOVING, at)
@@ -198,11 +198,11 @@ class Run:
         if motion.mode is not current.mode:
             return self._move(current, now)
         self._enter(Leg.SETTLING, now)
-        self.orders.stay(tuple(end_of(current).tolist()), now)
+        self.orders.watch_goal(tuple(end_of(current).tolist()), now)
         return ''
 
     def _finish(self, now: Feedback) -> str:
-        if self.itinerary.goes_home:
+        if self.itinerary.is_returning:
             self._stop(Leg.HOME, now)
             return ''
         self._ended = now.stamp

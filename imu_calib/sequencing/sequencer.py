@@ -129,7 +129,7 @@ class Sequencer:
         resumes = stage is _Stage.PAUSED
         if not resumes:
             assert self._feedback is not None  # a start without joint states is refused
-            self._run.itinerary.lay_out(self._feedback.angles)
+            self._run.itinerary.plan_steps(self._feedback.angles)
         self._why.begin()
         if not self._supervision.present:
             self._waits_from = _Stage.PAUSED if resumes else _Stage.IDLE
@@ -284,7 +284,7 @@ class Sequencer:
 
     def hold(self, stamp: int) -> Setpoint:
         """Return the setpoint that stops the table in any state."""
-        hold = self._run.orders.to_hold(self._run.itinerary.current, self._feedback)
+        hold = self._run.orders.hold_setpoint(self._run.itinerary.current, self._feedback)
         return replace(hold, stamp=stamp)
 
     def state(self) -> SequencerState:
@@ -346,7 +346,7 @@ class Sequencer:
     def _follow(self, now: Feedback) -> None:
         """Process a joint state of a running plan."""
         if not self.running:
-            self._see_it_stand(now)
+            self._hold_idle_table(now)
         elif now.gap > self.rules.feedback_timeout:
             self.fail(
                 f'No joint state for {now.gap:.2f} s, accepted is up to '
@@ -359,7 +359,7 @@ class Sequencer:
             if self._run.leg is Leg.HOME:
                 self._stage = _Stage.DONE
 
-    def _see_it_stand(self, now: Feedback) -> None:
+    def _hold_idle_table(self, now: Feedback) -> None:
         """Hold an idle table that moves, and report how far and how fast."""
         if self.idle.check(now):
             self._remark('unled', self.idle.text)

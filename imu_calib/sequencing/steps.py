@@ -15,7 +15,7 @@ from ..turntable import TURN, Table
 from ..units import DEG
 
 
-def laid_out(plan: Plan, table: Table, start: Floats) -> tuple[tuple[Step, ...], Step]:
+def steps_of_plan(plan: Plan, table: Table, start: Floats) -> tuple[tuple[Step, ...], Step]:
     """Return the steps of a plan from the table's present position, and the way back there.
 
     Args:
@@ -64,7 +64,7 @@ def end_of(step: Step) -> Floats:
     return np.asarray(step.angles + travel)
 
 
-def way_to(step: Step) -> Step:
+def approach_step(step: Step) -> Step:
     """Return the step that moves to the start of a turn."""
     still = np.zeros(len(step.rates))
     return replace(step, mode=Mode.POSITION, rates=still, turns=0, dwell=0.0)

@@ -55,7 +55,7 @@ class DeliveryLine:
         self._ready = float(ready[-1])
         return np.asarray(ready[1:] + order)
 
-    def pass_on(self, first: int, values: Floats) -> tuple[NDArray[np.intp], Floats]:
+    def deliver(self, first: int, values: Floats) -> tuple[NDArray[np.intp], Floats]:
         """Return which of (n, c) samples arrive, as rows in order, and their delivered values."""
         delivery = self._delivery
         values = self._frozen(first, values)

@@ -134,7 +134,7 @@ class SimulatedHardware:
         joints = JointBlock(stamps, self._table.table.names, angles, rates)
         motion = self._table.motion(end)
         lines = tuple(line.bytes_up_to(end, begin, motion) for line in self._lines)
-        self._table.forget(begin - _MEMORY)
+        self._table.drop_before(begin - _MEMORY)
         self.time = end
         return Output(joints, lines)
 

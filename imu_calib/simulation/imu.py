@@ -197,7 +197,7 @@ class SimulatedImu:
             mean = self.model.skewed.predict(angle / widths[:, None])[:, :1]
             delivered = self._skewed.deliver(np.repeat(mean, 3, axis=1), widths, self.period)
             values.append(delivered[:, :1])
-        rows, held = self._line.pass_on(first, np.hstack(values))
+        rows, held = self._line.deliver(first, np.hstack(values))
         self.taken, stamps = first + rows, stamps[rows]
         if self._skewed is not None:
             self.skewed = SkewBlock(stamps, held[:, 6])

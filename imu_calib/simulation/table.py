@@ -217,7 +217,7 @@ class SimulatedTable:
             links=(*(Link(k) for k in range(3)), *links),
         )
 
-    def forget(self, before: float) -> None:
+    def drop_before(self, before: float) -> None:
         """Drop the past before a time (s since the epoch), to limit the memory of a live table."""
         self._track = self._track.since(before)
         self._base = self._base.since(before)

@@ -57,7 +57,7 @@ class OneSource:
         followed, self._followed = self._followed, None
         return None if followed is None else replace(followed, mode=Mode.HOLD)
 
-    def admit(self, setpoint: Setpoint, source: bytes, steady: float) -> Setpoint:
+    def checked(self, setpoint: Setpoint, source: bytes, steady: float) -> Setpoint:
         """Return the setpoint for the table: as received, or HOLD in its place.
 
         Args:

@@ -34,7 +34,7 @@ DOUBT, REJECTION = 1e-2, 1e-6
 """Probabilities of a false alarm in a session of sound data."""
 
 
-_Doubts = tuple[tuple[Parameter, float], ...]
+_Considered = tuple[tuple[Parameter, float], ...]
 """Parameters and standard deviations."""
 
 _TOO_WIDE = 5.0
@@ -182,8 +182,8 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
     gyros = _Trial.of(calibration, observed, gyros=True)
     trials = [gyros]
     if calibration.has_accelerometers and observed.evidence.segments:
-        carried, doubts = _carried(calibration, observed, gyros)
-        trials.append(_Trial.of(calibration, carried, gyros=False, doubts=doubts))
+        carried, considered = _carried(calibration, observed, gyros)
+        trials.append(_Trial.of(calibration, carried, gyros=False, considered=considered))
     compared = [c for t in trials for c in compare(t.system, t.values, t.factor, t.fit)]
     limits = (_limit(DOUBT, len(compared)), _limit(REJECTION, len(compared)))
     judged = tuple(trial.judge(compared, limits) for trial in trials)
@@ -257,11 +257,16 @@ class _Trial:
 
     @classmethod
     def of(
-        cls, calibration: Calibration, observed: Observed, *, gyros: bool, doubts: _Doubts = ()
+        cls,
+        calibration: Calibration,
+        observed: Observed,
+        *,
+        gyros: bool,
+        considered: _Considered = (),
     ) -> _Trial:
         sensors = Sensors.of(calibration.parameters, gyros=gyros)
         reading = observed.reading(calibration.imu)[0 if gyros else 1]
-        system = TriadSystem(observed, sensors, reading, doubts=doubts)
+        system = TriadSystem(observed, sensors, reading, considered=considered)
         if not observed.with_attitudes:
             system = replace(system, up=_up(calibration, observed))
         system = with_true_noise(system)
@@ -312,7 +317,7 @@ class _Trial:
 
 def _carried(
     calibration: Calibration, observed: Observed, gyros: _Trial
-) -> tuple[Observed, _Doubts]:
+) -> tuple[Observed, _Considered]:
     """Return the session for the accelerometers, and the uncertainty of the gyros in it.
 
     Gyros propagate the axes of velocity changes: moves are rotated by the gyro readings, with the
@@ -381,5 +386,5 @@ def _with_both_gravities(calibration: Calibration, site: Site) -> Floats:
     """
     if same_place(calibration, site.gravity, site.latitude / DEG):
         return without_gravity(calibration)
-    there = gravity_covariance(calibration.model, calibration.parameters, site.gravity_doubt)
+    there = gravity_covariance(calibration.model, calibration.parameters, site.gravity_relative_std)
     return np.asarray(calibration.covariance + there)

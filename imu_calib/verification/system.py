@@ -103,7 +103,7 @@ class TriadSystem:
         bias_drift: Standard deviation of the biases from dwell to dwell, rad/s or m/s^2.
         seen: The unknowns fitted with all parameters free, as a start; None before that fit.
         mount_free: Whether a small rotation of the unit in its mount is estimated.
-        doubts: Parameters of the other triad and their standard deviations: gyros propagate the
+        considered: Parameters of the other triad and their standard deviations: gyros propagate the
             axes of velocity changes.
     """
 
@@ -115,7 +115,7 @@ class TriadSystem:
     bias_drift: float = 0.0
     seen: Floats | None = None
     mount_free: bool = False
-    doubts: tuple[tuple[Parameter, float], ...] = ()
+    considered: tuple[tuple[Parameter, float], ...] = ()
 
     @property
     def gyros(self) -> bool:
@@ -169,7 +169,7 @@ class TriadSystem:
             self.sensors.parameters,
             levelled=None if self.gyros else _ANY_TILT,
             extra=(Component(Source.BIAS_STATED, Diagonal(drifts**2)),),
-            doubts=self.doubts,
+            considered=self.considered,
         )
 
     @cached_property

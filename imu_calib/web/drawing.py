@@ -74,13 +74,13 @@ def sign(level: Severity) -> str:
 
 def troubles(shown: Snapshot) -> str:
     """Return the faults, or that there are none."""
-    if not shown.wrong:
+    if not shown.problems:
         if not shown.sentences:
             over = shown.outcome is not Outcome.OPEN
             text = 'The nodes have ended.' if over else 'No node has reported yet.'
             return tag('p', text, class_='muted')
         return tag('p', sign(Severity.OK) + 'Nothing is wrong.', class_='right')
-    return tag('ul', ''.join(_sentence(s) for s in shown.wrong), class_='sentences')
+    return tag('ul', ''.join(_sentence(s) for s in shown.problems), class_='sentences')
 
 
 def diagnostics(shown: Snapshot) -> str:
@@ -201,7 +201,7 @@ def joints(shown: Snapshot) -> str:
 def parameters(shown: Snapshot) -> str:
     """Return the parameters with the courses of their deviations."""
     known = sum(row.determined for row in shown.rows)
-    there = sum(row.determined and row.there for row in shown.rows)
+    there = sum(row.determined and row.is_reached for row in shown.rows)
     text = f'{known} of {len(shown.rows)} determined, {there} as well as the plan predicts.'
     begin, end = 0.0, max([shown.elapsed, *(r.course[-1][0] for r in shown.rows if r.course)])
     groups = {
@@ -257,7 +257,7 @@ def _row(row: Converging, begin: float, end: float) -> str:
         limit or ' ',
     )
     inside = ''.join(tag('td', cell, class_=_column(k)) for k, cell in enumerate(cells))
-    state = 'there' if row.determined and row.there else 'open'
+    state = 'there' if row.determined and row.is_reached else 'open'
     return tag('tr', inside, class_=state, title=row.parameter.kind.value.words)
 
 

@@ -92,7 +92,7 @@ class Dwells:
             self._kept.append(block)
         self._count_rates()
 
-    def stands(self, stamp: int) -> None:
+    def add(self, stamp: int) -> None:
         """Record that the table dwells at a stamp, ns."""
         if self._since is None:
             self._since = stamp + _SETTLED
@@ -110,7 +110,7 @@ class Dwells:
             self._look([])
         self._since, self._kept = None, []
 
-    def grow(self) -> None:
+    def update(self) -> None:
         """Evaluate the running dwell if it has grown enough."""
         samples = sum(len(block) for block in self._kept)
         if self._since is None or samples < max(_SHORTEST, _GROWTH * self._looked_at):

@@ -144,7 +144,7 @@ class Snapshot:
     report_text: str = ''
 
     @property
-    def wrong(self) -> tuple[Sentence, ...]:
+    def problems(self) -> tuple[Sentence, ...]:
         """Reports that need attention, the worst first, after the outcome of the session."""
         over = self.outcome is not Outcome.OPEN
         return tuple(

@@ -28,7 +28,7 @@ def serialize_message(message: Any, prefix: bytes = b'') -> bytes:
     try:
         written = STORE.serialize_cdr(message, message.TYPE_NAME, little_endian=True)
     except (AttributeError, TypeError, ValueError, struct.error, SerdeError) as error:
-        raise TypeError(message.wrong() or f'{message.TYPE_NAME}: {error}.') from error
+        raise TypeError(message.invalid_field() or f'{message.TYPE_NAME}: {error}.') from error
     # Cyclone DDS moves words of four bytes.
     padding = bytes(-len(written) % 4)
     return b''.join((written[:_HEADER], prefix, written[_HEADER:], padding))

@@ -43,7 +43,7 @@ class _TopicEnd:
         self._end = end
         self._notify = None if events is None else events.incompatible_qos
 
-    def tend(self) -> None:
+    def report_mismatches(self) -> None:
         """Report mismatches of quality of service: to the callback, else in the log."""
         info = self._end.incompatible()
         if info is None:

@@ -109,7 +109,7 @@ class Message:
         """Return the names of the fields and their types."""
         return {name: field.spelled for name, field in cls.FIELDS.items()}
 
-    def wrong(self) -> str:
+    def invalid_field(self) -> str:
         """Return the field with a wrong value that no assignment has checked, else empty."""
         for name, field in self.FIELDS.items():
             value = getattr(self, name)
@@ -118,7 +118,7 @@ class Message:
             except AssertionError as error:
                 return f'{self.TYPE_NAME}: {name} is {value!r}: {error}.'
             for inner in value if isinstance(value, list) else [value]:
-                if isinstance(inner, Message) and (reason := inner.wrong()):
+                if isinstance(inner, Message) and (reason := inner.invalid_field()):
                     return reason
         return ''
 

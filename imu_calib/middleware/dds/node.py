@@ -255,20 +255,20 @@ class Node:
 
     def run_timers(self) -> bool:
         """Run the callbacks of due timers; return whether there were any."""
-        self._tend()
+        self._report_mismatches()
         ran = False
         for timer in list(self.timers_):
             ran |= timer in self.timers_ and timer.execute()
         return ran
 
-    def _tend(self) -> None:
+    def _report_mismatches(self) -> None:
         now = time.monotonic()
         if now < self._tended + _TEND_PERIOD:
             return
         self._tended = now
         endpoints: list[Publisher | Subscription] = [*self.publishers_, *self.subscriptions_]
         for endpoint in endpoints:
-            endpoint.tend()
+            endpoint.report_mismatches()
 
     def _follow_clock(self) -> None:
         """Subscribe to /clock if use_sim_time is set."""

@@ -26,7 +26,7 @@ Cases = Sequence[Sequence[str]]
 
 
 @dataclass(frozen=True)
-class Matter:
+class Issue:
     """A matter that needs attention.
 
     Attributes:
@@ -62,7 +62,7 @@ class Matter:
         return tag('section', ''.join(parts), class_=f'matter {self.kind}')
 
 
-def matters(fleet: Fleet) -> list[Matter]:
+def issues(fleet: Fleet) -> list[Issue]:
     """Return all matters, the worst first."""
     found = (
         *_stands(fleet),
@@ -91,7 +91,7 @@ def link(unit: Unit) -> str:
     )
 
 
-def _stands(fleet: Fleet) -> Iterator[Matter]:
+def _stands(fleet: Fleet) -> Iterator[Issue]:
     shifts = fleet.history.stands.shifts
     if shifts:
         sentences = [stand_sentence(shift) for shift in shifts]
@@ -99,15 +99,15 @@ def _stands(fleet: Fleet) -> Iterator[Matter]:
             'Check levelling, zeros and alignment before the next unit is calibrated there; what '
             'is stated of units below is corrected for the shift.'
         )
-        yield Matter('Stands that are off', 'fail', sentences)
+        yield Issue('Stands that are off', 'fail', sentences)
 
 
-def _outside(fleet: Fleet) -> Iterator[Matter]:
+def _outside(fleet: Fleet) -> Iterator[Issue]:
     units = fleet.flagged(Flag.OUTSIDE)
     if not units:
         return
     cells = [[link(u), _newest(u), escape(_outside_of(u))] for u in units]
-    yield Matter(
+    yield Issue(
         'Outside the specification',
         'fail',
         [
@@ -137,7 +137,7 @@ def _newest(unit: Unit) -> str:
     return dated(unit.history.date[-1]) if unit.history is not None else ''
 
 
-def _due(fleet: Fleet) -> Iterator[Matter]:
+def _due(fleet: Fleet) -> Iterator[Issue]:
     late, soon = fleet.flagged(Flag.OVERDUE), fleet.flagged(Flag.DUE)
     if not late and not soon:
         return
@@ -171,7 +171,7 @@ def _due(fleet: Fleet) -> Iterator[Matter]:
         )
         title = 'Overdue for recalibration' if flag is Flag.OVERDUE else 'Due for recalibration'
         headings = ['unit', 'newest session', 'due', 'because of']
-        yield Matter(title, flag.value.kind, [what], headings, cells, flag)
+        yield Issue(title, flag.value.kind, [what], headings, cells, flag)
 
 
 def _date_of(unit: Unit) -> np.datetime64:
@@ -183,7 +183,7 @@ def _by(units: Sequence[Unit], key: Callable[[Unit], float]) -> list[Unit]:
     return sorted(units, key=key)
 
 
-def _failed(fleet: Fleet) -> Iterator[Matter]:
+def _failed(fleet: Fleet) -> Iterator[Issue]:
     rows, units = fleet.recordings, fleet.flagged(Flag.FAILED)
     number = int(np.count_nonzero(~rows.calibrated))
     if not number:
@@ -215,7 +215,7 @@ def _failed(fleet: Fleet) -> Iterator[Matter]:
         sentences.append(f'{count(len(alone), "failed recording")} did not say of which unit.')
     headings = ['unit', 'date', 'stand', 'recording', 'why']
     kind = 'fail' if units else 'plain'
-    yield Matter('Failed recordings', kind, sentences, headings, cells)
+    yield Issue('Failed recordings', kind, sentences, headings, cells)
 
 
 def _age(dates: np.ndarray, one: tuple[int, object]) -> float:
@@ -224,7 +224,7 @@ def _age(dates: np.ndarray, one: tuple[int, object]) -> float:
     return np.inf if np.isnat(date) else -float(date.astype('M8[s]').astype(np.int64))
 
 
-def _control(fleet: Fleet) -> Iterator[Matter]:
+def _control(fleet: Fleet) -> Iterator[Issue]:
     units = fleet.flagged(Flag.CONTROL)
     if not units:
         return
@@ -236,7 +236,7 @@ def _control(fleet: Fleet) -> Iterator[Matter]:
     ]
     rate = fleet.history.rules.false_alarm
     tested = sum(unit.history is not None for unit in fleet.units)
-    yield Matter(
+    yield Issue(
         'Out of control',
         'fail',
         [
@@ -268,7 +268,7 @@ def _signal(signal: Signal) -> str:
     return f'{what}: {signal.value:.3g}, limit {signal.limit:.3g}'.replace('-', '\u2212')
 
 
-def _steps(fleet: Fleet) -> Iterator[Matter]:
+def _steps(fleet: Fleet) -> Iterator[Issue]:
     units = fleet.flagged(Flag.STEP)
     if not units:
         return
@@ -278,7 +278,7 @@ def _steps(fleet: Fleet) -> Iterator[Matter]:
         assert history is not None
         newest = [s for s in history.steps if s.index == len(history.key) - 1]
         cells.append([link(unit), escape(' '.join(step_sentence(step) for step in newest))])
-    yield Matter(
+    yield Issue(
         'Steps',
         'marginal',
         [
@@ -291,7 +291,7 @@ def _steps(fleet: Fleet) -> Iterator[Matter]:
     )
 
 
-def _drifts(fleet: Fleet) -> Iterator[Matter]:
+def _drifts(fleet: Fleet) -> Iterator[Issue]:
     units = fleet.flagged(Flag.DRIFTS)
     if not units:
         return
@@ -310,7 +310,7 @@ def _drifts(fleet: Fleet) -> Iterator[Matter]:
     ]
     rules = fleet.history.rules
     tested = sum(unit.history is not None for unit in fleet.units)
-    yield Matter(
+    yield Issue(
         'Drifting units',
         'marginal',
         [
@@ -337,7 +337,7 @@ def _slopes(unit: Unit) -> str:
     return listed(words, 2)
 
 
-def _outliers(fleet: Fleet) -> Iterator[Matter]:
+def _outliers(fleet: Fleet) -> Iterator[Issue]:
     populations = fleet.history.populations.values()
     found = [(p.imu, o) for p in populations for o in p.outliers]
     lots = [(p.imu, lot) for p in populations for lot in p.lots]
@@ -367,7 +367,7 @@ def _outliers(fleet: Fleet) -> Iterator[Matter]:
         )
     headings = ['unit', 'value', 'distance, robust std']
     flag = Flag.OUTLIER if seen else None
-    yield Matter('Unlike the others of their type', 'plain', sentences, headings, cells, flag)
+    yield Issue('Unlike the others of their type', 'plain', sentences, headings, cells, flag)
 
 
 def remarks(fleet: Fleet) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from ..html import document, facts, paragraph, section
 from ..style import STYLE
 from ..svg import tag
-from .attention import matters, remarks
+from .attention import issues, remarks
 from .bokeh_script import bokeh_script
 from .columns import sessions_data, units_data
 from .contents import Flag, Fleet
@@ -35,7 +35,7 @@ def page(fleet: Fleet) -> str:
     library = bokeh_script()
     # In JavaScript's strict mode, and without global names.
     script = files(__package__).joinpath('page.js').read_text(encoding='utf-8')
-    needing = matters(fleet)
+    needing = issues(fleet)
     body = ''.join(
         [
             tag('h1', escape(title)),

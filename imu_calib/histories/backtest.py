@@ -20,7 +20,7 @@ from .sentences import listed, stand_sentence
 from .stands import corrections, judge_stands
 
 
-def look_back(sessions: Sessions, limits: Mapping[str, Floats], rules: Rules = USUAL) -> History:
+def backtest(sessions: Sessions, limits: Mapping[str, Floats], rules: Rules = USUAL) -> History:
     """Return the history of units, types and stands from their sessions.
 
     Args:
