@@ -78,7 +78,6 @@ class Measured:
         early: Memory of client and scheduler at a tenth of the recordings.
         late: The same at the end.
         of_worker: Memory of a worker at the end.
-
     """
 
     workers: int

@@ -86,7 +86,6 @@ class Flight:
         swinging: Time in which figures begin and end, s.
         heading: Of the straight parts, counter-clockwise from east, rad.
         incidence: Constant angle of the nose above the path, rad.
-
     """
 
     seconds: float = HOUR

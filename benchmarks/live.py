@@ -67,7 +67,6 @@ class Cost:
         receiver: Processor time of the receiver, us per sample.
         lost: Number of sent samples that are missing or out of order.
         peak: Peak memory of the receiver, MB.
-
     """
 
     name: str

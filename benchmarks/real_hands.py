@@ -172,7 +172,6 @@ class Tool(NamedTuple):
     Attributes:
         bias: Gyro bias.
         by_samples: Whether lengths are weighted by samples; else all holds have equal weight.
-
     """
 
     bias: Bias
@@ -214,7 +213,6 @@ def _led(
 
     Source: Tedaldi, Pretto and Menegatti 2014, eqs. (14) and (15), and (17) to (19) for the
     Runge-Kutta steps.
-
     """
     first, second = (ups[[turn[k] for turn in turns]] for k in (0, 1))
     rates, steps = _padded([turn[2] for turn in turns], [turn[4] for turn in turns])
@@ -334,7 +332,6 @@ class Session:
         Returns:
             Indices among the chosen, (n, 3) outputs of both triads between them, and the durations
             of the n - 1 steps, s.
-
         """
         found, place = [], {hold: k for k, hold in enumerate(sorted(chosen))}
         stamp = self.recording.stamp

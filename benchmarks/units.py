@@ -135,7 +135,6 @@ def with_errors(normal: Any) -> list[tuple[float, float]]:
     Args:
         normal: (sessions, units, 24) errors in stated deviations. The standard error is that of the
             mean square over sessions, which are independent.
-
     """
     found = []
     for mine in SLICES:

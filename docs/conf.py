@@ -117,7 +117,6 @@ def led(text: str, lies: Path, page: Path, source: Path) -> str:
         lies: The folder to which its links are relative.
         page: The folder below docs in which the site has it.
         source: The folder from which Sphinx builds: docs, or a copy of it.
-
     """
     borrowed = {theirs: ours for ours, theirs in BORROWED.items()}
 

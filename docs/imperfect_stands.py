@@ -95,7 +95,6 @@ class Condition:
         bound: What of the stand, beyond the description, the information bound must allow for;
             None where the bound does not know the condition.
         thermometer: Whether the temperature is recorded, where it moves.
-
     """
 
     file: str = '{}'

@@ -46,7 +46,6 @@ def calibrated(name: str, pair: int = 0, *, drifting: bool = False) -> Calibrati
         name: Of plan and method.
         pair: Which pair of sessions.
         drifting: Whether the biases drift by the data sheet.
-
     """
     unit, imu = Calibration.load(named_file('truths', 'cao2022_table1')), load_imu('fog_medium')
     table, plan = load_table('three_axis'), two_turns(load_plan(name))

@@ -61,7 +61,6 @@ def bound(
         at_rest: How long the unit stood at each position, s.
         table: What moves it from one to the next; None where nobody looks at the moves.
         velocities: Whether anybody looks at what the accelerometers gain on them.
-
     """
     ways = moves(plan, table) if table is not None else []
     arms = 3 * sum(position.rate_test is not None for position in plan.positions)

@@ -69,7 +69,6 @@ class Stand:
         azimuth: Of the table, where it is stated; None where nobody knows it.
         drift: Of gyros' and accelerometers' biases, that wander with 1000 s, rad/s and m/s^2.
         ramp: Whether biases and, of each triad together, scale factors drift evenly.
-
     """
 
     positioning: float = 0.0
@@ -99,7 +98,6 @@ class Part:
         whole: Of a turn: how long it takes from rest to rest, s, and how long it is on the rate.
         turned: Of a turn: whole turns from rest to rest, rad.
         ends: Of a move: the rests between which it lies, among the parts.
-
     """
 
     kind: str
@@ -121,7 +119,6 @@ class Course:
         leans: (e, p, 3) by one radian of each of e errors, about the unit's axes, in a turn in the
             mean, by the field of `Stand`.
         ends: (e, p) what each error of `positioning` adds to a turn from rest to rest, about up.
-
     """
 
     parts: list[Part]
@@ -144,7 +141,6 @@ def bound_of(
         site: Gravity and Earth rate.
         table: Outer axis z, middle x, inner z.
         stand: What is not known of it.
-
     """
     course = _course_of(plan, table)
     jacobian, arms = _jacobian(plan, model, site, table)
@@ -196,7 +192,6 @@ class _Ways:
         ends: (3 w, e) by one radian of each positioning error.
         own: (3 w, 3 w) their noise.
         common: (3 w, m) what of it is in the turn on the rate.
-
     """
 
     scaled: Floats
@@ -256,7 +251,6 @@ def slope_by_steps(rate: float, seconds: float, step: float) -> float:
         rate: Of the table, rad/s.
         seconds: For how long it is read.
         step: rad; 0 for none.
-
     """
     if not step:
         return 0.0

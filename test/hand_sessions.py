@@ -25,7 +25,6 @@ def by_hand(
         seconds: (n,) how long each hold lasts.
         rate: Of the fastest angle, rad/s.
         acceleration: rad/s^2.
-
     """
     tracks = [Track.standing(0.0, angles[0, k : k + 1]) for k in range(3)]
     now, holds = 0.0, []
@@ -53,7 +52,6 @@ def spread_holds(
         seed: Of headings, order and lengths.
         shortest: Shortest hold, s.
         longest: Longest hold, s.
-
     """
     rng = np.random.default_rng(seed)
     up = directions(holds, rng)

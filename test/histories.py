@@ -56,7 +56,6 @@ def sessions(
         stands: Names.
         truth: What is added.
         imu: Type.
-
     """
     serial, stand, date, values = [], [], [], []
     for unit in range(units):

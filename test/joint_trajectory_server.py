@@ -19,7 +19,6 @@ class JointTrajectoryServer(ros.Node):
     Args:
         now: Returns the time of the joints, ns.
         joints: How many.
-
     """
 
     def __init__(self, now, joints=3):

@@ -56,7 +56,6 @@ def until(condition, seconds=None, step=lambda: time.sleep(0.01)):
         condition: Asked before each step.
         seconds: How long to look for what must not come; None for what must, see `patience`.
         step: Lets something happen.
-
     """
     end = time.monotonic() + (patience() if seconds is None else seconds)
     while not condition():

@@ -75,7 +75,6 @@ class Chunked:
     Attributes:
         content: Bytes so far, the magic first.
         places: Where each chunk record starts and ends, and where its index ends.
-
     """
 
     content: bytes = MAGIC + record(HEADER, text('') + text(''))

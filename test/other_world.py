@@ -59,7 +59,6 @@ class Terms:
         accel_signs: To an accelerometer, times |f|.
         accel_cube: To an accelerometer, times f^3.
         accel_cross: To accelerometer i row i times (f_x f_y, f_x f_z, f_y f_z).
-
     """
 
     by_force: Matrix = ZERO
@@ -96,7 +95,6 @@ class Unit:
         gyro_step, accel_step: Added to the biases from `stepping` on, rad/s and m/s^2.
         stepping: s.
         terms: What the channels add to that.
-
     """
 
     gyro_m: Matrix = ZERO
@@ -151,7 +149,6 @@ class Flaw:
             of x about y and z.
         wobble: The same, with the angle that its encoder reads.
         encoder: What the encoder reads beyond the angle, with that angle.
-
     """
 
     zero: float = 0.0
@@ -177,7 +174,6 @@ class Damage:
         bunch: Samples that are stamped together.
         freezes: When the device begins to repeat one sample, s.
         frozen: For how long, s.
-
     """
 
     lost: float = 0.0
@@ -197,7 +193,6 @@ class Stops:
         joints: Of a joint, unseen by its encoder until it moves again.
         tilt: Of the whole table about east and about north.
         heading: Of the whole table about up.
-
     """
 
     joints: float = 0.0
@@ -213,7 +208,6 @@ class Shaking:
         rate, force: Amplitudes, rad/s and m/s^2.
         tones: Hz.
         decay: From the end of each motion on, s; 0 for a floor that shakes all the time.
-
     """
 
     rate: float
@@ -250,7 +244,6 @@ class World:
         damage: What happens to the samples.
         stops: How the table misses.
         shaking: What shakes the unit.
-
     """
 
     latitude: float = 34.65 * DEG

@@ -61,7 +61,6 @@ def start(words, **options):
     Args:
         words: Its command line.
         options: As of subprocess.Popen.
-
     """
     process = subprocess.Popen(words, **{'start_new_session': True, **options})
     _started.append(process)
@@ -83,7 +82,6 @@ def running(number=None):
 
     Args:
         number: Of a process whose run has ended; None for this one, without what is kept.
-
     """
     mark = f'{MARK}={number or os.getpid()}'.encode()
     passed_over = set() if number else {f'{KEPT}=1'.encode()}

@@ -60,7 +60,6 @@ class Network:
 
     Args:
         folder: Takes the logs.
-
     """
 
     def __init__(self, folder):

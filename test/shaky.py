@@ -58,7 +58,6 @@ def shaky(
         limit: End of the gyros' range, rad/s.
         swaying: A hold that leans to and fro slowly, and by how much, rad.
         seed: Of attitudes, lengths, tremble and noise.
-
     """
     rng = np.random.default_rng([seed, 83])
     turn, still = rng.uniform(1.2, 2.2, holds), rng.uniform(3.0, 5.0, holds)

@@ -57,7 +57,6 @@ def stamped(clock, made, arrival, *, time=None, counter=None, set_by=None):
         time: (n,) device time.
         counter: (n,) frame counter.
         set_by: (n,) how far the host's clock is ahead of the steady one at the arrival, ns.
-
     """
     parts = []
     for part in delivered(arrival):

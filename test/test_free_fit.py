@@ -342,7 +342,6 @@ def clear(
         at_rest: Residual of each of the last hold's accelerometers, likewise.
         noise: Standard deviation of the outputs.
         lost: An unknown that nothing sees.
-
     """
     layout = OutputLayout(dwells=10, moves=10)
     columns = np.zeros((90, 26))

@@ -22,7 +22,6 @@ class Manager:
         peer: Node that asks.
         name: Of the node that is managed.
         until: Spins both until a condition holds.
-
     """
 
     def __init__(self, peer, name, until):

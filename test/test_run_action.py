@@ -18,7 +18,6 @@ class Client:
 
     Args:
         session: With its nodes open.
-
     """
 
     def __init__(self, session):

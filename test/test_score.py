@@ -64,7 +64,6 @@ class Case:
         values: By name of the term, in the order of its parameters, SI units.
         world: Where.
         alike: What the session cannot tell from a term.
-
     """
 
     terms: Terms

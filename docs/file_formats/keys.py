@@ -32,7 +32,6 @@ class Value:
     Attributes:
         schema: As JSON Schema has it.
         words: As a table has it.
-
     """
 
     schema: Schema
@@ -50,7 +49,6 @@ class Key:
         default: Taken where the key is left out or empty; `REQUIRED` where it must not be, None
             where nothing takes its place.
         otherwise: Words in place of the default.
-
     """
 
     name: str

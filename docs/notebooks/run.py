@@ -40,7 +40,6 @@ def executed(name: str) -> NotebookNode:
 
     Raises:
         nbclient.exceptions.CellExecutionError: A cell raises.
-
     """
     notebook = read(name)
     with TemporaryDirectory() as folder:

@@ -49,7 +49,6 @@ def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
 
     Raises:
         NotStated: They do not, and their units are not stated.
-
     """
     blocks = [b for _, b in islice(recording.read({topic: Kind.IMU}), _BLOCKS)]
     samples = [b for b in blocks if isinstance(b, ImuBlock)]

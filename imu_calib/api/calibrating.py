@@ -64,7 +64,6 @@ def calibrate(
     Raises:
         InputError: Something is missing, ambiguous, unreadable, or differs from what is stated.
         NotObservable: The data does not determine all parameters; the text states which and why.
-
     """
     return calibrated(bag, Stated(**stated), progress)
 
@@ -84,7 +83,6 @@ def calibrated(
         stated: Known facts of the session.
         progress: Shows the progress.
         to_be_judged: Refuse a unit without a specification before the computation.
-
     """
     opened = open_session(bag, stated)
     with opened.recording:
@@ -99,7 +97,6 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
     Raises:
         InputError: Unreadable, or different from what is stated.
         NotObservable: The data does not determine all parameters.
-
     """
     calibrator = calibrator_of(opened.setup)
     for block in opened.blocks(progress):
@@ -113,7 +110,6 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
     Raises:
         InputError: It differs from what is stated.
         NotObservable: The data does not determine all parameters.
-
     """
     lost = tuple(opened.recording.losses)
     by_hand = ASSUMED_BY_HAND in opened.assumed

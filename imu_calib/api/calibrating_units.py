@@ -40,7 +40,6 @@ class UnitResult:
         result: Its calibration with its session; None if it failed.
         error: Why it failed; else None.
         imu: Its type; as stated if it cannot be read, empty if not stated.
-
     """
 
     serial_number: str
@@ -60,7 +59,6 @@ class UnitResults:
         table: Common table errors estimated from them; None if each is calibrated separately.
         shared: Serial numbers of the units used for `table`.
         left_out: Reasons why other units are calibrated separately, by serial number.
-
     """
 
     units: tuple[UnitResult, ...]
@@ -74,7 +72,6 @@ class UnitResults:
         Raises:
             ImuCalibError: The reason why there is no result.
             KeyError: There is no such unit.
-
         """
         for unit in self.units:
             if unit.serial_number == serial_number:
@@ -88,7 +85,6 @@ class UnitResults:
 
         Raises:
             InputError: The folder cannot be written.
-
         """
         path = Path(folder)
         try:
@@ -130,7 +126,6 @@ def calibrate_units(
     Raises:
         InputError: The recording or the file of the units is unreadable, or the units are not
             stated.
-
     """
     with recording_at(bag) as recording:
         session = Stated(**stated)
@@ -149,7 +144,6 @@ def units_of_recording(
 
     Raises:
         InputError: As `calibrate_units`.
-
     """
     parts = [_part(recording, stated, unit) for unit in _listed(recording, imus)]
     _read(recording, parts, progress)
@@ -189,7 +183,6 @@ def holds_several(bag: str | AnyPath) -> bool:
 
     Raises:
         InputError: There is no recording, or it is unreadable.
-
     """
     with recording_at(bag) as recording:
         return bool(units_of(recording))
@@ -200,7 +193,6 @@ def serials_in(recording: Recording, imus: Named | None) -> tuple[str, ...]:
 
     Raises:
         InputError: The file of the units is unreadable, or the units are not stated.
-
     """
     return tuple(unit.serial_number for unit in _listed(recording, imus))
 

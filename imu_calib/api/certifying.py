@@ -50,7 +50,6 @@ def certificate(
     Raises:
         InputError: Something that the standard requires is missing (everything missing is named),
             the fields contradict the calibration, or a file cannot be read or written.
-
     """
     named = [output] if isinstance(output, str | Path) else output
     targets = [user_path(name) for name in named]

@@ -51,7 +51,6 @@ class Columns:
         columns: (n,) values of each field, by its name in the message.
         units: Unit of each field that has one.
         losses: Sentences about what could not be read.
-
     """
 
     topic: str
@@ -69,7 +68,6 @@ class Columns:
 
         Raises:
             InputError: There is none of that name; the available ones are listed.
-
         """
         if name not in self.columns:
             raise InputError(
@@ -82,7 +80,6 @@ class Columns:
 
         Raises:
             InputError: pandas is not installed.
-
         """
         require('pandas', 'A data frame', 'dataframe')
         import pandas as pd
@@ -99,7 +96,6 @@ class Columns:
 
         Raises:
             InputError: matplotlib is not installed.
-
         """
         numbers = {n: v for n, v in self.columns.items() if np.issubdtype(v.dtype, np.number)}
         return draw_columns(self.topic, self.stamp, numbers, self.units)
@@ -122,7 +118,6 @@ def read(bag: str | AnyPath, topic: str | None = None) -> Columns | dict[str, Co
 
     Raises:
         InputError: Nothing can be read, or there is no such topic; the available ones are listed.
-
     """
     with open_recording(bag) as recording:
         topics = {t.name: t for t in recording.topics if t.type in _READ}

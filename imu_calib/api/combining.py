@@ -34,7 +34,6 @@ def combine(
     Raises:
         InputError: They are not of one unit, a temperature is missing or repeated, they are too few
             for the order, or a file cannot be read or written.
-
     """
     names = [name_of(one, f'calibration {k + 1}') for k, one in enumerate(calibrations)]
     combined = of_temperatures([as_calibration(one) for one in calibrations], names, order)

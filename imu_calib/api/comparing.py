@@ -37,7 +37,6 @@ class Compared:
         names: The names of their files, or of the units.
         side_by_side: The calibrations, their common parameters, and their agreement.
         findings: Messages for the user, in sentences.
-
     """
 
     names: tuple[str, ...]
@@ -129,7 +128,6 @@ class Compared:
 
         Raises:
             InputError: pandas is not installed.
-
         """
         shown = [*self.names, *([] if self.std.ndim > 1 else ['difference', 'std'])]
         columns = [*self.values, *([] if self.std.ndim > 1 else [self.difference, self.std])]
@@ -143,7 +141,6 @@ class Compared:
 
         Raises:
             InputError: matplotlib is not installed, or there are more than two.
-
         """
         if self.std.ndim > 1:
             raise InputError(f'found {len(self.names)} calibrations, expected two to draw.')
@@ -164,7 +161,6 @@ def compare(
     Raises:
         InputError: There are fewer than two, a file cannot be read or is of several temperatures,
             or the streams have different units.
-
     """
     if len(calibrations) < _FEWEST:
         raise InputError(f'found {len(calibrations)} calibration, expected two or more.')

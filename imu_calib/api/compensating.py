@@ -59,7 +59,6 @@ class Compensated:
         given: Number of samples written.
         marked: Number of samples by mark, for instance beyond the range.
         findings: Messages for the user, in sentences.
-
     """
 
     path: Path
@@ -103,7 +102,6 @@ def compensate(
 
     Raises:
         InputError: Unreadable, the calibration is not this unit's, or the output exists.
-
     """
     loaded, name = as_applied(calibration)
     file = Path(calibration).name if isinstance(calibration, str | Path) else ''

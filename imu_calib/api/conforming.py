@@ -20,7 +20,6 @@ class Conformity:
 
     Attributes:
         assessed: Every estimated parameter, with its limit and verdict if it has one.
-
     """
 
     assessed: tuple[Assessed, ...]
@@ -76,7 +75,6 @@ def conformity(
 
     Raises:
         InputError: The unit's file states no specification.
-
     """
     if isinstance(calibration, ThermalCalibration):
         found = calibration.calibrations
@@ -98,7 +96,6 @@ def specification_of(imu: ImuSpec) -> Specification:
 
     Raises:
         InputError: Its file states none.
-
     """
     if imu.specification is None:
         raise InputError(

@@ -35,7 +35,6 @@ class Converted:
         path: The recording.
         counts: Number of messages by topic.
         findings: Messages for the user, in sentences.
-
     """
 
     path: Path
@@ -48,7 +47,6 @@ def described(imu: Named | None, raw: set[str]) -> dict[str, str]:
 
     Raises:
         InputError: The meaning of pulses or counts is not stated, or other units are stated.
-
     """
     if imu is None and raw:
         raise InputError(

@@ -63,7 +63,6 @@ def convert(
 
     Raises:
         InputError: Unreadable, the options do not match the file, or the output exists.
-
     """
     target = user_path(output)
     if target.exists():

@@ -43,7 +43,6 @@ def export(
     Raises:
         InputError: There is no such format, it cannot represent this calibration, or a file cannot
             be read or written.
-
     """
     if format not in EXPORTS:
         raise InputError(f'`format`: found {format!r}, expected one of {", ".join(EXPORTS)}.')

@@ -55,7 +55,6 @@ def from_text(
 
     Raises:
         InputError: A column or a unit is missing, or the values are not of an IMU.
-
     """
     stamps = _stamps(text, stamp, rate)
     rates, gyro_unit = _columns(text, gyro, '`gyro`', _GYRO, 3)

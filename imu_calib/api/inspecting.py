@@ -42,7 +42,6 @@ class Inspection:
         lost: Missing or broken data, as far as the topics were examined.
         streams: Contents of the streams; None if it is unknown how to read them.
         missing_input: What must be stated to read them, in a sentence.
-
     """
 
     path: str
@@ -69,7 +68,6 @@ def inspect(bag: Named, stated: Stated | None = None, progress: Progress = silen
 
     Raises:
         InputError: Unreadable, or the statements do not match it.
-
     """
     outside = topics(bag, progress)
     return inspect_streams(outside, stated or Stated(), progress)

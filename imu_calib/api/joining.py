@@ -40,7 +40,6 @@ def joined(
 
     Raises:
         InputError: The topics hold too few samples, or pulses; or the joined topic exists.
-
     """
     statements = described(imu, set())
     rates, forces = read(path, gyro_topic), read(path, accel_topic)
@@ -89,7 +88,6 @@ def read_at(known: Stamps, values: Floats, wanted_at: Stamps) -> tuple[Stamps, F
 
     Returns:
         Stamps between two samples, the values there, and the indices of those stamps.
-
     """
     after = np.searchsorted(known, wanted_at, side='left')
     exact = (after < len(known)) & (known[np.minimum(after, len(known) - 1)] == wanted_at)

@@ -69,7 +69,6 @@ def as_applied(calibration: Result | AnyCalibration | Named) -> tuple[AnyCalibra
 
     Raises:
         InputError: A file cannot be read, or is not a calibration.
-
     """
     if isinstance(calibration, str | Path):
         return load_calibration(calibration), str(calibration)
@@ -98,7 +97,6 @@ def load_truth(truth: Calibration | Named, imu: ImuSpec) -> Calibration:
 
     Raises:
         InputError: They do not describe the unit's skewed gyro.
-
     """
     known = as_truth(truth)
     if imu.skewed is not None and known.model.skewed is None:

@@ -33,7 +33,6 @@ class Opened:
         setup: Set-up for the calibrator.
         streams: Its topics.
         assumed: Assumptions about what is not stated, in sentences.
-
     """
 
     recording: Recording
@@ -58,7 +57,6 @@ def open_session(bag: str | AnyPath, stated: Stated, sha256: str | None = None) 
 
     Raises:
         InputError: Something is missing, ambiguous or unreadable.
-
     """
     return session_of(recording_at(bag, sha256), stated)
 
@@ -72,7 +70,6 @@ def recording_at(bag: str | AnyPath, sha256: str | None = None) -> Recording:
 
     Raises:
         InputError: There is none, or it is unreadable.
-
     """
     if not isinstance(bag, str | AnyPath) or bag == '':
         raise InputError(f'found {bag!r}, expected the path of a recording.')
@@ -84,7 +81,6 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
 
     Raises:
         InputError: Something is missing or ambiguous.
-
     """
     streams = streams_of(stated, recording)
     described = table_of(stated, recording)

@@ -19,7 +19,6 @@ def output_path(output: Named) -> Path:
     Raises:
         InputError: Its folder does not exist, it is a folder itself, or a recording, which nobody
             can make again.
-
     """
     path = _below_a_folder(output)
     if path.is_dir():
@@ -34,7 +33,6 @@ def new_folder(output: Named) -> Path:
 
     Raises:
         InputError: Its parent folder does not exist, or it exists already.
-
     """
     path = _below_a_folder(output)
     if path.exists():
@@ -48,7 +46,6 @@ def output_or_default(output: str | None, default: str) -> str:
     Raises:
         InputError: No path is given and the default exists: it may be the only copy of another
             session's result.
-
     """
     if output is None and user_path(default).exists():
         raise InputError(

@@ -65,7 +65,6 @@ class Prediction:
         terms: Information of the session on each term of the sensors, added alone.
         changes: Information on biases and scale factors that trend, warm up or follow a stated
             temperature, each kind alone.
-
     """
 
     setup: Setup
@@ -93,7 +92,6 @@ class Prediction:
 
         Raises:
             InputError: pandas is not installed.
-
         """
         found = self.forecast
         return predicted_frame(found.parameters, found.std, found.best)
@@ -124,7 +122,6 @@ def predict(
     Raises:
         InputError: A file is missing or broken, or they do not match each other.
         NotObservable: The plan cannot determine the parameters with its method.
-
     """
     session = Stated(plan=plan, imu=imu, **stated)
     return predicted(
@@ -161,7 +158,6 @@ def optimise(
         InputError: A file is missing or broken, `output` is not a valid name of a plan's file, the
             time is too short for any plan, the table reaches too few attitudes, or cannot turn that
             fast.
-
     """
     target = None if output is None else plan_file(output)
     setup, model = setup_of(Stated(plan=_ANY_PLAN, imu=imu, **stated)), as_truth(truth).model
@@ -180,7 +176,6 @@ def plan_file(output: Named) -> Path:
 
     Raises:
         InputError: Its ending is not that of a plan, or its folder does not exist.
-
     """
     path = output_path(output)
     if path.suffix != '.yaml':
@@ -215,7 +210,6 @@ def reach(
         InputError: There is no such parameter, it is not a standard deviation, or a file is missing
             or broken.
         NotObservable: No dwell reaches it; the text states the obstacle.
-
     """
     session = Stated(plan=plan, imu=imu, **stated)
     return shortest(setup_of(session), as_truth(truth).model, wanted, scheduler)
@@ -227,7 +221,6 @@ def setup_of(stated: Stated) -> Setup:
     Raises:
         InputError: A file is missing or broken, or terms are requested that a plan cannot estimate.
         NotObservable: The plan cannot determine the parameters with its method.
-
     """
     assert stated.plan is not None, 'a prediction is of a plan'
     assert stated.imu is not None, 'a prediction is of an IMU'
@@ -252,7 +245,6 @@ def predicted(
 
     Raises:
         InputError: The temperature changes too little to determine its effects.
-
     """
     if rise is not None and not LEAST_RISE <= abs(rise) < math.inf:
         raise InputError(
@@ -286,7 +278,6 @@ def shortest(
 
     Raises:
         InputError: No such parameter, no valid standard deviation, or one that no dwell can reach.
-
     """
     parameters = {p.name: p for p in listed(setup)}
     read = dict(_wanted(name, value, parameters) for name, value in wanted.items())

@@ -36,7 +36,6 @@ class MonteCarloResult:
         setup: Plan, method, table, IMU and site.
         outcome: Errors and standard deviations of every run, and their statistics.
         findings: Messages for the user, in sentences.
-
     """
 
     setup: Setup
@@ -52,7 +51,6 @@ class MonteCarloResult:
 
         Raises:
             InputError: pandas is not installed.
-
         """
         return repeated_frame(self.outcome)
 
@@ -61,7 +59,6 @@ class MonteCarloResult:
 
         Raises:
             InputError: matplotlib is not installed.
-
         """
         setup, outcome = self.setup, self.outcome
         title = f'{setup.plan.name}, {setup.method_name}: {len(outcome.errors)} runs'
@@ -106,7 +103,6 @@ def montecarlo(
         InputError: A file is missing or broken, they do not match each other, the plan is run by
             hand, or no scheduler answers.
         NotObservable: No run gave an estimate; the text states why.
-
     """
     for name, value, least in (('runs', runs, 1), ('jobs', jobs, 1), ('seed', seed, 0)):
         if not isinstance(value, int) or value < least:

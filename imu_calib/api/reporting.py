@@ -61,7 +61,6 @@ def report(
     Raises:
         InputError: A file is missing or broken, the recording is another one, or does not reproduce
             the calibration.
-
     """
     return written(calibration, output, bag, imu, compare, Stated(), progress)[0]
 

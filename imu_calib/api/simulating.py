@@ -61,7 +61,6 @@ class Simulated:
         truth: The true parameters of the unit, also in the file `TRUTH` of the folder.
         duration: s.
         true_table: The file of the true table; None if it is as described.
-
     """
 
     path: Path
@@ -116,7 +115,6 @@ def simulate(
         InputError: A file is missing or broken, they do not match each other, the folder exists, or
             its parent folder does not.
         NotObservable: The plan cannot determine the parameters with its method.
-
     """
     if seed < 0:
         raise InputError(f'`seed`: found {seed}, expected 0 or more.')
@@ -170,7 +168,6 @@ def options_of(
 
     Raises:
         InputError: The file is broken, or an azimuth, a date or a temperature is invalid.
-
     """
     options = StandOptions(
         azimuth=azimuth_of(azimuth or 0.0),

@@ -42,7 +42,6 @@ class SimulatedUnits:
         truths: The true parameters of each unit by serial number, also in the folder `TRUTHS`.
         duration: s.
         true_table: The file of the true table; None if it is as described.
-
     """
 
     path: Path
@@ -93,7 +92,6 @@ def simulate_units(
         InputError: A file is missing or broken, they do not match each other, the folder exists, or
             its parent folder does not.
         NotObservable: The plan cannot determine the parameters with its method.
-
     """
     if seed < 0:
         raise InputError(f'`seed`: found {seed}, expected 0 or more.')

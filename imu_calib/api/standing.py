@@ -36,7 +36,6 @@ class StandRun:
         calibration: The result, as in calibration.yaml of the folder.
         truth: The unit's true parameters.
         true_table: File of the true table; None if it is as described.
-
     """
 
     path: Path
@@ -86,7 +85,6 @@ def stand(
             other, or a node does not start.
         NotObservable: The session gives no calibration; the text states why.
         ImuCalibError: There is no middleware for the nodes.
-
     """
     options = {
         'imu': imu,

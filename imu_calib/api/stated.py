@@ -74,7 +74,6 @@ class Stated:
         terms: Terms that the joint estimate adds to the 24 parameters: names separated by commas.
         serial: Serial number of the unit.
         mount: (3, 3) its body axes in those of the table's described mount.
-
     """
 
     plan: Plan | Named | None = None
@@ -101,7 +100,6 @@ class Stated:
 
         Raises:
             InputError: Names the keyword, the value found, and what to write.
-
         """
         for name in _NUMBERS:
             value = getattr(self, name)
@@ -119,7 +117,6 @@ class Stated:
 
         Raises:
             InputError: No such term.
-
         """
         return named_terms(split_terms(self._terms)[0])
 
@@ -129,7 +126,6 @@ class Stated:
 
         Raises:
             InputError: No such term, or two that exclude each other.
-
         """
         return split_terms(self._terms)[1]
 
@@ -143,7 +139,6 @@ class Stated:
 
         Raises:
             InputError: There is no such place on Earth.
-
         """
         latitude = otherwise if self.latitude is None else self.latitude
         return Site.at(
@@ -164,7 +159,6 @@ class Stated:
 
         Raises:
             InputError: It is not an angle.
-
         """
         if self.azimuth is None:
             return table
@@ -176,7 +170,6 @@ def azimuth_of(degrees: float) -> float:
 
     Raises:
         InputError: It is no angle, or beyond a turn.
-
     """
     if not abs(degrees) <= 360:
         raise InputError(f'`azimuth`: found {degrees:g} deg, expected -360 to 360.')
@@ -191,7 +184,6 @@ def plan_of(stated: Stated, recording: Recording, streams: Streams) -> Plan | No
 
     Raises:
         InputError: The file is broken.
-
     """
     if (plan := stated_plan(stated, recording)) is not None:
         return plan
@@ -203,7 +195,6 @@ def stated_plan(stated: Stated, recording: Recording) -> Plan | None:
 
     Raises:
         InputError: The file is broken.
-
     """
     if stated.plan == NO_PLAN:
         return None
@@ -219,7 +210,6 @@ def stated_imu(stated: Stated, recording: Recording, topic: str) -> tuple[ImuSpe
 
     Raises:
         InputError: The file is broken, or states other units than those of a computed stream.
-
     """
     data = recording.custom_data
     text, says = described_imu(data, topic), f'{recording.path}: its IMU'
@@ -246,7 +236,6 @@ def serial_of(stated: Stated, recording: Recording, topic: str) -> str:
 
     Raises:
         InputError: The two differ.
-
     """
     data = recording.custom_data
     recorded, given = data.get(serial_key(topic), data.get(SERIAL_NUMBER, '')), stated.serial
@@ -269,7 +258,6 @@ def mounted_on(table: Table, stated: Stated, recording: Recording, topic: str) -
 
     Raises:
         InputError: The mount in the recording is invalid.
-
     """
     mount = stated.mount
     if mount is None:
@@ -297,7 +285,6 @@ def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> S
 
     Raises:
         InputError: The site is not stated, or is not on Earth.
-
     """
     if stated.latitude is not None:
         return stated.site(stated.latitude)

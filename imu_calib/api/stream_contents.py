@@ -46,7 +46,6 @@ class Dwell:
         heading: Of the unit about the vertical by the table's angles, deg; None if unknown.
         position: Name in the plan, or why there is none; empty without a plan.
         mean: (6,) mean outputs, rad/s and m/s^2.
-
     """
 
     at: float
@@ -84,7 +83,6 @@ class StreamContents:
         contradictions: To the latitude, the plan or the description of the IMU.
         left_out: Data that is not used, and why.
         lost: Lost data.
-
     """
 
     dwells: tuple[Dwell, ...]
@@ -103,7 +101,6 @@ def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
 
     Raises:
         InputError: Unreadable, or the statements do not match it.
-
     """
     setup = opened.setup
     free = setup.method_name == _FREE

@@ -46,7 +46,6 @@ def streams_of(stated: Stated, recording: Recording) -> Streams:
 
     Raises:
         InputError: No IMU topic, or several candidates; they are listed.
-
     """
     imu = imu_topic(stated.imu_topic, recording, stated.serial)
     skew = skew_topic(recording, imu)
@@ -68,7 +67,6 @@ def imu_topic(wanted: str | None, recording: Recording, serial: str | None = Non
 
     Raises:
         InputError: There is none, or several; they are listed.
-
     """
     wanted = wanted or _topic_of_unit(serial, recording)
     imu = _choose(recording, Kind.IMU, wanted, '`imu_topic`')

@@ -45,7 +45,6 @@ class Text:
 
         Raises:
             InputError: There is none; the text names the option and the available columns.
-
         """
         if name in self.names:
             return self.values[:, self.names.index(name)]
@@ -69,7 +68,6 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
 
     Raises:
         InputError: It cannot be read, or holds no numbers.
-
     """
     written = [row for row in _decoded(path).splitlines() if row.strip()]
     lines = [row for row in written if not row.startswith(_COMMENTS)]

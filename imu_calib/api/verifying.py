@@ -71,7 +71,6 @@ def verify(
     Raises:
         InputError: Something is missing or unreadable, or the recording is of another unit.
         NotObservable: The recording contains nothing to compare with.
-
     """
     loaded, name = as_applied(calibration)
     with open_recording(bag) as recording:

@@ -32,7 +32,6 @@ class ReadAhead(Generic[Stored, Content]):
         groups: In the order in which they will be requested.
         fetch: Reads the stored bytes of one.
         unpack: Converts these to its content.
-
     """
 
     def __init__(

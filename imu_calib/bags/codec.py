@@ -41,7 +41,6 @@ def decompressor(compression: str) -> Callable[[bytes | memoryview], bytes]:
 
     Raises:
         InputError: The compression is unknown, or its package is not installed.
-
     """
     if compression == '':
         return bytes
@@ -68,7 +67,6 @@ def unpacked_into(memory: memoryview, data: bytes | memoryview, compression: str
 
     Returns:
         Whether it is one valid frame of that size; `decompressor` handles all other cases.
-
     """
     module = _lz4() if compression == 'lz4' else _zstd()
     try:
@@ -137,7 +135,6 @@ def unpack_file(source: AnyPath, target: Path) -> str:
     Raises:
         InputError: No package for zstd is installed.
         OSError: A file cannot be read or written.
-
     """
     module = _zstd()
     stream = _FrameStream(module)

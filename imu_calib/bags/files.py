@@ -70,7 +70,6 @@ def find_files(path: AnyPath, losses: Losses) -> Found:
         RecordingError: There is nothing to read.
         OSError: The folder cannot be read.
         InputError: Its connection was lost.
-
     """
     if path.is_file():
         if (way := _OTHERS.get(path.suffix.lower())) is not None:
@@ -147,7 +146,6 @@ def open_storage(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage:
 
     Raises:
         RecordingError: The file is neither mcap nor sqlite3, or not readable.
-
     """
     try:
         with path.open('rb') as file:

@@ -36,7 +36,6 @@ class Journal:
     Raises:
         InputError: The folder holds a finished session, one of another plan, IMU, table or site,
             or no recording.
-
     """
 
     def __init__(
@@ -94,7 +93,6 @@ class Journal:
         Raises:
             InputError: The disk is full. The messages are held in memory, and the next `flush`
                 tries again.
-
         """
         first = max(now, self._newest, self._last.get(topic, 0) + 1)
         log_time = first + np.arange(len(messages), dtype=np.int64)
@@ -111,7 +109,6 @@ class Journal:
 
         Raises:
             InputError: The disk is full.
-
         """
         self._writer.flush()
 
@@ -128,7 +125,6 @@ class Journal:
 
         Raises:
             InputError: The disk is full.
-
         """
         if finished:
             self._writer.add_custom_data({FINISHED: 'true'})

@@ -76,7 +76,6 @@ class McapStorage:
     Raises:
         RecordingError: This is not an mcap file.
         OSError: The file cannot be read.
-
     """
 
     def __init__(self, path: AnyPath, losses: Losses) -> None:
@@ -298,7 +297,6 @@ def _tables(chunk: Chunk, content: memoryview, first: int, file: ByteFile) -> di
         content: Bytes of the file.
         first: Offset of the first of these bytes.
         file: For reading other parts.
-
     """
     tables = {}
     for channel, (position, count) in (chunk.index or {}).items():

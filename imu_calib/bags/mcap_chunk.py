@@ -46,7 +46,6 @@ class Chunk:
             without index.
         counts: Messages of each channel; None if known only after unpacking.
         cut: Whether the file ends within this chunk.
-
     """
 
     start: int
@@ -135,7 +134,6 @@ def chunk_at(position: int, head: bytes) -> tuple[Chunk, int]:
     Raises:
         struct.error: There are too few bytes.
         UnicodeDecodeError: This is not a chunk.
-
     """
     fields = Fields(head)
     start_ns, end_ns, size, crc = fields.numbers('QQQI')
@@ -151,7 +149,6 @@ def chunks_of(catalogue: Catalogue, end: int) -> list[Chunk] | None:
     Args:
         catalogue: Of the summary.
         end: Offset of the summary.
-
     """
     entries = sorted(catalogue.chunks, key=lambda entry: entry.start)
     starts = [*(entry.start for entry in entries), end]
@@ -193,7 +190,6 @@ def grouped(chunks: Sequence[Chunk]) -> list[ChunkGroup]:
 
     Args:
         chunks: In the order of the file.
-
     """
     together: list[list[Chunk]] = []
     size = 0

@@ -30,7 +30,6 @@ class Part:
         start: Start of its records.
         end: End of its records.
         tables: Message index: (n, 2) log times and offsets from the start, by channel.
-
     """
 
     name: str
@@ -47,7 +46,6 @@ class Placed:
         offset: (n,) start of each serialised message.
         size: (n,) bytes of each.
         log_ns: Log time of the first.
-
     """
 
     offset: Indices
@@ -65,7 +63,6 @@ def located(parts: Sequence[Part], buffer: Bytes, lose: Callable[[str], None]) -
 
     Returns:
         Messages by channel, in the order of the buffer.
-
     """
     placed = indexed(parts, buffer)
     if placed is not None:
@@ -81,7 +78,6 @@ def indexed(parts: Sequence[Part], buffer: Bytes) -> dict[int, Placed] | None:
     Returns:
         Messages by channel; None if an index contradicts its chunk or is incomplete, and for
             several chunks also if each must be examined separately.
-
     """
     # The tables of a channel are joined, in the order of the buffer.
     channels = dict.fromkeys(channel for part in parts for channel in part.tables)

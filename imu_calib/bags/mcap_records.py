@@ -69,7 +69,6 @@ class ChunkIndex:
         behind: Bytes of all message indexes, which follow the chunk.
         compression: '', 'lz4' or 'zstd'.
         sizes: Bytes of the messages, stored and unpacked.
-
     """
 
     times: tuple[int, int]
@@ -93,7 +92,6 @@ class Catalogue:
         chunks: Contents of the chunk index.
         metadata_at: Offset and length of the metadata records, from their index.
         totals: Numbers of metadata records and of chunks, from the statistics; None without.
-
     """
 
     schemas: dict[int, tuple[str, str, str]] = field(default_factory=dict)
@@ -109,7 +107,6 @@ class Catalogue:
 
         Raises:
             RecordError: It contradicts the format.
-
         """
         try:
             self._add(op, Fields(content))
@@ -223,7 +220,6 @@ def walk(buffer: Bytes, start: int = 0) -> tuple[Indices, int]:
 
     Returns:
         (n,) offsets of the whole records, and the offset where the last of them ends.
-
     """
     whole = buffer.data
     end = len(buffer)

@@ -57,7 +57,6 @@ def scan(path: AnyPath, losses: Losses) -> Scan:
     Raises:
         RecordingError: This is not an mcap file.
         OSError: The file cannot be read.
-
     """
     # Records are far apart: a buffer would be filled for each.
     with path.open('rb', buffering=0) as file:

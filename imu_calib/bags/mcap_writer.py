@@ -54,7 +54,6 @@ class McapWriter:
 
     Raises:
         OSError: The file cannot be created.
-
     """
 
     def __init__(
@@ -124,7 +123,6 @@ class McapWriter:
 
         Raises:
             OSError: The disk is full; the messages are held, and `flush` tries again.
-
         """
         start = 0
         trouble: OSError | None = None

@@ -31,7 +31,6 @@ class Piece:
         block: The samples.
         log_ns: Log time of the message that the block starts with, or of one shortly before.
         position: Bytes of the recording before the end of the piece.
-
     """
 
     block: Block
@@ -88,7 +87,6 @@ def merge(topics: Iterable[tuple[str, Iterator[Piece]]]) -> Iterator[tuple[str, 
 
     Yields:
         Topic, block, and the number of bytes of the recording done.
-
     """
     queues = []
     for topic, pieces in topics:

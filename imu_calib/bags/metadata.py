@@ -35,7 +35,6 @@ class Metadata:
         custom_data: The user's own entries.
         counts: Messages by topic name.
         problem: Why the metadata is invalid or missing; else empty.
-
     """
 
     files: tuple[str, ...] | None = None
@@ -55,7 +54,6 @@ def read_metadata(folder: AnyPath) -> Metadata:
 
     Raises:
         OSError: The file exists but cannot be read.
-
     """
     path = folder / NAME
     if not path.is_file():
@@ -172,7 +170,6 @@ def information(
 
     Returns:
         The content below `rosbag2_bagfile_information`.
-
     """
     filled = [file for file in files if file.count]
     start = min((file.start_ns for file in filled), default=0)

@@ -49,7 +49,6 @@ def open_recording(path: str | AnyPath, sha256: str | None = None) -> Recording:
 
     Raises:
         InputError: Nothing of it can be read.
-
     """
     path = located(path)
     losses = Losses()
@@ -95,7 +94,6 @@ class Recording:
         custom_data: Entries that the recorder left in the metadata.
         start_ns: Earliest log time, ns; None where unknown.
         end_ns: Latest log time, ns; None where unknown.
-
     """
 
     def __init__(
@@ -147,7 +145,6 @@ class Recording:
 
         Raises:
             RecordingError: A file can no longer be read.
-
         """
         if self._sha256 is None:
             try:
@@ -174,7 +171,6 @@ class Recording:
 
         Raises:
             InputError: A topic is missing or of another type, or none has a message.
-
         """
         self._check(topics)
         return self._read(topics, progress)
@@ -190,7 +186,6 @@ class Recording:
         Yields:
             Topic, messages and their times; file after file, the topics of a file in step with each
                 other, each in its own order.
-
         """
         before, total = 0, sum(storage.size for storage in self._storages)
         held = {topic.name: topic for topic in self.topics}
@@ -292,7 +287,6 @@ def content_hash(files: Sequence[AnyPath]) -> str:
     Raises:
         OSError: A file cannot be read.
         InputError: Its connection was lost.
-
     """
     # Imported here: it loads OpenSSL, which reading does not need.
     import hashlib

@@ -30,7 +30,6 @@ def located(name: str | AnyPath) -> AnyPath:
     Raises:
         InputError: It is a URL whose protocol is unknown, needs a library that is not installed,
             or cannot be reached.
-
     """
     if isinstance(name, RemotePath):
         return name
@@ -42,7 +41,6 @@ def local(path: AnyPath) -> Path:
 
     Raises:
         InputError: It cannot be fetched.
-
     """
     return path.fetched() if isinstance(path, RemotePath) else path
 
@@ -55,7 +53,6 @@ class RemotePath:
         files: Its file system.
         inside: Its path there.
         kind: 'file', 'directory' or '' if there is nothing, and the bytes of a file if known.
-
     """
 
     def __init__(self, url: str, files: AbstractFileSystem, inside: str, kind: _Kind) -> None:
@@ -72,7 +69,6 @@ class RemotePath:
 
         Raises:
             InputError: As in `located`.
-
         """
         require('fsspec', f'{url} (a URL)', 'remote')
         import fsspec
@@ -137,7 +133,6 @@ class RemotePath:
 
         Raises:
             InputError: It cannot be listed.
-
         """
         if self._held is None:
             entries = with_retries(self._url, lambda: self._files.ls(self._inside, detail=True))
@@ -150,7 +145,6 @@ class RemotePath:
 
         Raises:
             InputError: It cannot be listed.
-
         """
         entries = with_retries(self._url, lambda: self._files.find(self._inside, detail=True))
         yield from self._paths(entries.values())
@@ -160,7 +154,6 @@ class RemotePath:
 
         Raises:
             InputError: It cannot be listed.
-
         """
         entries = with_retries(self._url, lambda: self._files.glob(self._inside, detail=True))
         yield from self._paths(entries.values())
@@ -193,7 +186,6 @@ class RemotePath:
         Raises:
             OSError: There is no such file.
             InputError: It cannot be fetched.
-
         """
         held = self._opened()
         held.fill(0, held.size)

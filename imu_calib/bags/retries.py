@@ -22,7 +22,6 @@ def with_retries(url: str, request: Callable[[], Result]) -> Result:
     Raises:
         FileNotFoundError: There is no such file.
         InputError: No right to read, or the connection was lost `TRIES` times.
-
     """
     lost: Exception | None = None
     for again in range(TRIES):

@@ -54,7 +54,6 @@ class SqliteStorage:
     Raises:
         RecordingError: This is not an sqlite3 file of rosbag2.
         OSError: The file cannot be read.
-
     """
 
     def __init__(self, path: Path, losses: Losses) -> None:

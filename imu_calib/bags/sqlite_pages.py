@@ -53,7 +53,6 @@ class Rows:
         messages: The serialised messages, in the memory of their pages.
         topic: (n,) number of the topic of each.
         log: (n,) log time of each, ns.
-
     """
 
     messages: Messages
@@ -74,7 +73,6 @@ class Window:
         first: Their least row id.
         last: Their largest.
         pages: (k,) their numbers, in the order of the row ids.
-
     """
 
     first: int
@@ -96,7 +94,6 @@ class TablePages:
     Raises:
         OddPagesError: The pages above the rows are damaged.
         OSError: The file cannot be read.
-
     """
 
     def __init__(self, path: Path, root: int, first: int) -> None:
@@ -134,7 +131,6 @@ class TablePages:
         Raises:
             OddPagesError: SQLite must read these rows.
             OSError: The file cannot be read.
-
         """
         with self._path.open('rb', buffering=0) as file:
             buffer, base = self._load(file, window.pages)

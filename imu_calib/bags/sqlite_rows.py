@@ -35,7 +35,6 @@ class RowQueries:
         connect: Opens it.
         last: Its largest row id; None if that is damaged.
         losses: Receives sentences on unreadable data.
-
     """
 
     def __init__(
@@ -60,7 +59,6 @@ class RowQueries:
 
         Yields:
             Messages, their log times in ns, and the row id after them, None at the end.
-
         """
         start, width = first, _MIN_ROWS
         with closing(self._connect()) as database:

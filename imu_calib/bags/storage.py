@@ -32,7 +32,6 @@ class Described:
         definition: Text of the message definition.
         language: Of that text: ros2msg or ros2idl.
         profiles: Offered QoS as YAML.
-
     """
 
     definition: str = ''
@@ -58,7 +57,6 @@ class Topic:
         count: Messages in the recording; None if known only after reading it.
         encoding: How messages are serialised.
         described: The recorder's description of the topic, for copying.
-
     """
 
     name: str
@@ -88,7 +86,6 @@ class MessageBatch:
         log_ns: Log time of the first message, or of one shortly before.
         position: Bytes of the storage file before the end of the batch.
         times: Returns log and publish times of the messages.
-
     """
 
     messages: Messages
@@ -139,7 +136,6 @@ class Cache:
             key: Name of the content.
             load: Loads it.
             users: Expected total number of requests for it.
-
         """
         if key in self._held:
             content, remaining = self._held.pop(key)

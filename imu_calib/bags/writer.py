@@ -49,7 +49,6 @@ class RecordingWriter:
     Raises:
         InputError: The folder exists already or cannot be made, the compression is unknown, or the
             recording to resume cannot be read.
-
     """
 
     def __init__(
@@ -103,7 +102,6 @@ class RecordingWriter:
 
         Raises:
             InputError: The topic already has another type, or the type is not known.
-
         """
         if topic in self._topics:
             if self._topics[topic][1] != type_name:
@@ -123,7 +121,6 @@ class RecordingWriter:
 
         Args:
             topic: As read from a recording.
-
         """
         known = topic.described
         profiles = metadata.offered_profiles(known.profiles)
@@ -159,7 +156,6 @@ class RecordingWriter:
         Raises:
             InputError: The topic already has another type, the type is not known, or the disk is
                 full.
-
         """
         self.add_topic(topic, type_name)
         times = np.asarray(log_time, np.int64)

@@ -73,7 +73,6 @@ def decide(value: float, expanded: float, limit: float, rule: Rule) -> Conformit
         expanded: Its expanded uncertainty, in the same unit.
         limit: Largest amount allowed.
         rule: Decision rule.
-
     """
     amount = abs(value)
     guard = 0.0 if rule is Rule.SIMPLE else expanded

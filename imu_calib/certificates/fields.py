@@ -72,7 +72,6 @@ class Condition:
         key: A key of `CONDITIONS`.
         value: In its unit.
         within: Half the width of the interval of its variation.
-
     """
 
     key: str
@@ -132,7 +131,6 @@ def read_fields(section: Section) -> Fields:
 
     Raises:
         InputError: A key is unknown or of another kind; a missing one is not an error here.
-
     """
     contacts = [_contact(section, key) for key in ('laboratory', 'customer')]
     procedure = _below(section, 'procedure')
@@ -274,7 +272,6 @@ def missing(fields: Fields, *, dcc: bool, limits: bool) -> list[str]:
         fields: The statements.
         dcc: Whether a DCC is written, which requires more.
         limits: Whether there is a specification for statements of conformity.
-
     """
     item, lab, customer = fields.item, fields.laboratory, fields.customer
     required = [

@@ -26,7 +26,6 @@ def pdf(html: str) -> bytes:
 
     Raises:
         InputError: No printing software is installed, or it failed; the text states the remedy.
-
     """
     by_weasyprint = _weasyprint()
     if by_weasyprint is not None:

@@ -30,7 +30,6 @@ class Stated:
         freedom: Effective degrees of freedom; infinite for known values.
         limit: Largest amount that the specification allows; None without one.
         conformity: Statement on that limit; None if none is requested.
-
     """
 
     parameter: Parameter
@@ -53,7 +52,6 @@ class Certificate:
         results: Every estimated parameter.
         missing: Required but missing statements; only a draft has any.
         draft: Whether it is not yet a certificate.
-
     """
 
     fields: Fields
@@ -91,7 +89,6 @@ def certificate_of(
     Raises:
         InputError: The calibration has no budget, something that ISO/IEC 17025 requires is missing
             (everything missing is named), or the fields contradict the calibration.
-
     """
     budget = calibration.budget
     if budget is None:

@@ -60,7 +60,6 @@ def style(title: str, laboratory: str, mark: str) -> str:
         title: On top of every printed page; contains the number.
         laboratory: At the bottom of every printed page.
         mark: On top of every printed page of a draft, else empty.
-
     """
     texts = {'title': title, 'laboratory': laboratory, 'mark': mark}
     quoted = {name: _quoted(text) for name, text in texts.items()}

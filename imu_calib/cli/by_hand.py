@@ -33,7 +33,6 @@ def follow(processes: Processes, reports: NodeReports) -> Outcome:
 
     Raises:
         InputError: A node has ended, or the IMU sends nothing.
-
     """
     from .monitor import watching
 
@@ -64,7 +63,6 @@ def view(progress: Any, refusal: str = '') -> Group:
     Args:
         progress: The message.
         refusal: Why a request to end the session was refused, else empty.
-
     """
     best = max(progress.next_gains, default=0.0)
     rows = plain_table(('next', 'gain', ''), 'lrl')

@@ -28,7 +28,6 @@ def of_several(arguments: argparse.Namespace) -> bool:
 
     Raises:
         InputError: There is no recording.
-
     """
     if arguments.imus is not None:
         options.refuse_with_imus(arguments, 'imu', 'serial', 'imu_topic')

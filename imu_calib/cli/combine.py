@@ -27,7 +27,6 @@ def run(arguments: argparse.Namespace) -> None:
 
     Raises:
         InputError: Unreadable, or not of one unit at different temperatures.
-
     """
     path = output_path(arguments.output)
     combined = combine(arguments.files, path, order=arguments.order)

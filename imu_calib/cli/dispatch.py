@@ -71,7 +71,6 @@ class _Parser(argparse.ArgumentParser):
 
         Raises:
             _WrongUsage: Always.
-
         """
         of_one = message.removeprefix('argument ')
         if of_one == message:
@@ -113,7 +112,6 @@ def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
 
     Args:
         argv: The command line; None adds the options of every subcommand.
-
     """
     parser = _Parser(prog='imu-calib', description='Calibrate strapdown IMUs on a turntable.')
     parser.add_argument('--version', action=_Version, nargs=0, help='print the version, and end')
@@ -135,7 +133,6 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
     Args:
         argv: Its words.
         alone: Whether this process has no other task.
-
     """
     # A wrong option is found before it is known which options there are.
     as_json = JSON in argv
@@ -197,7 +194,6 @@ def _keep_inputs(arguments: argparse.Namespace) -> None:
 
     Raises:
         InputError: An output is one of the inputs.
-
     """
     given = {name: _words_of(value) for name, value in vars(arguments).items()}
     outputs = [path for path in map(user_path, given.pop('output', [])) if path.is_file()]

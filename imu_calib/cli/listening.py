@@ -39,7 +39,6 @@ def listen(
     Raises:
         InputError: The port is invalid.
         NothingComes: It does not open, or its data does not match the files.
-
     """
     # imu_node continues with the present state of the device.
     source = Source(port, time.time_ns, baud.rate, commands=frames.commands, restarts=False)

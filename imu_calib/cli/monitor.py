@@ -32,7 +32,6 @@ class Monitor:
     Attributes:
         outcome: Whether there is a calibration, with the final message; None while it runs.
         stopped: Why the table stopped before the end of its plan, else empty.
-
     """
 
     def __init__(self, reports: NodeReports, board: Board | UnitsBoard | None = None) -> None:
@@ -71,7 +70,6 @@ class Monitor:
 
         Raises:
             InputError: The IMU cannot deliver data.
-
         """
         until = time.monotonic() + seconds
         while (remaining := until - time.monotonic()) > 0:

@@ -59,7 +59,6 @@ class NodeReports:
 
     Attributes:
         nodes: Names of the monitored nodes: others may be in the domain.
-
     """
 
     def __init__(self, *, real: bool) -> None:
@@ -83,7 +82,6 @@ class NodeReports:
             level: As in diagnostic_msgs/DiagnosticStatus.
             text: A sentence.
             came: Whether bytes have come from the device.
-
         """
         if name.partition(': ')[0] not in self.nodes or name in _ENDS_IT:
             return
@@ -101,7 +99,6 @@ class NodeReports:
 
         Raises:
             NothingComes: The device does not open, or its data does not match the files.
-
         """
         now = time.monotonic()
         for name, part in self._parts.items():

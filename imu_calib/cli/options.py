@@ -103,7 +103,6 @@ def refuse_with_imus(arguments: argparse.Namespace, *names: str) -> None:
 
     Raises:
         InputError: The text names the option.
-
     """
     for name in names:
         if (found := getattr(arguments, name)) is not None:

@@ -39,7 +39,6 @@ class Outcome:
         result: For --json: plain values, SI units.
         exit_code: Exit code without an exception.
         message: Reason why the exit code is not 0.
-
     """
 
     result: Mapping[str, Any] | None = None

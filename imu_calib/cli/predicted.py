@@ -44,7 +44,6 @@ def show_prediction(arguments: argparse.Namespace) -> None:
     Raises:
         InputError: As of `predict` and `reach`.
         NotObservable: A parameter is not determined, or no dwell reaches the requested value.
-
     """
     setup = setup_of(options.stated(arguments))
     truth = as_truth(arguments.truth).model

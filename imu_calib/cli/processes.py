@@ -43,7 +43,6 @@ class Outcome:
         finished: Whether there is a calibration.
         text: Last message of the calibrator, or the reason of the failure.
         duration: Of the session, s of the stand's time.
-
     """
 
     finished: bool
@@ -61,7 +60,6 @@ class Processes:
 
     Attributes:
         environment: As given.
-
     """
 
     def __init__(
@@ -109,7 +107,6 @@ class Processes:
             needed: Whether the session requires it.
             environment: Further variables, only for this node.
             remapped: Topics by the node's names for them.
-
         """
         if not needed:
             self._needless.add(node)
@@ -165,7 +162,6 @@ class Processes:
 
         Raises:
             InputError: One has ended; the text has its last line.
-
         """
         for node, (process, _) in self._running.items():
             if process.poll() is None:
@@ -204,7 +200,6 @@ def network_of_hardware(interface: str | None, *, alone: bool) -> dict[str, str]
     Raises:
         InputError: There is no such interface; the domain is the default one; or the environment
             requests a network and no interface is named.
-
     """
     if interface is not None:
         check_interface(interface)

@@ -63,7 +63,6 @@ def save_settings(arguments: argparse.Namespace, folder: Path) -> None:
 
     Raises:
         InputError: One of the files is missing.
-
     """
     settings = folder / _SETTINGS
     settings.mkdir()
@@ -90,7 +89,6 @@ def restore(arguments: argparse.Namespace) -> Path:
 
     Raises:
         InputError: The folder is not a stand's, or options are given that belong to the session.
-
     """
     folder = user_path(arguments.resume)
     settings = folder / _SETTINGS
@@ -121,7 +119,6 @@ def check_unfinished(folder: Path) -> None:
     Raises:
         InputError: It is complete; the text states where the result is, or how to see why there is
             none.
-
     """
     if not unfinished(folder):
         raise InputError(_complete(folder))
@@ -163,7 +160,6 @@ def locked_folder(folder: Path) -> Iterator[int]:
 
     Raises:
         InputError: Another stand runs in it.
-
     """
     descriptor = os.open(folder / _RUNNING, os.O_RDWR | os.O_CREAT, 0o644)
     try:

@@ -20,7 +20,6 @@ def row_file(stated: str | None) -> Path | None:
 
     Raises:
         InputError: It has another ending, exists or cannot be written.
-
     """
     if stated is None:
         return None

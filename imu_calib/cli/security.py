@@ -26,7 +26,6 @@ def run(arguments: argparse.Namespace) -> None:
 
     Raises:
         ImuCalibError: sros2 is not installed, or the keystore cannot be created.
-
     """
     keystore = user_path(arguments.keystore).absolute()
     policy = None if arguments.policy is None else user_path(arguments.policy)

@@ -47,7 +47,6 @@ def units_of(arguments: argparse.Namespace) -> tuple[MountedUnit, ...]:
 
     Raises:
         InputError: The file is broken, or --without names no unit of it, or all.
-
     """
     if not arguments.imus:
         return ()
@@ -64,7 +63,6 @@ def check(arguments: argparse.Namespace) -> None:
 
     Raises:
         InputError: The text states which.
-
     """
     if not arguments.imus:
         if arguments.without:
@@ -101,7 +99,6 @@ def truths(arguments: argparse.Namespace) -> dict[str, Calibration]:
 
     Raises:
         InputError: A file is missing, or of another kind of unit.
-
     """
     return {
         unit.serial_number: load_truth(unit.truth or arguments.truth, load_imu(unit.imu))
@@ -118,7 +115,6 @@ def node_parameters(
         arguments: The command line.
         clock: Parameters that all nodes share.
         port: TCP port of the first simulated unit; the next ones follow.
-
     """
     nodes: dict[str, dict[str, Any]] = {}
     for place, unit in enumerate(units_of(arguments)):
@@ -172,7 +168,6 @@ def print_results(
         arguments: The command line.
         folder: Of the stand.
         true: True parameters of simulated units; empty for real ones.
-
     """
     rows = plain_table(('unit', 'type', 'samples', 'least known', 'file'), 'lllll', no_wrap=True)
     if true:

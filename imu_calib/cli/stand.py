@@ -116,7 +116,6 @@ def run(arguments: argparse.Namespace) -> None:
     Raises:
         InputError: Wrong usage, or a node does not start.
         NotObservable: The session gives no calibration; the text states why.
-
     """
     if arguments.resume:
         _go_on(arguments)

@@ -54,7 +54,6 @@ def check(
         ImuCalibError: There is no middleware for the nodes.
         InputError: The table cannot run the plan, there is no such method, or no table for it.
         NotObservable: The text states what cannot be determined, and why.
-
     """
     # The runtime is checked only here: the other commands need none.
     from . import monitor  # noqa: F401
@@ -134,7 +133,6 @@ def run(
     Raises:
         InputError: A node does not start, or the IMU sends nothing.
         NotObservable: The session gives no calibration; the text states why.
-
     """
     environment = _network(arguments)
     given = parameters(arguments, folder)
@@ -360,7 +358,6 @@ def _follow(
         reports: Shows the reports of the nodes.
         board: Holds the displayed state.
         control: Whether a viewer can resume a table that has stopped.
-
     """
     from .monitor import watching
 

@@ -41,7 +41,6 @@ def view(shown: Snapshot, now: datetime, width: int, units: Sequence[UnitRow] = 
         now: Of the wall clock.
         width: Of the terminal, characters.
         units: Several units: each has a line in place of the parameters.
-
     """
     first = headline(shown)
     parts: list[RenderableType] = [Text(first.now, style=_STYLES[first.level])]

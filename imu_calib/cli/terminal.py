@@ -37,7 +37,6 @@ class _Output(_Console):
 
         Raises:
             BrokenPipeError: Always.
-
         """
         raise  # noqa: PLE0704 - called where it is handled
 
@@ -76,7 +75,6 @@ def progress_bar(text: str) -> Iterator[Show]:
 
     Yields:
         A function to call with the amount done, the total, and optionally another text.
-
     """
     if not ERRORS.is_terminal:
         with silent(text) as show_nothing:

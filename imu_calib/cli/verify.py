@@ -43,7 +43,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     Raises:
         NotObservable: The calibration cannot be judged.
-
     """
     stated = options.keywords(verify, arguments)
     verification = verify(arguments.calibration, arguments.bag, **stated, progress=progress_bar)

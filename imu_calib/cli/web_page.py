@@ -77,7 +77,6 @@ def check(arguments: argparse.Namespace) -> None:
 
     Raises:
         InputError: Options that do not go together, a port that is taken, or no NiceGUI.
-
     """
     if arguments.web is None:
         if arguments.control or arguments.web_host != LOOPBACK:

@@ -19,7 +19,6 @@ class Baud:
     Attributes:
         rate: bit/s.
         origin: Source of the rate, in words.
-
     """
 
     rate: int
@@ -47,7 +46,6 @@ def too_slow(baud: int, frames: FrameFormat, sample_rate: float | None) -> str:
         baud: bit/s.
         frames: The format of the frames.
         sample_rate: Frames per second; None if unknown.
-
     """
     if sample_rate is None:
         return ''

@@ -30,7 +30,6 @@ class Crc:
         refin: Whether bytes enter with their lowest bit first.
         refout: Whether the register is reflected at the end.
         xorout: Combined with the register at the end.
-
     """
 
     width: int
@@ -68,7 +67,6 @@ class Sum:
         negated: Whether the transmitted value makes the sum zero.
         word: Bits of the summands: 8, 16 or 32.
         order: Byte order of a word: '<' lowest first, '>' highest.
-
     """
 
     width: int = 8
@@ -86,7 +84,6 @@ class Fletcher:
 
     Attributes:
         modulus: Of both: 255 in Fletcher's original, or 256 in MIP and UBX.
-
     """
 
     modulus: int
@@ -99,7 +96,6 @@ class Xor:
 
     Attributes:
         init: Initial value.
-
     """
 
     init: int = 0
@@ -124,7 +120,6 @@ class Checksums:
         algorithm: The algorithm.
         length: Bytes of a message.
         padding: Zero bytes assumed to follow (STIM300 fills up to whole words).
-
     """
 
     def __init__(self, algorithm: Algorithm, length: int, padding: int = 0) -> None:

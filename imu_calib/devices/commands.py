@@ -35,7 +35,6 @@ class Commands:
         start: Sent when its port opens.
         again: Time without a byte after which `start` is sent again, s; None: never.
         stop: Sent before its port is closed.
-
     """
 
     start: tuple[Command, ...] = ()
@@ -55,7 +54,6 @@ def read_commands(section: Section) -> Commands:
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     start, stop = _sequence(section, 'start'), _sequence(section, 'stop')
     again = None

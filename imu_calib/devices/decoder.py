@@ -30,7 +30,6 @@ class Samples:
         time: (n,) device time in units of `DeviceTime.unit`, as sent; None without one.
         faults: (n,) bit k is set while the format's fault k is present.
         end: (n,) number of bytes from the start to the end of the frame.
-
     """
 
     gyro: Floats
@@ -59,7 +58,6 @@ class Counts:
         repeated: Repeated frames, used once.
         restarts: Number of times that the counter went back.
         unusable: Frames with a NaN in a channel.
-
     """
 
     frames: int = 0
@@ -80,7 +78,6 @@ class Decoder:
 
     Attributes:
         counts: Counts so far.
-
     """
 
     def __init__(self, frames: FrameFormat) -> None:
@@ -194,7 +191,6 @@ class Decoder:
 
         Returns:
             Rows, their ends, and their counter without the (n,) other messages counted before each.
-
         """
         counter = self._format.counter
         if counter is None or len(rows) == 0:

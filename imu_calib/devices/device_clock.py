@@ -52,7 +52,6 @@ class Jump:
         elapsed: Its time, ns after the first sample.
         seconds: Jump of the device's clock, or of the host's, s; None if unknown.
         reason: What happened, in words.
-
     """
 
     elapsed: int
@@ -115,7 +114,6 @@ class DeviceClock:
 
     Raises:
         InputError: Neither a clock nor a nominal period is known.
-
     """
 
     def __init__(
@@ -192,7 +190,6 @@ class DeviceClock:
 
         Returns:
             (n,) elapsed, ns after the first sample. It increases except as the class describes.
-
         """
         if len(arrival) == 0:
             self.set_by = np.empty(0, np.int64)
@@ -246,7 +243,6 @@ class DeviceClock:
 
         Returns:
             The number of samples that are not late for an undecided reason.
-
         """
         usual = self._line.recent
         if not self._live or self._tolerance is None or usual is None:

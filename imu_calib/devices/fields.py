@@ -35,7 +35,6 @@ class Number:
             words of 16 bits of which the lowest is first, each with its high byte first, and
             `HIGH_WORD_FIRST`, the highest word first, each with its low byte first.
         bits: First bit and number of bits if it does not take all of them, else None.
-
     """
 
     kind: str
@@ -161,7 +160,6 @@ class DeviceTime:
         tick: Duration of its unit, ns.
         modulus: Ticks after which it wraps, None if it does not.
         shorter: Ticks after which other models of the device wrap earlier.
-
     """
 
     number: Number
@@ -203,7 +201,6 @@ class Fault:
         when_set: Present when one of the bits is set; else when one of them is clear.
         words: Its meaning, in words.
         error: Whether the data must not be used; else it is a warning.
-
     """
 
     number: Number
@@ -229,7 +226,6 @@ def differences(
         previous: The one before.
         modulus: None without one.
         signed: Whether a step of more than half the modulus is one back.
-
     """
     with np.errstate(over='ignore'):
         steps = np.diff(values, prepend=np.int64(previous))

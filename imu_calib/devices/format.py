@@ -55,7 +55,6 @@ class FrameFormat:
         others: Other messages between the frames.
         baud: Of the device's serial port, bit/s; None if the file does not state it.
         commands: Sent to it when the port opens and closes.
-
     """
 
     name: str
@@ -90,7 +89,6 @@ def load_format(name: str | Path) -> FrameFormat:
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     return read_format(Section.load(named_file('devices', name)))
 
@@ -100,7 +98,6 @@ def read_format(section: Section) -> FrameFormat:
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     length = section.whole('length', 2, LONGEST)
     order = read_order(section, None)

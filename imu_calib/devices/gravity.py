@@ -26,7 +26,6 @@ class Gravity:
 
     Args:
         imu: Description of the numbers; None: no check.
-
     """
 
     def __init__(self, imu: ImuSpec | None) -> None:
@@ -49,7 +48,6 @@ class Gravity:
 
         Returns:
             A sentence; empty without a contradiction.
-
         """
         if self._verdict is None:
             self._accel.append(accel)

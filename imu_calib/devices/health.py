@@ -65,7 +65,6 @@ class Health:
         gap_timeout: Longest time without a frame, s.
         caution: Problem of the port although it is open, a sentence; empty without.
         imu: Description of its numbers; None if not stated.
-
     """
 
     def __init__(
@@ -109,7 +108,6 @@ class Health:
             received: Bytes that contained them.
             now: Host time.
             steady: Monotonic time of the host, which is never simulated.
-
         """
         self._bytes += received
         if received:

@@ -32,7 +32,6 @@ class HostClock:
         Returns:
             (n,) sum of the steps of the host's clock since the first reading, ns, and the steps
             among these readings: index and ns, in order.
-
         """
         ahead = host - steady
         if self._first is None:

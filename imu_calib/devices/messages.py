@@ -30,7 +30,6 @@ class MessageCheck:
         order: '<' lowest byte first, '>' highest.
         first: First byte that it covers, from the beginning.
         last: Last byte that it covers, below zero.
-
     """
 
     algorithm: Algorithm
@@ -50,7 +49,6 @@ class Message:
         more: Added to that field.
         check: None without a checksum.
         counted: Whether the frame counter counts it, too.
-
     """
 
     sync: bytes
@@ -105,7 +103,6 @@ class Messages:
         found: Number of messages.
         size: Their bytes.
         counted: Number of messages since `close` that the frame counter counts.
-
     """
 
     kinds: tuple[Message, ...]
@@ -172,7 +169,6 @@ def read_message(section: Section, order: str) -> Message:
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     sync = bytes(whole_list(section, 'sync', 0, 255))
     length: int | Number

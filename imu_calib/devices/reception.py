@@ -33,7 +33,6 @@ class Reception:
     Attributes:
         clock: Maps samples to the host's time.
         health: Monitors the device.
-
     """
 
     def __init__(
@@ -68,7 +67,6 @@ class Reception:
             chunks: Bytes with their arrival times, at least one.
             now: Host time.
             steady: Monotonic time of the host, which is never simulated.
-
         """
         data = b''.join(chunk.data for chunk in chunks)
         samples = self._decoder.feed(data)

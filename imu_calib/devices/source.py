@@ -88,7 +88,6 @@ class SourceState:
         ended: Whether the end of a file was reached.
         text: A sentence.
         tried: Whether opening was tried.
-
     """
 
     open: bool
@@ -123,7 +122,6 @@ class Source:
 
     Raises:
         InputError: The URL is none of these, or the file does not exist.
-
     """
 
     def __init__(
@@ -267,7 +265,6 @@ def check_port(url: str) -> None:
 
     Raises:
         InputError: The URL is invalid, the device or file does not exist, or may not be read.
-
     """
     kind, _ = _parse(url, baud=50, restarts=True)
     if kind is not Serial or '://' in url or not url.startswith('/'):

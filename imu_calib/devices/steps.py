@@ -63,7 +63,6 @@ class Stepper:
         period: Sample period by the device's clock once it is settled, else nominal, ns.
         settled: Set from outside when the period must not change any more.
         unseen: Frames lost in whole turns of the counter, which its steps do not show.
-
     """
 
     def __init__(
@@ -94,7 +93,6 @@ class Stepper:
             counter: (n,) frame counter; None without one.
             past: (n,) host time elapsed since the sample before, ns.
             begins: Whether the first of them is the first sample of all.
-
         """
         ticks = counts = None
         if self._time is not None and time is not None:

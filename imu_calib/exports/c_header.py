@@ -35,7 +35,6 @@ def export(source: ExportSource) -> Exported:
 
     Raises:
         NotObservable: A matrix has no inverse.
-
     """
     calibration = source.calibration
     imu, model = calibration.imu, calibration.model

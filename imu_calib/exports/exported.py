@@ -24,7 +24,6 @@ class ExportSource:
         sample_rate: Of the IMU's stream, Hz; None if not stated.
         topic: Topic of the IMU's stream.
         sheet: Data sheet of the IMU, for noise that the calibration does not state; or None.
-
     """
 
     calibration: Calibration
@@ -38,7 +37,6 @@ class ExportSource:
 
         Raises:
             InputError: It is not stated; the text states its purpose.
-
         """
         if self.sample_rate is not None:
             return self.sample_rate
@@ -54,7 +52,6 @@ class Exported:
     Attributes:
         text: Of the file.
         findings: What it cannot represent, and other messages for the user, in sentences.
-
     """
 
     text: str
@@ -70,7 +67,6 @@ def left_out(calibration: Calibration, export: str) -> list[str]:
 
     Raises:
         InputError: The text names the parameters and the remedy.
-
     """
     kinds = dict.fromkeys(p.kind for p in calibration.parameters)
     refused = [kind for kind in kinds if kind.value.exports[export] is Carried.REFUSED]
@@ -97,7 +93,6 @@ def common_omissions(calibration: Calibration, export: str) -> list[str]:
 
     Raises:
         InputError: The format cannot represent parameters without which the others are wrong.
-
     """
     sentences = ['The covariance of the parameters is left out.', *left_out(calibration, export)]
     temperature = calibration.provenance.get('temperature')

@@ -30,7 +30,6 @@ def export(source: ExportSource) -> Exported:
 
     Raises:
         InputError: Pulses without a sample rate.
-
     """
     calibration = source.calibration
     imu, model = calibration.imu, calibration.model

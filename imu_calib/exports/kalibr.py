@@ -36,7 +36,6 @@ def export(source: ExportSource) -> Exported:
 
     Raises:
         InputError: No sample rate, no noise, or mirrored axes.
-
     """
     calibration = source.calibration
     model = calibration.model

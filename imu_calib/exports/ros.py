@@ -15,7 +15,6 @@ def export(source: ExportSource) -> Exported:
 
     Raises:
         InputError: The calibration has no file.
-
     """
     if source.path is None:
         raise InputError(

@@ -94,7 +94,6 @@ class Catalogue:
 
     Raises:
         InputError: There is none, it is of a newer version, or pyarrow is not installed.
-
     """
 
     def __init__(self, folder: str | Path, *, create: bool = False) -> None:
@@ -127,7 +126,6 @@ class Catalogue:
 
         Raises:
             InputError: It cannot be written; no partial row remains.
-
         """
         with self._written(), self._locked():
             there = self.keys()
@@ -146,7 +144,6 @@ class Catalogue:
 
         Raises:
             InputError: A part is broken, or of a newer version.
-
         """
         import pyarrow as pa
 
@@ -158,7 +155,6 @@ class Catalogue:
 
         Raises:
             InputError: DuckDB is not installed, or refuses the query.
-
         """
         require('duckdb', 'SQL', 'fleet')
         import duckdb
@@ -186,7 +182,6 @@ class Catalogue:
         Raises:
             InputError: As `query`.
             NotObservable: No row meets it.
-
         """
         if where is None:
             return self.table()
@@ -201,7 +196,6 @@ class Catalogue:
         Args:
             one: With a row.
             newest: Name of the newest file of each unit that has been searched.
-
         """
         row = dict(one.row or {})
         if row['status'] != CALIBRATED:

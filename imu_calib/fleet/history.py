@@ -53,7 +53,6 @@ def history(
     Raises:
         InputError: There is no catalogue, the condition is invalid, or no unit has that number.
         NotObservable: No row is a calibration.
-
     """
     found = catalogue if isinstance(catalogue, Catalogue) else Catalogue(catalogue)
     table = found.selected(where)
@@ -85,7 +84,6 @@ def sessions_of(table: pa.Table) -> tuple[Sessions, list[str], dict[str, Floats]
     Returns:
         The sessions, sentences on excluded rows, and the limits of each type, (24,): those of its
         newest calibration, or of the supplied file of that name.
-
     """
     columns = {name: [one or '' for one in table[name].to_pylist()] for name in _TEXTS}
     at = times_of(table['at'].to_pylist())

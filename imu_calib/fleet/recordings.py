@@ -50,7 +50,6 @@ class Labels:
         operator: Who recorded it.
         lot: Production lot of the unit.
         date: Date, UTC; None for the time of its first message.
-
     """
 
     site: str = ''
@@ -70,7 +69,6 @@ class Job:
         labels: Statements for the catalogue.
         imus: File of several units on one table; empty for one unit, or if the recording states
             them.
-
     """
 
     recording: str
@@ -99,7 +97,6 @@ def find_jobs(sources: Iterable[str | Path], stated: Stated, imus: str = '') -> 
 
     Raises:
         InputError: A source does not exist, is unreachable or empty, or a manifest is broken.
-
     """
     jobs: dict[Job, None] = {}
     for source in sources:
@@ -171,7 +168,6 @@ def convertible(sources: Iterable[str | Path]) -> list[Path]:
 
     Args:
         sources: As of `find_jobs`.
-
     """
     found: dict[Path, None] = {}
     for source in map(str, sources):
@@ -221,7 +217,6 @@ def read_manifest(path: AnyPath, stated: Stated, imus: str = '') -> Iterator[Job
 
     Raises:
         InputError: No table, an unknown column, or an invalid value; names row and column.
-
     """
     for where, row in _rows(path):
         recording = str(row.pop(_RECORDING, '') or '')

@@ -66,7 +66,6 @@ def fleet_report(
         InputError: There is no catalogue, the condition is invalid, the file cannot be written, or
             Bokeh is not installed.
         NotObservable: No row meets the condition.
-
     """
     return written(catalogue, output, where, imu, rules, on, ahead, progress)[0]
 
@@ -126,7 +125,6 @@ def recordings_of(table: pa.Table, folder: Path, base: Path) -> Recordings:
         table: Rows.
         folder: Of the catalogue.
         base: Folder of the page: links are relative to it.
-
     """
 
     def texts(name: str) -> list[str]:

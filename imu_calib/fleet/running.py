@@ -48,7 +48,6 @@ class Batch:
         seconds: Duration.
         convertible: Files in the folders of the sources that are no recordings until
             `imu_calib.convert` makes some of them.
-
     """
 
     catalogue: Path
@@ -102,7 +101,6 @@ def batch(
     Raises:
         InputError: A source is wrong, the catalogue cannot be written, no scheduler answers, or
             Dask is not installed. Unreadable recordings are rows.
-
     """
     session = Stated(**stated)
     listed = [sources] if isinstance(sources, str | Path) else list(sources)
@@ -151,7 +149,6 @@ def run_batch(
 
     Raises:
         InputError: As `batch`.
-
     """
     begun = time.monotonic()
     count = {'calibrated': 0, 'failed': 0, 'known': 0, 'known_failed': 0}

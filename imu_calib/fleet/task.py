@@ -53,7 +53,6 @@ class Done:
         row: For the catalogue; None if the catalogue has it.
         calibration: Text of calibration.yaml; empty without one.
         others: Results for the other units of the recording.
-
     """
 
     key: str
@@ -80,7 +79,6 @@ def key_of(job: Job, sha256: str) -> str:
 
     Raises:
         InputError: A file cannot be read.
-
     """
     stated = {one.name: getattr(job.stated, one.name) for one in fields(job.stated)}
     for name, folder in _FOLDERS.items():
@@ -107,7 +105,6 @@ def _texts_of(imus: str) -> list[str]:
 
     Raises:
         InputError: The first is broken. An unreadable type concerns only its units.
-
     """
     units = load_units(imus)
     own = user_path(imus).read_text(encoding='utf-8')
@@ -127,7 +124,6 @@ def content_of(path: AnyPath) -> str:
 
     Raises:
         InputError: There is no recording, or it cannot be read.
-
     """
     try:
         return content_hash(find_files(path, Losses()).paths)
@@ -141,7 +137,6 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
     Args:
         job: The recording.
         known: Keys of finished tasks, which are not repeated.
-
     """
     begun = time.process_time()
     key, sha256 = '', ''
@@ -275,7 +270,6 @@ def unread_key(job: Job, sha256: str = '') -> str:
     Args:
         job: The task.
         sha256: Of the recording's content; empty if it cannot be read.
-
     """
     content = sha256 or _files_of(job.recording) or _whole_path(job.recording)
     return _hashed(['unread', content, asdict(job.stated), asdict(job.labels), job.imus])

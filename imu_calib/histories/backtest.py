@@ -29,7 +29,6 @@ def backtest(sessions: Sessions, limits: Mapping[str, Floats], rules: Rules = US
         limits: (24,) largest amounts of each type, SI units; NaN without one. Types without limits
             have no forecast.
         rules: Rules of the evaluation.
-
     """
     dropped, rows = _sound(sessions)
     units = units_of(rows, sessions)

@@ -29,7 +29,6 @@ class Block:
         values: (u, 24, n) SI units, NaN if not estimated.
         stated: (u, 24, n) variances; infinite without a value. A session that states none has the
             typical variance of the type.
-
     """
 
     rows: NDArray[np.int64]
@@ -82,7 +81,6 @@ def block(rows: NDArray[np.int64], found: Sessions, typical: Floats) -> Block:
         rows: (u, n) by date; negative: none.
         found: All sessions.
         typical: (24,) variance of sessions that state none.
-
     """
     none = rows < 0
     date = found.date[rows].astype('datetime64[s]').astype(np.int64) / 86400.0

@@ -32,7 +32,6 @@ def steps_of(
         lines: With the sizes of their steps.
         date: (n,) of its sessions.
         rules: Rules of the evaluation.
-
     """
     found = []
     for place, parameters in places.of_unit(unit).items():

@@ -92,7 +92,6 @@ class Correlations:
 
     Args:
         scores: (u, n, 24) of all units.
-
     """
 
     def __init__(self, scores: list[Floats]) -> None:
@@ -106,7 +105,6 @@ class Correlations:
         Args:
             scores: (n, 24) NaN if unknown; T^2 is NaN if the others have too few sessions.
             false_alarm: At each session.
-
         """
         own = _whole(scores)
         others = self._sum - own.T @ own

@@ -42,7 +42,6 @@ class Effects:
         residuals: (n,) of the sessions over their standard deviations, outliers clipped; NaN if a
             session does not count.
         comparable: Whether all stands can be compared.
-
     """
 
     effect: Floats
@@ -67,7 +66,6 @@ def crossed(
         trends: (n, k) further columns.
         values: (n,) NaN if a session does not count.
         variance: (n,) of sessions, up to a common factor.
-
     """
     count = int(stands.max()) + 1
     there = np.isfinite(values) & np.isfinite(variance)

@@ -32,7 +32,6 @@ class Due:
         earliest: (u, 24) when the parameter may be outside.
         unit: (u,) when any parameter may be outside.
         worst: (u,) the parameter that is most likely outside then.
-
     """
 
     leaves: Floats
@@ -54,7 +53,6 @@ def forecast(block: Block, lines: Lines, prior: Prior, limit: Floats, rules: Rul
         prior: Of their type.
         limit: (24,) SI units; NaN without one.
         rules: Horizon and probability.
-
     """
     horizon = 12 * rules.horizon
     stated = _mean_stated(block)

@@ -30,7 +30,6 @@ class Fit:
         square: (...) weighted sum of squares of the residuals.
         freedom: (...) degrees of freedom of that.
         known: (...) whether all columns are determined.
-
     """
 
     coefficients: Floats

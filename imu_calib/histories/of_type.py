@@ -77,7 +77,6 @@ def judge_type(
         limit: (24,) SI units; NaN without one.
         rules: Rules of the evaluation.
         chart: Limits of the charts.
-
     """
     rows = np.concatenate([np.array(one) for one in units])
     typical = typical_variance(recorded.covariance[rows])
@@ -270,7 +269,6 @@ def population_of(imu: str, judged: Judged, false_alarm: float) -> Population:
         judged: Its units.
         false_alarm: Probability that any unit is called an outlier, or any lot different, without
             cause.
-
     """
     units = judged.units
     newest = np.array([_newest(unit.corrected) for unit in units])

@@ -20,7 +20,6 @@ class Pattern:
     Attributes:
         name: For display.
         of: (24,) shift of each parameter for a size of one.
-
     """
 
     name: str

@@ -44,7 +44,6 @@ def outliers(values: Floats, false_alarm: float) -> NDArray[np.int64]:
     Args:
         values: Normally distributed except for outliers.
         false_alarm: Probability of finding an outlier if there is none.
-
     """
     count = len(values)
     if count < FEWEST:
@@ -79,7 +78,6 @@ def lot_shifts(values: Floats, lots: Sequence[str]) -> list[tuple[str, int, floa
     Args:
         values: (u,) without NaN.
         lots: Lot of each; empty if unknown.
-
     """
     names = sorted({lot for lot in lots if lot})
     of = np.array(lots)

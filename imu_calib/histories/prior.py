@@ -48,7 +48,6 @@ class Prior:
         between: Variance between sessions, t.
         scale: Typical f.
         freedom: Degrees of freedom of the prior; 0 with too few units.
-
     """
 
     between: Floats
@@ -61,7 +60,6 @@ class Prior:
         Args:
             square: (..., 24) sums of squares, weighted by 1 / (v + t).
             freedom: (..., 24) degrees of freedom of these.
-
         """
         whole = self.freedom + freedom
         square = self.freedom * self.scale + square
@@ -80,7 +78,6 @@ def prior_of(design: Floats, stated: Floats, values: Floats) -> Prior:
         design: (u, 24, n, p) of units' lines.
         stated: (u, 24, n) variances; infinite for sessions that do not count.
         values: (u, 24, n).
-
     """
     between = _typical(design, stated, values)
     weights = 1 / np.maximum(stated + between[:, None], np.finfo(float).tiny)
@@ -129,7 +126,6 @@ def _law(square: Floats, freedom: Floats) -> tuple[Floats, Floats]:
     Args:
         square: (u, 24) weighted sums of squares.
         freedom: (u, 24) their degrees of freedom.
-
     """
     own = (freedom > 0) & (square > 0)
     judged = np.flatnonzero(own.sum(axis=0) >= FEWEST_UNITS)

@@ -44,7 +44,6 @@ class Rules:
 
     Raises:
         InputError: A number is outside its range.
-
     """
 
     false_alarm: float = 0.01
@@ -88,7 +87,6 @@ class Sessions:
         date: (n,) date, UTC.
         values: (n, 24) SI units; NaN if not estimated.
         covariance: (n, 24, 24) as stated; NaN if not stated.
-
     """
 
     key: tuple[str, ...]
@@ -115,7 +113,6 @@ class Scatter:
         overstated: Whether the scatter is smaller than stated: the sessions have a common error, or
             their stated deviations are too large. `high` is then the limit for all scatter as that
             between sessions.
-
     """
 
     std: Floats
@@ -139,7 +136,6 @@ class Trend:
         significant: Whether it differs from zero, corrected for all parameters of the unit.
         level: Of the line at the newest session, SI units.
         level_std: Its standard deviation.
-
     """
 
     slope: Floats
@@ -166,7 +162,6 @@ class Forecast:
         borrowed: Whether trends of the type are used where the unit's own sessions are
             insufficient.
         reason: Why there is no date, a sentence; else empty.
-
     """
 
     limit: Floats
@@ -202,7 +197,6 @@ class Step:
         high: (k,) upper ends.
         cause: Its cause.
         rotation: (3,) rad about X, Y, Z of a mount; else NaN.
-
     """
 
     index: int
@@ -234,7 +228,6 @@ class ChartLimits:
         ewma: Of the EWMA of normal scores, on both sides.
         parameter_run: Mean number of sessions between false alarms of one parameter on one chart.
         unit_run: The same for any of the 24 on one chart, a lower bound; and for T^2.
-
     """
 
     individuals: float
@@ -253,7 +246,6 @@ class Signal:
         parameter: Name; empty for T^2.
         value: Value on the chart.
         limit: Its limit.
-
     """
 
     chart: Chart
@@ -275,7 +267,6 @@ class Charts:
         t2_limit: (n,) its limit.
         t2_chance: (n,) probability of at least this value in control.
         signals: Sessions at which a chart leaves its limits.
-
     """
 
     score: Floats
@@ -310,7 +301,6 @@ class UnitHistory:
         steps: Changes between sessions.
         charts: Control charts.
         findings: Messages for the user on this unit, sentences.
-
     """
 
     serial: str
@@ -342,7 +332,6 @@ class Outlier:
         parameter: Name.
         value: Its level, SI units.
         score: Distance from the median in robust standard deviations.
-
     """
 
     serial: str
@@ -362,7 +351,6 @@ class LotShift:
         shift: Mean of its units minus that of all others, SI units.
         std: Its standard deviation.
         chance: Probability of at least this shift between lots that do not differ.
-
     """
 
     lot: str
@@ -397,7 +385,6 @@ class Population:
         outside: Number of units proven to be outside their specification by this parameter.
         outliers: Units that differ from the others.
         lots: Lots that differ from the others.
-
     """
 
     imu: str
@@ -434,7 +421,6 @@ class StandShift:
         high: Upper end.
         chance: Probability of at least this shift without cause, corrected for all tests.
         units: Number of units that were on this stand and on another.
-
     """
 
     stand: str
@@ -465,7 +451,6 @@ class Stands:
         reproducibility: (24,) standard deviation between stands, by restricted maximum likelihood.
         shifts: Shifts of stands.
         findings: Messages for the user, sentences, including what cannot be separated.
-
     """
 
     names: tuple[str, ...]
@@ -490,7 +475,6 @@ class History:
         populations: By type.
         stands: Their comparison.
         findings: Messages for the user on the whole, sentences.
-
     """
 
     rules: Rules

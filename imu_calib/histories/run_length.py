@@ -34,7 +34,6 @@ def mean_run_length(smoothing: float, limit: float, shift: float = 0.0) -> float
         smoothing: Weight s of the newest score.
         limit: On both sides, in standard deviations of the EWMA.
         shift: Mean of the scores; zero in control.
-
     """
     half = limit * ewma_std(smoothing)
     nodes, weights = leggauss(_NODES)

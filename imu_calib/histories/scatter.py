@@ -35,7 +35,6 @@ def between(design: Floats, stated: Floats, values: Floats) -> Floats:
 
     Returns:
         NaN without a degree of freedom.
-
     """
     shape, size = values.shape[:-1], values.shape[-1]
     flat_design = np.broadcast_to(design, (*values.shape, design.shape[-1])).reshape(

@@ -20,7 +20,6 @@ def listed(names: Sequence[str], most: int = _NAMED) -> str:
     Examples:
         >>> listed(['A', 'B', 'C']), listed(['A', 'B', 'C'], 2)
         ('A, B and C', 'A, B and 1 more')
-
     """
     shown = list(names[:most])
     if len(names) > most:
@@ -34,7 +33,6 @@ def quantity(value: float, parameter: str, *, per: str = '', sign: bool = False)
     Examples:
         >>> quantity(5.1e-6, 'K_ax', sign=True), quantity(1e-6, 'K_gx', per='month')
         ('+5.1 ppm', '1 ppm/month')
-
     """
     unit = _BY_NAME[parameter].unit
     shown = f'{unit.shown}/{per}' if per else unit.shown
@@ -47,7 +45,6 @@ def percent(share: float) -> str:
     Examples:
         >>> percent(0.95), percent(0.001)
         ('95 %', '0.1 %')
-
     """
     return f'{100 * share:.4g} %'
 

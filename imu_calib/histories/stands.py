@@ -60,7 +60,6 @@ def judge_stands(
         values: (n, 24) SI units.
         variance: (n, 24) of sessions.
         rules: Rules of the evaluation.
-
     """
     known = np.array([bool(name) for name in names], dtype=bool)
     every = sorted({name for name in names if name})

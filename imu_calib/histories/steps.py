@@ -30,7 +30,6 @@ class Places:
 
     Attributes:
         of: Sessions by (unit, parameter), indices in the block; without steps there is no entry.
-
     """
 
     of: dict[tuple[int, int], tuple[int, ...]]
@@ -53,7 +52,6 @@ def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) 
         weights: (u, 24, n) of the sessions.
         prior: Of their type.
         false_alarm: For all places and parameters of a unit together.
-
     """
     count = block.months.shape[1]
     if count < FEWEST:
@@ -81,7 +79,6 @@ def step_design(months: Floats, places: tuple[int, ...]) -> Floats:
     Args:
         months: (n,).
         places: First sessions after each step.
-
     """
     before = np.arange(len(months))[:, None] < np.array(places, dtype=int)
     return np.column_stack([line_design(months), -before.astype(float)])

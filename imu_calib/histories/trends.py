@@ -34,7 +34,6 @@ class Lines:
         freedom: Degrees of freedom of that.
         known: Whether both are determined.
         steps: (size, standard deviation) by (unit, parameter), one for each place.
-
     """
 
     coefficients: Floats
@@ -53,7 +52,6 @@ class Slopes:
         mean: Per month; NaN if too few units determine it.
         variance: Of the units' true slopes.
         mean_variance: Variance of the mean.
-
     """
 
     mean: Floats
@@ -73,7 +71,6 @@ def fit_lines(
         prior: Typical scatter of their type.
         slopes: Those of their type, used as one more observation of each unit's slope; None uses
             only the unit's own sessions.
-
     """
     design = np.broadcast_to(line_design(block.months)[:, None], (*weights.shape, 2))
     own = fit(design, weights, block.values)

@@ -19,7 +19,6 @@ def domain_id() -> int:
 
     Raises:
         InputError: It is not a number, or out of range.
-
     """
     text = os.environ.get('ROS_DOMAIN_ID', '').strip()
     if not text:
@@ -40,7 +39,6 @@ def configuration() -> str:
     Raises:
         InputError: ROS_AUTOMATIC_DISCOVERY_RANGE is none of its four values, or requests more than
             the loopback interface while no other is named.
-
     """
     given = os.environ.get(REACH, '').strip().upper()
     user = os.environ.get('CYCLONEDDS_URI', '').strip()

@@ -118,7 +118,6 @@ def init(**options: Any) -> None:
 
     Raises:
         InputError: ROS_DOMAIN_ID is out of range, or --ros-args is invalid.
-
     """
     checked_domain()
     options.setdefault('signal_handler_options', SignalHandlerOptions.NO)

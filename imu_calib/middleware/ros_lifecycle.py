@@ -51,7 +51,6 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc,unused-ignore]
 
         Raises:
             ImuCalibError: As the step that fails.
-
         """
         if not autostart:
             return

@@ -60,7 +60,6 @@ def take(handle: Any) -> tuple[bytes, bytes] | None:
     Returns:
         Its serialised bytes, and the identifier of its publisher: empty if this middleware does not
         provide it. None if no message waits.
-
     """
     rcl, rcutils = _libraries()
     taken, info = _Serialized(), _Info()

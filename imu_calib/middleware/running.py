@@ -73,7 +73,6 @@ def run(
 
     Returns:
         Whether every last message was acknowledged.
-
     """
     stop = _Flag()
     former = _handle(stop.set)

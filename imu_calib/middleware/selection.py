@@ -19,7 +19,6 @@ def runtime() -> str:
 
     Raises:
         ImuCalibError: The variable has another value.
-
     """
     forced = os.environ.get(VARIABLE, '')
     if forced:
@@ -37,7 +36,6 @@ def require(chosen: str) -> None:
 
     Raises:
         ImuCalibError: It does not; the text states the remedy.
-
     """
     if chosen == 'rclpy':
         _import(

@@ -35,7 +35,6 @@ class AppliedCalibration:
     Attributes:
         compensator: None until there is a calibration.
         follows: As above.
-
     """
 
     def __init__(

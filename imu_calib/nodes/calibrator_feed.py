@@ -30,7 +30,6 @@ class CalibratorFeed:
 
     Raises:
         InputError: The method cannot solve the plan.
-
     """
 
     def __init__(self, setup: Setup, topics: Mapping[Kind, str]) -> None:
@@ -68,7 +67,6 @@ class CalibratorFeed:
 
         Returns:
             Why the session cannot succeed, in sentences; else empty.
-
         """
         self.without_skew = not with_skew
         imu = self._setup.imu if with_skew else replace(self._setup.imu, skewed=None)

@@ -21,7 +21,6 @@ class CalibratorProgress:
         diagnostics: Receives reports of faults.
         timeout: Longest silence of the calibrator on the steady clock, s.
         is_alone: Returns whether one node alone publishes progress; argument: steady clock, s.
-
     """
 
     def __init__(

@@ -22,7 +22,6 @@ class Commands:
     Args:
         node: The driver.
         timeout: Silence after which the table stops, s, of the steady clock.
-
     """
 
     def __init__(self, node: Any, timeout: float) -> None:

@@ -47,7 +47,6 @@ class CompensatorReports:
     Attributes:
         malformed: Messages that could not be read.
         unused: Samples received without a calibration, or with two publishers.
-
     """
 
     def __init__(self, diagnostics: Diagnostics, pulses: str, temperature: str) -> None:
@@ -88,7 +87,6 @@ class CompensatorReports:
             compensator: None without a calibration.
             now: By the node's clock, ns.
             mixed: Whether two publishers send samples.
-
         """
         self._report_stream(compensator, now, mixed=mixed)
         if compensator is not None:

@@ -29,7 +29,6 @@ class Controller:
         name: Of the action, control_msgs/FollowJointTrajectory.
         sequencer: Runs the plan; receives faults.
         hold: Sends the sequencer's setpoint at once.
-
     """
 
     def __init__(
@@ -59,7 +58,6 @@ class Controller:
         Args:
             setpoint: The published setpoint.
             now: Steady time, s.
-
         """
         at = self._sequencer.feedback
         if at is None or not self._client.server_is_ready():
@@ -89,7 +87,6 @@ class Controller:
         Args:
             now: Steady time, s.
             diagnostics: Receives the report.
-
         """
         missing = ''
         if not self._client.server_is_ready():

@@ -48,7 +48,6 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
         status: VALID, INCOMPLETE or PROVISIONAL.
         frame_id: The IMU's frame.
         stamp: builtin_interfaces/Time of now.
-
     """
     findings = list(calibration.findings)
     if status == messages.ImuCalibration.INCOMPLETE:
@@ -109,7 +108,6 @@ def calibration_of(message: Any) -> Calibration:
 
     Raises:
         InputError: The message is REFUSED, inconsistent, or impossible for a strapdown IMU.
-
     """
     if message.status == messages.ImuCalibration.REFUSED:
         raise InputError(f'The calibration is refused: {message.status_text}')

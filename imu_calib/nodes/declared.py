@@ -32,7 +32,6 @@ def declare(
 
     Raises:
         InputError: The given value has another type or lies outside the range.
-
     """
     described = ParameterDescriptor(description=description, read_only=read_only)
     ranged = lower is not None or upper is not None

@@ -34,7 +34,6 @@ class Diagnostics:
     Args:
         node: The node that reports.
         hardware_id: Of the device, for instance the IMU's id.
-
     """
 
     def __init__(self, node: Node, hardware_id: str) -> None:
@@ -54,7 +53,6 @@ class Diagnostics:
             level: Severity.
             text: One sentence for a person; it need not contain the figures.
             **figures: Values with their units, by name.
-
         """
         self.report_of('', part, level, text, figures)
 
@@ -66,7 +64,6 @@ class Diagnostics:
             fault: The fault, a sentence; empty without one.
             otherwise: Text without a fault.
             **figures: As of `report`.
-
         """
         level = Level.ERROR if fault else Level.OK
         self.report(part, level, fault or otherwise, **figures)
@@ -121,7 +118,6 @@ class PartOfDiagnostics:
         diagnostics: Of the node.
         name: Of the unit.
         hardware_id: Of the unit: its type and serial number.
-
     """
 
     def __init__(self, diagnostics: Diagnostics, name: str, hardware_id: str) -> None:

@@ -13,7 +13,6 @@ class DoneCheck:
     Args:
         plan: Name of the plan that is calibrated.
         steps: Number of its steps.
-
     """
 
     def __init__(self, plan: str, steps: int) -> None:
@@ -33,7 +32,6 @@ class DoneCheck:
             steps: Number of steps in the state.
             commanded: Number of steps commanded by setpoints.
             alone: Whether the state has one publisher.
-
         """
         self._in_succession += 1
         if plan != self._plan:

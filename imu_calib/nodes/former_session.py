@@ -21,7 +21,6 @@ class FormerSession:
     Args:
         journal: Its folder.
         intakes: The topics after the whole journal was read.
-
     """
 
     def __init__(self, journal: Path, intakes: Mapping[Kind, TopicIntake]) -> None:
@@ -52,7 +51,6 @@ class FormerSession:
 
         Args:
             first: Stamp of the first IMU sample after it, ns; later ones are ignored.
-
         """
         last, self._imu_end = self._imu_end, None
         if last is None or first - last > INTERRUPTION:

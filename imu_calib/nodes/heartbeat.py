@@ -19,7 +19,6 @@ class Heartbeat:
 
     Args:
         node: Declares stop_required and heartbeat_timeout.
-
     """
 
     def __init__(self, node: Any) -> None:

@@ -22,7 +22,6 @@ class TopicIntake:
         oldest: Stamp of the first, ns; None before it.
         newest: Stamp of the newest, ns; None before the first.
         heard: When the newest came, s of the steady clock.
-
     """
 
     kind: Kind

@@ -71,7 +71,6 @@ class LiveSession:
 
     Raises:
         InputError: The method cannot solve the plan.
-
     """
 
     def __init__(
@@ -144,7 +143,6 @@ class LiveSession:
             kind: Content of the topic.
             payloads: At least one message.
             now: Host time, ns.
-
         """
         if self._closed:
             return
@@ -244,7 +242,6 @@ class LiveSession:
         Args:
             reason: Why.
             finished: Whether the journal is kept for inspection only; else it can be resumed.
-
         """
         self.phase = SessionPhase.FAILED
         self.failure = reason

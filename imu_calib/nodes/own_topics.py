@@ -23,7 +23,6 @@ class OwnTopics:
         own: Message types by the names of the topics that the node publishes.
         others: Names of topics that one other node publishes.
         on_foreign: Called with name and bytes of a foreign message on an own topic.
-
     """
 
     def __init__(

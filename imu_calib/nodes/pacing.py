@@ -16,7 +16,6 @@ class Pacing:
 
     Attributes:
         seconds: Between two setpoints.
-
     """
 
     def __init__(self, rate: float) -> None:
@@ -33,7 +32,6 @@ class Pacing:
             table_time: Stamp of the last joint state, ns; None before the first.
             now: Of the steady clock, s.
             revision: Of the setpoint: a new one is due at once.
-
         """
         if table_time is not None and self._due_stamp > table_time + 2 * self._period:
             # The table's time restarted.

@@ -32,7 +32,6 @@ class OnePublisher:
     Args:
         node: Queries the graph.
         topic: Full name.
-
     """
 
     def __init__(self, node: Any, topic: str) -> None:
@@ -54,7 +53,6 @@ class OnePublisher:
 
         Args:
             now: Of the steady clock, s.
-
         """
         listed = self._node.get_publishers_info_by_topic(self.topic)
         two_sources = now - self._two_sources_at <= _FRESH

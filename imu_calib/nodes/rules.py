@@ -17,7 +17,6 @@ def declare_rules(declare: Callable[..., Any]) -> Rules:
 
     Raises:
         InputError: A value has another type or lies outside its range.
-
     """
     default = Rules()
     return Rules(

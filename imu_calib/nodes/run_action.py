@@ -34,7 +34,6 @@ class RunAction:
         sequencer: Runs the plan.
         start: Starts the plan, and returns the effect as text.
         hold: Sends the sequencer's setpoint at once.
-
     """
 
     def __init__(
@@ -74,7 +73,6 @@ class RunAction:
 
         Args:
             now: Steady time, s.
-
         """
         if self._goal is None:
             return

@@ -21,7 +21,6 @@ class SessionFactory:
         description: Set-up that every journal contains.
         journal: Folder of the first; later ones have a number at the end of their names.
         state: Full name of turntable/state; None without a table.
-
     """
 
     def __init__(
@@ -46,7 +45,6 @@ class SessionFactory:
 
         Raises:
             InputError: The journal cannot be written, or holds another set-up.
-
         """
         path = self._journal
         if self._count:

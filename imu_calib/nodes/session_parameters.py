@@ -31,7 +31,6 @@ class StatedUnit:
         imu: Name or file of its type.
         topic: Topic of its samples; empty: imu/pulses in its namespace.
         mount: (3, 3) rotation of its axes against those of the plan; None if they are equal.
-
     """
 
     setup: Setup
@@ -59,7 +58,6 @@ def declared_units(node: Node) -> tuple[tuple[StatedUnit, ...], dict[str, str]]:
 
     Raises:
         InputError: As `declared_setup`; the units' file is broken, or leaves no unit.
-
     """
     setup, description = declared_setup(node)
     file = declare(node, 'units', '', 'file of the units where several are mounted; empty: one')
@@ -89,7 +87,6 @@ def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
 
     Raises:
         InputError: A file is missing or broken, or the latitude is not stated.
-
     """
     plan = declare(node, 'plan', 'twelve_position', 'name or file of the plan that is run')
     imu = declare(node, 'imu', 'fog_medium', 'name or file of the IMU')

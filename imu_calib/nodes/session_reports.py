@@ -51,7 +51,6 @@ def progress_message(
         steps: Number of steps of its plan, or of holds.
         seconds_left: As the node that runs the plan states, s; else NaN.
         file: File of the result.
-
     """
     review = session.review
     stamp = messages.TimeMsg(
@@ -92,7 +91,6 @@ def report_session(
         diagnostics: Receives the report.
         imu_timeout: Longest silence of the IMU against the table, s.
         stand: Receives the report on shared topics; None for a single unit.
-
     """
     shared = stand or diagnostics
     _report_imu(session, diagnostics, imu_timeout)
@@ -122,7 +120,6 @@ def is_fed(session: LiveSession, imu_timeout: float) -> bool:
     Args:
         session: The session; a table turns the unit.
         imu_timeout: Longest silence of the IMU against the table, s.
-
     """
     imu, joints = session.intakes[Kind.IMU], session.intakes[Kind.JOINTS]
     if imu.newest is None or joints.newest is None:

@@ -36,7 +36,6 @@ class Sessions:
 
     Raises:
         InputError: The journal does not match the set-up.
-
     """
 
     def __init__(
@@ -172,7 +171,6 @@ def concluded(
 
     Returns:
         A review of each, or the error that prevented it.
-
     """
     each = [_concluded(calibrator) for calibrator in calibrators]
     if len(each) == 1:

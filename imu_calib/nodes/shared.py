@@ -23,7 +23,6 @@ class SharedJournal:
     Args:
         journal: Open.
         common: Topics of the table, which feed every session.
-
     """
 
     def __init__(self, journal: Journal, common: frozenset[str]) -> None:
@@ -49,7 +48,6 @@ class SharedJournal:
 
         Raises:
             InputError: The disk accepts no more data.
-
         """
         if not self._flushed or part in self._flushed:
             self._flushed.clear()
@@ -67,7 +65,6 @@ class SharedJournal:
 
         Raises:
             InputError: The disk accepts no more data.
-
         """
         if any(part.open for part in self._parts):
             self.journal.flush()
@@ -82,7 +79,6 @@ class JournalPart:
         open: Whether the session still writes.
         finished: Whether it came to its end.
         trouble: Why the disk refuses data, else empty.
-
     """
 
     def __init__(self, shared: SharedJournal) -> None:
@@ -119,7 +115,6 @@ class JournalPart:
 
         Args:
             finished: Whether it is kept for inspection only; else it can be resumed.
-
         """
         self.open, self.finished = False, finished
         try:
@@ -138,7 +133,6 @@ class Solved:
         future: Its result or error.
         final: Whether it was the session's last.
         until: Stamp of the last data used, ns.
-
     """
 
     future: Future[Review]
@@ -155,7 +149,6 @@ class SharedSolver:
     Args:
         concluded: Concludes the sessions of units with these serial numbers: returns a review or an
             error for each.
-
     """
 
     def __init__(self, concluded: Concluding) -> None:
@@ -217,7 +210,6 @@ class SolverPart:
     Args:
         shared: Solver of all sessions.
         serial_number: Of the session's unit.
-
     """
 
     def __init__(self, shared: SharedSolver, serial_number: str) -> None:

@@ -27,7 +27,6 @@ class StopRecord:
     Args:
         folder: Folder of the file; created if missing.
         key: Of the stand, for instance domain and full name of the node that runs the plan.
-
     """
 
     def __init__(self, folder: Path, key: str) -> None:
@@ -53,7 +52,6 @@ class StopRecord:
 
         Raises:
             InputError: The file cannot be removed, or a stop could not be saved again.
-
         """
         self._try(self._remove)
         if self._trouble:
@@ -124,7 +122,6 @@ def state_folder(given: str) -> Path:
 
     Raises:
         InputError: The home folder of the user is unknown.
-
     """
     base = os.environ.get('XDG_STATE_HOME', '')
     try:
@@ -149,7 +146,6 @@ class StopTopic:
 
     Attributes:
         topic: Full name.
-
     """
 
     def __init__(self, node: Any, topic: str, callback: Callable[[bool], None]) -> None:
@@ -197,7 +193,6 @@ class EmergencyStop:
         node: Its domain and full name identify the stand.
         folder: Folder of saved stops.
         on_press: Called at every stop message, before the disk is written.
-
     """
 
     def __init__(self, node: Any, folder: Path, on_press: Callable[[], None]) -> None:
@@ -236,7 +231,6 @@ class EmergencyStop:
         Raises:
             InputError: It is not pressed, a publisher still sends stop, or the file cannot be
                 deleted.
-
         """
         if not self._record.pressed:
             raise InputError('The emergency stop is not pressed.')

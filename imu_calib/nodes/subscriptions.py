@@ -42,7 +42,6 @@ def topics_of_unit(setup: Setup, namespace: str = '', imu_topic: str = '') -> di
         setup: States whether the unit has a skewed gyro.
         namespace: Of the unit; empty for a single one.
         imu_topic: Topic of its samples; empty: imu/pulses.
-
     """
     kinds = [kind for kind in _TOPICS if kind not in _OF_THE_TABLE]
     if setup.imu.skewed is None:
@@ -60,7 +59,6 @@ class Subscriptions:
 
     Attributes:
         topics: Their full names.
-
     """
 
     def __init__(self, node: ros.Node, topics: Mapping[Kind, str]) -> None:

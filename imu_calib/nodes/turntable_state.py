@@ -27,7 +27,6 @@ class TurntableStateIntake:
     Attributes:
         topic: Full name.
         seconds_left: Remaining time of the plan as the table states, s; else NaN.
-
     """
 
     def __init__(self, node: Node, plan: Plan, steps: int, diagnostics: Diagnostics) -> None:
@@ -60,7 +59,6 @@ class TurntableStateIntake:
             state: imu_calib_msgs/TurntableState.
             sessions: The sessions it concerns.
             now: Of the steady clock, s.
-
         """
         if state.plan and state.plan != self._plan.name:
             for session in sessions.all:

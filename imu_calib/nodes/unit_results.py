@@ -26,7 +26,6 @@ class UnitResults:
         namespace: Of its topics; empty for a single unit.
         output: File of the result.
         diagnostics: Of the node.
-
     """
 
     def __init__(

@@ -19,7 +19,6 @@ def listen_to_each(node: ros.Node, board: UnitsBoard) -> None:
     Args:
         node: The node that subscribes.
         board: Receives the messages.
-
     """
     for name, own in board.each.items():
         node.create_subscription(

@@ -28,7 +28,6 @@ def progress_of_all(
         each: imu_calib_msgs/CalibrationProgress of each, in their order.
         imu_timeout: Longest silence of a unit against the table, s.
         folder: Folder of the results.
-
     """
     open_ = [(s, m) for s, m in zip(sessions.all, each, strict=True) if s in sessions.open]
     running = [(s, m) for s, m in open_ if not s.is_over] or open_ or [(sessions.all[0], each[0])]

@@ -123,7 +123,6 @@ def noise_notes(seen: Mapping[str, ChannelNoise], accel_rate: float | None = Non
     Args:
         seen: By name of the channel.
         accel_rate: Sample rate of interpolated accelerometers, Hz; None without interpolation.
-
     """
     if not seen:
         return ''

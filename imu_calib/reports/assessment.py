@@ -47,7 +47,6 @@ class Assessed:
         value: Its estimate.
         std: Its standard deviation.
         limit: Largest amount that the specification allows; None if it states none.
-
     """
 
     parameter: Parameter

@@ -55,7 +55,6 @@ class Stand:
         attitude: (3, 3) R_nb in east, north, up.
         known: Whether the heading is known; else only the direction of up.
         dwells: In order of time.
-
     """
 
     name: str
@@ -136,7 +135,6 @@ def cube(attitude: Floats, title: str) -> str:
     Args:
         attitude: (3, 3) R_nb: columns are the body axes in east, north, up.
         title: Alternative text.
-
     """
     toward = _toward_eye()
     faces, axes, letters = [], [], []

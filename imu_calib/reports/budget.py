@@ -79,7 +79,6 @@ class _Shown:
         rows: (p,) their indices in the calibration.
         budget: Of all parameters, by the sources that concern the shown ones.
         wide: (k,) which sources have a separate column.
-
     """
 
     parameters: tuple[Parameter, ...]
@@ -148,7 +147,6 @@ def _percent(fraction: float) -> str:
     Examples:
         >>> _percent(0.996), _percent(0.004), _percent(1e-9), _percent(0.0)
         ('100', '0.4', '0.0', '-')
-
     """
     if not fraction:
         return '-'

@@ -30,7 +30,6 @@ class Converging:
         predicted: Prediction of the plan; NaN without one.
         limit: Largest amount that the specification allows; None if it states none.
         course: Times (s since the session began) with the standard deviations reached then.
-
     """
 
     parameter: Parameter
@@ -76,7 +75,6 @@ class Courses:
         parameters: Parameters that the session's method estimates.
         predicted: Standard deviations by name, SI; NaN or absent without a prediction.
         specification: The limits of the unit; None without.
-
     """
 
     def __init__(

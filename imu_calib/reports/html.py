@@ -20,7 +20,6 @@ def document(title: str, body: str, style: str, policy: str = _STATIC) -> str:
         body: HTML.
         style: CSS.
         policy: Its Content-Security-Policy.
-
     """
     head = ''.join(
         [
@@ -44,7 +43,6 @@ def table(
         rows: Cells as HTML.
         kind: Class of the table.
         numbers: For every column 'r' if it is right-aligned, else 'l'.
-
     """
     sides = numbers or 'l' * len(headings)
     head = ''.join(

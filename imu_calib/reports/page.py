@@ -29,7 +29,6 @@ class Contents:
         imu: The unit's description with its specification and data sheet; None if not given.
         result: Result of calibrating the recording again; None without a recording.
         others: Further calibrations of the unit by name, for comparison.
-
     """
 
     calibration: Calibration
@@ -46,7 +45,6 @@ def page(contents: Contents) -> str:
 
     Raises:
         InputError: The calibrations to compare are not of one unit.
-
     """
     calibration = contents.calibration
     title = f'Calibration of {calibration.imu.id}'

@@ -42,7 +42,6 @@ def three_digits(value: float) -> str:
     Examples:
         >>> three_digits(0.012345), three_digits(2231.7)
         ('0.0123', '2232')
-
     """
     return f'{value:.0f}' if abs(value) >= 1000 else f'{value:.3g}'
 
@@ -86,7 +85,6 @@ def parameter_table(calibration: Calibration, truth: Calibration | None = None) 
     Args:
         calibration: The calibration.
         truth: True parameters of a simulation; adds the error in standard deviations.
-
     """
     table = _headed('parameter', against_truth=truth is not None)
     parameters, deviations = calibration.parameters, calibration.std
@@ -137,7 +135,6 @@ def parameter_tables(
     Args:
         calibration: The calibration.
         truth: True parameters of a simulation; adds the errors in standard deviations.
-
     """
     angles = angle_table(calibration, truth)
     return [parameter_table(calibration, truth), '', angles, FREE_OF_FRAME]
@@ -149,7 +146,6 @@ def angle_table(calibration: Calibration, truth: Calibration | None = None) -> T
     Args:
         calibration: The calibration.
         truth: True parameters of a simulation; adds the error in standard deviations.
-
     """
     table = _headed('free of frame', against_truth=truth is not None)
     true = {} if truth is None else {a.group: a.values for a in truth.free_of_frame}

@@ -48,7 +48,6 @@ def in_words(seconds: float) -> str:
     Examples:
         >>> in_words(42.0), in_words(754.0), in_words(7260.0)
         ('42 s', '12 min 34 s', '2 h 1 min')
-
     """
     if math.isnan(seconds):
         return 'not known'

@@ -60,7 +60,6 @@ class RepeatedParameter:
         std: (n,) stated standard deviations.
         days: (n,) days after the first; None if a calibration has no date.
         first: Date of the first; None if a calibration has none.
-
     """
 
     parameter: Parameter
@@ -150,7 +149,6 @@ def date_of(calibration: Calibration) -> datetime | None:
 
     Raises:
         InputError: The entry is not a date.
-
     """
     text = calibration.provenance.get('recorded')
     if text is None:
@@ -172,7 +170,6 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
 
     Raises:
         InputError: They are of different units, have no parameter in common, or one is there twice.
-
     """
     first = calibrations[0]
     for other, name in zip(calibrations[1:], names[1:], strict=True):

@@ -35,7 +35,6 @@ class Residuals:
         positions: Name of every static dwell.
         value: (s, 6) rad/s and m/s^2; NaN if a triad was not estimated.
         std: (s, 6) standard deviation of each static dwell's own mean; None without the recording.
-
     """
 
     positions: tuple[str, ...]

@@ -27,7 +27,6 @@ def comparison_tables(units: Sequence[tuple[str, Calibration]]) -> Iterator[Tabl
 
     Args:
         units: Serial numbers with calibrations.
-
     """
     parameters: list[Parameter] = []
     for _, calibration in units:

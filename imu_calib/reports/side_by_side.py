@@ -32,7 +32,6 @@ class SideBySide:
         only: For each the names of its parameters that others lack.
         agreement: Which of `parameters` differ by more than the covariances explain.
         std: (k - 1, n) standard deviations of the differences from the first, SI units.
-
     """
 
     calibrations: tuple[Calibration, ...]
@@ -47,7 +46,6 @@ def side_by_side(calibrations: Sequence[Calibration]) -> SideBySide:
 
     Raises:
         InputError: Their streams have different units.
-
     """
     first = calibrations[0]
     in_scale = (first, *(in_scale_of(one, first) for one in calibrations[1:]))
@@ -74,7 +72,6 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
     Args:
         compared: The calibrations.
         names: Their names.
-
     """
     calibrations, found, std = compared.calibrations, compared.agreement, compared.std
     two = len(calibrations) == 2
@@ -138,7 +135,6 @@ def agreement_lines(found: Agreement, count: int) -> list[str]:
     Args:
         found: Their agreement.
         count: Number of calibrations.
-
     """
     if not found.total_freedom:
         return ['None of them states standard deviations: significance cannot be tested.']
@@ -164,7 +160,6 @@ def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
 
     Raises:
         InputError: The streams have different units.
-
     """
     mine, its = calibration.imu, other.imu
     if mine.units is not its.units:

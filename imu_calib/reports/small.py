@@ -40,7 +40,6 @@ def small(
         std: (n,) SI.
         ends: Text below the first and the last value.
         line: Interpolated values, SI.
-
     """
     shown = engineering(parameter)
     mean = float(value.mean())

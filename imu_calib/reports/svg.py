@@ -54,7 +54,6 @@ class Axis:
         low: Smallest value shown.
         high: Largest value shown.
         logarithmic: Whether it has decades.
-
     """
 
     low: float
@@ -129,7 +128,6 @@ class Panel:
         width: Of the frame, px.
         height: Of the frame, px.
         parts: Elements so far.
-
     """
 
     x: Axis
@@ -263,7 +261,6 @@ def drawing(parts: Sequence[str], width: float, height: float, title: str) -> st
         width: px.
         height: px.
         title: Alternative text.
-
     """
     return tag(
         'svg',

@@ -34,7 +34,6 @@ def thermal_page(combined: ThermalCalibration, name: str, imu: ImuSpec | None = 
         combined: Calibrations at two or more temperatures.
         name: Of its file.
         imu: The unit's description with its specification; None if not given.
-
     """
     first = combined.calibrations[0]
     specification = None if imu is None else imu.specification

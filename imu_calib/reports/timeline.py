@@ -45,7 +45,6 @@ class Interval:
         end: s.
         name: Position of the plan, or other description.
         reason: Why it was not used; empty if it was.
-
     """
 
     lane: Lane
@@ -167,7 +166,6 @@ def rejected_table(found: Sequence[Interval], start: int | None) -> str:
     Args:
         found: All intervals of the session.
         start: First stamp of the session, ns.
-
     """
     zero = utc(start)
 

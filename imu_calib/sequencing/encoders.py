@@ -41,7 +41,6 @@ class Feedback:
         still: Whether no joint has moved over the last tenth of a second.
         means: (k,) mean rates over the last tenth of a second by the angles alone, rad/s; empty for
             the first one.
-
     """
 
     stamp: int
@@ -63,7 +62,6 @@ class Encoders:
     Attributes:
         ignored: Messages that lack a joint of the table.
         ignored_names: Joint names of the latest of them.
-
     """
 
     def __init__(self, table: Table, quiet: float, patience: float) -> None:
@@ -85,7 +83,6 @@ class Encoders:
         Raises:
             FeedbackError: An angle is no number or beyond `FARTHEST`; a stamp jumps back, or is
                 later than a header can state.
-
         """
         joints = block.of(self._table.names)
         if joints is None:

@@ -31,7 +31,6 @@ class IdleWatch:
         text: Sentences on its motion; empty without.
         way: Largest distance from its rest, rad.
         rate: Largest rate, rad/s.
-
     """
 
     def __init__(

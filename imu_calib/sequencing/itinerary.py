@@ -18,7 +18,6 @@ class Itinerary:
 
     Attributes:
         current: The current or next step; None before the plan is laid out.
-
     """
 
     def __init__(self, plan: Plan, table: Table, rules: Rules) -> None:
@@ -59,7 +58,6 @@ class Itinerary:
 
         Raises:
             InputError: The steps are beyond the table's limits.
-
         """
         before = np.array(angles)
         self._steps, self._return_step = steps_of_plan(self._plan, self._table, before)

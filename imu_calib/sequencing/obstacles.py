@@ -12,7 +12,6 @@ class Obstacles:
         emergency: Reply to a start during the emergency stop; else empty.
         feedback: Fault of the joint states; empty while they are valid.
         calibrator: Fault of the calibrator; empty without.
-
     """
 
     def __init__(self) -> None:
@@ -43,7 +42,6 @@ class Reasons:
     Attributes:
         reason: Why the table stopped, or goes home without the calibrator's reply; else empty.
         fault: Whether there was a fault since the last start, not a requested stop.
-
     """
 
     def __init__(self) -> None:

@@ -27,7 +27,6 @@ class Orders:
         motion: The motion that was ordered last; None once the table was commanded to hold.
         turns_done: Turns at rate of the last motion, without sign.
         idle: Motion of the table while idle.
-
     """
 
     def __init__(self, plan: str, table: Table, rules: Rules) -> None:
@@ -58,7 +57,6 @@ class Orders:
         Args:
             current: The interrupted step, if any.
             at: The last joint state, if any.
-
         """
         self._order(self.hold_setpoint(current, at), None)
 
@@ -85,7 +83,6 @@ class Orders:
         Args:
             stamp: Time of sending, ns.
             at: The last joint state, if any: the watch on a motion begins there.
-
         """
         if self._setpoint is None:
             return None

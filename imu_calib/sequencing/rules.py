@@ -33,7 +33,6 @@ class Rules:
         supervised: Whether a calibrator requests repetitions of steps.
         repeats: Most repetitions of a step at the calibrator's request.
         repeat_wait: Longest wait for the calibrator's reply at the end of the plan, s.
-
     """
 
     settle: float = 1.0
@@ -63,7 +62,6 @@ class SequencerState:
         rates: (k,) measured, rad/s.
         turns_done: Turns at rate of the current RATE step, without sign.
         seconds_left: Expected time to the end of the plan, s.
-
     """
 
     plan: str

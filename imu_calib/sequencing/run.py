@@ -56,7 +56,6 @@ class Run:
         orders: The commands to the table.
         leg: Stage within the plan; STOPPING while idle.
         remark: How the plan ended, in a sentence; else empty.
-
     """
 
     def __init__(self, plan: Plan, table: Table, rules: Rules) -> None:
@@ -84,7 +83,6 @@ class Run:
         Args:
             at: The last joint state.
             done: Steps that need not be run.
-
         """
         if done:
             self.itinerary.leave_out(done)
@@ -112,7 +110,6 @@ class Run:
             stamp: Stamp of the last joint state that it has processed, ns.
             repeat_steps: Indices of steps with too little data.
             at: The last joint state.
-
         """
         # A reply that does not cover all joint states is too early.
         latest = at.stamp + self._rules.feedback_timeout * 1e9

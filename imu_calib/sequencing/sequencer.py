@@ -53,7 +53,6 @@ class Sequencer:
 
     Raises:
         InputError: The plan is turned by hand, or a joint has no limits.
-
     """
 
     def __init__(self, plan: Plan, table: Table, rules: Rules | None = None) -> None:
@@ -121,7 +120,6 @@ class Sequencer:
 
         Raises:
             InputError: Refused, with the reason.
-
         """
         if self.obstacle:
             raise InputError(self.obstacle)
@@ -144,7 +142,6 @@ class Sequencer:
 
         Raises:
             InputError: The sequencer is not supervised by a calibrator.
-
         """
         self._supervision.resume()
 
@@ -154,7 +151,6 @@ class Sequencer:
         Args:
             seen: Number of steps of which it has at least the beginning.
             repeat_steps: Indices of those among them with too little data.
-
         """
         self._supervision.skip_done(seen, repeat_steps)
 
@@ -163,7 +159,6 @@ class Sequencer:
 
         Raises:
             InputError: Nothing is running.
-
         """
         if not self.running and self._stage is not _Stage.WAITING:
             raise InputError('Nothing is running that could be paused.')
@@ -174,7 +169,6 @@ class Sequencer:
 
         Raises:
             InputError: Nothing was started.
-
         """
         if self._stage in {_Stage.IDLE, _Stage.DONE, _Stage.ABORTED}:
             raise InputError('Nothing is running that could be aborted.')
@@ -186,7 +180,6 @@ class Sequencer:
         Args:
             on: Whether it is on.
             obstacle: Reply to a start while it is on.
-
         """
         if on and not self._obstacles.emergency:
             if self._stage is _Stage.DONE:
@@ -202,7 +195,6 @@ class Sequencer:
             what: The source, for instance a topic.
             why: A sentence; empty if no longer forbidden, which alone moves nothing.
             awaited: Whether it only awaits something: no fault while idle.
-
         """
         if not self._obstacles.forbid(what, why):
             return
@@ -255,7 +247,6 @@ class Sequencer:
         Args:
             stamp: Stamp of the last joint state that it has processed, ns.
             repeat_steps: Indices of steps with too little data.
-
         """
         if not self.reviewing or self._feedback is None:
             return
@@ -278,7 +269,6 @@ class Sequencer:
 
         Args:
             stamp: Time of sending, ns.
-
         """
         return self._run.orders.to_send(stamp, self._feedback)
 

@@ -25,7 +25,6 @@ def steps_of_plan(plan: Plan, table: Table, start: Floats) -> tuple[tuple[Step, 
 
     Raises:
         InputError: Beyond the table's limits: names joint, value and limit.
-
     """
     still = np.zeros(len(start))
     table.check(start, still, 'Where the table stands')
@@ -42,7 +41,6 @@ def check(step: Step, table: Table) -> None:
 
     Raises:
         InputError: Names joint, value and limit.
-
     """
     where = f'Step {step.index}, position {step.position or "of the start"}'
     table.check(step.angles, step.rates, where)
@@ -105,7 +103,6 @@ def held(current: Step | None, angles: Sequence[float] | None, plan: str, table:
         angles: Present angles, rad, for the record; None if unknown.
         plan: Name of the plan.
         table: The table.
-
     """
     joints = table.joints
     known = (0.0,) * len(joints) if angles is None else angles

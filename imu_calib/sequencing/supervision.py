@@ -17,7 +17,6 @@ class Supervision:
 
     Attributes:
         present: Whether the calibrator, if needed, is present.
-
     """
 
     def __init__(self, *, needed: bool) -> None:
@@ -31,7 +30,6 @@ class Supervision:
 
         Raises:
             InputError: No calibrator is needed.
-
         """
         if not self.needed:
             raise InputError(

@@ -45,7 +45,6 @@ class Piece:
     Attributes:
         stamp: Its start, ns; 0: now.
         course: Knots; without one at time zero it starts from the present position.
-
     """
 
     stamp: int
@@ -76,7 +75,6 @@ class Lead:
 
         Raises:
             Overtaken: Too late to continue the motion without a jump.
-
         """
         if setpoint.mode is Mode.HOLD:
             return self._hold(setpoint, at, unseen)

@@ -63,7 +63,6 @@ class Watch:
     Attributes:
         begin: Stamp of the joint state before the first setpoint, ns.
         expected: Duration of the motion at the table's limits, s.
-
     """
 
     def __init__(self, table: Table, rules: Rules, step: Step, at: Feedback) -> None:
@@ -223,7 +222,6 @@ class Standing:
 
     Attributes:
         led: The same, until it has come to rest.
-
     """
 
     def __init__(

@@ -21,7 +21,6 @@ class DeliveryLine:
         delivery: Faults of the delivery.
         period: Sample interval by the device's clock, s.
         rng: Source of all randomness.
-
     """
 
     def __init__(self, delivery: Delivery, period: float, rng: np.random.Generator) -> None:
@@ -38,7 +37,6 @@ class DeliveryLine:
         Args:
             first: Number of the first sample since the start.
             elapsed: By the stamping clock, s.
-
         """
         delivery = self._delivery
         if delivery.bunch <= 1 and not delivery.late:

@@ -27,7 +27,6 @@ class TableFaults:
         overshoot: Distance beyond every goal, rad.
         delay: Delay of setpoints, s.
         joint_rate: Rate of the joint states, Hz; None as configured.
-
     """
 
     stalled: bool = False
@@ -47,7 +46,6 @@ class LineFaults:
         garbage: Number of random bytes inserted into the line.
         damage: Percentage of frames in which one byte is changed.
         clock_jump: Added to the device's clock, s.
-
     """
 
     silence: float = 0.0
@@ -67,7 +65,6 @@ def order(text: str, table: TableFaults, line: LineFaults) -> None:
 
     Raises:
         InputError: There is no such fault, or its number is missing.
-
     """
     name, *rest = text.split() or ['']
     try:

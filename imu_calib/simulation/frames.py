@@ -63,7 +63,6 @@ def pack(
 
     Raises:
         InputError: A value is not a whole number within 32 bits.
-
     """
     frames = np.zeros(len(samples), dtype=FRAME if skew is None else SKEWED_FRAME)
     columns = {'gyro': samples.gyro, 'accel': samples.accel}
@@ -90,7 +89,6 @@ def unpack(data: bytes) -> Frames:
 
     Raises:
         InputError: A frame is cut short, out of step or damaged; names it.
-
     """
     if len(data) % FRAME.itemsize:
         raise InputError(

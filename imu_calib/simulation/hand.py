@@ -45,7 +45,6 @@ class HandSession:
         motion: Of the unit.
         holds: (n, 2) times at rest, s.
         duration: s.
-
     """
 
     motion: Motion
@@ -91,7 +90,6 @@ def one_turn_each(
         seconds: (n,) duration of each hold, s.
         turn: Time from hold to hold, including the pause after it, s; enough for a whole turn.
         acceleration: rad/s^2.
-
     """
     turns = rotation_vectors(attitudes[:-1].transpose(0, 2, 1) @ attitudes[1:])
     axes, tracks, holds, now = [], [], [], 0.0
@@ -122,7 +120,6 @@ def shortest_turns(ups: Floats, seconds: Floats, *, heading: float = 0.0) -> Han
         ups: (n, 3) directions of up in body axes, unit vectors.
         seconds: (n,) how long each hold lasts.
         heading: Of the first hold, rad.
-
     """
     attitudes = [rotation(AXES[0], heading) @ upright(ups[0])]
     for up, target in pairwise(ups):
@@ -141,7 +138,6 @@ def as_planned(plan: Plan, rng: np.random.Generator) -> HandSession:
     Args:
         plan: Its turns start and end at rest and at the same attitude.
         rng: Source of the headings.
-
     """
     attitudes, seconds = [], []
     for position in plan.positions:

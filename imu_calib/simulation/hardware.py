@@ -37,7 +37,6 @@ class SimulatedHardware:
     Attributes:
         time: s since the epoch.
         refusals: Refused setpoints, with reasons; taken by the caller.
-
     """
 
     def __init__(
@@ -59,7 +58,6 @@ class SimulatedHardware:
 
         Raises:
             InputError: The table or an option cannot be simulated.
-
         """
         table_rng, imu_rng, rng = np.random.default_rng(seed).spawn(3)
         self._options = options
@@ -110,7 +108,6 @@ class SimulatedHardware:
 
         Raises:
             InputError: There is no such fault.
-
         """
         name, _, rest = text.partition(' ')
         if name and name in self._names:

@@ -42,7 +42,6 @@ class HeldHardware:
         frames: Number of frames made by the IMU.
         holds: Holds so far, including the present one.
         waits: Whether the person waits for guidance.
-
     """
 
     def __init__(
@@ -86,7 +85,6 @@ class HeldHardware:
         Args:
             holds: Number of holds counted by the guidance.
             up: (3,) requested direction of up, in body axes; None for any.
-
         """
         self._advice = holds, up
 

@@ -48,7 +48,6 @@ def read_imperfections(
 
     Raises:
         InputError: File, key, what was found and what was expected.
-
     """
     readers: dict[str, Callable[[Section, StandOptions], StandOptions]] = {
         'table': lambda part, o: _table(part, o, table, seed),

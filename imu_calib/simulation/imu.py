@@ -54,7 +54,6 @@ class _Channels:
             mean: (n, 3) mean inputs of the channels, rad/s or m/s^2.
             widths: (n,) true lengths of the intervals, s.
             period: Their nominal length without rounding, s.
-
         """
         mean = mean + self._turn_on
         if self._instability:
@@ -100,7 +99,6 @@ class SimulatedImu:
     Gauss-Markov process whose standard deviation is the data sheet's figure; its Allan deviation
     peaks at 0.62 of that. Every source of randomness has a separate stream: switching one off does
     not change the others.
-
     """
 
     def __init__(
@@ -125,7 +123,6 @@ class SimulatedImu:
 
         Raises:
             InputError: A rate, a clock or a time constant that no device has.
-
         """
         self.options = options or ImuOptions()
         self.spec, self.model, self.site, self.epoch = spec, model, site, epoch
@@ -168,7 +165,6 @@ class SimulatedImu:
         Args:
             motion: Motion of the table, at least up to `until`.
             until: s since the epoch.
-
         """
         last = max(math.floor(until / self.period - self._phase), self._next)
         first, self._next = self._next, last
@@ -227,7 +223,6 @@ class SimulatedImu:
             motion: Motion of the table.
             edges: (n + 1,) of the intervals, shifted by the delay of the accelerometers, s.
             rate: (n, 3) of the gyros, rad/s.
-
         """
         found = np.empty_like(rate)
         for k, place in enumerate(self._places):

@@ -29,7 +29,6 @@ class ImuLine:
         options: Of the stand.
         imu_rng: Source of the IMU's randomness.
         line_rng: Source of the line's randomness.
-
     """
 
     def __init__(
@@ -60,7 +59,6 @@ class ImuLine:
             end: End of the time.
             begin: Its start.
             motion: Motion of the unit on the table.
-
         """
         samples = self._imu.advance(self._unit.moved(motion), end)
         skew = self._skew(len(samples))

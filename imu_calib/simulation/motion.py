@@ -33,7 +33,6 @@ class Ringing:
         velocity: (3,) amplitude along the body axes, m/s.
         frequency: Hz.
         decay: Time constant, s.
-
     """
 
     time: float
@@ -61,7 +60,6 @@ class Shaking:
         angle: (m, 3) amplitudes about the body axes, rad.
         velocity: (m, 3) amplitudes along the body axes, m/s.
         phase: (m,) at time zero, rad.
-
     """
 
     frequency: Floats
@@ -87,7 +85,6 @@ class Link:
         gain: 1 for the axis of a joint, 0 for an error that depends on the joint's angle.
         cos: rad, once and twice per turn.
         sin: rad, likewise.
-
     """
 
     column: int
@@ -126,7 +123,6 @@ class Motion:
         ringing: Additional oscillations of the mounting.
         shaking: Additional vibration of the floor; None without.
         links: How each axis follows the columns of the track; empty where axis k follows column k.
-
     """
 
     base: Floats
@@ -163,7 +159,6 @@ class Motion:
 
         Returns:
             (n, 3) rad and (n, 3) m/s.
-
         """
         starts = self.track.start
         inside = starts[(starts > edges[0]) & (starts < edges[-1])]
@@ -234,7 +229,6 @@ class Motion:
             acceleration: (k,) rad/s^2, None at rest.
             site: Site of the table.
             lever: (3,) m.
-
         """
         rates, accelerations = self._rates(angles, rates, acceleration)
         angles = self._angles(angles)

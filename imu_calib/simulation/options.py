@@ -42,7 +42,6 @@ class TableOptions:
             drawn anew after every motion, rad.
         stop_heading: The same about up, rad.
         acceleration: Of all joints, if it is below their limits, rad/s^2.
-
     """
 
     azimuth: float | None = None
@@ -72,7 +71,6 @@ class Warming:
         rise: In the long run above the start, K.
         time_constant: s.
         ramp: K/s.
-
     """
 
     reference: float = 25.0
@@ -100,7 +98,6 @@ class ThermalDrift:
         gyro_scale: Relative, 1/K.
         accel_bias: (m/s^2)/K.
         accel_scale: Relative, 1/K.
-
     """
 
     gyro_bias: Channels = 0.0
@@ -117,7 +114,6 @@ class WarmUp:
         gyro_bias: At the start, of all channels alike or of each, rad/s.
         accel_bias: At the start, m/s^2.
         time_constant: s.
-
     """
 
     gyro_bias: Channels = 0.0
@@ -133,7 +129,6 @@ class BiasStep:
         time: s since the start; infinite for none.
         gyro_bias: Added from then on, to all channels alike or to each, rad/s.
         accel_bias: The same, m/s^2.
-
     """
 
     time: float = math.inf
@@ -153,7 +148,6 @@ class Delivery:
         twice: Share of the samples that arrive twice, with the same stamp.
         frozen_every: Mean time from one freeze to the next, s; infinite for none.
         frozen_for: Time for which the device repeats its last sample, with new stamps, s.
-
     """
 
     bunch: int = 1
@@ -187,7 +181,6 @@ class ImuOptions:
         bias_step: Biases from an instant on.
         delivery: Delivery of the samples.
         frame_id: Of the samples.
-
     """
 
     sample_rate: float | None = None
@@ -218,7 +211,6 @@ class Shock:
         axis: Body axis of the rotation; any length.
         angle: Its angle, rad.
         duration: Its duration, s.
-
     """
 
     time: float
@@ -236,7 +228,6 @@ class Vibration:
         force: Initial amplitude of the specific force, m/s^2.
         frequency: Hz.
         decay: Time constant, s.
-
     """
 
     rate: float = 0.0
@@ -254,7 +245,6 @@ class Shake:
         force: Root mean square of the specific force along each axis, m/s^2.
         lowest: Hz.
         highest: Hz.
-
     """
 
     rate: float = 0.0
@@ -280,7 +270,6 @@ class StandOptions(TableOptions, ImuOptions):
         vibration: After each stop.
         shake: Of the floor.
         shock: One shock, or None.
-
     """
 
     start_time: int = 1_700_000_000_000_000_000
@@ -304,6 +293,5 @@ def switched_on(seed: int, start: float) -> int | tuple[int, int]:
     Args:
         seed: The user's seed.
         start: s since the epoch.
-
     """
     return (seed, round(start * 1e3)) if start else seed

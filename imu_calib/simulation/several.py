@@ -31,7 +31,6 @@ class SimulatedUnit:
         lever: From the centre of rotation to its accelerometers, in its body axes, m.
         seed: Of its noise: the same seed gives the same bits, independent of other units. None: for
             a unit that is alone, derived from the stand's.
-
     """
 
     topic: str
@@ -71,7 +70,6 @@ class SeveralOnTable(SimulatedStand):
 
     Raises:
         InputError: The table cannot run the plan, or an option is out of range.
-
     """
 
     def __init__(
@@ -103,6 +101,5 @@ def sibling_topic(topic: str, other: str) -> str:
 
     >>> sibling_topic('/left/imu/pulses', 'imu/skew')
     '/left/imu/skew'
-
     """
     return f'{topic.rpartition("/")[0]}/{other.rpartition("/")[2]}'

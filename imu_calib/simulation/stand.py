@@ -50,7 +50,6 @@ class Visit:
         begin: Its first setpoint, s since the start.
         rest: Arrival of the table at rest, s.
         end: Start of the next step, s.
-
     """
 
     step: Step
@@ -69,7 +68,6 @@ class SimulatedStand:
         visits: Times of each step.
         motion: The true motion of the unit.
         duration: Length of the session, s.
-
     """
 
     def __init__(
@@ -86,7 +84,6 @@ class SimulatedStand:
 
         Raises:
             InputError: The table cannot run the plan, or an option is out of range.
-
         """
         self.plan = plan
         self.options = options or StandOptions()
@@ -246,7 +243,6 @@ def simulate(
 
     Raises:
         InputError: The table cannot run the plan, or an option is out of range.
-
     """
     return SimulatedStand(plan, table, imu_spec, model, site, options, seed).blocks()
 

@@ -36,7 +36,6 @@ class TableState:
         at_rest: Whether every joint is at rest.
         step: Index of the plan's step accepted last, None before the first.
         stopped: Why it stopped before its goal; empty while it follows setpoints.
-
     """
 
     time: float
@@ -91,7 +90,6 @@ class SimulatedTable:
 
         Raises:
             InputError: A joint has no limit of rate or acceleration.
-
         """
         for joint in table.joints:
             if not (math.isfinite(joint.max_rate) and math.isfinite(joint.max_acceleration)):
@@ -133,7 +131,6 @@ class SimulatedTable:
 
         Raises:
             InputError: Refused, with the reason; the table continues unchanged.
-
         """
         self._pass(time)
         age = time - (setpoint.stamp - self.epoch) * 1e-9
@@ -160,7 +157,6 @@ class SimulatedTable:
 
         Raises:
             InputError: The time is in the past.
-
         """
         self._pass(time)
         angles, rates = self._read(np.array([time]))

@@ -23,7 +23,6 @@ class Track:
         value: (m, c) values at the start of each piece, rad.
         rate: (m, c) their rates there, rad/s.
         acceleration: (m, c) constant through the piece, rad/s^2.
-
     """
 
     start: Floats
@@ -128,7 +127,6 @@ def trapezoid(
         target: End value, rad.
         max_rate: rad/s, above zero.
         max_acceleration: rad/s^2, above zero.
-
     """
     distance = abs(target - origin)
     if distance == 0:
@@ -154,7 +152,6 @@ def braking(time: float, value: Floats, rate: Floats, max_acceleration: float) -
         value: (c,) start values, rad.
         rate: (c,) their rates, rad/s.
         max_acceleration: rad/s^2, above zero.
-
     """
     duration = abs(float(rate[0])) / max_acceleration
     if duration == 0:

@@ -29,7 +29,6 @@ class TableSizes:
             whose lean is the tilt of the table.
         wobble: Of an axis about either direction across it, once and twice per turn.
         encoder: Error of an encoder within the turn, once and twice per turn.
-
     """
 
     zeros: float = 0.0
@@ -48,7 +47,6 @@ class TrueJoint:
         encoder: Error of the encoder reading, once and twice per turn of a.
         wobble: Lean of the axis about either direction across it (`across`), once and twice per
             turn of a.
-
     """
 
     axis: tuple[float, float, float]
@@ -97,7 +95,6 @@ class TrueTable:
 
         Args:
             first_column: Of the track, for the first joint.
-
         """
         axes: list[Floats] = []
         zeros: list[float] = []

@@ -71,7 +71,6 @@ def check(reply: str) -> None:
     Raises:
         Refusal: The controller replied ERR.
         BadReply: Neither OK nor ERR.
-
     """
     words = reply.split(maxsplit=2)
     if words[:1] == ['ERR'] and len(words) >= 2:
@@ -86,7 +85,6 @@ def reading(reply: str, axes: int) -> Reading:
     Raises:
         Refusal: The controller replied ERR.
         BadReply: Not a state, or not one of so many axes.
-
     """
     word, *values = reply.split() or ['']
     if word == 'ERR':

@@ -47,7 +47,6 @@ class Status:
         refusal: Why the last setpoint is not followed; otherwise empty.
         bad: Number of replies so far outside the protocol.
         breaks: Number of line failures.
-
     """
 
     open: bool
@@ -69,7 +68,6 @@ class Control:
         names: Of the joints, in the order of the axes.
         now: Time of the stamps, ns.
         period: Of the readings, s.
-
     """
 
     def __init__(

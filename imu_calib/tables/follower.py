@@ -33,7 +33,6 @@ class Follower:
 
     Raises:
         InputError: A joint has no maximum rate.
-
     """
 
     def __init__(self, table: Table, timeout: float, age: float) -> None:
@@ -59,7 +58,6 @@ class Follower:
             now: Time by the clock of its stamp, ns.
             steady: Monotonic time, s.
             at: Present reading of the table.
-
         """
         age = (now - setpoint.stamp) * 1e-9
         if setpoint.mode is not Mode.HOLD and not abs(age) <= self._age:
@@ -109,7 +107,6 @@ class Follower:
 
         Args:
             refusal: Why the present setpoint must not be retried.
-
         """
         self._stopped, self._rejected, self.refusal = True, bool(refusal), refusal
 

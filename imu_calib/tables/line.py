@@ -42,7 +42,6 @@ class Line:
     Raises:
         InputError: The URL is neither.
         OSError: It cannot be opened.
-
     """
 
     def __init__(self, url: str, baud: int, timeout: float) -> None:
@@ -58,7 +57,6 @@ class Line:
         Raises:
             OSError: The line failed, or there was no reply in time.
             BadReply: The reply is not text.
-
         """
         # Bytes still pending belong to the reply to an older line.
         self._port.drop()
@@ -81,7 +79,6 @@ def tcp_address(url: str) -> tuple[str, int] | None:
 
     Raises:
         InputError: Empty, or a socket without host or port.
-
     """
     if not url:
         raise InputError("The controller's port is missing: /dev/ttyUSB0 or socket://host:port.")

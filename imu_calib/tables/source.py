@@ -27,7 +27,6 @@ class OneSource:
 
     Attributes:
         reason: Why setpoints are not followed, in sentences; otherwise empty.
-
     """
 
     def __init__(self, timeout: float) -> None:
@@ -46,7 +45,6 @@ class OneSource:
 
         Returns:
             The HOLD that stops the motion being followed; None if there is none.
-
         """
         if self.reason == self._forbidden:
             self.reason = ''
@@ -64,7 +62,6 @@ class OneSource:
             setpoint: As received from the topic.
             source: Identifies its publisher.
             steady: Monotonic time, s.
-
         """
         if source != self._source and steady - self._received_at <= self._timeout:
             self._second_at = steady

@@ -41,7 +41,6 @@ class Board:
 
     Args:
         expected: Known values before the session begins.
-
     """
 
     def __init__(self, expected: Expected) -> None:

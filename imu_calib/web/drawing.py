@@ -114,7 +114,6 @@ def units(rows: Sequence[UnitRow], chosen: str) -> str:
     Args:
         rows: State of each.
         chosen: The selected unit; empty for all.
-
     """
     head = ''.join(
         tag('th', escape(heading), title=words, scope='col', class_=kind)

@@ -52,7 +52,6 @@ def units_board(setup: Setup, units: Sequence[MountedUnit]) -> UnitsBoard:
     Args:
         setup: Of the session: its plan, its table and its site.
         units: The mounted units.
-
     """
     # A forecast takes time; units of one type share it.
     types: dict[str, Expected] = {}

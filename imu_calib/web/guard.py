@@ -76,7 +76,6 @@ class Guard:
         app: The page.
         host: Interface that the server listens on.
         port: Its port.
-
     """
 
     def __init__(self, app: App, host: str, port: int) -> None:
@@ -171,7 +170,6 @@ class Token:
 
     Args:
         secret: Empty if no viewer may.
-
     """
 
     def __init__(self, secret: str) -> None:

@@ -52,7 +52,6 @@ class Source:
         command: Takes 'start', 'pause' or 'abort' of an authorised viewer.
         token: Authorises viewers.
         report: The report's file; it may not exist yet.
-
     """
 
     title: str

@@ -47,7 +47,6 @@ class Streams:
         noise: By channel, of the dwells so far; empty before the first.
         dwells: Number of dwells used for the noise.
         revision: Changes with the noise.
-
     """
 
     rate: float = float('nan')
@@ -67,7 +66,6 @@ class Dwells:
 
     Args:
         imu: Description of the samples.
-
     """
 
     def __init__(self, imu: ImuSpec) -> None:

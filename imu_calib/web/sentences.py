@@ -31,7 +31,6 @@ class Headline:
         level: Severity.
         now: Present activity, a few words.
         detail: Reason or required action; may be empty.
-
     """
 
     level: Severity
@@ -113,7 +112,6 @@ def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
     Args:
         shown: The state.
         now: Of the wall clock.
-
     """
     if shown.outcome is not Outcome.OPEN:
         return '0 s', f'it took {in_words(shown.elapsed)}'

@@ -32,7 +32,6 @@ def listening_socket(host: str, port: int) -> socket.socket:
 
     Raises:
         InputError: The port is taken, or there is no such interface.
-
     """
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
@@ -50,7 +49,6 @@ class Server:
     Args:
         source: Content of the page.
         listens: As `listening_socket` returns it.
-
     """
 
     def __init__(self, source: page.Source, listens: socket.socket) -> None:

@@ -43,7 +43,6 @@ class Solid:
         at: Its centre, in the link's frame.
         turned: (3, 3) its axes in the link's frame.
         colour: In HTML notation.
-
     """
 
     kind: str
@@ -65,7 +64,6 @@ class Link:
         zero: Angle to add to the encoder's, rad.
         solids: Its visible bodies.
         links: The links attached to it.
-
     """
 
     joint: str
@@ -97,7 +95,6 @@ def table_shape(table: Table, urdf: str = '') -> Link:
 
     Raises:
         InputError: The file cannot be read, or lacks a joint of the table.
-
     """
     path = user_path(urdf) if urdf else share_folder() / 'urdf' / f'{table.name}.urdf'
     if not urdf and not path.is_file():

@@ -32,7 +32,6 @@ class Sentence:
         level: Severity.
         text: A sentence.
         figures: Values with their units, by name.
-
     """
 
     source: str
@@ -66,7 +65,6 @@ class Expected:
         predicted: (n,) predicted standard deviations of the plan, SI; NaN if unknown.
         specification: The limits of the unit; None without.
         joints: Names of the table's joints.
-
     """
 
     plan: str
@@ -120,7 +118,6 @@ class Snapshot:
         answer: Answer to the last command of a viewer; empty before the first.
         report: Name of the report's file when it is written.
         report_text: Text on the report.
-
     """
 
     expected: Expected

@@ -27,7 +27,6 @@ class ShownUnit:
         serial_number: Of the unit.
         place: Its place, for display; may be empty.
         expected: Of its calibration.
-
     """
 
     serial_number: str
@@ -50,7 +49,6 @@ class UnitRow:
         determined: Number of its determined parameters.
         parameters: Number of its parameters.
         worst: The parameter furthest from the plan's prediction; None before any is known.
-
     """
 
     name: str
@@ -75,7 +73,6 @@ class UnitsBoard:
 
     Args:
         units: By their namespaces.
-
     """
 
     def __init__(self, units: Mapping[str, ShownUnit]) -> None:

@@ -72,7 +72,6 @@ class ServerGoal:
         Args:
             status: One of `goals.ENDS`; CANCELED only after a request to cancel, as in ROS.
             result: Of the action's type.
-
         """
         self._server.end(self, status, result)
 
@@ -87,7 +86,6 @@ class GoalServer:
         accept: Returns whether a goal is accepted.
         begin: Called with the accepted `ServerGoal`.
         cancel: Returns whether a goal will be cancelled.
-
     """
 
     def __init__(

@@ -47,7 +47,6 @@ class Arguments:
         remaps: Rules in their order, the first match wins.
         levels: (logger, level), the empty logger for all.
         others: The arguments that are not ROS's.
-
     """
 
     parameters: tuple[tuple[str, str, Any], ...] = ()
@@ -75,7 +74,6 @@ def parse(args: Sequence[str]) -> Arguments:
 
     Raises:
         InputError: An argument inside cannot be understood.
-
     """
     parameters: list[tuple[str, str, Any]] = []
     remaps: list[Remap] = []

@@ -23,7 +23,6 @@ def serialize_message(message: Any, prefix: bytes = b'') -> bytes:
 
     Raises:
         TypeError: A list holds an element of another type, which no assignment has checked.
-
     """
     try:
         written = STORE.serialize_cdr(message, message.TYPE_NAME, little_endian=True)
@@ -44,7 +43,6 @@ def deserialize_message(payload: bytes, message_class: Any, skip: int = 0) -> An
 
     Raises:
         InputError: The bytes contradict the type.
-
     """
     if skip:
         payload = payload[:_HEADER] + payload[_HEADER + skip :]

@@ -36,7 +36,6 @@ class Context:
         Raises:
             ImuCalibError: It has joined before; an argument is wrong; the domain is out of range;
                 Cyclone DDS cannot join.
-
         """
         if self.ok():
             raise ImuCalibError('init() is called twice without shutdown().')
@@ -52,7 +51,6 @@ class Context:
 
         Raises:
             ImuCalibError: It is not, or no longer, in the domain.
-
         """
         if self.participant is None:
             raise ImuCalibError('The context is shut down, or init() was not called.')
@@ -101,7 +99,6 @@ def shutdown() -> None:
 
     Raises:
         ImuCalibError: init was not called, or shutdown was.
-
     """
     if not CONTEXT.ok():
         raise ImuCalibError('shutdown() without init().')

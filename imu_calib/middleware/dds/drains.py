@@ -23,7 +23,6 @@ def open_drain(
         topic: Name of the topic.
         qos_profile: Keep all on both ends loses nothing.
         **options: Further arguments of create_subscription.
-
     """
     return node.create_subscription(msg_type, topic, None, qos_profile, raw=True, **options)
 
@@ -48,7 +47,6 @@ def open_stream(
         callback: Takes at least one message.
         qos_profile: Keep all on both ends loses nothing.
         **options: Further arguments of create_subscription.
-
     """
     subscription = node.create_subscription(
         msg_type, topic, callback, qos_profile, raw=True, **options
@@ -63,7 +61,6 @@ def drain(subscription: Subscription, most: int | None = None) -> list[bytes]:
     Args:
         subscription: One of `open_drain`.
         most: Largest number to take; a few thousand fit the processor's cache and decode fastest.
-
     """
     return subscription.reader.drain(most)
 
@@ -76,7 +73,6 @@ def drain_sources(subscription: Subscription) -> list[tuple[bytes, bytes]]:
 
     Returns:
         Oldest first; the identifier is empty if the publisher is unknown (not on this runtime).
-
     """
     return subscription.reader.drain_sources()
 
@@ -93,7 +89,6 @@ def publish_all(publisher: Publisher, payloads: Iterable[bytes]) -> None:
 
     Raises:
         ImuCalibError: The middleware refuses one for good (rclpy: RCLError, after 30 s).
-
     """
     publisher.writer.write_all(payloads)
 
@@ -107,6 +102,5 @@ def acknowledged(publisher: Publisher, timeout_sec: float) -> bool:
 
     Returns:
         Whether they have.
-
     """
     return publisher.writer.acknowledged(int(timeout_sec * 1e9))

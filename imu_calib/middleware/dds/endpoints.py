@@ -90,7 +90,6 @@ class Publisher(_TopicEnd):
         Raises:
             TypeError: The message has another type than the topic.
             ImuCalibError: The middleware refuses it.
-
         """
         if isinstance(msg, bytes):
             self.writer.write(msg)

@@ -68,7 +68,6 @@ class SingleThreadedExecutor:
 
         Raises:
             ExternalShutdownException: The context is shut down.
-
         """
         endless = timeout_sec is None or timeout_sec < 0
         end = time.monotonic_ns() + (0 if endless else int(timeout_sec * 1e9))  # type: ignore[operator]

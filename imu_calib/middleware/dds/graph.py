@@ -36,7 +36,6 @@ class TopicEndpointInfo:
         topic_type: For instance std_msgs/msg/Bool.
         endpoint_gid: 16 bytes; the first twelve are those of its participant.
         qos_profile: Offered or requested reliability and durability.
-
     """
 
     node_name: str
@@ -158,7 +157,6 @@ class _Endpoints:
 
     Attributes:
         changes: Number of changes so far.
-
     """
 
     def __init__(self, reader: Any) -> None:

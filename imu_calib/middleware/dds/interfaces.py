@@ -36,7 +36,6 @@ class Interface:
         fields: (name, description) of each; a description is (kind, details).
         defaults: Default numbers of fields, as texts.
         cls: Creates a message from the values of its fields, in order.
-
     """
 
     cls: Callable[..., Any]
@@ -100,7 +99,6 @@ def interface(name: str) -> Interface:
 
     Raises:
         InputError: There is no definition.
-
     """
     found = Interface(name)
     STORE.fielddefs[name] = found.constants, found.fields

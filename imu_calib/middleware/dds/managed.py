@@ -20,7 +20,6 @@ class ManagedNode(Node):
 
         Raises:
             InputError: It must not start by itself.
-
         """
         if not autostart:
             raise InputError(

@@ -53,7 +53,6 @@ class Field:
         default: Returns the value in a new message.
         check: Returns the stored form of a value; raises AssertionError for another type.
         read: Returns the stored form of a value read from bytes; None for the same.
-
     """
 
     spelled: str
@@ -132,7 +131,6 @@ def message_class(name: str) -> Any:
 
     Raises:
         InputError: There is no definition of that name.
-
     """
     described = interface(name)
     fields = {n: _field(desc, described.defaults.get(n, '')) for n, desc in described.fields}

@@ -25,7 +25,6 @@ def check_node_name(name: str) -> str:
 
     Raises:
         InputError: It has other characters than letters, digits and underscores.
-
     """
     if not _NODE.fullmatch(name):
         raise InputError(
@@ -40,7 +39,6 @@ def namespace_of(text: str) -> str:
 
     Raises:
         InputError: It is not a valid namespace.
-
     """
     name = '/' + text.strip('/')
     if not _TOPIC.fullmatch(name):
@@ -63,7 +61,6 @@ def expand(name: str, namespace: str, node: str) -> str:
 
     Raises:
         InputError: It is not a valid topic name.
-
     """
     if not name or not _TOPIC.fullmatch(name):
         raise InputError(f'{name!r} is not a valid name of a topic or service.')

@@ -82,7 +82,6 @@ class Parameters:
 
         Raises:
             ParameterException: Declared before, or of the wrong type, or out of range.
-
         """
         where = f'Parameter {name!r} of {self._node}'
         if name in self._values:
@@ -108,7 +107,6 @@ class Parameters:
 
         Raises:
             ParameterNotDeclaredException: It is not declared.
-
         """
         if name not in self._values:
             raise ParameterNotDeclaredException(

@@ -21,7 +21,6 @@ class Participant:
 
     Raises:
         ImuCalibError: Cyclone DDS cannot join it.
-
     """
 
     def __init__(self, number: int) -> None:
@@ -53,7 +52,6 @@ class Participant:
 
         Raises:
             ImuCalibError: It has another type already, or cannot be created.
-
         """
         from cyclonedds.core import DDSException
         from cyclonedds.topic import Topic

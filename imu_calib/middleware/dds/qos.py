@@ -124,7 +124,6 @@ def overridden(
 
     Raises:
         InputError: A value is not valid for its policy.
-
     """
     if options is None:
         return qos
@@ -149,7 +148,6 @@ def to_dds(qos: QoSProfile, user_data: str) -> Any:
     Args:
         qos: Profile.
         user_data: Text that discovery sends to peers, mainly the type hash.
-
     """
     from cyclonedds.qos import Policy, Qos
 

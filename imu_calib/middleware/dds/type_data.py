@@ -25,7 +25,6 @@ def describe(idl: Any, name: str) -> None:
     Args:
         idl: The wheel's type.
         name: Distinguishes it from every other type, and from every other definition of it.
-
     """
     made = idl.__idl__
     path = _folder() / f'{sha256(f"{_wheel()} {name}".encode()).hexdigest()}.xtypes'

@@ -31,7 +31,6 @@ def idl_type(name: str, prefix: str = '') -> Any:
     Args:
         name: Full name, for instance sensor_msgs/msg/Imu.
         prefix: 'service' puts the id of a request in front.
-
     """
     from cyclonedds.idl import annotations, make_idl_struct, types
 
@@ -122,7 +121,6 @@ class Writer(Endpoint):
 
         Raises:
             ImuCalibError: The middleware refuses it.
-
         """
         self.write_all([payload])
 
@@ -131,7 +129,6 @@ class Writer(Endpoint):
 
         Raises:
             ImuCalibError: The middleware refuses one; those before it are sent.
-
         """
         try:
             for payload in payloads:
@@ -178,7 +175,6 @@ class Reader(Endpoint):
 
         Raises:
             ImuCalibError: The middleware cannot read.
-
         """
         payloads: list[bytes] = []
         while most is None or len(payloads) < most:
@@ -195,7 +191,6 @@ class Reader(Endpoint):
 
         Raises:
             ImuCalibError: The middleware cannot read.
-
         """
         return [
             (payload, info.publication_handle.to_bytes(8, 'little'))
@@ -231,7 +226,6 @@ class WaitSet:
     Args:
         participant: Participant of the readers.
         readers: To wait for.
-
     """
 
     def __init__(self, participant: Participant, readers: Sequence[Reader]) -> None:
@@ -251,7 +245,6 @@ class WaitSet:
 
         Raises:
             DDSException: The wait set or a reader has been deleted.
-
         """
         found = self._found
         count = self._call(self._entity._ref, found, len(found), nanoseconds)

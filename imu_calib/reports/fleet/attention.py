@@ -36,7 +36,6 @@ class Issue:
         headings: Of the cases.
         cases: Cells as HTML, the most urgent first.
         flag: Selects its units in the table of units; None for other cases.
-
     """
 
     title: str

@@ -10,7 +10,6 @@ def bokeh_script() -> str:
 
     Raises:
         InputError: Bokeh is not installed.
-
     """
     require('bokeh', 'A page on a catalogue', 'fleet')
     from bokeh.resources import Resources

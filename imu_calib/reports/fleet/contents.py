@@ -25,7 +25,6 @@ class State:
         words: Text of the badge.
         kind: Class of the badge.
         meaning: Explanation of the text.
-
     """
 
     words: str
@@ -67,7 +66,6 @@ class Recordings:
         findings: Of its calibration, sentences.
         calibration: Link to its file, relative to the page; empty without one.
         report: Likewise to its report.
-
     """
 
     key: Sequence[str]
@@ -99,7 +97,6 @@ class Unit:
         replaced: Rows of recordings that were calibrated again: the newer row counts.
         history: Evaluation of the sessions; None without one.
         flags: Its flags, worst first.
-
     """
 
     imu: str
@@ -131,7 +128,6 @@ class Fleet:
         history: Their evaluation.
         today: Date of the page, UTC: due dates are counted from it.
         ahead: Days before a due recalibration from which the page shows it.
-
     """
 
     name: str

@@ -17,7 +17,6 @@ def day(date: np.datetime64) -> str:
     Examples:
         >>> day(np.datetime64('2026-03-02T14:30')), day(np.datetime64('NaT'))
         ('2026-03-02', 'no date')
-
     """
     return NO_DATE if np.isnat(date) else str(date.astype('M8[D]'))
 
@@ -28,7 +27,6 @@ def count(number: int, noun: str, nouns: str = '') -> str:
     Examples:
         >>> count(1, 'unit'), count(12345, 'unit'), count(0, 'entry', 'entries')
         ('1 unit', '12 345 units', '0 entries')
-
     """
     written = f'{number:,}'.replace(',', '\u202f' if number >= 10_000 else '')
     return f'{written} {noun if number == 1 else nouns or noun + "s"}'.replace('\u202f', ' ')

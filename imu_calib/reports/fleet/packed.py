@@ -89,7 +89,6 @@ def deviations(std: Floats) -> tuple[NDArray[np.uint8], list[list[float]]]:
 
     Returns:
         (m, n) codes, 0 for none; for each column [smallest, logarithm of the ratio of two codes].
-
     """
     codes = np.zeros(std.shape[::-1], np.uint8)
     scales = []
@@ -115,7 +114,6 @@ def differences(values: Floats, std: Floats) -> tuple[NDArray[np.int32], list[fl
 
     Returns:
         (m, n) differences, whose sums wrap at 32 bits; and the step of each column.
-
     """
     found = np.zeros(values.shape[::-1], np.int32)
     steps = []

@@ -29,7 +29,6 @@ def page(fleet: Fleet) -> str:
 
     Raises:
         InputError: Bokeh is not installed.
-
     """
     title = f'Fleet {fleet.name}'
     library = bokeh_script()
