@@ -97,7 +97,7 @@ class Alone:
         return getattr(self.sessions.all[0], name)
 
     @property
-    def rested(self) -> bool:
+    def may_review(self) -> bool:
         return self.sessions.may_review
 
     def poll(self) -> bool:

@@ -18,10 +18,10 @@ from imu_calib.methods.free_positions import (
     FREE,
     _chance,
     _check_observable,
-    _doubt,
     _largest,
     _outstanding_turn,
     _scatter,
+    _scatter_limit,
     _State,
     _weighed,
     ellipsoid,
@@ -118,7 +118,7 @@ def test_scatter_that_few_degrees_of_freedom_tell_may_be_larger() -> None:
     # Variances that may have left X (inverse chi-square, of the prior 1 / variance).
     rng = np.random.default_rng(0)
     likely = 6 / rng.chisquare(6, 400_000)
-    found = _doubt(np.array([6.0, np.inf, 1e6, 0.6]))
+    found = _scatter_limit(np.array([6.0, np.inf, 1e6, 0.6]))
     assert found[0] ** 2 == pytest.approx(likely.mean(), rel=0.02)
     assert found[1:] == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
 
@@ -165,7 +165,7 @@ def test_one_degree_of_freedom_widens_by_all_that_is_left() -> None:
     left = np.zeros(21)
     left[8] = 50.0
     found, freedom, _ = _scatter(state(left, columns))
-    assert found * _doubt(freedom) == pytest.approx([1.0, 50.0, 1.0])
+    assert found * _scatter_limit(freedom) == pytest.approx([1.0, 50.0, 1.0])
 
 
 def test_a_group_without_freedom_does_not_scatter() -> None:

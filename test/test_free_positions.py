@@ -32,7 +32,7 @@ from imu_calib.methods.free_positions import (
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
 from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.free import FreeEquations, at_headings_by_moves
-from imu_calib.observation.gyro_paths import followed
+from imu_calib.observation.gyro_paths import propagated
 from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
 from imu_calib.rotations import rotation, rotations_last
@@ -344,7 +344,7 @@ def test_angles_lead_a_vector_as_the_motion_does() -> None:
         np.zeros(6),
     )
     turned = joined(samples).turned
-    (whole,), after = followed(rotations_last(-turned), [len(turned)])
+    (whole,), after = propagated(rotations_last(-turned), [len(turned)])
     # What remains of coning at 200 Hz, and the Earth's turning meanwhile.
     assert whole @ start[2] == pytest.approx(end[2], abs=1e-5)
     assert after[..., -1] == pytest.approx(np.eye(3))
@@ -352,7 +352,7 @@ def test_angles_lead_a_vector_as_the_motion_does() -> None:
 
 def test_a_turn_about_one_axis_is_exact() -> None:
     axis = np.array([0.6, 0.0, 0.8])
-    (whole,), after = followed(rotations_last(np.tile(axis * -0.01, (157, 1))), [157])
+    (whole,), after = propagated(rotations_last(np.tile(axis * -0.01, (157, 1))), [157])
     assert whole == pytest.approx(rotation(axis, -1.57), abs=1e-12)
     assert after[..., 56] == pytest.approx(rotation(axis, -1.0), abs=1e-12)
 

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
-from imu_calib.observation.gyro_paths import GyroPath, followed
+from imu_calib.observation.gyro_paths import GyroPath, propagated
 from imu_calib.observation.moves import (
     LinkedMove,
     Moves,
@@ -229,7 +229,7 @@ def test_a_path_is_the_product_of_its_steps() -> None:
 @pytest.mark.parametrize('count', [1, 2, 3, 4, 5, 8, 9])
 def test_vectors_are_followed_through_any_number_of_steps(count: int) -> None:
     vectors = np.random.default_rng(count).standard_normal((count, 3))
-    (whole,), after = followed(rotations_last(-vectors), [count])
+    (whole,), after = propagated(rotations_last(-vectors), [count])
     wanted = np.eye(3)
     for k in range(count - 1, -1, -1):
         np.testing.assert_allclose(after[..., k], wanted, atol=1e-12)

@@ -258,7 +258,7 @@ def test_intervals_are_those_of_the_rules(size: int) -> None:
     found = np.concatenate([*parts, clock.finish().interval])
     wanted, odd, lost = plainly(stamps)
     assert found == pytest.approx(np.array(wanted), rel=1e-12)
-    assert (clock.odd, clock.lost) == (odd, lost)
+    assert (clock.irregular_steps, clock.lost) == (odd, lost)
     assert clock.waiting == 0
 
 
@@ -267,7 +267,7 @@ def test_a_step_is_odd_that_is_half_an_interval_longer(late: float, odd: int) ->
     clock = SampleClock()
     clock.take(at(*range(40)))
     clock.take(at(40 + late))
-    assert clock.odd == odd
+    assert clock.irregular_steps == odd
     assert clock.typical == pytest.approx(1e-3)
 
 

@@ -21,7 +21,7 @@ from imu_calib.model.terms import DELAY
 from imu_calib.observation.arms import APART, LONGEST
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.gyro_paths import GyroPath, followed
+from imu_calib.observation.gyro_paths import GyroPath, propagated
 from imu_calib.observation.moves import _second_order
 from imu_calib.observation.velocity_increments import VelocityIncrement, by_delay, by_places
 from imu_calib.rotations import rotations_last
@@ -71,13 +71,13 @@ def test_steps_lead_where_the_motion_went() -> None:
     assert len(steps.turned) < 0.7 * len(angles)
     assert steps.counts.sum() == len(angles)
     assert np.linalg.norm(steps.turned, axis=1).max() < 2 * STEP_ANGLE
-    (whole,), _ = followed(rotations_last(-steps.turned), [len(steps.turned)])
+    (whole,), _ = propagated(rotations_last(-steps.turned), [len(steps.turned)])
     off = whole @ attitude
     assert np.abs(off - np.eye(3)).max() < 0.1 * ARCSEC
     # Sums of angles alone, without what their changing directions add, end far off.
     first = np.concatenate([[0], np.cumsum(steps.counts)[:-1]]).astype(int)
     plain = np.add.reduceat(increments[:, :3], first)
-    (whole,), _ = followed(rotations_last(-plain), [len(plain)])
+    (whole,), _ = propagated(rotations_last(-plain), [len(plain)])
     assert np.abs(whole @ attitude - np.eye(3)).max() > 5 * ARCSEC
 
 

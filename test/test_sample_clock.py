@@ -29,7 +29,7 @@ def test_the_interval_is_that_of_the_stamps_clock_from_the_first_sample_on():
     intervals, clock = timed(regular(5000, 0.01 * NS * (1 - 50e-6)))
     assert len(intervals) == 5000
     assert intervals == pytest.approx(0.01 * (1 - 50e-6), rel=1e-7)
-    assert clock.odd == clock.lost == 0
+    assert clock.irregular_steps == clock.lost == 0
 
 
 def test_stamps_in_whole_microseconds_do_not_show():
@@ -53,7 +53,7 @@ def test_a_gap_and_a_jump_back_are_no_sample_interval():
     stamps[2000:] -= 3600 * NS
     intervals, clock = timed(stamps)
     assert intervals == pytest.approx(0.005, rel=1e-12)
-    assert clock.odd == 2
+    assert clock.irregular_steps == 2
 
 
 def test_a_new_rate_is_learnt():
@@ -98,6 +98,6 @@ def test_how_the_stream_is_cut_carries_no_meaning(data):
     cuts = rng.integers(0, 3001, int(rng.integers(0, 60)))
     parts, other = timed(stamps, cuts)
     assert np.array_equal(whole, parts)
-    assert (clock.odd, clock.lost) == (other.odd, other.lost)
+    assert (clock.irregular_steps, clock.lost) == (other.irregular_steps, other.lost)
     alone, _ = timed(stamps[:300], range(1, 300))
     assert np.array_equal(alone, timed(stamps[:300])[0])

@@ -151,19 +151,19 @@ def test_a_node_that_falls_silent_is_wrong_until_it_speaks_or_the_session_is_ove
     board = Board(expected)
     board.take_diagnostics(said('imu_node: stream', 0, 'Frames come in.'), 1.0)
     board.take_diagnostics(said('stand_node: table', 1, 'It is late.'), 6.5)
-    assert [s.text for s in board.snapshot(7.0).invalid_field] == [
+    assert [s.text for s in board.snapshot(7.0).problems] == [
         'No message has come for 6 s: has it ended?',
         'It is late.',
     ]
     board.take_diagnostics(said('imu_node: stream', 2, 'No frame has come.'), 7.0)
-    assert [s.text for s in board.snapshot(7.0).invalid_field] == [
+    assert [s.text for s in board.snapshot(7.0).problems] == [
         'No frame has come.',
         'It is late.',
     ]
     # The banner says how it ended, and why.
     board.take_calibration(calibration('VALID'))
     board.take_diagnostics(said('calibrator_node: calibration', 1, 'There are findings.'), 59.0)
-    assert board.snapshot(60.0).invalid_field == ()
+    assert board.snapshot(60.0).problems == ()
 
 
 def test_deviations_shrink_towards_what_the_plan_predicts(expected):

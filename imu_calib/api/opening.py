@@ -47,18 +47,17 @@ class Opened:
                 yield block
 
 
-def open_session(bag: str | AnyPath, stated: Stated, sha256: str | None = None) -> Opened:
+def open_session(bag: str | AnyPath, stated: Stated) -> Opened:
     """Open a recording, and find its set-up.
 
     Args:
         bag: As for `calibrate`, or already located.
         stated: Known facts of the session.
-        sha256: Of its storage files, if known already.
 
     Raises:
         InputError: Something is missing, ambiguous or unreadable.
     """
-    return session_of(recording_at(bag, sha256), stated)
+    return session_of(recording_at(bag), stated)
 
 
 def recording_at(bag: str | AnyPath, sha256: str | None = None) -> Recording:

@@ -38,6 +38,9 @@ hold or excess noise is detected."""
 HOLD_SECONDS = 3.0
 """Duration of a hold, s."""
 
+_SCALE_TARGET, _ANGLE_TARGET = 300 * PPM, 1 * ARCMIN
+"""Standard deviations of scale factors and of misalignments, rad, that are enough: a choice."""
+
 
 class Stage(Enum):
     """What to do now."""
@@ -45,14 +48,6 @@ class Stage(Enum):
     HOLD = 'hold still'
     TURN = 'turn to the next attitude'
     ENOUGH = 'enough'
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """Target: standard deviations of scale factors and of misalignments (rad)."""
-
-    scale_factor: float = 300 * PPM
-    angle: float = 1 * ARCMIN
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,25 +82,20 @@ def guide(
     evidence: Evidence,
     *,
     holding: float | None = None,
-    hold_seconds: float = HOLD_SECONDS,
     reached: Floats | None = None,
-    wanted: Wanted | None = None,
 ) -> Guidance:
     """Return what to do next.
 
     Args:
         evidence: The completed holds, and the turns between them.
         holding: Time at rest so far, s; None while it moves.
-        hold_seconds: Required duration of a hold, s.
         reached: (21,) standard deviations of a solution, if there is one: these include excess
             scatter.
-        wanted: The target.
     """
-    wanted = wanted or Wanted()
     holds, std = len(evidence.segments), np.full(len(PARAMETERS), np.nan)
     if not holds:
         candidates = tuple(Candidate(w, u, 0.0) for w, u in _directions())
-        return _guidance(holding, hold_seconds, 0, std, candidates, enough=False)
+        return _guidance(holding, 0, std, candidates, enough=False)
     equations, values = initial_equations(evidence)
     base = equations.whitened(values)[0]
     base = np.vstack([np.eye(len(ESTIMATES), base.shape[1]) / _widths()[:, None], base])
@@ -113,7 +103,7 @@ def guide(
     std[FREE] = _deviations(base) if reached is None else reached
     found = []
     for words, up in _directions():
-        further = _further(equations, values, up, hold_seconds)
+        further = _further(equations, values, up)
         extended = np.vstack([np.pad(base, ((0, 0), (0, 3))), further])
         gain = (log_determinant(extended.T @ extended, len(ESTIMATES)) - now) / 2
         found.append(Candidate(words, up, gain))
@@ -121,14 +111,13 @@ def guide(
     scale = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in PARAMETERS])
     angle = np.array([p.kind is ParameterKind.MISALIGNMENT for p in PARAMETERS])
     with np.errstate(invalid='ignore'):
-        good = std <= np.where(scale, wanted.scale_factor, np.where(angle, wanted.angle, np.inf))
+        good = std <= np.where(scale, _SCALE_TARGET, np.where(angle, _ANGLE_TARGET, np.inf))
     enough = holds >= CHECKED and bool(good[FREE & (scale | angle)].all())
-    return _guidance(holding, hold_seconds, holds, std, tuple(found), enough=enough)
+    return _guidance(holding, holds, std, tuple(found), enough=enough)
 
 
 def _guidance(
     holding: float | None,
-    hold_seconds: float,
     holds: int,
     std: Floats,
     candidates: tuple[Candidate, ...],
@@ -136,8 +125,8 @@ def _guidance(
     enough: bool,
 ) -> Guidance:
     best = candidates[0].words
-    if holding is not None and holding < hold_seconds:
-        stage, text = Stage.HOLD, f'Hold still: {hold_seconds - holding:.0f} s more.'
+    if holding is not None and holding < HOLD_SECONDS:
+        stage, text = Stage.HOLD, f'Hold still: {HOLD_SECONDS - holding:.0f} s more.'
     elif enough:
         stage, text = Stage.ENOUGH, f'Enough: {holds} holds. Further ones still gain: {best}.'
     else:
@@ -165,7 +154,7 @@ def _directions() -> list[tuple[str, Floats]]:
     return sorted(found, key=lambda f: len(f[0]))
 
 
-def _further(equations: FreeEquations, values: Floats, up: Floats, seconds: float) -> Floats:
+def _further(equations: FreeEquations, values: Floats, up: Floats) -> Floats:
     """Return the rows that a further hold with (3,) `up` and the turn to it would add.
 
     (9, n + 3) in standard deviations; the rotations of the further hold come last. North is taken
@@ -173,7 +162,7 @@ def _further(equations: FreeEquations, values: Floats, up: Floats, seconds: floa
     """
     evidence = equations.evidence
     last = evidence.segments[-1]
-    further = next_hold(last, up, seconds)
+    further = next_hold(last, up, HOLD_SECONDS)
     move = ideal_move_by_hand(last, further, equations.model(values), evidence.site)
     pair = replace(evidence, segments=(last, further), moves=(move,))
     two = replace(equations, evidence=pair)

@@ -23,6 +23,10 @@ from .tracks import Track, side_by_side, trapezoid
 
 PAUSE = 0.2
 """s from the end of a turn until the hand is still."""
+_TURN_SECONDS = 2.0
+"""s from hold to hold, `PAUSE` included: enough for a whole turn."""
+_ACCELERATION = 720 * DEG
+"""rad/s^2: a wrist reaches 180 deg/s in a quarter of a second."""
 
 _STILL = 2.0
 """s at rest before and after a whole turn."""
@@ -74,13 +78,7 @@ class HandSession:
             yield imu.advance(self.motion, float(end))
 
 
-def one_turn_each(
-    attitudes: Floats,
-    seconds: Floats,
-    *,
-    turn: float = 2.0,
-    acceleration: float = 720 * DEG,
-) -> HandSession:
+def one_turn_each(attitudes: Floats, seconds: Floats) -> HandSession:
     """Plan holds with one turn about one axis from each to the next.
 
     Between two holds in the same attitude it is a whole turn about the vertical.
@@ -88,8 +86,6 @@ def one_turn_each(
     Args:
         attitudes: (n, 3, 3) R_nb of the holds.
         seconds: (n,) duration of each hold, s.
-        turn: Time from hold to hold, including the pause after it, s; enough for a whole turn.
-        acceleration: rad/s^2.
     """
     turns = rotation_vectors(attitudes[:-1].transpose(0, 2, 1) @ attitudes[1:])
     axes, tracks, holds, now = [], [], [], 0.0
@@ -100,13 +96,13 @@ def one_turn_each(
             angle = float(np.linalg.norm(turns[k]))
             axis = turns[k] / angle if angle > _SAME else attitudes[k, 2]
             angle = angle if angle > _SAME else TURN
-            moving = turn - PAUSE
+            moving = _TURN_SECONDS - PAUSE
             # Up and down a ramp each, and the rate between: angle = rate (moving - rate / acc.).
-            rate = (moving - np.sqrt(moving**2 - 4 * angle / acceleration)) * acceleration / 2
-            move = trapezoid(now, 0.0, angle, rate, acceleration)
+            rate = (moving - np.sqrt(moving**2 - 4 * angle / _ACCELERATION)) * _ACCELERATION / 2
+            move = trapezoid(now, 0.0, angle, rate, _ACCELERATION)
             tracks.append(Track.standing(0.0, np.zeros(1)).followed_by(move))
             axes.append(axis)
-            now += turn
+            now += _TURN_SECONDS
     motion = Motion(
         attitudes[0], np.array(axes), np.zeros(len(axes)), np.eye(3), side_by_side(tracks)
     )

@@ -28,6 +28,8 @@ _ROUND = 30
 """Attitudes in one round over the sphere."""
 _MEMORY = 5.0
 """s of past motion kept."""
+_PATIENCE = 10.0
+"""s: longest hold of a person who waits for guidance; a choice."""
 
 
 class HeldHardware:
@@ -53,12 +55,10 @@ class HeldHardware:
         *,
         seed: int | tuple[int, ...] = 0,
         epoch: int = 0,
-        patience: float = 10.0,
     ) -> None:
         imu_rng, self._rng = np.random.default_rng(seed).spawn(2)
         self._imu = SimulatedImu(imu, model, site, options, imu_rng, epoch=epoch)
         self._options = options
-        self._patience = patience
         self._order = list(directions(_ROUND, self._rng))
         self._angles = self._aimed(self._order.pop())
         self._track = Track.standing(0.0, self._angles)
@@ -90,7 +90,7 @@ class HeldHardware:
 
     def advance(self, seconds: float) -> bytes:
         """Advance the time; return the bytes on the IMU's line."""
-        if self._held >= self._wanted and (not self.waits or self._held >= self._patience):
+        if self._held >= self._wanted and (not self.waits or self._held >= _PATIENCE):
             self._turn()
         end = self.time + seconds
         motion = Motion(np.eye(3), AXES, np.zeros(3), np.eye(3), self._track)

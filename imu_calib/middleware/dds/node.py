@@ -169,10 +169,6 @@ class Node:
         """Declare a parameter; arguments and errors as `Parameters.declare`."""
         return self._parameters.declare(name, value, descriptor)
 
-    def has_parameter(self, name: str) -> bool:
-        """Return whether a parameter is declared."""
-        return self._parameters.has(name)
-
     def get_parameter(self, name: str) -> Parameter:
         """Return a declared parameter."""
         return self._parameters.get(name)

@@ -114,10 +114,6 @@ class Parameters:
             )
         return self._values[name]
 
-    def has(self, name: str) -> bool:
-        """Return whether a parameter is declared."""
-        return name in self._values
-
 
 def _kind(value: Any) -> str:
     """Return ROS's name for the type of a value, or Python's if ROS has no such parameter."""
