@@ -364,7 +364,7 @@ def clear(
     given: Any = SimpleNamespace(segments=(0,) * 9)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(free_positions, 'initial_equations', lambda _: (equations, np.zeros(26)))
-        patch.setattr(free_positions, 'doubts_latitude', lambda _: doubted)
+        patch.setattr(free_positions, 'contradicts_latitude', lambda _: doubted)
         return is_clear(given)
 
 
