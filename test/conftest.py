@@ -210,7 +210,7 @@ def pytest_runtest_teardown(item):
     """End what a failed test has left; a test that leaves a process behind has failed."""
     try:
         result = yield
-        left = {} if item.stash.get(_FAILED, False) else processes.left()
+        left = {} if item.stash.get(_FAILED, False) else processes.still_running()
     finally:
         processes.end()
     if left:

@@ -78,7 +78,7 @@ def serial(k: int) -> str:
     return f'A{1000 + k}'
 
 
-def lot(k: int, units: int) -> str:
+def lot_of_unit(k: int, units: int) -> str:
     return f'{23 + 4 * k // units}'
 
 
@@ -105,7 +105,7 @@ def invented(units: int, sessions: int = 6, seed: int = 1) -> Invented:
         'status': ['calibrated'] * n,
         'error': [''] * n,
         'serial': numbers,
-        'lot': [lot(k, units) for k in unit],
+        'lot': [lot_of_unit(k, units) for k in unit],
         'imu': [TYPES[k % len(TYPES)] for k in unit],
         'stand': [STANDS[k] for k in stand],
         'exit_code': [0] * n,
@@ -240,7 +240,7 @@ def _unit(
     return UnitHistory(
         serial=number,
         imu=TYPES[made.unit[rows[0]] % len(TYPES)],
-        lot=lot(made.unit[rows[0]], made.unit[-1] + 1),
+        lot_of_unit=lot_of_unit(made.unit[rows[0]], made.unit[-1] + 1),
         key=tuple(made.rows['key'][k] for k in rows),
         date=dates,
         stand=tuple(at),

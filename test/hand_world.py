@@ -9,7 +9,7 @@ import math
 import random
 from dataclasses import dataclass
 
-from other_world import Matrix, Vector, about, applied, seen, times, transposed
+from other_world import Matrix, Vector, about, applied, times, transposed, turned_into
 
 EARTH = 7.292115e-5
 """rad/s."""
@@ -63,7 +63,9 @@ def held(unit: HeldUnit, leans: list[tuple[float, float]], seed: int) -> Samples
             _turn(samples, unit, before, *_way(before, attitude), draw)
         _stand(samples, unit, attitude, 3.0 if k < len(FACES) else 2.0, draw)
         if k >= len(FACES):
-            _turn(samples, unit, attitude, seen(attitude, (0.0, 0.0, 1.0)), 2 * math.pi, draw)
+            _turn(
+                samples, unit, attitude, turned_into(attitude, (0.0, 0.0, 1.0)), 2 * math.pi, draw
+            )
             _stand(samples, unit, attitude, 2.0, draw)
         before = attitude
     return samples
@@ -128,9 +130,9 @@ def _read(
     samples: Samples, unit: HeldUnit, attitude: Matrix, turning: Vector, draw: random.Random
 ) -> None:
     c, s = math.cos(unit.latitude), math.sin(unit.latitude)
-    earth = seen(attitude, (0.0, EARTH * c, EARTH * s))
+    earth = turned_into(attitude, (0.0, EARTH * c, EARTH * s))
     rate = tuple(a + b for a, b in zip(turning, earth, strict=True))
-    force = seen(attitude, (0.0, 0.0, unit.gravity))
+    force = turned_into(attitude, (0.0, 0.0, unit.gravity))
     read = []
     for answer, given, bias, walk in (
         (unit.gyro, rate, unit.gyro_bias, unit.gyro_walk),

@@ -89,7 +89,7 @@ def talk(node):
     ros.spin(node)
 
 
-def hear(node):
+def listen(node):
     """Print what comes on every topic, and the answer of the service where it is asked."""
     got = {}
     for topic, kind in KINDS.items():
@@ -173,7 +173,7 @@ if __name__ == '__main__':
     if sys.argv[1] == 'record':
         record()
         raise SystemExit
-    role = {'talk': talk, 'hear': hear, 'stream': stream}[sys.argv[1]]
+    role = {'talk': talk, 'hear': listen, 'stream': stream}[sys.argv[1]]
     # The streams have the names that config/record_qos.yaml knows.
     namespace = '/' if role is stream else '/stand'
     ros.init(args=['--ros-args', '-r', f'__ns:={namespace}'])

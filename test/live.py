@@ -172,7 +172,7 @@ class Stand:
 
         return self.wait(stands, patience(seconds))
 
-    def said(self, *words):
+    def has_status(self, *words):
         """Whether one sentence on /diagnostics held all of the words."""
         return any(all(word in text for word in words) for text in self.words)
 
@@ -261,7 +261,7 @@ def stops(stand, *words):
     assert stand.reaches(State.PAUSED, State.ABORTED, seconds=30), stand.state
     assert stand.table_stands(LEASE + 10.0)
     assert all(word in stand.state.reason for word in words), stand.state.reason
-    assert stand.said(*words), stand.words[-5:]
+    assert stand.has_status(*words), stand.words[-5:]
     # It does not go on by itself.
     assert not stand.wait(lambda: stand.state.phase in MOVES, 1.0)
 

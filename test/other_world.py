@@ -298,7 +298,7 @@ def applied(a: Matrix, v: Vector) -> Vector:
     return c * x + d * y + e * z, f * x + g * y + h * z, i * x + j * y + k * z
 
 
-def seen(a: Matrix, v: Vector) -> Vector:
+def turned_into(a: Matrix, v: Vector) -> Vector:
     """A vector from the axes that a matrix turns."""
     x, y, z = v
     (c, d, e), (f, g, h), (i, j, k) = a
@@ -358,11 +358,11 @@ class Motion:
 
     def _angles(self, time: float) -> Vector:
         t = min(max(time - self.start, 0.0), self.end - self.start)
-        left = self.end - self.start - t
+        remaining = self.end - self.start - t
         if t < self.ramp:
             done = 0.5 * self.acceleration * t * t
-        elif left < self.ramp:
-            done = abs(self.way) - 0.5 * self.acceleration * left * left
+        elif remaining < self.ramp:
+            done = abs(self.way) - 0.5 * self.acceleration * remaining * remaining
         else:
             done = self.rate * (t - 0.5 * self.ramp)
         moved = list(self.before)
@@ -376,8 +376,8 @@ class Motion:
         """
         ramp = 0.5 * self.acceleration * self.ramp**2
         done = abs(angles[self.joint] - self.before[self.joint])
-        left = abs(self.way) - done
-        old, new = max(0.0, 1 - done / ramp), max(0.0, 1 - left / ramp)
+        remaining = abs(self.way) - done
+        old, new = max(0.0, 1 - done / ramp), max(0.0, 1 - remaining / ramp)
         missing = list(self.missing[0])
         missing[self.joint] = sum(
             share * errors[self.joint]
@@ -609,7 +609,7 @@ def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[
     dt = 1.0 / unit.rate
     motions = schedule(world)
     moved = Moved(world, unit, motions[0])
-    afterwards = felt(world, unit.rate, unit.late)
+    afterwards = sample_integrals(world, unit.rate, unit.late)
     earth = earth_of(world)
     sums = [0.0] * 6
     told, counted = [0] * 6, [0] * 6
@@ -621,7 +621,7 @@ def _record_imu(recording: Recording, world: World, unit: Unit, noise: Iterator[
     changes = changes or unit.stepping < math.inf
     given: tuple[Vector, Vector] | None = None
     swung = Swung(world.shaking)
-    for k, (turned, _, _, _) in enumerate(felt(world, unit.rate, 0.0)):
+    for k, (turned, _, _, _) in enumerate(sample_integrals(world, unit.rate, 0.0)):
         _, pushed, middle, motion = afterwards[k]
         # Samples at rest are given the same, and answer the same but for what changes with time.
         if middle is not None or given is None or given[0] is not turned or given[1] is not pushed:
@@ -723,14 +723,14 @@ class Moved:
         if self.still:
             return [NOTHING] * 3
         places, speeds = self.at(motion, time)
-        felt = []
+        sample_integrals = []
         for c in range(3):
             way = tuple(b - a for a, b in zip(self.places[c], places[c], strict=True))
             faster = tuple(b - a for a, b in zip(self.speeds[c], speeds[c], strict=True))
             coriolis = tuple(2 * v for v in _cross(earth, way))  # type: ignore[arg-type]
-            felt.append(seen(middle, _sum(faster, coriolis)))  # type: ignore[arg-type]
+            sample_integrals.append(turned_into(middle, _sum(faster, coriolis)))  # type: ignore[arg-type]
         self.places, self.speeds = places, speeds
-        return felt
+        return sample_integrals
 
 
 def _sum(a: Vector, b: Vector) -> Vector:
@@ -742,7 +742,7 @@ def earth_of(world: World) -> Vector:
 
 
 @lru_cache(maxsize=3)
-def felt(
+def sample_integrals(
     world: World, rate: float, late: float
 ) -> list[tuple[Vector, Vector, Matrix | None, Motion]]:
     """What every sample is given: integrals of rate and specific force in body axes, so much late.
@@ -763,7 +763,7 @@ def felt(
             missing, leans = motion.off(angles)
             r = times(about(0, leans[0]), times(about(1, leans[1]), about(2, leans[2])))
             r = times(r, attitude(_sum(angles, missing), world))
-        return r, seen(r, earth), seen(r, (0.0, 0.0, world.gravity))
+        return r, turned_into(r, earth), turned_into(r, (0.0, 0.0, world.gravity))
 
     before, motion = next(halves)
     first = given_at(before, motion)
@@ -827,10 +827,10 @@ def _changed(answers: list[float], unit: Unit, since: float, dt: float) -> list[
             )
         )
         grown = answer + growth * since * (answer - bias[c % 3] * dt)
-        left = fade[c % 3] * math.exp(-since / unit.fading)
+        remaining = fade[c % 3] * math.exp(-since / unit.fading)
         if since >= unit.stepping:
-            left += step[c % 3]
-        outputs.append(grown + (drift[c % 3] * since + left) * dt)
+            remaining += step[c % 3]
+        outputs.append(grown + (drift[c % 3] * since + remaining) * dt)
     return outputs
 
 

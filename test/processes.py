@@ -102,7 +102,7 @@ def running(number=None):
     return {one: line for one, line in found.items() if _OF_PYTHON not in line}
 
 
-def left():
+def still_running():
     """Return what of the last test still runs after a time of grace."""
     _started[:] = [p for p in _started if p.poll() is None]
     end = time.monotonic() + GRACE

@@ -114,7 +114,7 @@ class Network:
     def log(self, name):
         return (self.folder / f'{name}.log').read_text(errors='replace')
 
-    def says(self, name, *sentences, seconds=60.0):
+    def wait_for_text(self, name, *sentences, seconds=60.0):
         """Wait until a log holds all the sentences."""
 
         def all_there():
@@ -179,7 +179,7 @@ def record(net):
     options = ['-o', str(net.folder / 'bag'), '--disable-keyboard-controls']
     options += ['--qos-profile-overrides-path', str(CHECKOUT / 'config' / 'record_qos.yaml')]
     net.start('record', net.ros('ros2', 'bag', 'record', *options, '--topics', *RECORDED))
-    net.says('record', *(f"Subscribed to topic '{topic}'" for topic in RECORDED))
+    net.wait_for_text('record', *(f"Subscribed to topic '{topic}'" for topic in RECORDED))
 
 
 def reprocess(net, recording, *options):

@@ -254,11 +254,11 @@ def test_stretches_whose_blocks_differ_in_length_are_not_pooled() -> None:
 def test_noise_that_few_blocks_tell_is_stated_a_deviation_larger() -> None:
     # Two dwells of four blocks: six degrees of freedom, and a variance known to sqrt(2 / 6).
     rng = np.random.default_rng(41)
-    seen = []
+    calls = []
     for _ in range(40):
         dwells = [rng.normal(size=(4000, 6)) * N / np.sqrt(PERIOD) for _ in range(2)]
         evidence = tuple(SimpleNamespace(statistics=statistics_of(d, SI)) for d in dwells)
-        seen.append(known_noise(evidence, SI)[0] ** 2 / N**2)
+        calls.append(known_noise(evidence, SI)[0] ** 2 / N**2)
     share = np.sqrt(2 / 6)
-    mean, deviation = 1 + share, share * (1 + share) / np.sqrt(np.size(seen))
-    assert abs(np.mean(seen) - mean) < 4.5 * deviation
+    mean, deviation = 1 + share, share * (1 + share) / np.sqrt(np.size(calls))
+    assert abs(np.mean(calls) - mean) < 4.5 * deviation

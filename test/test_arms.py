@@ -62,8 +62,12 @@ def test_what_accelerometers_read_in_turns_is_within_their_noise_at_the_truth() 
     )
     white = np.linalg.solve(factor, columns)
     step, *_ = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)
-    left = white[:, -1] - white[:, :-1] @ step
-    assert chi2.ppf(1e-4, len(left) - 6) < left @ left < chi2.isf(1e-4, len(left) - 6)
+    residuals = white[:, -1] - white[:, :-1] @ step
+    assert (
+        chi2.ppf(1e-4, len(residuals) - 6)
+        < residuals @ residuals
+        < chi2.isf(1e-4, len(residuals) - 6)
+    )
     # An arm of a decimetre at 100 deg/s feels 0.03 g: a thousand times what is left.
     moved = equations.outputs[rows] - equations.predict(true * (np.arange(len(true)) < 28))[rows]
     assert np.abs(moved).max() > 0.1

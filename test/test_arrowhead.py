@@ -146,16 +146,18 @@ def test_units_are_where_one_dense_system_of_them_all_has_them() -> None:
         whole = total(one.shares())
         assert whole / unit[:n, :n] == pytest.approx(wanted[:n, :n] / unit[:n, :n], abs=1e-6)
         assert one.state[n : n + 3].tolist() == found[0].state[n : n + 3].tolist()
-    seen = system().table_seen()
+    table_estimate = system().table_seen()
     named = 3 + np.array(dense.named)
     sizes = dense.size_of[dense.named]
-    assert seen.names[:3] == ('azimuth', 'tilt about x', 'tilt about y')
-    assert len(seen.names) == 3 + len(named)
+    assert table_estimate.names[:3] == ('azimuth', 'tilt about x', 'tilt about y')
+    assert len(table_estimate.names) == 3 + len(named)
     values = np.append(states[0][24:27], step[named] * sizes)
     deviations = np.append(std[:3], std[named] * sizes)
-    assert (seen.values - values) / deviations == pytest.approx(0, abs=1e-4)
-    assert seen.std == pytest.approx(deviations)
-    assert seen.prior == pytest.approx(np.append(alone()[0].equations.prior[1][:3], sizes))
+    assert (table_estimate.values - values) / deviations == pytest.approx(0, abs=1e-4)
+    assert table_estimate.std == pytest.approx(deviations)
+    assert table_estimate.prior == pytest.approx(
+        np.append(alone()[0].equations.prior[1][:3], sizes)
+    )
     # Joints are known to two arcseconds stated and three found.
     assert sizes == pytest.approx([13**0.5 * ARCSEC] * len(sizes))
 
@@ -168,13 +170,13 @@ def test_a_contradiction_is_what_chi_square_rises_by_once_a_unit_is_joined(
     for k in range(3):
         others = Dense(states, tuple(j for j in range(3) if j != k)).solved()[1]
         by_itself = Dense(states, (k,), priors=False).solved()[1]
-        told = system().contradiction(k)
+        message = system().contradiction(k)
         # Directions of which a unit tells a thousandth of what the others do are left out.
         monkeypatch.setattr(module, '_INFORMATIVE', 1e-9)
         square, freedom = system().contradiction(k)
         monkeypatch.undo()
-        assert 3 <= told[1] < freedom
-        assert told[0] < square
+        assert 3 <= message[1] < freedom
+        assert message[0] < square
         assert square == pytest.approx(everyone - others - by_itself, rel=0.03)
 
 

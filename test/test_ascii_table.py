@@ -227,13 +227,13 @@ class Leader(ros.Node):
 
     def __init__(self, name='leader'):
         super().__init__(name)
-        self.setpoint, self.payloads, self.said = None, [], {}
+        self.setpoint, self.payloads, self.statuses = None, [], {}
         kinds = ros.messages
         self.output = self.create_publisher(
             kinds.TurntableSetpoint, 'turntable/setpoint', qos.command()
         )
         self.joints = ros.open_drain(self, kinds.JointState, 'turntable/joint_states', qos.stream())
-        self.create_subscription(kinds.DiagnosticArray, '/diagnostics', self.hear, 100)
+        self.create_subscription(kinds.DiagnosticArray, '/diagnostics', self.take_diagnostics, 100)
         self.create_timer(0.02, self.tick, clock=STEADY)
 
     def tick(self):
@@ -243,12 +243,12 @@ class Leader(ros.Node):
             for payload in encode_setpoints(SetpointBlock((now,))).payloads():
                 self.output.publish(payload)
 
-    def hear(self, message):
+    def take_diagnostics(self, message):
         for status in message.status:
-            self.said[status.name.partition(': ')[2]] = status
+            self.statuses[status.name.partition(': ')[2]] = status
 
-    def says(self, part, level, words):
-        status = self.said.get(part)
+    def has_report(self, part, level, words):
+        status = self.statuses.get(part)
         return status is not None and status.level[0] == level and words in status.message
 
 
@@ -320,7 +320,9 @@ def test_an_order_that_the_controller_refuses_stops_all_axes_and_is_said(bench):
     bench.controller.script['MOVE'] = 'ERR 12 axis 2 is not referenced'
     before = bench.stops()
     bench.lead(setpoint())
-    assert bench.until(lambda: bench.leader.says('setpoints', 2, '12 axis 2 is not referenced'))
+    assert bench.until(
+        lambda: bench.leader.has_report('setpoints', 2, '12 axis 2 is not referenced')
+    )
     bench.until(lambda: False, 0.2)
     # Once, though the setpoint was repeated.
     assert (bench.controller.count('MOVE'), bench.stops()) == (1, before + 1)
@@ -330,7 +332,9 @@ def test_an_order_whose_answer_cannot_be_read_is_a_broken_line(bench):
     bench.controller.script['MOVE'] = 'O?K'
     before = bench.stops()
     bench.lead(setpoint())
-    assert bench.until(lambda: bench.leader.says('controller', 2, 'reply to an order cannot be'))
+    assert bench.until(
+        lambda: bench.leader.has_report('controller', 2, 'reply to an order cannot be')
+    )
     assert bench.stops() > before
     assert bench.controller.count('MOVE') == 1
 
@@ -343,17 +347,17 @@ def test_a_controller_that_falls_silent_is_told_to_stop_and_met_anew(bench):
     assert bench.until(lambda: bench.controller.lines[-1] == 'STOP')
     # The first question without an answer; another may have been answered meanwhile.
     assert bench.controller.count('STATE') - asked <= 2
-    assert bench.until(lambda: bench.leader.says('controller', 2, "no reply to 'STATE'"))
+    assert bench.until(lambda: bench.leader.has_report('controller', 2, "no reply to 'STATE'"))
     bench.lead(None)
     bench.controller.silent = False
-    assert bench.until(lambda: bench.leader.says('controller', 0, 'answers'))
+    assert bench.until(lambda: bench.leader.has_report('controller', 0, 'answers'))
     assert bench.controller.connections >= 2
 
 
 def test_a_controller_that_hangs_up_is_said_and_called_again(bench):
     bench.controller.line.shutdown(socket.SHUT_RDWR)
-    assert bench.until(lambda: bench.leader.says('controller', 2, 'is lost'))
-    assert bench.until(lambda: bench.leader.says('controller', 0, 'answers'))
+    assert bench.until(lambda: bench.leader.has_report('controller', 2, 'is lost'))
+    assert bench.until(lambda: bench.leader.has_report('controller', 0, 'answers'))
 
 
 @pytest.mark.parametrize('bench', [('setpoint_timeout:=2.0',)], indirect=True)
@@ -369,24 +373,24 @@ def test_after_a_hang_up_a_position_is_gone_on_with_and_no_turn(bench):
     bench.lead(turn(angles=at))
     assert bench.until(lambda: bench.controller.count('MOVE') == 9)
     bench.controller.line.shutdown(socket.SHUT_RDWR)
-    assert bench.until(lambda: bench.leader.says('setpoints', 2, 'is not resumed'))
+    assert bench.until(lambda: bench.leader.has_report('setpoints', 2, 'is not resumed'))
     assert bench.controller.count('MOVE') == 9
 
 
 def test_an_error_that_nobody_foresaw_stops_the_table_and_does_not_end_its_control(bench):
     bench.node._control._follower.watch = lambda _: 1 / 0
-    assert bench.until(lambda: bench.leader.says('controller', 2, 'division by zero'))
+    assert bench.until(lambda: bench.leader.has_report('controller', 2, 'division by zero'))
     assert bench.controller.lines[-1] == 'STOP'
     del bench.node._control._follower.watch
-    assert bench.until(lambda: bench.leader.says('controller', 0, 'answers'))
+    assert bench.until(lambda: bench.leader.has_report('controller', 0, 'answers'))
 
 
 def test_garbage_is_no_joint_state_and_much_of_it_is_a_broken_line(bench):
     bench.controller.script['STATE'] = 'STATE 0.0 nan 0.0 0 0 0'
-    assert bench.until(lambda: bench.leader.says('controller', 2, "Found 'STATE 0.0 nan"))
+    assert bench.until(lambda: bench.leader.has_report('controller', 2, "Found 'STATE 0.0 nan"))
     assert 'STOP' in bench.controller.lines[-5:]
     del bench.controller.script['STATE']
-    assert bench.until(lambda: bench.leader.says('controller', 0, 'answers'))
+    assert bench.until(lambda: bench.leader.has_report('controller', 0, 'answers'))
     (joints,) = decode_joints(Messages.join(bench.leader.payloads))
     assert np.isfinite(joints.position).all()
 
@@ -414,19 +418,19 @@ def test_a_second_source_of_setpoints_is_refused_and_the_table_stands(bench):
     second = Leader('second')
     bench.executor.add_node(second)
     second.setpoint = setpoint(step=7, angles=(0, -9000, 0))
-    assert bench.until(lambda: bench.leader.says('source', 2, 'two sources'))
+    assert bench.until(lambda: bench.leader.has_report('source', 2, 'two sources'))
     assert bench.until(lambda: bench.stops() > before)
-    (named,) = [v.value for v in bench.leader.said['source'].values if v.key == 'publishers']
+    (named,) = [v.value for v in bench.leader.statuses['source'].values if v.key == 'publishers']
     assert named == '/leader, /second'
     # The one that is left has not seen the stop: it asks for the same all the time.
     second.setpoint = None
-    assert bench.until(lambda: bench.leader.says('source', 2, 'setpoints still arrive'))
+    assert bench.until(lambda: bench.leader.has_report('source', 2, 'setpoints still arrive'))
     assert bench.controller.count('MOVE') == 3
     bench.lead(None)
     bench.until(lambda: False, 1.0)
     bench.lead(FAR)
     assert bench.until(lambda: bench.controller.count('MOVE') == 6)
-    assert bench.until(lambda: bench.leader.says('source', 0, 'one source'))
+    assert bench.until(lambda: bench.leader.has_report('source', 0, 'one source'))
 
 
 def test_where_a_message_does_not_tell_its_source_two_that_are_listed_are_two(bench, monkeypatch):
@@ -437,7 +441,7 @@ def test_where_a_message_does_not_tell_its_source_two_that_are_listed_are_two(be
     before = bench.stops()
     bench.executor.add_node(Leader('second'))
     assert bench.until(lambda: bench.stops() > before)
-    assert bench.until(lambda: bench.leader.says('source', 2, 'two sources'))
+    assert bench.until(lambda: bench.leader.has_report('source', 2, 'two sources'))
 
 
 @pytest.mark.parametrize('bench', [('stop_required:=true',)], indirect=True)
@@ -447,11 +451,11 @@ def test_without_a_heartbeat_nothing_moves_and_its_silence_is_a_stop(bench):
     timer = bench.leader.create_timer(0.05, lambda: beat.publish(clear), clock=STEADY)
     timer.cancel()
     bench.lead(FAR)
-    assert bench.until(lambda: bench.leader.says('source', 2, 'No heartbeat on /heartbeat'))
+    assert bench.until(lambda: bench.leader.has_report('source', 2, 'No heartbeat on /heartbeat'))
     assert bench.controller.count('MOVE') == 0
     bench.lead(None)
     timer.reset()
-    assert bench.until(lambda: bench.leader.says('source', 0, 'one source'))
+    assert bench.until(lambda: bench.leader.has_report('source', 0, 'one source'))
     # Longer than the setpoints' timeout: nobody asks for a movement any more.
     bench.until(lambda: False, 1.0)
     bench.lead(FAR)
@@ -461,12 +465,12 @@ def test_without_a_heartbeat_nothing_moves_and_its_silence_is_a_stop(bench):
     assert bench.until(lambda: bench.stops() > before)
     # Within a second, at 50 a second.
     assert bench.controller.count('STATE') - asked <= 50
-    assert bench.until(lambda: bench.leader.says('source', 2, 'No heartbeat'))
+    assert bench.until(lambda: bench.leader.has_report('source', 2, 'No heartbeat'))
     # It is back, and publishes stop.
     bench.lead(None)
     clear.data = False
     timer.reset()
-    assert bench.until(lambda: bench.leader.says('source', 2, 'is false, which means stop'))
+    assert bench.until(lambda: bench.leader.has_report('source', 2, 'is false, which means stop'))
     bench.lead(FAR)
     bench.until(lambda: False, 0.2)
     assert bench.controller.count('MOVE') == 3
@@ -478,7 +482,7 @@ def moving_by_heartbeat(bench):
     timer = bench.leader.create_timer(
         0.05, lambda: beat.publish(ros.messages.Bool(data=True)), clock=STEADY
     )
-    assert bench.until(lambda: bench.leader.says('source', 0, 'one source'))
+    assert bench.until(lambda: bench.leader.has_report('source', 0, 'one source'))
     bench.lead(FAR)
     assert bench.until(lambda: bench.controller.count('MOVE') == 3)
     return beat, timer

@@ -72,8 +72,11 @@ def test_latitude_is_all_that_has_to_be_said(made: str) -> None:
     error = (found.values - true.vector())[FREE] / found.std[FREE]
     # 21 errors of one deviation: beyond four in one of 750 such units.
     assert np.abs(error).max() < 4
-    said = ' '.join(found.findings)
-    assert 'rad/s and m/s^2 (REP 145) are assumed' in said and 'taken as free positions' in said
+    findings = ' '.join(found.findings)
+    assert (
+        'rad/s and m/s^2 (REP 145) are assumed' in findings
+        and 'taken as free positions' in findings
+    )
 
 
 def test_a_report_has_the_site_of_its_calibration(made: str, bag: str, tmp_path: Path) -> None:
@@ -95,8 +98,8 @@ def test_verify_says_where_the_calibration_was_made(
     assert main(['verify', bag, '--calibration', made, '--gravity', '9.81']) in {0, 1}
     capsys.readouterr()
     assert main(['verify', bag, '--calibration', made]) == 2
-    said = capsys.readouterr().err.replace('\n', ' ')
-    assert f'calibration.yaml was made at latitude {LATITUDE:g}: the same place?' in said
+    errors = capsys.readouterr().err.replace('\n', ' ')
+    assert f'calibration.yaml was made at latitude {LATITUDE:g}: the same place?' in errors
 
 
 def test_holds_too_short_for_an_allan_deviation_have_no_picture_of_it(made: str) -> None:

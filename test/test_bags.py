@@ -112,12 +112,12 @@ def test_no_topic_runs_ahead_even_if_the_file_holds_one_after_the_other(tmp_path
     long = session(seconds=60, rate=50)
     rows = sorted(timeline(long), key=lambda row: row[1])
     path = write_with_rosbags(tmp_path / 'bag', rows, plugin)
-    seen = dict.fromkeys(long, START)
+    counted = dict.fromkeys(long, START)
     with open_recording(path) as recording:
         for topic, block in recording.read(KINDS):
-            seen[topic] = int(stamps(block)[-1])
-            behind = [t for t in seen.values() if t < START + 59 * NS]
-            assert seen[topic] - min(behind, default=seen[topic]) <= SPAN_NS + NS
+            counted[topic] = int(stamps(block)[-1])
+            behind = [t for t in counted.values() if t < START + 59 * NS]
+            assert counted[topic] - min(behind, default=counted[topic]) <= SPAN_NS + NS
 
 
 def test_split_files_are_read_in_the_order_of_the_metadata(tmp_path):

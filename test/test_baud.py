@@ -82,8 +82,8 @@ def test_the_option_precedes_the_devices_file_which_precedes_the_default(
     tmp_path, port, started, capsys, more, device, rate, origin
 ):
     assert main.main(command(tmp_path, port[1], *more, device=device)) == 1
-    said = capsys.readouterr().out
-    assert f'{port[1]} is read at {rate} bit/s ({origin}' in said
+    output = capsys.readouterr().out
+    assert f'{port[1]} is read at {rate} bit/s ({origin}' in output
     given = started['imu_node']['baud']
     assert choose_baud(given, load_format(device)).rate == rate
 
@@ -92,11 +92,11 @@ def test_frames_that_do_not_fit_are_said_before_anything_starts(tmp_path, port, 
     # 42 bytes of ten bits 500 times a second.
     arguments = command(tmp_path, port[1], '--baud', 115200)
     assert main.main(arguments) == 1
-    said = capsys.readouterr().out
-    sentence = said.index('500 frames of 42 bytes a second are 210000 bit/s')
-    assert sentence < said.index('start imu_node')
-    assert 'the port runs at 115200 bit/s: frames will be lost' in said
-    assert 'Set the device and baud to 230400 bit/s' in said
+    output = capsys.readouterr().out
+    sentence = output.index('500 frames of 42 bytes a second are 210000 bit/s')
+    assert sentence < output.index('start imu_node')
+    assert 'the port runs at 115200 bit/s: frames will be lost' in output
+    assert 'Set the device and baud to 230400 bit/s' in output
 
 
 @pytest.mark.parametrize(

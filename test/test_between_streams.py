@@ -79,7 +79,7 @@ def test_what_is_lost_counts_after_the_beginning_and_up_to_the_end() -> None:
 # Motions that the gyros did not see
 
 
-def beside(angles: list[float], times: list[float]) -> list[float]:
+def kept_middles(angles: list[float], times: list[float]) -> list[float]:
     """Rests, each with a shock, around motions at 10, 20 and 30 s: the middles that are kept."""
     held = reader()
     held._seen_motions = [
@@ -148,7 +148,7 @@ def test_a_dwell_that_repeats_the_sample_of_a_frozen_motion_is_frozen_itself() -
 def test_rests_beside_a_motion_that_was_not_seen_do_not_count(
     angles: list[float], times: list[float], kept: list[float]
 ) -> None:
-    assert beside(angles, times) == kept
+    assert kept_middles(angles, times) == kept
 
 
 # A motion during which the clock was set

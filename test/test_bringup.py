@@ -87,11 +87,11 @@ def test_a_manager_makes_the_nodes_active(folder, tmp_path):
         # No node becomes active before it is configured.
         assert not change(3)
         assert change(1)
-        net.says('launch', 'A1.yaml is applied')
+        net.wait_for_text('launch', 'A1.yaml is applied')
         assert change(3)
-        net.says('launch', 'Active: samples are compensated.')
+        net.wait_for_text('launch', 'Active: samples are compensated.')
         assert change(4)
-        net.says('launch', 'Not active: nothing is published.')
+        net.wait_for_text('launch', 'Not active: nothing is published.')
         written = net.stop('launch')
     assert 'Traceback' not in written
     assert written.index('A1.yaml is applied') < written.index('Active: samples')
@@ -110,14 +110,14 @@ def test_in_a_namespace_the_robots_topics_carry_rates(folder, tmp_path):
         }
         listed = [f'{name}:={value}' for name, value in given.items()]
         net.start('launch', net.ros('ros2', 'launch', 'imu_calib', 'bringup.launch.py', *listed))
-        net.says('launch', 'A1.yaml is applied')
+        net.wait_for_text('launch', 'A1.yaml is applied')
         answer = net.ask('topic', 'list', '--no-daemon', '--spin-time', '3')
         assert {'/robot/driver/raw', '/robot/imu/data_raw'} <= set(answer.split())
         net.start('source', _python(net, _SOURCE))
         message = net.ask('topic', 'echo', '--no-daemon', '--once', *_TYPED)
         assert 'frame_id: base_imu' in message
         assert '- -1.0' in message
-        net.says('launch', 'is received and compensated')
+        net.wait_for_text('launch', 'is received and compensated')
         net.stop('source')
         net.stop('launch')
 

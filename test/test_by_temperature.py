@@ -39,8 +39,8 @@ def point(celsius: float, bias: float = 0.0, std: float = 0.0, **more: Any) -> C
     model = SensorModel(Triad(bias=np.array([bias, 0.0, 0.0])))
     square = np.zeros((24, 24))
     square[BIAS, BIAS] = std**2
-    seen = {'mean': celsius, 'lowest': celsius - 1.0, 'highest': celsius + 2.0}
-    return replace(known(UNIT, model, temperature=seen, **more), covariance=square)
+    temperature = {'mean': celsius, 'lowest': celsius - 1.0, 'highest': celsius + 2.0}
+    return replace(known(UNIT, model, temperature=temperature, **more), covariance=square)
 
 
 def points(*celsius: float, order: int | None = None) -> ThermalCalibration:

@@ -371,18 +371,18 @@ def test_a_stream_is_read_once_for_what_its_messages_look_like(parsed):
     decoder, malformed = ImuDecoder(), Malformed()
     first, other = encode_imu(imu_block(3)).payloads(), encode_imu(imu_block(3, 'other')).payloads()
     decoder.decode(first[:1], malformed)
-    seen = len(parsed)
+    count = len(parsed)
     (block,) = decoder.decode(first[1:2], malformed)
     assert block.stamp.tolist() == imu_block(3).stamp[1:2].tolist()
-    assert len(parsed) == seen
+    assert len(parsed) == count
     # Several at once are all decoded, and the last is what the next one is held against.
     blocks = decoder.decode(first[:2], malformed)
     assert [len(b) for b in blocks] == [2]
     decoder.decode([first[0], other[0]], malformed)
-    seen = len(parsed)
+    count = len(parsed)
     (block,) = decoder.decode(other[1:2], malformed)
     assert block.frame_id == 'other'
-    assert len(parsed) == seen
+    assert len(parsed) == count
 
 
 def test_a_part_that_is_the_whole_is_the_block_itself():

@@ -166,15 +166,15 @@ def test_what_is_missing_is_named_with_its_clause_and_not_invented(
     calibration.save(source)
     command = ['certificate', str(source), '--fields', str(path), '-o', str(target)]
     assert main(command) == 2
-    said = capsys.readouterr().err.replace('\n', ' ')
+    errors = capsys.readouterr().err.replace('\n', ' ')
     assert not target.exists()
     for wanted in ('number (7.8.2.1 d)', 'customer: name (7.8.2.1 e)', 'signatures (7.8.2.1 o)'):
-        assert wanted in said
+        assert wanted in errors
     for wanted in ('equipment[0]: traceability', 'environment: temperature', 'received', '--draft'):
-        assert wanted in said
+        assert wanted in errors
     # The calibration knows the unit and the day.
-    assert 'serial_number (' not in said.replace('equipment[0]: serial_number (', '')
-    assert 'calibrated (' not in said
+    assert 'serial_number (' not in errors.replace('equipment[0]: serial_number (', '')
+    assert 'calibrated (' not in errors
     assert main([*command, '--draft']) == 0
     page = target.read_text(encoding='utf-8')
     assert 'This is a draft, not a certificate' in page and 'DRAFT' in page
@@ -232,8 +232,8 @@ def test_each_thing_that_is_asked_for_is_missed(
 ) -> None:
     document = removed(yaml.safe_load(EXAMPLE.read_text()), path)
     name = ''.join(f'[{p}]' if isinstance(p, int) else f': {p}' for p in path)[2:]
-    said = r'my\.yaml: 1 of the entries that a certificate needs is missing: .*'
-    with pytest.raises(InputError, match=said + re.escape(name)):
+    sentence = r'my\.yaml: 1 of the entries that a certificate needs is missing: .*'
+    with pytest.raises(InputError, match=sentence + re.escape(name)):
         certificate_of(
             calibration,
             read_fields(Section(document, 'my.yaml')),

@@ -216,19 +216,19 @@ def test_an_azimuth_is_as_sure_as_the_level_rate_across() -> None:
 
 def test_what_is_left_is_that_of_generalised_least_squares() -> None:
     rng = np.random.default_rng(4)
-    columns, left = rng.standard_normal((9, 3)), rng.standard_normal(9)
+    columns, residuals = rng.standard_normal((9, 3)), rng.standard_normal(9)
     covariance = np.cov(rng.standard_normal((9, 40)))
     precision = np.linalg.inv(covariance)
-    found = LeastSquares.weighed(columns, left, covariance)
+    found = LeastSquares.weighed(columns, residuals, covariance)
     wanted = np.linalg.inv(columns.T @ precision @ columns)
     np.testing.assert_allclose(found.covariance, wanted, rtol=1e-9)
-    np.testing.assert_allclose(found.step, wanted @ columns.T @ precision @ left, rtol=1e-9)
-    over = left - columns @ found.step
+    np.testing.assert_allclose(found.step, wanted @ columns.T @ precision @ residuals, rtol=1e-9)
+    over = residuals - columns @ found.step
     assert found.square == pytest.approx(over @ precision @ over)
     assert found.freedom == 6
     # A column that says what another says takes no further degree of freedom, nor one of zeros.
     twice = np.column_stack([columns, 5 * columns[:, 0], np.zeros(9)])
-    again = LeastSquares.weighed(twice, left, covariance)
+    again = LeastSquares.weighed(twice, residuals, covariance)
     assert (again.square, again.freedom) == (pytest.approx(found.square), 6)
 
 
@@ -240,9 +240,9 @@ def test_scatter_counts_where_chance_makes_it_once_in_a_million(
     chance: float, wanted: bool
 ) -> None:
     # At right angles to a constant, which is free.
-    left = np.array([1.0, -1.0, 1.0, -1.0]) / 2
+    residuals = np.array([1.0, -1.0, 1.0, -1.0]) / 2
     square = chi2.isf(chance, 3)
-    found = _scatter(NOISY, np.ones((4, 1)), left * np.sqrt(square) * 0.1, 0.01 * np.eye(4))
+    found = _scatter(NOISY, np.ones((4, 1)), residuals * np.sqrt(square) * 0.1, 0.01 * np.eye(4))
     assert found.significant is wanted
     assert found.ratio == pytest.approx(square / 3 if wanted else 1.0)
     assert found.freedom == (3 if wanted else np.inf)

@@ -371,11 +371,11 @@ def test_a_step_is_eight_deviations_and_explains_four_times_a_drift() -> None:
         rows = blocks_of([0.0] * 4 + [size] * 4)
         assert (find_step(statistics(rows), np.ones(6)) is not None) is stepped
     # Levels that drift themselves by d a block: seen and found by both ways of fitting.
-    seen = set()
+    calls = set()
     for drift in (0.0, 0.5, 0.6):
         rows = blocks_of([k * drift + 5.0 * (k > 3) for k in range(8)])
         _, _, _, left, by_drift = largest_by_hand(rows, 1.0)
         wanted = bool(left <= 0.25 * by_drift)
-        seen.add(wanted)
+        calls.add(wanted)
         assert (find_step(statistics(rows), np.full(6, 1.0)) is not None) is wanted
-    assert seen == {False, True}
+    assert calls == {False, True}

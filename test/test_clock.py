@@ -93,7 +93,7 @@ class Bench:
         ros.spin_once(self.node, timeout_sec=0.002)
         ros.spin_once(self.peer, timeout_sec=0.002)
 
-    def tell(self, seconds):
+    def set_time(self, seconds):
         self.clock.publish(M.Clock(clock=M.TimeMsg(sec=seconds)))
         assert self.until(lambda: int(self.node.get_clock().now().nanoseconds) == seconds * NS)
 
@@ -111,7 +111,7 @@ def test_what_waits_at_the_end_is_recorded_however_much_it_is(monkeypatch, tmp_p
     # More than two rounds take, as after a long solve of another session.
     count = 3 * subscriptions._MOST
     with Bench(monkeypatch, tmp_path) as bench:
-        bench.tell(EPOCH)
+        bench.set_time(EPOCH)
         ros.publish_all(bench.pulses, samples(EPOCH, count).payloads())
         assert ros.acknowledged(bench.pulses, patience())
         assert bench.count == 0
@@ -125,12 +125,12 @@ def test_nothing_is_recorded_before_the_clock_begins_and_nothing_is_lost(monkeyp
         assert bench.until(lambda: 'is no message on /clock yet' in bench.words.get('time', ''))
         assert bench.until(lambda: bench.node._turntable._unrecorded)
         assert bench.count == 0
-        bench.tell(EPOCH)
+        bench.set_time(EPOCH)
         assert bench.until(all_came)
         assert bench.until(lambda: bench.words['time'] == 'The clock runs.')
         # Back in 1970, and on from there.
         for seconds in (0, 1, 2):
-            bench.tell(seconds)
+            bench.set_time(seconds)
             assert bench.until(bench.send(EPOCH + 1 + seconds))
         assert bench.until(lambda: 'jumped back by 1.7e+09 s' in bench.words['time'])
     logged = log_times(tmp_path / 'journal')
@@ -158,9 +158,9 @@ def test_no_node_ends_whatever_the_clock_says(monkeypatch, tmp_path, name):
     process = start(MAIN.format(name), '--ros-args', '-p', 'use_sim_time:=true', *words, **network)
     ros.init(args=[])
     peer = ros.Node('peer')
-    heard = []
+    messages = []
     try:
-        peer.create_subscription(M.DiagnosticArray, '/diagnostics', heard.append, 100)
+        peer.create_subscription(M.DiagnosticArray, '/diagnostics', messages.append, 100)
         clock = peer.create_publisher(M.Clock, '/clock', 10)
         joints = peer.create_publisher(M.JointState, 'turntable/joint_states', qos.stream())
         pulses = peer.create_publisher(M.Imu, 'imu/pulses', qos.stream())
@@ -168,7 +168,7 @@ def test_no_node_ends_whatever_the_clock_says(monkeypatch, tmp_path, name):
             M.CalibrationProgress, 'calibration/progress', qos.latched()
         )
 
-        def tell(seconds):
+        def set_time(seconds):
             clock.publish(M.Clock(clock=M.TimeMsg(sec=seconds)))
             # What was measured before the clock began is older than 1970.
             stamp = M.TimeMsg(sec=seconds - 1)
@@ -179,16 +179,16 @@ def test_no_node_ends_whatever_the_clock_says(monkeypatch, tmp_path, name):
             message = M.CalibrationProgress(plan='twelve_position')
             message.header.stamp = stamp
             progress.publish(message)
-            heard.clear()
+            messages.clear()
             # Two words of it: the second was said after the clock was heard.
             assert until(
-                lambda: len(heard) > 1 or process.poll() is not None,
+                lambda: len(messages) > 1 or process.poll() is not None,
                 step=lambda: ros.spin_once(peer, timeout_sec=0.01),
             )
             assert process.poll() is None, process.stderr.read()
 
         for seconds in (0, 1, EPOCH, EPOCH + 1, 0, 3, 2**31 - 1, 7):
-            tell(seconds)
+            set_time(seconds)
         process.terminate()
         assert process.wait(patience()) == 0
     finally:
@@ -200,7 +200,7 @@ def test_no_node_ends_whatever_the_clock_says(monkeypatch, tmp_path, name):
 
 def test_a_reset_that_is_refused_leaves_the_session_running(monkeypatch, tmp_path):
     with Bench(monkeypatch, tmp_path) as bench:
-        bench.tell(1)
+        bench.set_time(1)
         before = bench.node._sessions
         # What an earlier start of the node ended with.
         finished = Journal(

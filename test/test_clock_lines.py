@@ -42,8 +42,8 @@ def test_offsets_lie_on_a_line() -> None:
     # The stamps of today resolve 256 ns as doubles.
     assert found.epoch == pytest.approx(START + 1e9 * TIMES.mean(), abs=300)
     slope, level = np.polyfit(TIMES - TIMES.mean(), 0.02 + 2e-5 * TIMES + OFF, 1)
-    left = OFF - np.polyval(np.polyfit(TIMES, OFF, 1), TIMES)
-    scatter = sqrt(left @ left / 6)
+    residuals = OFF - np.polyval(np.polyfit(TIMES, OFF, 1), TIMES)
+    scatter = sqrt(residuals @ residuals / 6)
     assert found.motions == 8
     assert found.offset == pytest.approx(level)
     assert found.offset_std == pytest.approx(scatter / sqrt(8), rel=1e-6)
@@ -60,8 +60,8 @@ def test_where_offsets_jump_the_pieces_are_parallel() -> None:
     seconds = TIMES - TIMES.mean()
     design = np.column_stack([*(piece == k for k in range(3)), seconds]).astype(float)
     *levels, rate = np.linalg.solve(design.T @ design, design.T @ offsets)
-    left = offsets - design @ [*levels, rate]
-    scatter = sqrt(left @ left / (8 - 4))
+    residuals = offsets - design @ [*levels, rate]
+    scatter = sqrt(residuals @ residuals / (8 - 4))
     assert found.rate == pytest.approx(rate, rel=1e-6)
     assert found.offset == pytest.approx(offsets.mean())
     assert found.offset_std == pytest.approx(scatter / sqrt(8), rel=1e-5)
@@ -177,7 +177,9 @@ def test_gyros_may_leave_a_fiftieth_of_a_motion() -> None:
 # How much of a motion the gyros saw
 
 
-def seen(ways: list[float], by_gyros: list[float], late: float = 0.0) -> ShareSeen | None:
+def share_of_motion(
+    ways: list[float], by_gyros: list[float], late: float = 0.0
+) -> ShareSeen | None:
     """What is seen of a motion of these degrees in each tenth of a second, and by the gyros."""
     joint = np.arange(2 * len(ways) + 1) * 0.05
     angle = np.interp(joint, 0.1 * np.arange(len(ways) + 1), np.cumsum([0, *ways]))
@@ -194,7 +196,7 @@ def seen(ways: list[float], by_gyros: list[float], late: float = 0.0) -> ShareSe
 
 
 def test_shares_are_by_angle_and_by_cells() -> None:
-    found = seen([1.0] * 20, [1.0] * 5 + [0.0] * 5 + [1.0] * 10)
+    found = share_of_motion([1.0] * 20, [1.0] * 5 + [0.0] * 5 + [1.0] * 10)
     assert found is not None
     # Gyros are read at the ends of cells that begin with their first sample.
     assert found.angle == pytest.approx(0.75, abs=0.01)
@@ -212,7 +214,7 @@ def test_shares_are_by_angle_and_by_cells() -> None:
     ],
 )
 def test_gyros_see_a_cell_where_they_turn(way: float, seen_of_it: float, moving: bool) -> None:
-    found = seen([way] * 40, [seen_of_it] * 40)
+    found = share_of_motion([way] * 40, [seen_of_it] * 40)
     assert found is not None
     assert found.angle == pytest.approx(seen_of_it / way, abs=0.01)
     # Where cells begin with the first sample, one lies at the end.
@@ -221,18 +223,18 @@ def test_gyros_see_a_cell_where_they_turn(way: float, seen_of_it: float, moving:
 
 @pytest.mark.parametrize(('slow', 'share'), [(0.23, 1.0), (0.27, 0.5)])
 def test_cells_with_a_quarter_of_the_largest_way_count(slow: float, share: float) -> None:
-    found = seen([1.0] * 10 + [slow] * 10, [1.0] * 10 + [0.0] * 10)
+    found = share_of_motion([1.0] * 10 + [slow] * 10, [1.0] * 10 + [0.0] * 10)
     assert found is not None
     assert found.time == pytest.approx(share, abs=0.06)
 
 
 @pytest.mark.parametrize(('late', 'share'), [(1.0, 1.0), (-1.0, 1.0), (1.6, 0.7), (-1.6, 0.7)])
 def test_clocks_may_be_a_second_apart(late: float, share: float) -> None:
-    found = seen([1.0] * 20, [1.0] * 20, late)
+    found = share_of_motion([1.0] * 20, [1.0] * 20, late)
     assert found is not None
     assert found.angle == pytest.approx(share, abs=0.01)
 
 
 def test_a_motion_of_a_tenth_of_a_radian_is_the_least() -> None:
-    assert seen([0.57] * 10, [0.57] * 10) is None
-    assert seen([0.58] * 10, [0.58] * 10) is not None
+    assert share_of_motion([0.57] * 10, [0.57] * 10) is None
+    assert share_of_motion([0.58] * 10, [0.58] * 10) is not None

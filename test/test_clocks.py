@@ -96,9 +96,9 @@ def test_a_jump_is_said_where_the_stamps_resolve_it(jump: float, words: str) -> 
         motions = [ClockSample(1e9 * t, o) for t, o in zip(seconds, seen, strict=True)]
         fit = fit_clock(motions, [275_000_000_000])
         assert fit.jumps == pytest.approx((jump,), abs=6e-5)
-        said = clock_jumps(fit)
-        assert len(said) == bool(words)
-        assert not words or words[:-3] in said[0]
+        message = clock_jumps(fit)
+        assert len(message) == bool(words)
+        assert not words or words[:-3] in message[0]
 
 
 NAMED = {

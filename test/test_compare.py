@@ -131,9 +131,9 @@ def test_the_command_names_what_is_not_in_both(
     unit().save(tmp_path / 'large.yaml')
     unit(skewed=False).save(tmp_path / 'small.yaml')
     assert main(['compare', str(tmp_path / 'large.yaml'), str(tmp_path / 'small.yaml')]) == 0
-    told = capsys.readouterr().out
-    assert 'Only in large: R_gsx, R_gsy, R_gsz, D_gs.' in told
-    assert 'G_gzz' in told
+    output = capsys.readouterr().out
+    assert 'Only in large: R_gsx, R_gsy, R_gsz, D_gs.' in output
+    assert 'G_gzz' in output
 
 
 SI = load_imu('si')

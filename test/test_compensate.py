@@ -178,8 +178,8 @@ def test_what_does_not_fit_is_refused_in_a_sentence(
     bag = write_with_rosbags(tmp_path / 'bag', imu_only)
     arguments = ['compensate', str(bag), '--calibration', calibration, '-o', 'out', *options]
     assert main(arguments) == 2
-    said = ' '.join(capsys.readouterr().err.split())
-    assert all(word in said for word in words), said
+    errors = ' '.join(capsys.readouterr().err.split())
+    assert all(word in errors for word in words), errors
     assert not (tmp_path / 'out').exists()
 
 

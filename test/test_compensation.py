@@ -136,7 +136,7 @@ def test_the_covariance_is_the_scatter_of_calibrations_drawn_from_theirs():
     rate, force = np.array([[0.7, -0.3, 0.2]]), np.array([[3.0, -8.0, 5.0]])
     gyro, accel = model.predict(rate, force)
     counts = gyro * TAU / PULSE[0], accel * TAU / PULSE[1]
-    said = Compensation(calibration).apply(*counts, np.array([TAU]))
+    compensated = Compensation(calibration).apply(*counts, np.array([TAU]))
     drawn = []
     for offset in rng.normal(size=(4000, 33)) @ root:
         values = model.values(parameters) + offset
@@ -148,7 +148,7 @@ def test_the_covariance_is_the_scatter_of_calibrations_drawn_from_theirs():
     quantum = np.repeat((PULSE / TAU) ** 2 / 6, 3)
     inverse = np.linalg.inv(model.accel.response)
     by_pulse = inverse @ np.diag(quantum[3:]) @ inverse.T
-    stated = said.force_covariance.reshape(3, 3) - by_pulse
+    stated = compensated.force_covariance.reshape(3, 3) - by_pulse
     scale = np.sqrt(np.outer(np.diag(found)[3:], np.diag(found)[3:]))
     # 4000 draws tell a variance to sqrt(2 / 4000) = 2.2 %.
     assert np.abs(stated - found[3:, 3:]).max() < 5 * 0.022 * scale.max()
@@ -156,7 +156,7 @@ def test_the_covariance_is_the_scatter_of_calibrations_drawn_from_theirs():
     through = response @ model.g_sensitivity @ inverse
     by_pulse = response @ np.diag(quantum[:3]) @ response.T
     by_pulse += through @ np.diag(quantum[3:]) @ through.T
-    stated = said.rate_covariance.reshape(3, 3) - by_pulse
+    stated = compensated.rate_covariance.reshape(3, 3) - by_pulse
     assert np.abs(stated - found[:3, :3]).max() < 5 * 0.022 * np.diag(found)[:3].max()
 
 
@@ -174,15 +174,15 @@ def test_noise_passes_through_the_slopes_of_curved_outputs():
     step = 1e-5 * np.eye(6)
     slopes = np.array([(outputs(inputs + h) - outputs(inputs - h)) / 2e-5 for h in step]).T
     gyro, accel = model.predict(inputs[None, :3], inputs[None, 3:])
-    said = Compensation(known(model=model)).apply(
+    compensated = Compensation(known(model=model)).apply(
         gyro * TAU / PULSE[0], accel * TAU / PULSE[1], np.array([TAU])
     )
     inverse = np.linalg.inv(slopes)
     # A pulse count's error at either end of the sample is even over one pulse.
     wanted = inverse @ np.diag(np.repeat((PULSE / TAU) ** 2 / 6, 3)) @ inverse.T
     for found, part in (
-        (said.rate_covariance, wanted[:3, :3]),
-        (said.force_covariance, wanted[3:, 3:]),
+        (compensated.rate_covariance, wanted[:3, :3]),
+        (compensated.force_covariance, wanted[3:, 3:]),
     ):
         assert found.reshape(3, 3) == pytest.approx(part, rel=1e-6, abs=1e-9 * part.max())
 
@@ -201,10 +201,10 @@ def test_the_noise_of_a_sample_is_walk_and_pulse():
     result = Compensation(calibration).apply(
         counted[:, :3], counted[:, 3:], np.full(count - 1, TAU)
     )
-    said = np.concatenate([result.rate_covariance[0, ::4], result.force_covariance[0, ::4]])
+    variances = np.concatenate([result.rate_covariance[0, ::4], result.force_covariance[0, ::4]])
     found = np.concatenate([result.rate.var(axis=0), result.force.var(axis=0)])
     # 20000 samples tell a variance to 1 %.
-    assert found == pytest.approx(said, rel=0.05)
+    assert found == pytest.approx(variances, rel=0.05)
 
 
 def test_four_gyros_are_better_than_three_and_contradict_a_bad_one():
@@ -221,8 +221,8 @@ def test_four_gyros_are_better_than_three_and_contradict_a_bad_one():
     three = Compensation(calibration).apply(noisy[0], accel, interval)
     four = Compensation(calibration, skewed=True).apply(noisy[0], accel, interval, noisy[1])
     for result in (three, four):
-        said = result.rate_covariance[0, ::4]
-        assert ((result.rate - rate) ** 2).mean(axis=0) == pytest.approx(said, rel=0.05)
+        variances = result.rate_covariance[0, ::4]
+        assert ((result.rate - rate) ** 2).mean(axis=0) == pytest.approx(variances, rel=0.05)
     # A fourth axis along (1, 1, 1) / sqrt(3) takes a sixth of the variance: 1 - (1/3) / 2.
     assert np.mean(four.rate_covariance[0, ::4] / three.rate_covariance[0, ::4]) == pytest.approx(
         5 / 6, rel=0.01

@@ -103,7 +103,7 @@ class Bench:
             ros.publish_all(self.pulses, payloads[k : k + at_once])
             self.spin()
 
-    def said(self, part, *words):
+    def has_status(self, part, *words):
         return part in self.words and all(word in self.words[part].message for word in words)
 
 
@@ -130,8 +130,8 @@ def test_live_and_offline_give_the_same_bytes(monkeypatch, tmp_path, file):
         assert bench.until(lambda: len(bench.payloads) >= COUNT)
         expected = offline(tmp_path, file, block(), '--frame-id', 'base_imu')
         assert [bytes(p) for p in bench.payloads] == expected
-        assert bench.until(lambda: bench.said('stream', 'is received and compensated'))
-        assert bench.said('calibration', 'unit.yaml is applied')
+        assert bench.until(lambda: bench.has_status('stream', 'is received and compensated'))
+        assert bench.has_status('calibration', 'unit.yaml is applied')
         figures = {v.key: v.value for v in bench.words['stream'].values}
         assert figures['sample interval'] == '1.000000 ms'
         assert figures['left out'] == '0'
@@ -144,7 +144,7 @@ def test_a_sample_that_is_no_number_is_left_out_live_and_offline(monkeypatch, tm
     with Bench(monkeypatch, calibration=file) as bench:
         bench.send(encode_imu(broken).payloads())
         assert bench.until(lambda: len(bench.payloads) >= COUNT - 2)
-        assert bench.until(lambda: bench.said('range', 'not numbers'))
+        assert bench.until(lambda: bench.has_status('range', 'not numbers'))
         assert [bytes(p) for p in bench.payloads] == offline(tmp_path, file, broken)
 
 
@@ -154,10 +154,10 @@ def test_without_a_calibration_nothing_comes_and_it_says_so_until_the_file_is_th
     late = tmp_path / 'late.yaml'
     with Bench(monkeypatch, calibration=late) as bench:
         bench.send(encode_imu(block(500)).payloads())
-        assert bench.until(lambda: bench.said('calibration', 'No calibration', 'late.yaml'))
+        assert bench.until(lambda: bench.has_status('calibration', 'No calibration', 'late.yaml'))
         assert not bench.payloads
         shutil.copy(file, late)
-        assert bench.until(lambda: bench.said('calibration', 'late.yaml is applied'))
+        assert bench.until(lambda: bench.has_status('calibration', 'late.yaml is applied'))
         bench.send(encode_imu(block()).payloads())
         assert bench.until(lambda: len(bench.payloads) == COUNT)
         # It changes, and is read again; then it is broken, and the one before stays.
@@ -168,8 +168,8 @@ def test_without_a_calibration_nothing_comes_and_it_says_so_until_the_file_is_th
             lambda: bench.node._applied.compensator.calibration.model.gyro.bias[0] < 2e-6
         )
         late.write_text('hello')
-        assert bench.until(lambda: bench.said('calibration offered', 'late.yaml', 'a text'))
-        assert bench.said('calibration', 'late.yaml is applied')
+        assert bench.until(lambda: bench.has_status('calibration offered', 'late.yaml', 'a text'))
+        assert bench.has_status('calibration', 'late.yaml is applied')
 
 
 @cache
@@ -186,23 +186,25 @@ def test_a_calibration_comes_by_topic_if_it_is_good_and_of_this_unit(monkeypatch
         provisional = calibration_message(result(), M.ImuCalibration.PROVISIONAL, 'imu_link', now)
         send(provisional)
         bench.until(lambda: False, 1.5)
-        assert bench.until(lambda: bench.said('calibration', 'No calibration', '/calibration'))
+        assert bench.until(
+            lambda: bench.has_status('calibration', 'No calibration', '/calibration')
+        )
         lacking = {**result().provenance, 'missing_positions': ['11', '12']}
         half = replace(result(), provenance=lacking)
         send(calibration_message(half, final_status(half), 'imu_link', now))
         words = 'is not used. Positions of the plan are missing: 11, 12.'
-        assert bench.until(lambda: bench.said('calibration offered', words))
-        assert bench.said('calibration', 'No calibration', '/calibration')
+        assert bench.until(lambda: bench.has_status('calibration offered', words))
+        assert bench.has_status('calibration', 'No calibration', '/calibration')
         send(calibration_message(result(), final_status(result()), 'imu_link', now))
-        assert bench.until(lambda: bench.said('calibration', '/calibration is applied'))
+        assert bench.until(lambda: bench.has_status('calibration', '/calibration is applied'))
         bench.send(encode_imu(block(200)).payloads())
         assert bench.until(lambda: len(bench.payloads) == 200)
         other = calibration_message(result(), M.ImuCalibration.VALID, 'imu_link', now)
         other.imu_id = 'another'
         send(other)
         words = 'imu: found another, expected fog_medium as in /calibration'
-        assert bench.until(lambda: bench.said('calibration offered', words))
-        assert bench.said('calibration', '/calibration is applied')
+        assert bench.until(lambda: bench.has_status('calibration offered', words))
+        assert bench.has_status('calibration', '/calibration is applied')
 
 
 def test_a_file_is_not_replaced_by_a_message_unless_asked_for(monkeypatch, file):
@@ -214,7 +216,7 @@ def test_a_file_is_not_replaced_by_a_message_unless_asked_for(monkeypatch, file)
             bench.send(encode_imu(block(200)).payloads())
             assert bench.until(lambda: len(bench.payloads) == 200)
             source = '/calibration' if follow else 'unit.yaml'
-            assert bench.until(lambda: bench.said('calibration', f'{source} is applied'))  # noqa: B023
+            assert bench.until(lambda: bench.has_status('calibration', f'{source} is applied'))  # noqa: B023
             assert bench.peer.count_subscribers('calibration') == follow
 
 
@@ -244,23 +246,23 @@ def test_a_strangers_calibration_is_refused_however_valid_it_calls_itself(
     with Bench(monkeypatch, serial_number='A1') as bench:
         now = bench.peer.get_clock().now().to_msg()
         bench.calibrations.publish(valid(now, **{'serial_number': 'A1', **fields}))
-        assert bench.until(lambda: bench.said('calibration offered', words))
-        assert bench.said('calibration', 'No calibration')
+        assert bench.until(lambda: bench.has_status('calibration offered', words))
+        assert bench.has_status('calibration', 'No calibration')
         bench.calibrations.publish(valid(now, serial_number='A1'))
-        assert bench.until(lambda: bench.said('calibration', '/calibration is applied'))
+        assert bench.until(lambda: bench.has_status('calibration', '/calibration is applied'))
 
 
 def test_the_unit_in_use_keeps_its_serial_number(monkeypatch):
     with Bench(monkeypatch) as bench:
         now = bench.peer.get_clock().now().to_msg()
         bench.calibrations.publish(valid(now, serial_number='0042'))
-        assert bench.until(lambda: bench.said('calibration', '/calibration is applied'))
+        assert bench.until(lambda: bench.has_status('calibration', '/calibration is applied'))
         figures = {v.key: v.value for v in bench.words['calibration'].values}
         assert figures['serial_number'] == '0042'
         for other in ('', '0043'):
             bench.calibrations.publish(valid(now, serial_number=other))
             words = f'serial_number: found {other or "none"}, expected 0042'
-            assert bench.until(lambda: bench.said('calibration offered', words))  # noqa: B023
+            assert bench.until(lambda: bench.has_status('calibration offered', words))  # noqa: B023
 
 
 def test_of_several_units_that_end_at_once_its_own_is_found(monkeypatch):
@@ -271,15 +273,15 @@ def test_of_several_units_that_end_at_once_its_own_is_found(monkeypatch):
         now = bench.peer.get_clock().now().to_msg()
         for serial in ('A1', 'B2', 'C3'):
             words.publish(valid(now, serial_number=serial))
-        assert bench.until(lambda: bench.said('calibration', '/calibration is applied'))
+        assert bench.until(lambda: bench.has_status('calibration', '/calibration is applied'))
 
 
 def test_a_file_of_another_unit_is_refused(monkeypatch, tmp_path):
     file = tmp_path / 'unit.yaml'
     replace(truth(), serial_number='B2').save(file)
     with Bench(monkeypatch, calibration=file, serial_number='A1') as bench:
-        assert bench.until(lambda: bench.said('calibration offered', 'found B2, expected A1'))
-        assert bench.said('calibration', 'No calibration')
+        assert bench.until(lambda: bench.has_status('calibration offered', 'found B2, expected A1'))
+        assert bench.has_status('calibration', 'No calibration')
 
 
 def test_a_message_holds_what_the_file_holds():
@@ -305,12 +307,12 @@ def test_a_driver_that_publishes_best_effort_is_heard(monkeypatch, file):
     with Bench(monkeypatch, reliable=False, calibration=file) as bench:
         payloads = encode_imu(block(40)).payloads()
 
-        def heard():
+        def has_payloads():
             bench.send(payloads)
             return len(bench.payloads) > 0
 
-        assert bench.until(heard)
-        assert bench.until(lambda: bench.said('quality of service', 'best effort'))
+        assert bench.until(has_payloads)
+        assert bench.until(lambda: bench.has_status('quality of service', 'best effort'))
 
 
 def test_a_combined_calibration_waits_for_the_temperature_and_says_where_it_ends(
@@ -320,14 +322,14 @@ def test_a_combined_calibration_waits_for_the_temperature_and_says_where_it_ends
     combine([point(0.0, 0.0), point(20.0, 1e-3)], ['a', 'b']).save(both)
     with Bench(monkeypatch, calibration=both) as bench:
         bench.send(encode_imu(block(500)).payloads())
-        assert bench.until(lambda: bench.said('temperature', 'needs /imu/temperature'))
+        assert bench.until(lambda: bench.has_status('temperature', 'needs /imu/temperature'))
         assert not bench.payloads
         warm = TemperatureBlock(STAMP[:1], np.array([35.0]))
         bench.temperatures.publish(encode_temperatures(warm).payloads()[0])
         assert bench.until(lambda: len(bench.payloads) == 500)
-        assert bench.until(lambda: bench.said('range', 'temperature outside'))
+        assert bench.until(lambda: bench.has_status('range', 'temperature outside'))
         assert bench.words['range'].level in {b'\x01', 1}
-        assert bench.until(lambda: bench.said('temperature', 'is received'))
+        assert bench.until(lambda: bench.has_status('temperature', 'is received'))
         figures = {v.key: v.value for v in bench.words['temperature'].values}
         assert figures['temperature'] == '35.00 degC'
 
@@ -337,12 +339,12 @@ def test_two_devices_on_one_topic_are_an_error_and_give_nothing(monkeypatch, fil
     monkeypatch.setattr('imu_calib.nodes.compensator_node._GHOST', 0.5)
     with Bench(monkeypatch, topic=topic, calibration=file) as bench:
         second = bench.peer.create_publisher(M.Imu, topic, qos.stream())
-        assert bench.until(lambda: bench.said('stream', f'Two publishers on /{topic}'))
+        assert bench.until(lambda: bench.has_status('stream', f'Two publishers on /{topic}'))
         bench.send(encode_imu(block(200)).payloads())
         bench.until(lambda: False, 0.5)
         assert not bench.payloads
         bench.peer.destroy_publisher(second)
-        assert bench.until(lambda: not bench.said('stream', 'Two publishers'))
+        assert bench.until(lambda: not bench.has_status('stream', 'Two publishers'))
         bench.send(encode_imu(block(200)).payloads())
         assert bench.until(lambda: len(bench.payloads) == 200)
 

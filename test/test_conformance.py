@@ -401,9 +401,10 @@ def test_a_calibration_by_message_follows_the_temperature_as_its_file_does() -> 
     kelvin = Changes(
         (change(Course.THERMAL, 'K_gx'),), np.array([2e-5]), np.eye(1), np.zeros((24, 1))
     )
-    seen = {'mean': 25.0, 'lowest': 15.0, 'highest': 35.0}
+    temperature = {'mean': 25.0, 'lowest': 15.0, 'highest': 35.0}
     calibration = replace(
-        known(model, spread_of(model), **{**provenance(), 'temperature': seen}), changes=kelvin
+        known(model, spread_of(model), **{**provenance(), 'temperature': temperature}),
+        changes=kelvin,
     )
     message = calibration_message(calibration, 0, 'imu_link', Time(nanoseconds=1).to_msg())
     ready = by_temperature(calibration_of(message), 'topic')
@@ -421,8 +422,8 @@ def test_temperature_interpolates_every_parameter(terms: tuple[Term, ...], tmp_p
     parts = []
     for celsius, factor in ((0.0, 1.0), (20.0, 3.0)):
         values = factor * model.values(model.parameters)
-        seen = {'mean': celsius, 'lowest': celsius, 'highest': celsius}
-        parts.append(known(model.with_values(model.parameters, values), temperature=seen))
+        temperature = {'mean': celsius, 'lowest': celsius, 'highest': celsius}
+        parts.append(known(model.with_values(model.parameters, values), temperature=temperature))
     combine(parts, ['a', 'b']).save(tmp_path / 'both.yaml')
     both = load_calibration(tmp_path / 'both.yaml')
     assert not isinstance(both, Calibration)
@@ -642,10 +643,10 @@ def test_verify_accepts_with_every_term_and_names_the_one_that_is_missing(
     terms: tuple[Term, ...],
 ) -> None:
     model = unit(terms)
-    seen = observed(terms)
+    observation = observed(terms)
     # Deviations far below the session's own, and none that is zero.
     spread = np.diag((1e-7 * np.abs(model.values(model.parameters))) ** 2)
-    accepted = verify(known(model, spread), seen)
+    accepted = verify(known(model, spread), observation)
     assert accepted.verdict is Verdict.PASS
     for judged in accepted.triads:
         # Nothing but rounding, and the headings of a mean, is left of it.
@@ -653,7 +654,7 @@ def test_verify_accepts_with_every_term_and_names_the_one_that_is_missing(
     if len(terms) > 1:
         return
     lacking = unit(()).with_values(PARAMETERS, model.values(PARAMETERS))
-    rejected = verify(known(lacking, spread[:24, :24]), seen)
+    rejected = verify(known(lacking, spread[:24, :24]), observation)
     (judged,) = [t for t in rejected.triads if t.gyros == (terms[0].triad == 'g')]
     assert judged.verdict is Verdict.FAIL
     assert judged.diagnosis is not None

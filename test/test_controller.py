@@ -55,8 +55,8 @@ def led(session, monkeypatch):
         session.turn_at(rate).open(output='trajectory', **stand.PATIENT)
         session.controller = session.table.controller
         session.executor.add_node(session.controller)
-        says = session.watcher.says
-        assert session.until(lambda: says('controller', 0, 'accepts goals'))
+        has_report = session.watcher.has_report
+        assert session.until(lambda: has_report('controller', 0, 'accepts goals'))
         assert session.until(lambda: session.node._sequencer.feedback is not None)
         return session
 
@@ -100,9 +100,9 @@ def test_a_plan_that_starts_by_itself_waits_for_its_controller(session, monkeypa
     session.open(output='trajectory', autostart=True, **stand.PATIENT)
     controller = session.table.controller
     session.executor.add_node(controller)
-    says = session.watcher.says
-    assert session.until(lambda: says('controller', 2, 'No controller serves'))
-    assert session.until(lambda: says('joint states', 0, 'are received'))
+    has_report = session.watcher.has_report
+    assert session.until(lambda: has_report('controller', 2, 'No controller serves'))
+    assert session.until(lambda: has_report('joint states', 0, 'are received'))
     controller.serve()
     session.reaches(Phase.DONE)
     assert session.ends_stopped()

@@ -180,8 +180,8 @@ def test_rate_and_duration_of_what_was_written_are_printed(
     columns = ['--stamp', 't:s', '--gyro', 'wx,wy,wz:deg/s', '--accel', 'ax,ay,az:g']
     out = tmp_path / 'out'
     assert main(['convert', str(path), '-o', str(out), *columns]) == 0
-    said = '1001 messages on /imu/data_raw in 10.0 s, 100 Hz, written to'
-    assert said in capsys.readouterr().out
+    text = '1001 messages on /imu/data_raw in 10.0 s, 100 Hz, written to'
+    assert text in capsys.readouterr().out
     columns[:2] = ['--rate', '0.1 Hz']
     assert main(['convert', str(path), '-o', str(tmp_path / 'other'), *columns]) == 2
     assert '--rate 0.1 Hz: expected 2 Hz to 40 kHz' in capsys.readouterr().err
@@ -235,9 +235,9 @@ def test_other_commands_name_the_way(tmp_path: Path, capsys: pytest.CaptureFixtu
     for name, word in (('a.csv', 'is a text file'), ('b.bag', 'bag of ROS 1'), ('c.ulg', 'PX4')):
         path = write(tmp_path / name, 'x')
         assert main(['calibrate', str(path)]) == 2
-        said = ' '.join(capsys.readouterr().err.split())
-        assert word in said
-        assert 'imu-calib convert' in said
+        errors = ' '.join(capsys.readouterr().err.split())
+        assert word in errors
+        assert 'imu-calib convert' in errors
 
 
 def recording(folder: Path, topics: dict[str, tuple[Stamps, Floats, Floats]]) -> Path:
@@ -264,8 +264,8 @@ def test_numbers_of_other_units_than_stated_are_said(
 ) -> None:
     path = write(tmp_path / 'log.csv', ROW + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n')
     words = {'gyro': 'wx,wy,wz:deg/s', 'accel': 'ax,ay,az:g', 'stamp': 't:s'} | stated
-    (said,) = imu_calib.convert(path, tmp_path / 'out', **words).findings  # type: ignore[arg-type]
-    assert said.startswith('By the units that are stated ') and sentence in said
+    (finding,) = imu_calib.convert(path, tmp_path / 'out', **words).findings  # type: ignore[arg-type]
+    assert finding.startswith('By the units that are stated ') and sentence in finding
 
 
 def test_gyros_and_accelerometers_in_two_files_become_one_recording(
@@ -278,8 +278,8 @@ def test_gyros_and_accelerometers_in_two_files_become_one_recording(
     command = ['convert', str(gyro), '-o', str(tmp_path / 'out'), '--stamp', 't:s']
     command += ['--gyro', 'wx,wy,wz:rad/s', '--accel', '2,3,4:m/s^2']
     assert main(command[:-2]) == 2
-    said = capsys.readouterr().err
-    assert '--accel NAME,NAME,NAME:UNIT is not stated' in said and 'own: --accel-file.' in said
+    errors = capsys.readouterr().err
+    assert '--accel NAME,NAME,NAME:UNIT is not stated' in errors and 'own: --accel-file.' in errors
     command += ['--accel-file', str(accel)]
     assert main([*command, '--accel-stamp', '1:us']) == 2
     assert 'in another unit, ms would be 50 Hz' in capsys.readouterr().err.lower().replace(
@@ -314,8 +314,8 @@ def test_a_calibration_says_that_its_accelerometers_were_interpolated(tmp_path: 
     )
     found = imu_calib.calibrate(tmp_path / 'out', latitude=34.65).calibration
     assert found.provenance['accel_interpolated_from_hz'] == pytest.approx(25)
-    (said,) = [text for text in found.findings if 'interpolated' in text]
-    assert 'recorded at 25 Hz' in said and 'over less than 0.08 s' in said
+    (finding,) = [text for text in found.findings if 'interpolated' in text]
+    assert 'recorded at 25 Hz' in finding and 'over less than 0.08 s' in finding
     imu_calib.report(found, tmp_path / 'report.html')
     assert 'interpolated from 25' in (tmp_path / 'report.html').read_text(encoding='utf-8')
 

@@ -314,14 +314,14 @@ def test_a_clock_that_is_set_is_an_error_for_ten_seconds_and_then_a_warning(tmp_
     (tmp_path / 'line').write_bytes(b'')
     state = Source(str(tmp_path / 'line'), lambda: 0).state
 
-    def said(seconds):
+    def clock_status(seconds):
         words = health.statuses(state, Decoder(form).counts, clock, START, seconds)
         return next(word for word in words if word.part == 'clock')
 
     half = len(made) // 3
     data = columns('clock and counter', made)
     for part in (slice(0, half), slice(half, None)):
-        before = said(0.0)
+        before = clock_status(0.0)
         clock.feed(
             data['time'][part],
             data['counter'][part],
@@ -329,11 +329,11 @@ def test_a_clock_that_is_set_is_an_error_for_ten_seconds_and_then_a_warning(tmp_
             arrival[part],
         )
     assert before.severity is Severity.OK
-    assert said(1.0).severity is Severity.ERROR
+    assert clock_status(1.0).severity is Severity.ERROR
     # The first sample that was read after the step was made up to a bunch before.
-    said_at = re.fullmatch(SET_BACK, said(1.0).text)
+    said_at = re.fullmatch(SET_BACK, clock_status(1.0).text)
     assert APART - (BUNCH + 2 * MS) / NS <= float(said_at[1]) <= APART
-    assert said(12.0).severity is Severity.WARN
+    assert clock_status(12.0).severity is Severity.WARN
 
 
 def test_a_device_that_falls_silent_is_found_though_the_hosts_clock_was_set_back():

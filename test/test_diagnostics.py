@@ -51,8 +51,8 @@ def spoken():
         told = reported(words.with_name(taken))
         parts |= {('turntable_node', part) for part in told}
     for taken in ('applied_calibration.py', 'compensator_reports.py'):
-        said = reported(words.with_name(taken))
-        parts |= {('compensator_node', part) for part in said}
+        parts_of_words = reported(words.with_name(taken))
+        parts |= {('compensator_node', part) for part in parts_of_words}
     for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*_node.py'):
         parts |= {(path.stem, part) for part in reported(path)}
         if 'Commands(' in path.read_text():

@@ -123,14 +123,14 @@ def test_ctrl_c_ends_a_study(where: str, request: pytest.FixtureRequest) -> None
         assert until(lambda: at_work(running.pid, where), patience(120))
         # As a terminal sends it: to all of them.
         os.killpg(group, signal.SIGINT)
-        _, said = running.communicate(timeout=patience(120))
+        _, output = running.communicate(timeout=patience(120))
     finally:
         if running.poll() is None:
             os.killpg(group, signal.SIGKILL)
             running.communicate()
     assert running.returncode == 130
-    assert said.strip().splitlines()[-1] == 'imu-calib montecarlo: interrupted'
-    assert 'Traceback' not in said
+    assert output.strip().splitlines()[-1] == 'imu-calib montecarlo: interrupted'
+    assert 'Traceback' not in output
     assert until(lambda: not in_group(group))
 
 

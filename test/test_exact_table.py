@@ -74,22 +74,22 @@ def test_an_arcsecond_on_a_table_that_is_stated_exact_is_never_silently_wrong(
     wrong: str, seed: int
 ) -> None:
     solution = solved(wrong, seed)
-    (said,) = [f for f in solution.findings if 'table three_axis' in f]
+    (finding,) = [f for f in solution.findings if 'table three_axis' in f]
     assert not [f for f in solution.findings if OTHERS.search(f)]
-    if said.startswith('The session contradicts'):
+    if finding.startswith('The session contradicts'):
         # Which error it is, the session does not tell: as much is assumed of each.
         assert off(solution).max() < 4.5
         return
     for k in np.flatnonzero(off(solution) > 4.5):
         # What no sensor shows turns all misalignments alike, and is said.
         assert PARAMETERS[k].name.startswith('E')
-        assert f'E_{PARAMETERS[k].triad}' in said
+        assert f'E_{PARAMETERS[k].triad}' in finding
 
 
 def test_what_a_session_shows_of_them_is_counted_as_of_the_best_tables() -> None:
     solution = solved('all', 0)
-    (said,) = [f for f in solution.findings if 'table three_axis' in f]
-    assert said.startswith('The session contradicts table three_axis as its file describes it')
+    (finding,) = [f for f in solution.findings if 'table three_axis' in f]
+    assert finding.startswith('The session contradicts table three_axis as its file describes it')
     assert solution.search is not None
     table = solution.search.estimate.equations.evidence.table
     assert table is not None
@@ -104,10 +104,10 @@ def test_an_exact_table_widens_nothing_and_says_what_that_rests_on() -> None:
     estimate = solution.search.estimate
     evidence = estimate.equations.evidence
     assert evidence.table is TABLE
-    (said,) = solution.findings
+    (finding,) = solution.findings
     there = joint.solve(as_the_best(evidence))
     # It is known before that what the deviations would be, without fitting once more.
-    for name, minute in re.findall(r'([\d.]+) arcmin of (E_\w+)', said):
+    for name, minute in re.findall(r'([\d.]+) arcmin of (E_\w+)', finding):
         k = next(k for k, p in enumerate(PARAMETERS) if p.name == minute)
         assert there.std[k] == pytest.approx(float(name) * 60 * ARCSEC, rel=0.1)
         assert there.std[k] > 5 * solution.std[k]

@@ -190,8 +190,8 @@ def positioned(size: float) -> list[_Triad]:
     found = []
     for _ in range(2):
         joints, stops = rng.standard_normal((2, SIZE, 4))
-        left = rng.standard_normal(SIZE) + size * stops @ rng.standard_normal(4)
-        found.append(triad(residuals=left, positioning=(joints, stops)))
+        residuals = rng.standard_normal(SIZE) + size * stops @ rng.standard_normal(4)
+        found.append(triad(residuals=residuals, positioning=(joints, stops)))
     return found
 
 
@@ -339,16 +339,16 @@ def test_drift_is_swift_within_a_thirtieth_of_a_session_and_sooner_than_stated(
 
 def test_what_is_left_has_the_restricted_likelihood_of_the_outputs() -> None:
     rng = np.random.default_rng(0)
-    jacobian, left = rng.standard_normal((9, 3)), rng.standard_normal(9)
+    jacobian, residuals = rng.standard_normal((9, 3)), rng.standard_normal(9)
     root = rng.standard_normal((9, 9))
     noise, prior = root @ root.T + np.eye(9), rng.standard_normal((2, 4))
-    project, z = _restricted(jacobian, left, noise, prior)
+    project, z = _restricted(jacobian, residuals, noise, prior)
     assert project.shape == (9, 9 + 2 - 3)
 
     def restricted(covariance: Any) -> float:
         """Patterson and Thompson: outputs and priors, less what the parameters take up."""
         inverse = np.linalg.inv(block_diag(covariance, np.eye(2)))
-        design, y = np.vstack([jacobian, prior[:, :3]]), np.append(left, prior[:, 3])
+        design, y = np.vstack([jacobian, prior[:, :3]]), np.append(residuals, prior[:, 3])
         told = design.T @ inverse @ design
         rest = y - design @ np.linalg.solve(told, design.T @ inverse @ y)
         logs = np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(told)[1]
@@ -363,11 +363,11 @@ def test_what_is_left_has_the_restricted_likelihood_of_the_outputs() -> None:
 @pytest.mark.parametrize('rounding', [0.0, 1e-16, -3e-16])
 def test_columns_that_say_the_same_take_up_one_direction(rounding: float) -> None:
     rng = np.random.default_rng(1)
-    jacobian, left = rng.standard_normal((9, 3)), rng.standard_normal(9)
+    jacobian, residuals = rng.standard_normal((9, 3)), rng.standard_normal(9)
     prior = np.zeros((2, 4))
-    project, z = _restricted(jacobian, left, np.eye(9), prior)
+    project, z = _restricted(jacobian, residuals, np.eye(9), prior)
     twice = np.column_stack([jacobian, 1e-6 * (jacobian[:, 0] + rounding)])
-    same, rest = _restricted(twice, left, np.eye(9), np.zeros((2, 5)))
+    same, rest = _restricted(twice, residuals, np.eye(9), np.zeros((2, 5)))
     assert same.shape == project.shape
     assert same @ same.T == pytest.approx(project @ project.T, abs=1e-9)
     assert rest @ rest == pytest.approx(z @ z)
@@ -460,9 +460,9 @@ def test_slopes_are_what_is_left_of_drifts_that_are_estimated() -> None:
     drifting, _ = _triads(equations, state, 1000.0)
     # The bias of y rises by 3e-9 rad/s each second: by so much each of eleven slopes is too high.
     off = (gyros.residuals - drifting.residuals)[-33:].reshape(11, 3)
-    left = gyros.residuals[-33:].reshape(11, 3)
+    residuals = gyros.residuals[-33:].reshape(11, 3)
     drift = equations.evidence.segments[0].statistics.drift[1]
-    assert off[:, 1] == pytest.approx(np.full(11, 3e-9 * left[0, 1] / drift), rel=1e-6)
+    assert off[:, 1] == pytest.approx(np.full(11, 3e-9 * residuals[0, 1] / drift), rel=1e-6)
     assert off[:, [0, 2]] == pytest.approx(np.zeros((11, 2)), abs=1e-9)
 
 

@@ -90,7 +90,7 @@ def test_every_node_may_hang_and_the_session_ends_in_the_true_parameters(tmp_pat
         is_missed(stand, 'stand_node', seconds, MOVES, 'joint state')
         stand.fault('damage 10')
         assert stand.call('turntable_node/start')[0]
-        assert stand.wait(lambda: stand.said('imu_node: stream', 'damaged'))
+        assert stand.wait(lambda: stand.has_status('imu_node: stream', 'damaged'))
         stand.fault('clear')
         finishes(stand)
 

@@ -488,18 +488,18 @@ def test_schema_and_suite_refuse_the_same_and_the_suite_names_the_key(kind, docu
     crossed = [words for of, _, _, words in CROSSED if of == kind]
     wrong, schema = [], remembering(kind)
     for case in changed(kind, document, where):
-        said = refusal(kind, case.document)
+        message = refusal(kind, case.document)
         valid = schema.is_valid(case.document)
-        if valid and said:
-            right = any(re.search(words, said) for words in crossed)
-        elif said:
+        if valid and message:
+            right = any(re.search(words, message) for words in crossed)
+        elif message:
             key = next(part for part in reversed(case.path) if isinstance(part, str))
             named = rf'my\.yaml: (.*\b{re.escape(key)}\b|{ELSEWHERE.get(case.path, "$.")})'
-            right = re.match(named, said)
+            right = re.match(named, message)
         else:
             right = valid
         if not right:
-            wrong.append((case.path, case.what, 'valid' if valid else 'invalid', said))
+            wrong.append((case.path, case.what, 'valid' if valid else 'invalid', message))
     assert wrong == []
 
 
@@ -624,9 +624,9 @@ def test_the_messages_of_a_page_are_those_of_the_suite(name):
     ((kind, block),) = MESSAGES.findall(text)
     own = [yaml.safe_load(m) for _, m in EXAMPLE.findall(text)]
     document = own[0] if own else example(kind, 1)
-    said = [refusal(kind, with_values(copy.deepcopy(document), **m)) for m in MISTAKES[name]]
+    message = [refusal(kind, with_values(copy.deepcopy(document), **m)) for m in MISTAKES[name]]
     stated = [line.split(': ', 1)[1] for line in block.splitlines()]
-    assert stated == [words.removeprefix('my.yaml: ') for words in said]
+    assert stated == [words.removeprefix('my.yaml: ') for words in message]
 
 
 @pytest.mark.parametrize('path', pages.written(), ids=lambda p: p.name)

@@ -312,8 +312,8 @@ def warmed(rise: float = 4.0) -> Evidence:
 def test_changes_that_a_session_does_not_tell_go_or_are_refused() -> None:
     twice = Equations(warmed())
     assert changing.with_changes(twice, ()) == (twice, ())
-    found, left = changing.with_changes(twice, session_term('trend'))
-    assert (found.changes, left) == (session_term('trend'), ())
+    found, residuals = changing.with_changes(twice, session_term('trend'))
+    assert (found.changes, residuals) == (session_term('trend'), ())
     assert found.shape == 0.25
     once = session()
     few = replace(once.evidence, segments=once.evidence.segments[:1], turns=())
@@ -333,12 +333,12 @@ def test_scale_factors_of_choice_go_first(monkeypatch: pytest.MonkeyPatch) -> No
     known, without_k_a = np.ones(8, bool), np.array([True] * 7 + [False])
     answers = [(without_k_a, all_of), (known[:7], all_of)]
     monkeypatch.setattr(changing, '_determined', lambda _: answers.pop(0))
-    found, left = changing.with_changes(session(), trend)
-    assert (found.changes, left) == (trend[:7], trend[7:])
+    found, residuals = changing.with_changes(session(), trend)
+    assert (found.changes, residuals) == (trend[:7], trend[7:])
     # Where parameters are open, too, nobody knows by which of them: both go.
     answers[:] = [(without_k_a, ~all_of), (known[:6], all_of)]
-    found, left = changing.with_changes(session(), trend)
-    assert (found.changes, left) == (trend[:6], trend[6:])
+    found, residuals = changing.with_changes(session(), trend)
+    assert (found.changes, residuals) == (trend[:6], trend[6:])
     # What was asked for by name stays, and is refused; and so is a bias.
     for changes in (session_term('trend:K_a'), trend[:1]):
         answers[:] = [(known[:1] & False, all_of)] * 2
@@ -387,10 +387,10 @@ def test_the_time_constant_is_the_one_that_explains_most_and_is_doubted_by_the_o
     off, squares = [], []
     for fraction in [2 ** (k / 2) for k in range(-8, 3)]:
         one = replace(there, shape=fraction)
-        jacobian, left = stubbed(one, outputs, whitened, state)
-        step = np.linalg.lstsq(jacobian, left, rcond=1e-13)[0]
+        jacobian, residuals = stubbed(one, outputs, whitened, state)
+        step = np.linalg.lstsq(jacobian, residuals, rcond=1e-13)[0]
         off.append(step)
-        squares.append(float(((left - jacobian @ step) ** 2).sum()))
+        squares.append(float(((residuals - jacobian @ step) ** 2).sum()))
     weights = np.exp(-0.5 * np.array(squares))
     wanted = sum(w * np.outer(o, o) for w, o in zip(weights, off, strict=True)) / weights.sum()
     assert doubt[:24, :24] == pytest.approx(wanted[:24, :24], rel=1e-2, abs=1e-3 * wanted.max())
@@ -421,10 +421,10 @@ def test_an_instant_is_found_between_those_of_the_grid_and_doubted_by_its_neighb
     fine = found.shape + np.linspace(-3, 3, 241) * 1e9 / (end - begin)
     start, off, squares = np.append(state[:-6], np.zeros(6)), [], []
     for shape in fine.tolist():
-        jacobian, left = stubbed(replace(found, shape=shape), outputs, whitened, start)
-        step = np.linalg.lstsq(jacobian, left, rcond=1e-13)[0]
+        jacobian, residuals = stubbed(replace(found, shape=shape), outputs, whitened, start)
+        step = np.linalg.lstsq(jacobian, residuals, rcond=1e-13)[0]
         off.append(start + step - state)
-        squares.append(float(((left - jacobian @ step) ** 2).sum()))
+        squares.append(float(((residuals - jacobian @ step) ** 2).sum()))
     weights = np.exp(-0.5 * (np.array(squares) - min(squares)))
     whole = sum(w * np.outer(o, o) for w, o in zip(weights, off, strict=True)) / weights.sum()
     assert np.sqrt(np.diag(doubt)[-6:]) == pytest.approx(np.sqrt(np.diag(whole)[-6:]), rel=0.3)
@@ -440,10 +440,10 @@ def stubbed(there: Equations, outputs: Floats, call: Any, state: Floats) -> Any:
     kept = Equations.__dict__['whitened']
 
     def whitened(self: Equations, state: Floats) -> tuple[Floats, Floats]:
-        jacobian, left = kept(self, state)
+        jacobian, residuals = kept(self, state)
         m = len(outputs)
         return jacobian, np.append(
-            np.linalg.solve(self.factor(state), outputs - self.predict(state)), left[m:]
+            np.linalg.solve(self.factor(state), outputs - self.predict(state)), residuals[m:]
         )
 
     patch = pytest.MonkeyPatch()
@@ -514,7 +514,7 @@ def weighed(
 ) -> tuple[Any, list[Any]]:
     """Weigh down what is found one after the other; return the estimate and what was asked."""
     asked: list[Any] = []
-    left = list(squares)
+    residuals = list(squares)
 
     def scattering(equations: Any, state: Any, **more: Any) -> Any:
         asked.append(('scatter', equations.inflation is None, more))
@@ -526,8 +526,8 @@ def weighed(
         asked.append(
             ('find', plain.positioning.joints, with_scatter.positioning.joints, candidates)
         )
-        rows = np.arange(3) + 6 * len(left)
-        return outliers.Outlier(f'{len(left)}', rows, left.pop(0)) if left else None
+        rows = np.arange(3) + 6 * len(residuals)
+        return outliers.Outlier(f'{len(residuals)}', rows, residuals.pop(0)) if residuals else None
 
     monkeypatch.setattr(estimate, 'excess', scattering)
     monkeypatch.setattr(estimate, 'find_outlier', finding)

@@ -59,11 +59,11 @@ def done(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The catalogue of a batch over all of them."""
     folder = tmp_path_factory.mktemp('done') / 'catalogue'
     with pytest.MonkeyPatch.context() as patched:
-        said: list[str] = []
-        patched.setattr('imu_calib.cli.batch.ERRORS.print', lambda text, **_: said.append(text))
+        messages: list[str] = []
+        patched.setattr('imu_calib.cli.batch.ERRORS.print', lambda text, **_: messages.append(text))
         assert main(['batch', str(recordings), '-o', str(folder), '--workers', '2']) == 1
     # Where to look on, on the screen, whether it is a terminal or not.
-    assert said[0].startswith('dashboard: http://127.0.0.1:')
+    assert messages[0].startswith('dashboard: http://127.0.0.1:')
     return folder
 
 
@@ -304,20 +304,20 @@ def test_two_clients_and_a_reader_at_a_time(tmp_path: Path) -> None:
         return sum(kept.add([a_row(k)]) for k in range(20))
 
     def reader() -> list[int]:
-        seen = []
+        calls = []
         while not over.is_set():
             read = Catalogue(folder).table()
             assert len(set(read['key'].to_pylist())) == len(read)
-            seen.append(len(read))
-        return seen
+            calls.append(len(read))
+        return calls
 
     with ThreadPoolExecutor(3) as pool:
         reading = pool.submit(reader)
         added = list(pool.map(client, range(2)))
         over.set()
-        seen = reading.result()
+        calls = reading.result()
     assert sum(added) == 20 == len(rows(folder))
-    assert seen == sorted(seen)
+    assert calls == sorted(calls)
 
 
 def test_a_full_disk_loses_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -554,9 +554,9 @@ def test_where_no_catalogue_can_be_nothing_is_begun(
     file.touch()
     for place, words in ((tmp_path / 'none' / 'c', 'does not exist'), (file, 'is a file')):
         assert main(['batch', str(recordings / 'a'), '-o', str(place)]) == 2
-        said = capsys.readouterr().err
-        assert words in said
-        assert 'What was done' not in said
+        errors = capsys.readouterr().err
+        assert words in errors
+        assert 'What was done' not in errors
     assert not (tmp_path / 'none').exists()
 
 

@@ -235,8 +235,8 @@ def test_a_catalogue_of_failures_has_a_page(
     assert 'It failed: &lt;b&gt;x&lt;/b&gt;.' in text
     # The command says what the page begins with.
     assert main(['fleet', str(folder), '-o', str(path)]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith(
+    output = capsys.readouterr().out
+    assert output.startswith(
         '1 unit: 1 with a failed newest recording, 0 fine.\n2 recordings written'
     )
 
@@ -245,7 +245,7 @@ def test_wrong_usage_gets_a_sentence(
     catalogue: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
 ) -> None:
     out = ['-o', str(tmp_path / 'page.html')]
-    for words, said in (
+    for words, errors in (
         ([str(tmp_path), *out], 'is not a catalogue'),
         ([str(catalogue), '-o', str(tmp_path / 'no' / 'page.html')], 'does not exist'),
         ([str(catalogue), *out, '--on', 'soon'], "--on: found 'soon', expected a date"),
@@ -253,10 +253,10 @@ def test_wrong_usage_gets_a_sentence(
         ([str(catalogue), *out, '--where', 'nothing = 1'], 'nothing'),
     ):
         assert main(['fleet', *words]) == 2
-        assert said in ' '.join(capsys.readouterr().err.split())
+        assert errors in ' '.join(capsys.readouterr().err.split())
     assert main(['fleet', str(catalogue), *out, '--where', "imu = 'none'"]) == 1
-    said = ' '.join(capsys.readouterr().err.split())
-    assert "no row meets imu = 'none'. It has " in said and ', fog_medium, mems' in said
+    errors = ' '.join(capsys.readouterr().err.split())
+    assert "no row meets imu = 'none'. It has " in errors and ', fog_medium, mems' in errors
     assert not (tmp_path / 'page.html').exists()
     monkeypatch.setattr('imu_calib.extras.find_spec', lambda name: None if name == 'bokeh' else 1)
     with pytest.raises(InputError, match=r'needs bokeh.*imu_calib\[fleet\]'):
@@ -273,10 +273,10 @@ class Window:
         window = browser.new_context(viewport={'width': size, 'height': 900}, **options)
         self.page = window.new_page()
         self.page.set_default_timeout(120_000)
-        self.said: list[str] = []
+        self.console: list[str] = []
         self.asked: list[str] = []
-        self.page.on('console', lambda message: self.said.append(message.text))
-        self.page.on('pageerror', lambda error: self.said.append(str(error)))
+        self.page.on('console', lambda message: self.console.append(message.text))
+        self.page.on('pageerror', lambda error: self.console.append(str(error)))
         self.page.on('request', lambda request: self.asked.append(request.url))
         self.url = path.resolve().as_uri()
 
@@ -308,7 +308,7 @@ class Window:
 
 
 def check_it_opens_without_a_word_and_without_a_network(shown: Window) -> None:
-    assert shown.said == []
+    assert shown.console == []
     assert shown.asked == [shown.url]
     # 60 units, those with odd names and the one whose recording failed; no unit without a number.
     assert shown.matching() == '65 of 65 units, 1 to 50 shown'
@@ -408,7 +408,7 @@ def check_a_unit_shows_its_course(shown: Window, made: fleets.Invented) -> None:
     page.locator('#unit').press('Escape')
     assert not page.locator('#unit').is_visible()
     assert page.evaluate('document.activeElement.textContent') in ('A1007', 'mems_counts A1007')
-    assert shown.said == []
+    assert shown.console == []
 
 
 def check_files_of_a_unit_are_linked_where_they_lie(shown: Window, written: Path) -> None:
@@ -436,7 +436,7 @@ def check_names_are_text_and_nothing_else(shown: Window) -> None:
     page.wait_for_selector(f'#unit[data-drawn="{SLASHED}"]')
     page.goto(shown.url + '#unit=%ZZ/%')
     assert page.evaluate('typeof hacked') == 'undefined'
-    assert shown.said == [] and set(shown.asked) == {shown.url}
+    assert shown.console == [] and set(shown.asked) == {shown.url}
 
 
 def check_units_with_little_behind_them_open(shown: Window, name: str) -> None:
@@ -447,7 +447,7 @@ def check_units_with_little_behind_them_open(shown: Window, name: str) -> None:
     assert ('not calibrated' in text) == (name == 'lost')
     assert ('no date' in text) == (name != 'alone')
     assert shown.page.locator('#course > div').count() == (0 if name == 'lost' else 1)
-    assert shown.said == []
+    assert shown.console == []
 
 
 @needs_chromium
@@ -485,7 +485,7 @@ def test_no_text_stands_on_another(browser: Any, written: Path) -> None:
             assert width(page) <= size
             # WCAG 2.1, 1.4.3.
             assert [t for t in contrasts(page) if t['ratio'] < 4.5] == [], size
-            assert window.said == []
+            assert window.console == []
 
 
 @needs_chromium
@@ -544,4 +544,4 @@ def test_5000_units_open_in_three_seconds(browser: Any, tmp_path: Path) -> None:
         shown.locator('#unit-rows a').click()
         shown.wait_for_selector('#unit[data-drawn="A5999"]')
         assert thread_time(session) - opened < OPENS
-        assert window.said == [] and window.asked == [window.url]
+        assert window.console == [] and window.asked == [window.url]

@@ -133,8 +133,8 @@ def test_listing_page_and_history_take_them_as_any(
     capsys.readouterr()
     # The plan is too short for what the type promises.
     assert main(['history', str(done), '--json']) == 3
-    said = json.loads(capsys.readouterr().out)
-    assert {unit['serial'] for unit in said['result']['units']} == {'A1', 'A2'}
+    output = json.loads(capsys.readouterr().out)
+    assert {unit['serial'] for unit in output['result']['units']} == {'A1', 'A2'}
 
 
 def test_a_recording_that_gives_nothing_is_a_row_for_each_unit(folder: Path) -> None:

@@ -74,8 +74,8 @@ class Linear:
     def whitened(self, values: Floats) -> tuple[Floats, Floats]:
         columns = self.jac[:, : len(values)]
         std = np.ones(len(columns)) if self.inflation is None else np.sqrt(self.inflation)
-        left = self.outputs - columns @ values
-        return columns / std[:, None], left / std
+        residuals = self.outputs - columns @ values
+        return columns / std[:, None], residuals / std
 
     def moved(self, values: Floats, step: Floats) -> tuple[Linear, Floats]:
         return self, values + step
@@ -101,16 +101,16 @@ def test_a_group_scatters_by_its_chi_square_over_what_no_unknown_took() -> None:
     # One unknown of accelerometers, two of a turn: 5, 6 and 7 degrees of freedom.
     columns = np.zeros((21, 3))
     columns[3, 0] = columns[12, 1] = columns[13, 2] = 7.0
-    left = np.zeros(21)
-    left[[4, 5, 9]] = 4.0
-    left[[0, 1]] = 0.5
-    left[[18, 19, 20]] = 10.0
-    found, freedom, chances = _scatter(state(left, columns))
+    residuals = np.zeros(21)
+    residuals[[4, 5, 9]] = 4.0
+    residuals[[0, 1]] = 0.5
+    residuals[[18, 19, 20]] = 10.0
+    found, freedom, chances = _scatter(state(residuals, columns))
     assert found == pytest.approx([np.sqrt(48 / 5), 1.0, np.sqrt(300 / 7)])
     assert freedom == pytest.approx([5, np.inf, 7])
     assert chances == pytest.approx(chi2.sf([48, 0.5, 300], [5, 6, 7]))
     # As it is without the factors that were found before.
-    again = state(left, columns).scattering(np.array([9.0, 3.0, 2.0]))
+    again = state(residuals, columns).scattering(np.array([9.0, 3.0, 2.0]))
     assert _scatter(again)[0] == pytest.approx(found)
 
 
@@ -125,12 +125,12 @@ def test_scatter_that_few_degrees_of_freedom_tell_may_be_larger() -> None:
 
 def test_what_another_group_lends_by_wrong_weights_is_no_scatter() -> None:
     """The mean of six gyros of noise 50 and of nine turns of noise 1, all said to have noise 1."""
-    left = np.zeros(21)
-    left[[0, 1, 2, 6, 7, 8]] = [70, -20, 50, 80, 30, -10]
-    left[12:] = [1, -1, 0.5, -0.5, 1, -1, 0.5, -0.5, 0]
+    residuals = np.zeros(21)
+    residuals[[0, 1, 2, 6, 7, 8]] = [70, -20, 50, 80, 30, -10]
+    residuals[12:] = [1, -1, 0.5, -0.5, 1, -1, 0.5, -0.5, 0]
     columns = np.zeros((21, 1))
     columns[[0, 1, 2, 6, 7, 8]] = columns[12:] = 1.0
-    first = state(left, columns).settled()
+    first = state(residuals, columns).settled()
     assert _scatter(first)[0][2] > 5
     found = _weighed(first)
     assert found.scatter[[0, 2]].tolist() == [1.0, 1.0]
@@ -142,9 +142,9 @@ def test_what_another_group_lends_by_wrong_weights_is_no_scatter() -> None:
 def test_it_widens_where_chance_leaves_as_much_once_in_a_hundred(
     chance: float, scatters: bool
 ) -> None:
-    left = np.zeros(21)
-    left[0] = np.sqrt(chi2.isf(chance, 6))
-    assert (_scatter(state(left))[0] > 1).tolist() == [False, scatters, False]
+    residuals = np.zeros(21)
+    residuals[0] = np.sqrt(chi2.isf(chance, 6))
+    assert (_scatter(state(residuals))[0] > 1).tolist() == [False, scatters, False]
 
 
 @pytest.mark.parametrize(('chance', 'named'), [(1.1e-3, []), (0.9e-3, ['the gyros at rest'])])
@@ -162,19 +162,19 @@ def test_it_is_named_where_chance_does_so_once_in_a_thousand(
 def test_one_degree_of_freedom_widens_by_all_that_is_left() -> None:
     columns = np.zeros((21, 5))
     columns[[0, 1, 2, 6, 7], range(5)] = 1.0
-    left = np.zeros(21)
-    left[8] = 50.0
-    found, freedom, _ = _scatter(state(left, columns))
+    residuals = np.zeros(21)
+    residuals[8] = 50.0
+    found, freedom, _ = _scatter(state(residuals, columns))
     assert found * _scatter_limit(freedom) == pytest.approx([1.0, 50.0, 1.0])
 
 
 def test_a_group_without_freedom_does_not_scatter() -> None:
     columns = np.zeros((21, 5))
     columns[[0, 1, 2, 6, 7], range(5)] = 1.0
-    left = np.zeros(21)
-    left[8] = 50.0
+    residuals = np.zeros(21)
+    residuals[8] = 50.0
     columns = np.column_stack([columns, np.eye(21)[8]])
-    assert _scatter(state(left, columns))[0].tolist() == [1.0, 1.0, 1.0]
+    assert _scatter(state(residuals, columns))[0].tolist() == [1.0, 1.0, 1.0]
 
 
 def test_scatter_inflates_the_variances_of_its_group() -> None:
@@ -187,9 +187,9 @@ def test_scatter_inflates_the_variances_of_its_group() -> None:
 
 def sized(*sizes: float) -> Floats:
     """Residuals of turns of these sizes."""
-    left = np.zeros(12 + 3 * len(sizes))
-    left[12::3], left[13::3] = 0.6 * np.array(sizes), -0.8 * np.array(sizes)
-    return left
+    residuals = np.zeros(12 + 3 * len(sizes))
+    residuals[12::3], residuals[13::3] = 0.6 * np.array(sizes), -0.8 * np.array(sizes)
+    return residuals
 
 
 @pytest.mark.parametrize(
@@ -208,11 +208,11 @@ def test_a_turn_far_out_of_the_usual_is_found(
     sizes: tuple[float, ...], limit: float, wanted: int | None
 ) -> None:
     layout = OutputLayout(dwells=2, moves=len(sizes))
-    left = sized(*sizes)
+    residuals = sized(*sizes)
     # Headings are sought: about the vertical nothing is left.
-    basis = np.zeros((len(left), len(sizes)))
+    basis = np.zeros((len(residuals), len(sizes)))
     basis[14::3] = np.eye(len(sizes))
-    assert _outstanding_turn(state(left, None, layout), basis, left, limit) == wanted
+    assert _outstanding_turn(state(residuals, None, layout), basis, residuals, limit) == wanted
 
 
 @pytest.mark.parametrize('seed', range(4))
@@ -277,8 +277,8 @@ def test_what_is_left_open_is_named_with_what_would_determine_it() -> None:
 def explained(extra: float) -> tuple[_State, Floats, Floats]:
     """Forty outputs of 21 unknowns, and nine of a term that explain so much more."""
     rng = np.random.default_rng(7)
-    columns, left = 1e3 * rng.standard_normal((40, 30)), rng.standard_normal(40)
-    outputs = left + columns[:, 21:] @ rng.standard_normal(9) * extra
+    columns, residuals = 1e3 * rng.standard_normal((40, 30)), rng.standard_normal(40)
+    outputs = residuals + columns[:, 21:] @ rng.standard_normal(9) * extra
     equations: Any = Linear(columns, outputs, OutputLayout(5, 0, 10 // 3))
     start = _State(equations, np.zeros(21), np.ones(3)).settled()
     return start, columns, outputs
@@ -493,7 +493,7 @@ def test_a_fit_says_what_it_found_of_all_24() -> None:
     assert (wrong[std > 0] < 4.5 * std[std > 0]).all()
 
 
-def feeling(g: Floats, seed: int) -> Evidence:
+def g_sensitive_evidence(g: Floats, seed: int) -> Evidence:
     """Holds and turns whose gyros feel gravity wherever it is meanwhile."""
     them = ups(14)
     evidence = held(TRUE, them, np.random.default_rng(seed))
@@ -512,7 +512,7 @@ def feeling(g: Floats, seed: int) -> Evidence:
 
 def test_gyros_that_feel_gravity_get_a_term() -> None:
     g = np.array([[3e-4, 1e-4, 0.0], [0.0, -2e-4, 1e-4], [-1e-4, 0.0, 1e-4]])
-    found = solve(feeling(g, 4))
+    found = solve(g_sensitive_evidence(g, 4))
     assert found.parameters == (*PARAMETERS, *G_SENSITIVITY.parameters)
     assert found.chance < 1e-3
     std = np.sqrt(np.diag(found.covariance)[24:]).reshape(3, 3)

@@ -311,8 +311,8 @@ def test_three_angles_are_a_choice_of_frame() -> None:
 
 def test_gravity_has_one_length_in_fresh_attitudes() -> None:
     fresh = calibrator(spread_holds(20, 71), unit(0), 71)
-    seen = fresh.evidence(fresh.finish().session)
-    outputs, variances = seen.outputs(), seen.variances()
+    evidence = fresh.evidence(fresh.finish().session)
+    outputs, variances = evidence.outputs(), evidence.variances()
     _, force = result().calibration.model.compensate(outputs[:, :3], outputs[:, 3:])
     off = np.linalg.norm(force, axis=1) - SITE.gravity
     noise = np.sqrt(np.mean(variances[:, 3:]))
@@ -388,8 +388,8 @@ def test_a_lost_turn_costs_little_and_is_said() -> None:
             replace(block, stamp=block.stamp[keep], gyro=block.gyro[keep], accel=block.accel[keep])
         )
     found = free.finish()
-    said = '1 turn is lost, and the gyros know less: from hold 4 to 5 (samples are missing).'
-    assert said in found.calibration.findings
+    text = '1 turn is lost, and the gyros know less: from hold 4 to 5 (samples are missing).'
+    assert text in found.calibration.findings
     wrong = found.calibration.values - in_frame_of_accelerometers(unit(0)).vector()
     assert np.abs(wrong[SCALES]).max() < 300 * PPM
 
@@ -408,12 +408,12 @@ def test_guidance_asks_for_what_is_missing() -> None:
     with pytest.raises(NotObservable):
         free.finish()
     found = free.evidence(free.review().session)
-    told = guide(found)
-    assert told.stage is Stage.TURN
-    assert told.holds == 5
-    assert 'Z down' in told.candidates[0].words
-    assert told.candidates[0].words in told.text
-    gains = [c.gain for c in told.candidates]
+    guidance = guide(found)
+    assert guidance.stage is Stage.TURN
+    assert guidance.holds == 5
+    assert 'Z down' in guidance.candidates[0].words
+    assert guidance.candidates[0].words in guidance.text
+    gains = [c.gain for c in guidance.candidates]
     assert gains == sorted(gains, reverse=True)
     assert min(gains) > 0
     assert guide(found, holding=1.0).text == 'Hold still: 2 s more.'

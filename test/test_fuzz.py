@@ -48,14 +48,14 @@ def test_what_is_not_allowed_is_found(feed, capsys):
 
 
 def test_the_same_seed_makes_the_same_inputs():
-    seen = []
+    calls = []
     for _ in range(2):
         inputs = []
         target = fuzz.Target('kept', [bytes(100)], inputs.append)
         assert fuzz.run(target, seed=3, first=0, count=50) == 50
-        seen.append(inputs)
-    assert seen[0] == seen[1]
-    assert len(set(seen[0])) > 40
+        calls.append(inputs)
+    assert calls[0] == calls[1]
+    assert len(set(calls[0])) > 40
 
 
 def test_an_input_that_does_not_end_is_broken_off_and_kept(tmp_path, capsys):

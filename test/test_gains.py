@@ -53,9 +53,9 @@ FELT = replace(TRUE, g_sensitivity=1e-7 * np.arange(9.0).reshape(3, 3))
 def test_a_hundredth_of_the_largest_is_the_least(last: float, refused: bool) -> None:
     design = np.diag([1.0, last])
     if refused:
-        with pytest.raises(NotObservable) as told:
+        with pytest.raises(NotObservable) as refusal:
             inverse(design, ['one', 'two'], 'The rows')
-        assert str(told.value) == (
+        assert str(refusal.value) == (
             'The rows cannot tell apart two (condition number 1e+02, at most 100): not observable.'
         )
         return
@@ -170,9 +170,9 @@ def test_an_axis_without_turns_is_named(axis: int) -> None:
     evidence = evidence_of()
     turns = tuple(t for t in evidence.turns if abs(t.up[axis]) < 0.5)
     name = 'xyz'[axis]
-    with pytest.raises(NotObservable) as told:
+    with pytest.raises(NotObservable) as refusal:
         rate_test_weights(replace(evidence, turns=turns))
-    assert str(told.value) == (
+    assert str(refusal.value) == (
         f'No whole turn about {name.upper()} was found: K_g{name} and the responses of the gyros '
         f'to {name.upper()} cannot be determined.'
     )
@@ -418,9 +418,9 @@ def test_a_response_known_to_a_tenth_is_the_least() -> None:
     assert of_z == pytest.approx(0.1023, abs=1e-4)
     weights = off_axis_four._weights(four(), SITE, 'here')
     static_six.gyros_only(alone('off_axis_four', tenth * 0.97), weights, 1.0)
-    with pytest.raises(NotObservable) as told:
+    with pytest.raises(NotObservable) as refusal:
         off_axis_four.solve(alone('off_axis_four', tenth * 1.03))
-    assert str(told.value) == (
+    assert str(refusal.value) == (
         'The Earth turns too slowly for the noise of these gyros and these dwells: known no better '
         'than to a tenth are K_gx (0.1), K_gy (0.1), K_gz (0.11), E_gxy (0.1), E_gxz (0.11), '
         'E_gyx (0.1), E_gyz (0.11), E_gzx (0.1), E_gzy (0.1).'
@@ -438,9 +438,9 @@ def lost(name: str, *positions: str) -> Evidence:
 
 
 def test_an_axis_that_was_never_down_is_named() -> None:
-    with pytest.raises(NotObservable) as told:
+    with pytest.raises(NotObservable) as refusal:
         twelve_position.solve(lost('twelve_position', '3', '4'))
-    assert str(told.value) == (
+    assert str(refusal.value) == (
         'No position with X down was found (missing: 3, 4): K_ax and the responses of the '
         'accelerometers to X cannot be determined.'
     )
@@ -456,9 +456,9 @@ def test_a_group_that_is_not_whole_is_left_out_of_the_biases() -> None:
     # Four dwells of 120 s.
     noise = found.shares[Source.NOISE].covariance[9, 9]  # type: ignore[index]
     assert np.sqrt(noise) == pytest.approx(GYRO_WALK / np.sqrt(4 * 120), rel=1e-3)
-    with pytest.raises(NotObservable) as told:
+    with pytest.raises(NotObservable) as refusal:
         twelve_position.solve(lost('twelve_position', '2', '6', '11'))
-    assert str(told.value) == (
+    assert str(refusal.value) == (
         'In no group of four positions does the Earth rate cancel (missing: 2, 6, 11): D_gx, D_gy, '
         'D_gz cannot be determined without north.'
     )

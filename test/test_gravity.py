@@ -148,9 +148,9 @@ def test_the_screen_and_the_file_say_what_was_assumed(tmp_path, monkeypatch, cap
     place = ['--latitude', '34.65', '--height', '520']
     assert main(['simulate', './short.yaml', '-o', 'bag', *place]) == 0
     assert main(['calibrate', 'bag', '--latitude', '34.65', '-o', 'unknown.yaml']) == 0
-    said = ' '.join(capsys.readouterr().out.split())
-    assert 'The height of the site was not stated and is taken as 0 m' in said
-    assert 'known to 160 ppm, which the standard deviations of K_a include' in said
+    output = ' '.join(capsys.readouterr().out.split())
+    assert 'The height of the site was not stated and is taken as 0 m' in output
+    assert 'known to 160 ppm, which the standard deviations of K_a include' in output
     document = yaml.safe_load(Path('unknown.yaml').read_text())
     assert any('height of the site was not stated' in f for f in document['findings'])
     unknown = Calibration.load(Path('unknown.yaml'))
@@ -164,9 +164,9 @@ def test_the_screen_and_the_file_say_what_was_assumed(tmp_path, monkeypatch, cap
         (['--height', '520', '--height-std', '100'], 43.9, ['known to 43.9 ppm']),
     ):
         assert main(['calibrate', 'bag', '-o', 'known.yaml', *options]) == 0
-        said = ' '.join(capsys.readouterr().out.split())
-        assert all(text in said for text in words)
-        assert 'height of the site' not in said
+        output = ' '.join(capsys.readouterr().out.split())
+        assert all(text in output for text in words)
+        assert 'height of the site' not in output
         found = Calibration.load(Path('known.yaml')).provenance
         assert found['gravity_std'] / found['gravity'] / PPM == pytest.approx(doubt, rel=2e-3)
         assert found['gravity'] == LUOYANG_520.gravity
@@ -226,8 +226,8 @@ def test_verify_asks_less_of_k_a_where_gravity_differs_and_no_less_where_it_is_t
         plan = at_one_rate(quick_plan('six_position', 20.0))
         blocks = session(plan, stand(azimuth=0.7), 3)
         calibrator = fed(blocks, Setup(paper_imu(), plan, table, site))
-        seen = observe(calibrator._segmenter.finish(), paper_imu(), site, plan, table)
-        return verify(calibration, seen).verdict
+        observation = observe(calibrator._segmenter.finish(), paper_imu(), site, plan, table)
+        return verify(calibration, observation).verdict
 
     assert verdict(good, unknown) is Verdict.PASS
     # The same place: gravity errs alike in both, and 100 ppm are the unit's.
@@ -245,11 +245,11 @@ def test_several_sessions_of_one_place_share_the_error_of_gravity() -> None:
     both = []
     for celsius in (0.0, 40.0):
         made = made_with(Site.at(LATITUDE))
-        seen = {'mean': celsius, 'lowest': celsius, 'highest': celsius}
+        temperature = {'mean': celsius, 'lowest': celsius, 'highest': celsius}
         # Of two recordings: one in place of both would be refused.
         values = made.model.vector() + celsius * 1e-12
         made = replace(made, model=made.model.with_values(PARAMETERS, values))
-        both.append(replace(made, provenance={**made.provenance, 'temperature': seen}))
+        both.append(replace(made, provenance={**made.provenance, 'temperature': temperature}))
     between = combine(both, ['a', 'b']).at(20.0)
     assert of_gravity(between) == pytest.approx(of_gravity(both[0]), rel=0.01)
     rows = {r.parameter.name: r for r in repeated(both, ['a', 'b'])}

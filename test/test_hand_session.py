@@ -142,8 +142,8 @@ def test_what_a_turn_from_rest_to_rest_leaves_of_a_level_rate() -> None:
     stamp = np.rint(times[1:] * 1e9).astype(np.int64)
     sensor = Sensor.of(spec)
     values = np.hstack([gyro, force])
-    seen = Around(sensor, values, sensor.samples(stamp, values))
-    (motion,) = read_free_motion(seen, Motion(0, int(stamp[-1]), stamp, np.empty((0, 0))))
+    neighbours = Around(sensor, values, sensor.samples(stamp, values))
+    (motion,) = read_free_motion(neighbours, Motion(0, int(stamp[-1]), stamp, np.empty((0, 0))))
     assert abs(motion.level) == pytest.approx(fresnel(np.sqrt(2))[1] / np.sqrt(2), abs=1e-3)
 
 
@@ -178,5 +178,5 @@ def test_turns_that_are_missing_are_said_beforehand(tmp_path, capsys) -> None:
             writer.write('/imu/raw', Kind.IMU.type_name, message, block.stamp)
     arguments = ['info', str(tmp_path / 'holds'), '--plan', plan.name, '--imu', 'mems_counts']
     assert main([*arguments, '--latitude', '34.65']) == 0
-    told = ' '.join(capsys.readouterr().out.split())
-    assert f'missing of plan {plan.name}: the turns at y_turn, the turns at z_turn' in told
+    output = ' '.join(capsys.readouterr().out.split())
+    assert f'missing of plan {plan.name}: the turns at y_turn, the turns at z_turn' in output

@@ -289,14 +289,14 @@ def test_charts_see_a_unit_that_changes() -> None:
 
     found = backtest(sessions(np.random.default_rng(51), 30, 12, truth=truth), LIMITS)
 
-    def seen(unit: int, chart: Chart) -> set[tuple[int, str]]:
+    def signals_of(unit: int, chart: Chart) -> set[tuple[int, str]]:
         return {
             (s.index, s.parameter) for s in found.units[unit].charts.signals if s.chart is chart
         }
 
-    assert (7, 'K_gx') in seen(0, Chart.INDIVIDUALS)
-    assert {name for _, name in seen(1, Chart.EWMA)} == {'K_ay'}
-    assert (7, '') in seen(2, Chart.T2)
+    assert (7, 'K_gx') in signals_of(0, Chart.INDIVIDUALS)
+    assert {name for _, name in signals_of(1, Chart.EWMA)} == {'K_ay'}
+    assert (7, '') in signals_of(2, Chart.T2)
     assert any('Out of control on' in s for s in found.units[0].findings)
 
 
@@ -347,9 +347,9 @@ def test_what_does_not_count_is_said() -> None:
     values[1] = np.nan
     serial = (*made.serial[:2], '', *made.serial[3:])
     found = backtest(replace(made, date=date, values=values, serial=serial), LIMITS)
-    said = ' '.join(found.findings)
+    findings = ' '.join(found.findings)
     for reason in ('no date', 'no serial number', 'no estimated parameter'):
-        assert f'1 of 12 sessions are ignored: they have {reason}' in said
+        assert f'1 of 12 sessions are ignored: they have {reason}' in findings
     assert [unit.serial for unit in found.units] == ['F001', 'F002', 'F003']
 
 
@@ -357,9 +357,9 @@ def test_a_type_without_limits_and_a_number_of_two_types() -> None:
     rng = np.random.default_rng(92)
     other = replace(sessions(rng, 2, 3, imu='mems'), serial=('F000',) * 3 + ('M1',) * 3)
     found = backtest(joined(sessions(rng, 2, 3), other), LIMITS)
-    said = ' '.join(found.findings)
-    assert 'No specification of mems is known' in said
-    assert 'Serial number F000 occurs with the types fog and mems: counted as 2 units' in said
+    findings = ' '.join(found.findings)
+    assert 'No specification of mems is known' in findings
+    assert 'Serial number F000 occurs with the types fog and mems: counted as 2 units' in findings
     assert [(u.imu, u.serial) for u in found.units if u.serial == 'F000'] == [
         ('fog', 'F000'),
         ('mems', 'F000'),
@@ -376,8 +376,10 @@ def test_without_deviations_and_with_singular_covariances() -> None:
     assert np.median(bare.populations['fog'].turn_on / SCALE) == pytest.approx(1.12, abs=0.1)
     some = made.covariance.copy()
     some[:7] = np.nan
-    said = backtest(replace(made, covariance=some), LIMITS).findings
-    assert any(s.startswith('7 of 100 sessions of fog state no standard deviation') for s in said)
+    findings = backtest(replace(made, covariance=some), LIMITS).findings
+    assert any(
+        s.startswith('7 of 100 sessions of fog state no standard deviation') for s in findings
+    )
     exact = backtest(replace(made, covariance=np.zeros_like(made.covariance)), LIMITS)
     assert np.median(exact.populations['fog'].turn_on / SCALE) == pytest.approx(1.12, abs=0.1)
     for one in (bare, exact):

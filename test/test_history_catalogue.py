@@ -108,9 +108,9 @@ def test_history_from_python(laboratory: Path) -> None:
     assert first.limit[index('K_gx')] == pytest.approx(5e-4)
     # The same recording calibrated by an older version does not count.
     assert abs(second.values[:, index('K_gx')]).max() < 1e-3
-    said = ' '.join(found.findings)
-    assert '1 row of recordings that were calibrated again: the newest counts' in said
-    assert 'No recording of F900 gave a calibration' in said
+    findings = ' '.join(found.findings)
+    assert '1 row of recordings that were calibrated again: the newest counts' in findings
+    assert 'No recording of F900 gave a calibration' in findings
 
 
 def test_one_unit_and_some_rows(laboratory: Path) -> None:
@@ -141,8 +141,8 @@ Run = Callable[..., tuple[int, str, str]]
 def run(capsys: pytest.CaptureFixture[str]) -> Run:
     def command(*words: object) -> tuple[int, str, str]:
         code = main(['history', *map(str, words)])
-        said = capsys.readouterr()
-        return code, said.out, said.err
+        printed = capsys.readouterr()
+        return code, printed.out, printed.err
 
     return command
 

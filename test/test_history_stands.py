@@ -193,8 +193,8 @@ def test_effects_of_a_balanced_design_are_differences_of_means() -> None:
     expected = table.mean(axis=0) - table.mean()
     # Huber's weights take little off where all is normal.
     assert found.effect == pytest.approx(expected, abs=0.03)
-    left = table - table.mean(axis=1, keepdims=True) - expected
-    plain = np.sqrt(np.sum(left**2) / 78 / 40 * 2 / 3)
+    residuals = table - table.mean(axis=1, keepdims=True) - expected
+    plain = np.sqrt(np.sum(residuals**2) / 78 / 40 * 2 / 3)
     assert np.sqrt(np.diag(found.covariance)) == pytest.approx(np.full(3, plain), rel=0.1)
     assert found.freedom == 78 and found.comparable
 

@@ -272,7 +272,7 @@ def test_what_two_tell_together_is_said_together() -> None:
         order = iter(['b', 'a', 'c'])
         wanted: dict[int, str] = {}
 
-        def told(equations: Any, scale: Floats) -> float:
+        def gain(equations: Any, scale: Floats) -> float:
             # By what all three together make of each parameter.
             assert scale.tolist() == [4.0] * 23 + [1.0]
             n = len(equations.had)
@@ -280,7 +280,7 @@ def test_what_two_tell_together_is_said_together() -> None:
                 wanted[n] = next(order)
             return float(equations.had[-1] == wanted[n])
 
-        patch.setattr(lacking, '_information', told)
+        patch.setattr(lacking, '_information', gain)
         start: Any = Having(had=[], evidence=SimpleNamespace(segments=[0]))
         found = lacking.advice(start)
     names = ', '.join(NAMES[:2])

@@ -36,17 +36,17 @@ def test_a_table_that_stands_is_nothing_to_be_told():
 
 def test_what_a_joint_does_is_told_as_it_begins_as_it_doubles_and_as_it_stands():
     watch = standing()
-    told = []
+    messages = []
     ways = [0.06, 0.08, 0.119, 0.121, 0.2, 0.23, 0.25, 0.3]
     for k, way in enumerate(ways):
         if watch.check(at(0.2 + 0.1 * k, outer=-way, rate=-1.0)):
-            told.append(way)
+            messages.append(way)
             assert watch.moves
             assert watch.text == (
                 'Joint outer moves while it is to stand at 0.000 deg: it is at -0.060 deg. '
                 f'Joint outer moved {way:.2f} deg, at up to 1 deg/s, {NOT_LED}; it still moves.'
             )
-    assert told == [0.06, 0.121, 0.25]
+    assert messages == [0.06, 0.121, 0.25]
     # On the way back it has gone no further.
     assert not watch.check(at(1.1, outer=-0.1, rate=2.0))
     assert watch.check(at(1.2, outer=-0.1))
@@ -89,8 +89,8 @@ def test_the_joint_that_went_furthest_is_named():
 def test_it_rests_when_neither_angle_nor_rate_shows_a_motion(step, rate, rests):
     watch = standing()
     watch.check(at(0.2, outer=1.0, rate=5.0))
-    told = watch.check(at(0.3, outer=1.0 + step, rate=rate))
-    assert (told, watch.moves) == (rests, not rests)
+    fault = watch.check(at(0.3, outer=1.0 + step, rate=rate))
+    assert (fault, watch.moves) == (rests, not rests)
 
 
 def test_a_table_that_is_still_moving_after_its_time_to_stop_is_told():

@@ -82,26 +82,26 @@ class Listener(ros.Node):
             )
         }
         self.payloads = {topic: [] for topic in self.drains}
-        self.said = {}
-        self.create_subscription(kinds.DiagnosticArray, '/diagnostics', self.hear, 100)
+        self.statuses = {}
+        self.create_subscription(kinds.DiagnosticArray, '/diagnostics', self.take_diagnostics, 100)
         self.create_timer(0.005, self.take, clock=STEADY)
 
     def take(self):
         for topic, drain in self.drains.items():
             self.payloads[topic] += ros.drain(drain)
 
-    def hear(self, message):
+    def take_diagnostics(self, message):
         for status in message.status:
             part = status.name.partition(': ')[2]
             figures = {v.key: v.value for v in status.values}
-            self.said.setdefault(part, []).append((status.level[0], status.message, figures))
+            self.statuses.setdefault(part, []).append((status.level[0], status.message, figures))
 
     def samples(self, topic='imu/pulses'):
         (block,) = decode_imu(Messages.join(self.payloads[topic]))
         return block
 
-    def heard(self, part, level, words):
-        return any(lv == level and words in text for lv, text, _ in self.said.get(part, []))
+    def has_status(self, part, level, words):
+        return any(lv == level and words in text for lv, text, _ in self.statuses.get(part, []))
 
 
 class Bench:
@@ -221,9 +221,11 @@ def test_garbage_and_lost_frames_are_said_and_no_damaged_frame_is_published(benc
     numbers = bench.listener.samples().gyro[:, 0]
     missing = sorted(set(range(int(numbers[-1]) + 1)) - set(numbers.astype(int)))
     assert missing == [601, 612, *range(620, 627)]
-    assert bench.until(lambda: bench.listener.heard('stream', 1, 'Frames are damaged on the way.'))
-    assert bench.until(lambda: bench.listener.said['stream'][-1][2]['lost frames'] == '9')
-    figures = bench.listener.said['stream'][-1][2]
+    assert bench.until(
+        lambda: bench.listener.has_status('stream', 1, 'Frames are damaged on the way.')
+    )
+    assert bench.until(lambda: bench.listener.statuses['stream'][-1][2]['lost frames'] == '9')
+    figures = bench.listener.statuses['stream'][-1][2]
     assert figures['bad frames'] == '2'
     assert figures['bytes skipped'] == str(200 + 44 + 44)
 
@@ -235,12 +237,14 @@ def test_silence_is_an_error_that_says_since_when_and_ends_with_the_next_frame(b
     bench.while_spinning(lambda: bench.device.send(600))
     assert bench.arrived(600)
     ended = time.time()
-    assert bench.until(lambda: bench.listener.heard('stream', 2, 'No frame has come since'))
-    text = next(t for lv, t, _ in bench.listener.said['stream'] if 'since' in t and lv == 2)
+    assert bench.until(lambda: bench.listener.has_status('stream', 2, 'No frame has come since'))
+    text = next(t for lv, t, _ in bench.listener.statuses['stream'] if 'since' in t and lv == 2)
     moments = range(int(began - 0.1), int(ended + 0.1) + 1)
     assert text.split()[-1] in {f'{datetime.fromtimestamp(t):%H:%M:%S}.' for t in moments}
     bench.while_spinning(lambda: bench.device.send(10, skip=500))
-    assert bench.until(lambda: bench.listener.heard('stream', 1, 'Frames are missing for 0.501 s'))
+    assert bench.until(
+        lambda: bench.listener.has_status('stream', 1, 'Frames are missing for 0.501 s')
+    )
 
 
 def test_a_clock_that_jumps_is_an_error_and_stamps_go_on(bench):
@@ -256,7 +260,7 @@ def test_a_clock_that_jumps_is_an_error_and_stamps_go_on(bench):
     bench.while_spinning(lambda: bench.device.send(100, spoil=later))
     assert bench.arrived(700)
     assert (np.diff(bench.listener.samples().stamp) == NS // RATE).all()
-    assert bench.until(lambda: bench.listener.heard('clock', 2, 'jumped. By 3 s.'))
+    assert bench.until(lambda: bench.listener.has_status('clock', 2, 'jumped. By 3 s.'))
 
 
 @pytest.mark.parametrize('step', [-20.0, 3600.0, -0.2])
@@ -275,7 +279,7 @@ def test_when_the_hosts_clock_is_set_stamps_follow_it_with_the_next_frame(bench,
     assert np.flatnonzero(steps).tolist() == [599]
     # The two clocks are read apart by less than a millisecond, as a thread is interrupted.
     assert steps[599] == pytest.approx(set_by, abs=10_000_000)
-    assert bench.until(lambda: bench.listener.heard('clock', 2, "The host's clock was set"))
+    assert bench.until(lambda: bench.listener.has_status('clock', 2, "The host's clock was set"))
 
 
 def test_a_connection_that_breaks_is_opened_again_and_said(bench):
@@ -283,7 +287,7 @@ def test_a_connection_that_breaks_is_opened_again_and_said(bench):
     bench.connect()
     bench.while_spinning(lambda: bench.device.send(600))
     bench.device.line.close()
-    assert bench.until(lambda: bench.listener.heard('port', 2, 'closed by the other end'))
+    assert bench.until(lambda: bench.listener.has_status('port', 2, 'closed by the other end'))
     bench.connect()
     bench.while_spinning(lambda: bench.device.send(100))
     assert bench.arrived(700)
@@ -301,7 +305,7 @@ def test_faults_of_the_device_are_said_in_words(bench):
 
     bench.while_spinning(lambda: bench.device.send(20, spoil=limited))
     assert bench.until(
-        lambda: bench.listener.heard('status', 2, 'reports: a channel is at its limit.')
+        lambda: bench.listener.has_status('status', 2, 'reports: a channel is at its limit.')
     )
 
 
@@ -310,7 +314,7 @@ def test_bytes_of_another_device_are_said_to_be_that(bench):
     bench.connect()
     bench.while_spinning(lambda: bench.device.line.sendall(bytes(5000)))
     assert bench.until(
-        lambda: bench.listener.heard('format', 2, 'no frame of the format simulated')
+        lambda: bench.listener.has_status('format', 2, 'no frame of the format simulated')
     )
 
 
@@ -346,9 +350,9 @@ def test_a_file_and_a_skewed_channel(bench, tmp_path):
     skew = bench.listener.samples('imu/skew')
     assert skew.gyro[:, 0].tolist() == [-k for k in range(300)]
     assert (skew.stamp == bench.listener.samples().stamp).all()
-    assert bench.until(lambda: bench.listener.heard('port', 0, 'was read to its end'))
-    assert bench.until(lambda: bench.listener.said.get('stream'))
-    assert not any(level == 2 for level, _, _ in bench.listener.said['stream'])
+    assert bench.until(lambda: bench.listener.has_status('port', 0, 'was read to its end'))
+    assert bench.until(lambda: bench.listener.statuses.get('stream'))
+    assert not any(level == 2 for level, _, _ in bench.listener.statuses['stream'])
 
 
 def test_a_port_that_is_missing_is_refused_in_a_sentence(bench):
@@ -378,14 +382,16 @@ def test_the_program_ends_clean_and_says_what_is_wrong(bench, tmp_path):
     bench.device.accept()
     bench.device.send(600)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=patience())
-    assert process.returncode == 0, said
-    assert 'Traceback' not in said
+    _, output = process.communicate(timeout=patience())
+    assert process.returncode == 0, output
+    assert 'Traceback' not in output
 
 
 def test_simulated_time_before_the_first_clock_message_opens_nothing(bench):
     bench.open(use_sim_time='true')
-    assert bench.until(lambda: bench.listener.heard('clock', 1, 'There is no message on /clock'))
+    assert bench.until(
+        lambda: bench.listener.has_status('clock', 1, 'There is no message on /clock')
+    )
     assert not bench.node._source.state.open
 
 
@@ -423,14 +429,14 @@ def test_in_simulated_time_stamps_are_right_to_a_step_of_the_clock(bench):
     step(200)
     bench.until(lambda: bench.node.get_clock().now().nanoseconds == EPOCH + 20 * NS)
     bench.until(lambda: False, 0.1)
-    assert not bench.listener.heard('stream', 2, 'No frame has come')
+    assert not bench.listener.has_status('stream', 2, 'No frame has come')
 
 
 def test_a_simulation_that_is_started_anew_is_stamped_by_its_own_clock(bench):
     """Its frames may be here before the first word of its clock is."""
     step = in_simulated_time(bench, 1000)
     bench.device.line.close()
-    assert bench.until(lambda: bench.listener.heard('port', 2, 'closed by the other end'))
+    assert bench.until(lambda: bench.listener.has_status('port', 2, 'closed by the other end'))
     bench.connect()
     bench.device.sent = 0
     bench.while_spinning(lambda: bench.device.send(100))

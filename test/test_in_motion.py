@@ -48,14 +48,14 @@ def test_compensation_takes_off_what_motion_adds() -> None:
     # At the arm all three are together: where places are zero along their own axes.
     together = replace(QUIET, places=((0.11, -0.05, 0.08),) * 3, late=0.0)
     wanted = compensated(together, known(terms=False)).values.force
-    left = compensated(QUIET, known(terms=False)).values.force - wanted
+    residuals = compensated(QUIET, known(terms=False)).values.force - wanted
     freed = compensated(QUIET, known(terms=True)).values
     off = freed.force - wanted
-    gained, drifted = (np.abs(np.cumsum(part, axis=0) * 0.01).max() for part in (off, left))
+    gained, drifted = (np.abs(np.cumsum(part, axis=0) * 0.01).max() for part in (off, residuals))
     # Where a joint starts within a sample it is half right; what is gained on the way is.
     assert drifted > 5e-3
     assert gained < 0.02 * drifted
-    at_rest = np.abs(left).max(axis=1) < 1e-9
+    at_rest = np.abs(residuals).max(axis=1) < 1e-9
     assert np.abs(off[at_rest]).max() < 0.1
     # What is not known of them is in the covariance of forces, while it moves alone.
     plain = compensated(QUIET, known(terms=False)).values

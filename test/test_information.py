@@ -133,11 +133,11 @@ def test_accelerometers_in_turns_are_as_good_as_rests_but_for_the_lever_arm() ->
     # takes what goes with the square of the rate, along it what 50 micrometres of arm leave.
     seconds, squares = np.array([36.0, 12, 6] * 2), (np.array([10.0, 30, 60] * 2) * DEG) ** 2
 
-    def left(known: float) -> float:
+    def remaining_information(known: float) -> float:
         return float(seconds.sum() - (seconds @ squares) ** 2 / (seconds @ squares**2 + known))
 
     rows, weights = [], []
-    along, across = left((ACCEL_WALK / 5e-5) ** 2), left(0.0)
+    along, across = remaining_information((ACCEL_WALK / 5e-5) ** 2), remaining_information(0.0)
     for axis, turned in enumerate((along, across, across)):
         for sign, weight in ((1, 240.0 + turned), (-1, 240.0)):
             rows.append([1.0, *(sign * np.eye(3)[axis])])

@@ -243,13 +243,15 @@ def test_table_and_unit_are_heard_at_the_same_time(states: list[float], words: s
 
 
 def test_the_first_of_equal_setpoints_is_kept() -> None:
-    def asked(stamp: int, step: int, position: str = 'a', mode: Mode = Mode.RATE) -> Setpoint:
+    def requested(stamp: int, step: int, position: str = 'a', mode: Mode = Mode.RATE) -> Setpoint:
         return Setpoint(stamp, 'p', step, position, mode, (), (), (), 1, 0.0)
 
     intake = StreamBuffer(TABLE, skewed=False)
-    intake.take_setpoints(SetpointBlock((asked(1, 0), asked(2, 0), asked(3, 1))))
-    intake.take_setpoints(SetpointBlock((asked(4, 1), asked(5, 1, 'b'), asked(6, 1, 'b'))))
-    intake.take_setpoints(SetpointBlock((asked(7, 1, 'b', Mode.HOLD), asked(8, 0))))
+    intake.take_setpoints(SetpointBlock((requested(1, 0), requested(2, 0), requested(3, 1))))
+    intake.take_setpoints(
+        SetpointBlock((requested(4, 1), requested(5, 1, 'b'), requested(6, 1, 'b')))
+    )
+    intake.take_setpoints(SetpointBlock((requested(7, 1, 'b', Mode.HOLD), requested(8, 0))))
     assert [s.stamp for s in intake.setpoints] == [1, 3, 5, 7, 8]
 
 
@@ -415,15 +417,15 @@ def repeating(count: int, pairs: int, *runs: int) -> Floats:
 
 @pytest.mark.parametrize(('pairs', 'times'), [(0, 8), (5, 8), (6, 9)])
 def test_by_chance_samples_repeat_themselves_once_in_1e9_segments(pairs: int, times: int) -> None:
-    told = []
+    messages = []
     for count in range(24, 400):
         found = repeating_samples(repeating(count, pairs, times), counted=True)
         # Of the steps beside the run one more than its pairs, and two more than there are.
         chance = (pairs + 1) / (count - 1 - times + 2)
         frozen = count * chance**times <= 1e-9
         assert found.sum() == (times if frozen else 0)
-        told.append(frozen)
-    assert set(told) == {True, False}
+        messages.append(frozen)
+    assert set(messages) == {True, False}
 
 
 def test_runs_are_judged_without_those_that_are_longer() -> None:

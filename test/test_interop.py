@@ -130,7 +130,7 @@ def ask(runtime, domain, *words, seconds=60):
     return done.stdout, done.stderr
 
 
-def hear(runtime, domain, *words):
+def listen(runtime, domain, *words):
     python = [] if runtime == 'dds' else ['python3']
     # It ends before the tests lose their patience with it, and says what it has got.
     most = patience(30)
@@ -145,7 +145,7 @@ def hear(runtime, domain, *words):
 def test_every_message_arrives_as_it_was_sent(sends, hears, rmw):
     domain = environment(RMW_IMPLEMENTATION=rmw)
     with talker(sends, domain):
-        heard, complaints = hear(hears, domain)
+        heard, complaints = listen(hears, domain)
     assert heard['got'] == heard['expected']
     assert complaints == ''
 
@@ -154,7 +154,7 @@ def test_every_message_arrives_as_it_was_sent(sends, hears, rmw):
 def test_a_service_answers_across_runtimes(serves, asks):
     domain = environment()
     with talker(serves, domain):
-        heard, _ = hear(asks, domain, 'ask')
+        heard, _ = listen(asks, domain, 'ask')
     assert heard['got']['answer'] == {'success': True, 'message': 'heard'}
     assert ['talker', '/stand'] in heard['nodes']
     assert ['listener', '/stand'] in heard['nodes']

@@ -58,15 +58,15 @@ def found(**given: Any) -> Any:
     return SimpleNamespace(**{**quiet, 'equations': equations, **given})
 
 
-def said(monkeypatch: pytest.MonkeyPatch, what: Any) -> list[str]:
+def finding_texts(monkeypatch: pytest.MonkeyPatch, what: Any) -> list[str]:
     for name in ('_astray', '_scattering', 'temperature_finding'):
         monkeypatch.setattr(joint_findings, name, lambda *_: [])
     return joint_findings.estimate_findings(what, ())
 
 
 def test_a_clean_estimate_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert said(monkeypatch, found()) == []
-    assert said(monkeypatch, found(turns_scatter=1.5)) != []
+    assert finding_texts(monkeypatch, found()) == []
+    assert finding_texts(monkeypatch, found(turns_scatter=1.5)) != []
 
 
 def test_residuals_are_told_with_the_deviation_of_all_that_errs() -> None:
@@ -109,7 +109,7 @@ def test_what_counts_for_less_is_named_with_its_size(monkeypatch: pytest.MonkeyP
     outliers = [
         SimpleNamespace(name=name, chi_square=square) for name, square in (('a', 36.0), ('b', 81.0))
     ]
-    assert said(monkeypatch, found(outliers=outliers)) == [
+    assert finding_texts(monkeypatch, found(outliers=outliers)) == [
         'Outliers, given less weight: a (6 sigma), b (9 sigma, leaning).'
     ]
 
@@ -124,11 +124,11 @@ def test_a_heading_that_was_found_elsewhere_and_a_tilt_are_told(
     }
     what = found(nuisance=lambda which: values[which])
     what.equations.any_heading = True
-    assert said(monkeypatch, what) == [
+    assert finding_texts(monkeypatch, what) == [
         'The gyros see north 3.0 +- 0.4 deg off the azimuth given, which is therefore not used.'
     ]
     what.equations.any_heading, what.equations.levelled = False, 1.0
-    assert said(monkeypatch, what) == [
+    assert finding_texts(monkeypatch, what) == [
         'The table is tilted by 50 arcsec, more than the 20 arcsec to which it was taken to be '
         'level.'
     ]
@@ -137,7 +137,7 @@ def test_a_heading_that_was_found_elsewhere_and_a_tilt_are_told(
 def test_changes_that_a_session_does_not_tell_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     constant = [SimpleNamespace(name='K_gx'), SimpleNamespace(name='D_ax')]
     monkeypatch.setattr(joint_findings, 'names_of', lambda _: ['trend', 'warm_up'])
-    (sentence,) = said(monkeypatch, found(constant=constant))
+    (sentence,) = finding_texts(monkeypatch, found(constant=constant))
     assert sentence.startswith(
         'The session does not determine how K_gx, D_ax change (trend and warm_up): taken as'
     )
@@ -217,8 +217,8 @@ def test_what_the_noise_leaves_of_a_session_widens_the_earth_rate() -> None:
     for segment, clean in zip(segments, CLEAN.segments, strict=True):
         rows += [[*TRUE.gyro.response[c] @ clean.attitude.T, *np.eye(3)[c]] for c in range(3)]
         wanted += list((segment.statistics.mean - clean.statistics.mean)[:3])
-    left = np.array(wanted) - np.array(rows) @ np.linalg.lstsq(rows, wanted, rcond=None)[0]
-    square = float(left @ left) / (GYRO_WALK**2 / 120)
+    residuals = np.array(wanted) - np.array(rows) @ np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    square = float(residuals @ residuals) / (GYRO_WALK**2 / 120)
     size = len(there.state)
     outputs = len(there.equations.outputs) + there.equations.nuisances
     ratio = square / (outputs - size - 2)
@@ -256,10 +256,10 @@ def test_what_converges_at_no_latitude_is_told_as_that(monkeypatch: pytest.Monke
         joint.solve(CLEAN)
     # Where it converges at the latitude that the gyros see, that is the cause.
     wrong = replace(CLEAN, site=replace(SITE, latitude=SITE.latitude + 3 * DEG))
-    seen: list[float] = []
+    calls: list[float] = []
 
     def estimated(evidence: Any) -> Any:
-        seen.append(evidence.site.latitude)
+        calls.append(evidence.site.latitude)
         return replace(
             there, equations=replace(there.equations, evidence=replace(CLEAN, site=wrong.site))
         )
@@ -268,7 +268,7 @@ def test_what_converges_at_no_latitude_is_told_as_that(monkeypatch: pytest.Monke
     monkeypatch.setattr(joint, 'estimate', estimated)
     with pytest.raises(WrongLatitude):
         joint.solve(wrong)
-    assert seen[0] == pytest.approx(SITE.latitude, abs=0.05 * DEG)
+    assert calls[0] == pytest.approx(SITE.latitude, abs=0.05 * DEG)
     monkeypatch.setattr(joint, 'estimate', raising(NotObservable('lost')))
     with pytest.raises(NotConverged):
         joint.solve(wrong)

@@ -62,7 +62,7 @@ def turn(start: float, up: Floats, rate: float = 1.0) -> Turn:
     return Turn(round(start * NS), round((start + 2) * NS), mean_of(np.zeros(6)), rate, 1.0, up)
 
 
-def asked(
+def setpoint_at(
     stamp: float,
     position: str,
     mode: Mode = Mode.POSITION,
@@ -182,7 +182,7 @@ def test_the_angle_off_is_said() -> None:
 
 def test_without_a_plan_attitudes_are_all_there_is() -> None:
     none = replace(plan(), positions=())
-    found = label(session(rest(0, UPS['c']), setpoints=(asked(-1, 'a'),)), none, TABLE)
+    found = label(session(rest(0, UPS['c']), setpoints=(setpoint_at(-1, 'a'),)), none, TABLE)
     assert names(found) == ['Z up, heading 0 deg']
     assert len(label(session(rest(0)), none, None).segments) == 1
 
@@ -207,7 +207,7 @@ def test_turns_have_the_name_of_the_position_whose_axis_is_up() -> None:
 
 def test_turns_have_the_name_of_the_setpoint_in_their_middle() -> None:
     # Each lasts two seconds.
-    setpoints = tuple(asked(t, n, Mode.RATE) for t, n in ((1, 'a'), (20.5, 'c'), (30.5, 'b')))
+    setpoints = tuple(setpoint_at(t, n, Mode.RATE) for t, n in ((1, 'a'), (20.5, 'c'), (30.5, 'b')))
     turns = tuple(turn(t, Y) for t in (18.0, 19.4, 19.6, 29.6))
     found = label(session(turns=turns, setpoints=setpoints), plan(turns='b'), TABLE)
     assert [t.position for t in found.turns] == ['a', 'a', 'c', 'b']
@@ -231,7 +231,12 @@ def test_only_what_the_plan_names_is_of_it() -> None:
 
 
 def test_a_rest_is_where_the_last_setpoint_brought_it() -> None:
-    setpoints = (asked(0, 'c'), asked(20, 'a'), asked(30, 'b', Mode.HOLD), asked(41, 'b'))
+    setpoints = (
+        setpoint_at(0, 'c'),
+        setpoint_at(20, 'a'),
+        setpoint_at(30, 'b', Mode.HOLD),
+        setpoint_at(41, 'b'),
+    )
     # Before the first the session has not begun; the middle of a rest tells.
     rests = [rest(-9, UPS['c'], 8.0), rest(5, UPS['c']), rest(29, UPS['a']), rest(37, UPS['b'])]
     found = label(session(*rests, setpoints=setpoints), plan(), TABLE)
@@ -239,7 +244,7 @@ def test_a_rest_is_where_the_last_setpoint_brought_it() -> None:
 
 
 def test_setpoints_are_by_the_clock_of_the_table() -> None:
-    setpoints = (asked(0, 'c'), asked(20, 'a'))
+    setpoints = (setpoint_at(0, 'c'), setpoint_at(20, 'a'))
     rests = [rest(17, UPS['c'], 10.0)]  # its middle is at 22 s
     assert names(label(session(*rests, setpoints=setpoints), plan(), TABLE)) == ['a']
     late = session(*rests, setpoints=setpoints, offset=2.5)
@@ -247,7 +252,7 @@ def test_setpoints_are_by_the_clock_of_the_table() -> None:
 
 
 def test_a_rest_whose_joints_are_off_is_no_rest_of_the_position() -> None:
-    setpoints = (asked(0, 'c', angles=(10.0, 350.0)),)
+    setpoints = (setpoint_at(0, 'c', angles=(10.0, 350.0)),)
     for outer, off in ((10.19, False), (9.81, False), (370.0, False), (10.21, True)):
         held = rest(5, UPS['a'], angles=(outer, -10.0))
         (found,) = label(session(held, setpoints=setpoints), plan(), TABLE).segments
@@ -267,7 +272,10 @@ def test_a_rest_whose_joints_are_off_is_no_rest_of_the_position() -> None:
 def test_where_a_stand_is_switched_on_again_is_no_rest_of_the_setpoint_before(
     mode: Mode, seconds: float, used: bool
 ) -> None:
-    setpoints = (asked(0, 'c', mode, angles=(10.0, 0.0)), asked(60, 'a', angles=(0.0, 0.0)))
+    setpoints = (
+        setpoint_at(0, 'c', mode, angles=(10.0, 0.0)),
+        setpoint_at(60, 'a', angles=(0.0, 0.0)),
+    )
     resting = rest(30, UPS['b'], angles=(0.0, 90.0)), rest(65, UPS['a'], angles=(0.0, 0.0))
     silence = (round((29.5 - seconds) * NS), round(29.5 * NS))
     resumed = replace(session(*resting, setpoints=setpoints), interruptions=(silence,))
@@ -278,13 +286,13 @@ def test_where_a_stand_is_switched_on_again_is_no_rest_of_the_setpoint_before(
 
 def test_a_table_that_kept_its_place_goes_on_with_its_rest() -> None:
     held = rest(30, UPS['c'], angles=(10.0, 0.0))
-    resumed = session(held, setpoints=(asked(0, 'c', angles=(10.0, 0.0)),))
+    resumed = session(held, setpoints=(setpoint_at(0, 'c', angles=(10.0, 0.0)),))
     resumed = replace(resumed, interruptions=((5 * NS, 25 * NS),))
     assert names(label(resumed, plan(), TABLE)) == ['c']
 
 
 def test_without_an_attitude_it_is_rejected_or_has_that_of_the_plan() -> None:
-    setpoints = (asked(0, 'c'), asked(20, 'x'))
+    setpoints = (setpoint_at(0, 'c'), setpoint_at(20, 'x'))
     found = label(session(rest(5), rest(25), setpoints=setpoints), plan(), None)
     (held,) = found.segments
     assert held.attitude is UPS['c']
@@ -295,7 +303,7 @@ def test_without_an_attitude_it_is_rejected_or_has_that_of_the_plan() -> None:
 
 def test_rests_between_turns_have_no_name_of_the_plan() -> None:
     leaning = rotation(X, 45 * DEG)
-    setpoints = (asked(0, 'c', Mode.RATE), asked(30, 'a', dwell=0.0))
+    setpoints = (setpoint_at(0, 'c', Mode.RATE), setpoint_at(30, 'a', dwell=0.0))
     rests = [rest(5, leaning), rest(35, leaning)]
     found = label(session(*rests, setpoints=setpoints), plan(), TABLE)
     assert all(str(name).startswith('Y +45') for name in names(found))
@@ -304,7 +312,11 @@ def test_rests_between_turns_have_no_name_of_the_plan() -> None:
 
 
 def test_what_was_rejected_while_passing_through_is_not_told() -> None:
-    setpoints = (asked(0, 'c', dwell=0.0), asked(20, 'a'), asked(40, 'b', Mode.RATE, 0.0))
+    setpoints = (
+        setpoint_at(0, 'c', dwell=0.0),
+        setpoint_at(20, 'a'),
+        setpoint_at(40, 'b', Mode.RATE, 0.0),
+    )
     gone = [Rejected((t - 1) * NS, (t + 1) * NS, 'any') for t in (-5, 10, 19, 21, 50)]
     found = label(session(setpoints=setpoints, rejected=tuple(gone)), plan(), TABLE)
     told = [((r.start // NS) + 1, r.position) for r in found.rejected]
@@ -312,16 +324,20 @@ def test_what_was_rejected_while_passing_through_is_not_told() -> None:
 
 
 def test_setpoints_of_another_plan_are_refused() -> None:
-    setpoints = (asked(0, 'x', ran='other'), asked(9, 'y', ran='one'), asked(9, 'x', ran='other'))
+    setpoints = (
+        setpoint_at(0, 'x', ran='other'),
+        setpoint_at(9, 'y', ran='one'),
+        setpoint_at(9, 'x', ran='other'),
+    )
     with pytest.raises(InputError) as error:
         label(session(setpoints=setpoints), plan(), TABLE)
     assert str(error.value) == (
         'The setpoints of the recording are of plan one, other with positions x, y; '
         'plan any has a, b, c. Give the plan that was run.'
     )
-    label(session(setpoints=(*setpoints, asked(20, 'c'))), plan(), TABLE)
+    label(session(setpoints=(*setpoints, setpoint_at(20, 'c'))), plan(), TABLE)
     # HOLD asks for no position.
-    label(session(setpoints=(asked(0, 'x', Mode.HOLD),)), plan(), TABLE)
+    label(session(setpoints=(setpoint_at(0, 'x', Mode.HOLD),)), plan(), TABLE)
 
 
 # A unit that shifts in its mount
@@ -342,9 +358,9 @@ def test_one_way_of_sitting_in_the_mount_is_kept(
     slips = tuple(MountShift(t * NS, 0.1 * DEG) for t in instants)
     found = label(session(*rests, slips=slips), plan(), TABLE)
     assert [s.start // NS for s in found.segments] == kept
-    said = ', '.join(f'by 0.100 deg after {t - 5} s' for t in instants)
+    text = ', '.join(f'by 0.100 deg after {t - 5} s' for t in instants)
     assert found.notes == (
-        f'The unit shifted in its mount ({said}): misalignments before and after differ, so only '
+        f'The unit shifted in its mount ({text}): misalignments before and after differ, so only '
         f'{words} used',
     )
 
@@ -353,7 +369,7 @@ def test_turns_and_positions_count_for_a_mount() -> None:
     slips = (MountShift(50 * NS, 0.25 * DEG),)
     rests = [rest(0, UPS['a']), rest(20, UPS['a']), rest(60, UPS['b'])]
     turns = (turn(80, Z), turn(90, Z))
-    setpoints = (asked(-1, 'a'), asked(55, 'b'))
+    setpoints = (setpoint_at(-1, 'a'), setpoint_at(55, 'b'))
     # One position before; a position and two turns after.
     found = label(session(*rests, turns=turns, slips=slips, setpoints=setpoints), plan(), TABLE)
     assert [s.start // NS for s in found.segments] == [60]

@@ -151,17 +151,17 @@ def test_what_is_launched_ends_with_its_launcher_even_if_that_is_killed(command,
     try:
         assert launcher.stdout.readline()
         assert launcher.stdout.readline() == b'ready\n'
-        assert left(mark)
+        assert processes_with(mark)
         launcher.kill()
         launcher.wait()
-        assert until(lambda: not left(mark)), left(mark)
+        assert until(lambda: not processes_with(mark)), processes_with(mark)
     finally:
         launcher.stdout.close()
-        for number in left(mark):
+        for number in processes_with(mark):
             os.kill(number, signal.SIGKILL)
 
 
-def left(mark):
+def processes_with(mark):
     """Return the processes with a mark in their environment."""
     found = []
     for process in Path('/proc').glob('[0-9]*'):
@@ -190,8 +190,8 @@ def test_a_file_of_units_becomes_a_node_for_each(tmp_path):
     assert second.parameters['frame_id'] == 'unit_B_2_imu_link'
     assert first.remappings == []
     assert second.remappings == [('imu/pulses', '/second/imu')]
-    (left,) = launching.devices({'units': str(file), 'without': 'B-2'})
-    assert left.namespace == 'unit_A1'
+    (processes_with,) = launching.devices({'units': str(file), 'without': 'B-2'})
+    assert processes_with.namespace == 'unit_A1'
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def test_a_compensator_publishes_while_it_is_active_alone(monkeypatch, file):
         assert not manager.to('activate')
         assert stays_in()
         assert manager.to('configure')
-        assert bench.until(lambda: bench.said('calibration', 'is applied'))
+        assert bench.until(lambda: bench.has_status('calibration', 'is applied'))
         assert manager.state == 'inactive'
         assert stays_in()
         for _ in range(2):
@@ -81,7 +81,7 @@ def test_a_compensator_publishes_while_it_is_active_alone(monkeypatch, file):
             assert manager.state == 'active'
             assert goes_out()
             assert manager.to('deactivate')
-            assert bench.until(lambda: bench.said('lifecycle', 'Not active'))
+            assert bench.until(lambda: bench.has_status('lifecycle', 'Not active'))
             assert stays_in()
         assert manager.to('cleanup')
         assert manager.state == 'unconfigured'
@@ -143,10 +143,10 @@ def test_without_ros_a_node_that_nobody_can_activate_is_refused(name):
     code = f'from imu_calib.nodes.programs import start\nraise SystemExit(start("{name}"))'
     arguments = ['--ros-args', '-p', 'autostart:=false', '-p', 'port:=socket://127.0.0.1:9']
     process = start(code, *arguments, **environment())
-    _, said = process.communicate(timeout=patience())
+    _, output = process.communicate(timeout=patience())
     assert process.returncode == 2
-    assert 'autostart: found false, expected true' in said
-    assert 'Traceback' not in said
+    assert 'autostart: found false, expected true' in output
+    assert 'Traceback' not in output
 
 
 def opened(monkeypatch, **parameters):

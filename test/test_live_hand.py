@@ -48,7 +48,7 @@ class Session:
         self.hand = held(seed, model)
         self.decoder = Decoder(load_format('simulated'))
         self.calibrator = HandCalibrator(Setup(SPEC, load_plan('free_positions'), None, SITE))
-        self.said = []
+        self.advice = []
 
     def goes_on(self, seconds):
         samples = self.decoder.feed(self.hand.advance(seconds))
@@ -57,7 +57,7 @@ class Session:
     def advises(self):
         review = self.calibrator.snapshot().review()
         guidance = review.guidance
-        self.said.append(guidance)
+        self.advice.append(guidance)
         self.hand.advise(guidance.holds, direction(guidance.candidates[0].words))
         return review
 
@@ -102,17 +102,17 @@ def test_a_session_that_begins_in_a_turn_is_guided_whatever_the_gyros_read_at_re
 
 def test_the_countdown_runs_while_the_unit_is_held_and_the_hold_counts_at_its_end():
     session = Session()
-    told = []
+    messages = []
     for _ in range(36):
         session.goes_on(0.1)
-        told.append(session.calibrator.snapshot().review().guidance)
-    stages = [guidance.stage for guidance in told]
+        messages.append(session.calibrator.snapshot().review().guidance)
+    stages = [guidance.stage for guidance in messages]
     assert stages[10] is Stage.HOLD
-    assert told[10].text == 'Hold still: 2 s more.'
-    assert told[10].holds == 0
+    assert messages[10].text == 'Hold still: 2 s more.'
+    assert messages[10].holds == 0
     assert stages[-1] is Stage.TURN
-    assert told[-1].holds == 1
-    assert 'Hold still' not in told[-1].text
+    assert messages[-1].holds == 1
+    assert 'Hold still' not in messages[-1].text
 
 
 def test_the_hand_goes_where_it_is_told_and_nowhere_while_it_waits():

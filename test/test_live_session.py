@@ -136,16 +136,16 @@ def test_the_result_is_that_of_the_journal_however_the_messages_came(
 
 def test_reviews_on_the_way_leave_the_result_as_it_is(tmp_path, wire):
     session = begin(tmp_path / 'journal')
-    seen = []
+    calls = []
     for k in range(8):
         send(session, wire, np.random.default_rng(k), k / 8, (k + 1) / 8)
         session.solve()
         while not session.poll():
             time.sleep(0.01)
         rested(session)
-        seen.append(int((session.review.std > 0).sum()))
-    assert seen == sorted(seen)
-    assert seen[0] < seen[-1] == 24
+        calls.append(int((session.review.std > 0).sum()))
+    assert calls == sorted(calls)
+    assert calls[0] < calls[-1] == 24
     assert same(finish(session), offline(tmp_path / 'journal'))
 
 
@@ -312,9 +312,9 @@ def test_joint_states_of_others_end_no_session_and_its_journal_can_be_reprocesse
     live = finish(session)
     assert same(live, finish(clean))
     assert same(live, offline(tmp_path / 'journal'))
-    told = ' '.join(live.findings)
-    assert '5 joint states left out: they name outer, middle, not all joints of table' in told
-    assert '5 joint states left out: they name no joint' in told
+    findings = ' '.join(live.findings)
+    assert '5 joint states left out: they name outer, middle, not all joints of table' in findings
+    assert '5 joint states left out: they name no joint' in findings
 
 
 def test_joint_states_of_others_alone_are_named_as_they_come_and_at_the_end(tmp_path, wire):
@@ -333,10 +333,10 @@ class Words:
     """Takes what is reported."""
 
     def __init__(self):
-        self.said = {}
+        self.reports = {}
 
     def report(self, part, level, text, **figures):
-        self.said[part] = level, text
+        self.reports[part] = level, text
 
 
 @pytest.mark.parametrize(
@@ -355,7 +355,7 @@ def test_an_imu_of_another_clock_than_the_tables_is_an_error_at_once(tmp_path, w
     received_at = Words()
     report_session(session, received_at, imu_timeout=60.0)
     session.close()
-    level, text = received_at.said['stream']
+    level, text = received_at.reports['stream']
     assert level is (Level.ERROR if later else Level.OK)
     assert words in text
 

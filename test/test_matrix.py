@@ -233,9 +233,9 @@ class Shell:
         """Run a command to the exit code that is expected; return what it printed."""
         found = main(list(words))
         printed = self._capsys.readouterr()
-        told = ' '.join((printed.out + printed.err).split())
-        assert found == code, f'imu-calib {" ".join(words)}: {found}: {told[-2000:]}'
-        return told
+        text = ' '.join((printed.out + printed.err).split())
+        assert found == code, f'imu-calib {" ".join(words)}: {found}: {text[-2000:]}'
+        return text
 
     def simulated(self, case: Case, again: int = 0) -> str:
         """A session, made once; no two have the same noise."""
@@ -254,11 +254,11 @@ def test_a_shipped_plan_with_a_shipped_unit_goes_all_the_way(case: Case, shell: 
     bag = shell.simulated(case)
     file = f'{case}.calibration.yaml'
     if case in WHOLE:
-        told = shell('info', bag, *north(case))
-        assert _supported(case, told)
+        output = shell('info', bag, *north(case))
+        assert _supported(case, output)
     if too_noisy(case):
-        told = shell('calibrate', bag, '-o', file, *north(case), code=1)
-        assert 'The Earth turns too slowly for the noise of these gyros' in told
+        output = shell('calibrate', bag, '-o', file, *north(case), code=1)
+        assert 'The Earth turns too slowly for the noise of these gyros' in output
         assert not Path(file).exists()
         return
     assert 'taken as exact' in shell('calibrate', bag, '-o', file, *north(case))
@@ -307,15 +307,15 @@ def _verified(case: Case, file: str, shell: Shell) -> None:
     """Another session accepts the calibration, and one of another unit does not come to it."""
     next_one = following(case)
     other = shell.simulated(next_one)
-    told = shell('verify', other, '--calibration', file, *north(next_one))
-    if 'MARGINAL' in told:
+    output = shell('verify', other, '--calibration', file, *north(next_one))
+    if 'MARGINAL' in output:
         # One session in a hundred is a doubt by chance, calibration and recording together: two
         # of two are not.
         bag, again = shell.simulated(case, 1), f'{case}.again.yaml'
         shell('calibrate', bag, '-o', again, *north(case))
         other = shell.simulated(next_one, 2)
-        told = shell('verify', other, '--calibration', again, *north(next_one))
-    assert 'ACCEPTED' in told
+        output = shell('verify', other, '--calibration', again, *north(next_one))
+    assert 'ACCEPTED' in output
     stranger = next(imu for imu in names('imus') if imu_of(imu).id != imu_of(case.imu).id)
     words = ['--imu', stranger, *north(next_one)]
     assert imu_of(stranger).id in shell('verify', other, '--calibration', file, *words, code=2)
@@ -342,9 +342,9 @@ def _compensated(case: Case, found: Calibration, bag: str, file: str, shell: She
         length = float(np.linalg.norm(rest[3:]))
         assert abs(length - GRAVITY) < 5 * np.hypot(noise, doubt) + step * np.sqrt(3) + drift + 1e-6
     if case in OF_EACH_STREAM:
-        told = shell('info', out, *north(case))
-        assert f'compensated by {file}' in told
-        assert _supported(case, told)
+        output = shell('info', out, *north(case))
+        assert f'compensated by {file}' in output
+        assert _supported(case, output)
     shutil.rmtree(out)
 
 

@@ -502,8 +502,8 @@ def test_messages_of_a_file_that_was_cut_are_whole_ones(scanned: Scanned) -> Non
         where = 'has no footer'
         if size != whole:
             where = f'is cut off at byte {len(head) + whole} of {len(head) + size}'
-        (said,) = losses
-        assert said.startswith(f'a.mcap {where}: its recorder did not finish')
+        (sentences,) = losses
+        assert sentences.startswith(f'a.mcap {where}: its recorder did not finish')
 
 
 def test_a_broken_description_among_messages_is_no_record(scanned: Scanned) -> None:

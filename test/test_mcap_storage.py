@@ -119,8 +119,8 @@ def test_of_chunks_that_are_loaded_as_one_the_sound_ones_are_used(
     found = opened(bytes(content) + END)
     assert found.payloads('/b') == ([b'yy'] if lost else [b'', b'z'])
     assert found.payloads('/a') == ([b'x', b''] if lost else [])
-    (said,) = found.losses.sentences
-    assert said.startswith(f'a.mcap: the chunk at byte {start} ')
+    (losses,) = found.losses.sentences
+    assert losses.startswith(f'a.mcap: the chunk at byte {start} ')
 
 
 def test_when_a_message_was_published_is_beside_when_it_was_logged(opened: Open) -> None:
@@ -216,9 +216,9 @@ def test_a_chunk_without_an_index_is_looked_into_unless_all_is_known(
 
 def test_a_broken_description_in_a_chunk_is_a_stated_loss(opened: Open) -> None:
     file = Chunked().add(*FIRST, before=two().described + record(0x03, b'\x01'))
-    said = opened(file.content + END).losses.sentences
-    assert len(said) == 1
-    assert said[0].startswith('a.mcap: record with opcode 3: ')
+    losses = opened(file.content + END).losses.sentences
+    assert len(losses) == 1
+    assert losses[0].startswith('a.mcap: record with opcode 3: ')
 
 
 class Asked(Cache):
@@ -397,12 +397,12 @@ def lost(opened: Open, changed: bytes) -> str:
     found = opened(file.content[:start] + changed + file.content[end:] + END)
     assert found.payloads('/b') == [b'', b'z']
     assert found.payloads('/a') == []
-    (said,) = found.losses.sentences
+    (losses,) = found.losses.sentences
     where = f'a.mcap: the chunk at byte {start} (log time 10.000 s to 12.000 s) '
     end_of_it = '; its messages (2 of /a, 1 of /b) are left out.'
-    assert said.startswith(where)
-    assert said.endswith(end_of_it)
-    return said.removeprefix(where).removesuffix(end_of_it)
+    assert losses.startswith(where)
+    assert losses.endswith(end_of_it)
+    return losses.removeprefix(where).removesuffix(end_of_it)
 
 
 def test_a_chunk_that_is_not_sound_is_left_out_and_says_why(opened: Open) -> None:
@@ -569,13 +569,13 @@ def test_chunks_without_a_sound_index_are_walked_over_and_the_others_are_not() -
         Part('second', ends[1], ends[2]),
         Part('third', ends[2], ends[3], of_one),
     ]
-    said: list[str] = []
-    found = located(parts, buffer, said.append)
+    messages: list[str] = []
+    found = located(parts, buffer, messages.append)
     assert found[1].offset.tolist() == [end + HEAD for end in ends[:3]]
     assert found[1].size.tolist() == [2, 1, 2]
     assert found[2].offset.tolist() == [end + 2 * HEAD + 2 for end in (ends[0], ends[2])]
     assert (found[1].log_ns, found[2].log_ns) == (5, 6)
-    assert said == [
+    assert messages == [
         f'second holds no valid record at its byte {len(other)}; its other 17 bytes are left out.'
     ]
     # Entries of one chunk that lie in another are none, though messages are there.

@@ -91,13 +91,13 @@ def test_without_noise_thirty_three_parameters_come_back(name: str) -> None:
     # Pulses of accelerometers are those per second of the table: what is left of the ratio of two
     # clocks that run alike is in K_a, and nothing else is.
     off[12:15] -= clock.faster
-    left = np.abs(off)
+    residuals = np.abs(off)
     # The steps of the table's encoder, 0.3 arcsec, and its rate over a turn remain.
     assert abs(clock.faster) < 3e-8
-    assert left[:9].max() < 3e-8
-    assert left[9:12].max() < 2e-6 * DEG_H
-    assert left[12:21].max() < 1e-9
-    assert left[24:].max() < 2e-6 * PER_G
+    assert residuals[:9].max() < 3e-8
+    assert residuals[9:12].max() < 2e-6 * DEG_H
+    assert residuals[12:21].max() < 1e-9
+    assert residuals[24:].max() < 2e-6 * PER_G
 
 
 def test_eight_positions_of_7_5_minutes_know_g_sensitivity_to_two_hundredths() -> None:
@@ -106,9 +106,9 @@ def test_eight_positions_of_7_5_minutes_know_g_sensitivity_to_two_hundredths() -
     deviations = result.calibration.std[24:] / PER_G
     assert deviations.max() < 0.02 * 1.05  # the noise itself is an estimate, of 5 % or so
     assert deviations.min() > 0.01
-    left = errors(result) / result.calibration.std
-    assert np.abs(left).max() < 3.5
-    assert np.sqrt(np.mean(left[24:] ** 2)) < 1.6
+    residuals = errors(result) / result.calibration.std
+    assert np.abs(residuals).max() < 3.5
+    assert np.sqrt(np.mean(residuals[24:] ** 2)) < 1.6
     largest = np.abs(truth().g_sensitivity).max() / PER_G
     assert largest == pytest.approx(0.1, rel=1e-4)
 
@@ -132,13 +132,13 @@ def test_rate_and_24_positions_recover_the_24_parameters() -> None:
     for options, limit in ((stand(noise=False, quantise=False), None), (stand(), 4.0)):
         blocks = simulate(plan, north(), spec, unit, SITE, options, 2)
         result = calibrate(blocks, plan, table=north(), spec=spec, method=plan.method)
-        left = result.calibration.model.vector() - unit.vector()
+        residuals = result.calibration.model.vector() - unit.vector()
         if limit is None:
-            assert np.abs(left[:9]).max() < 3e-8
-            assert np.abs(left[9:12]).max() < 2e-5 * DEG_H
-            assert np.abs(left[12:21]).max() < 2e-8
+            assert np.abs(residuals[:9]).max() < 3e-8
+            assert np.abs(residuals[9:12]).max() < 2e-5 * DEG_H
+            assert np.abs(residuals[12:21]).max() < 2e-8
         else:
-            assert np.abs(left / result.calibration.std).max() < limit
+            assert np.abs(residuals / result.calibration.std).max() < limit
 
 
 def test_thirty_three_parameters_are_shown_and_come_back_from_their_file(tmp_path: Path) -> None:

@@ -152,8 +152,8 @@ def test_stated_deviations_are_those_of_the_errors() -> None:
     ratios = []
     for seed in range(100):
         solution = skewed.solve(session(np.random.default_rng(seed)))
-        left = (sixteen(solution.model) - couplings()).T[:3, 3]
-        ratios.append(left / solution.std[24:27])
+        residuals = (sixteen(solution.model) - couplings()).T[:3, 3]
+        ratios.append(residuals / solution.std[24:27])
     # 300 values: 4 %; the variances are estimates from 18 turns per rate.
     assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.15)
 

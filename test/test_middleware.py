@@ -315,15 +315,15 @@ def test_simulated_time_moves_clock_and_timers(init):
 
 
 def test_a_best_effort_publisher_is_told_to_a_reliable_subscription(node):
-    told = []
-    events = ros.SubscriptionEventCallbacks(incompatible_qos=told.append)
+    messages = []
+    events = ros.SubscriptionEventCallbacks(incompatible_qos=messages.append)
     node.create_subscription(
         ros.messages.Imu, 'imu', lambda _: None, KEEP_ALL, event_callbacks=events
     )
     node.create_publisher(ros.messages.Imu, 'imu', ros.qos_profile_sensor_data)
-    assert spun(node, lambda: told)
-    assert told[0].total_count == 1
-    assert int(told[0].last_policy_kind) == int(ros.QoSPolicyKind.RELIABILITY)
+    assert spun(node, lambda: messages)
+    assert messages[0].total_count == 1
+    assert int(messages[0].last_policy_kind) == int(ros.QoSPolicyKind.RELIABILITY)
 
 
 MISMATCH = """
@@ -678,14 +678,16 @@ def test_a_node_that_nobody_hears_ends_all_the_same(domain):
 def test_two_nodes_of_one_name_are_said(domain):
     processes = [start(LAST_WORD) for _ in range(2)]
     assert [p.stdout.readline() for p in processes] == ['ready\n'] * 2
-    said = {process.stderr.fileno(): b'' for process in processes}
+    errors = {process.stderr.fileno(): b'' for process in processes}
 
     def listen():
-        for pipe in select.select(list(said), [], [], 0.1)[0]:
-            said[pipe] += os.read(pipe, 4096)
+        for pipe in select.select(list(errors), [], [], 0.1)[0]:
+            errors[pipe] += os.read(pipe, 4096)
 
     # Who looks around last sees both.
-    assert until(lambda: any(b'2 nodes are called /table' in s for s in said.values()), step=listen)
+    assert until(
+        lambda: any(b'2 nodes are called /table' in s for s in errors.values()), step=listen
+    )
     for process in processes:
         process.send_signal(signal.SIGINT)
         finish(process)

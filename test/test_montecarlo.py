@@ -85,8 +85,8 @@ def test_a_plot_that_cannot_be_drawn_is_refused_before_the_first_run(
     monkeypatch.setattr(repeating, 'repeat', lambda *_: pytest.fail('it runs'))
     arguments = ['montecarlo', 'twelve_position', '--runs', '1', '-o', str(tmp_path / name)]
     assert main(arguments) == 2
-    said = ' '.join(capsys.readouterr().err.split())
-    assert all(word in said for word in words), said
+    errors = ' '.join(capsys.readouterr().err.split())
+    assert all(word in errors for word in words), errors
     assert not list(tmp_path.iterdir())
 
 

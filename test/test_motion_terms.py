@@ -89,10 +89,10 @@ def test_places_and_delays_are_found(found: Estimate) -> None:
 
 def test_places_and_delays_that_nobody_asked_for_are_found_and_named(moved: Evidence) -> None:
     solution = solve(moved, find_terms=True)
-    said = [f for f in solution.findings if 'The session shows' in f]
-    assert ['size_effect' in one for one in said].count(True) == 1
-    assert ['(delay' in one for one in said].count(True) == 1
-    assert len(said) == 2
+    findings = [f for f in solution.findings if 'The session shows' in f]
+    assert ['size_effect' in one for one in findings].count(True) == 1
+    assert ['(delay' in one for one in findings].count(True) == 1
+    assert len(findings) == 2
     assert solution.parameters == parameters_of(TERMS)
     off = (solution.model.values(solution.parameters) - true_values()) / solution.std
     assert np.abs(off).max() < FAR, np.round(off, 1)
@@ -122,19 +122,19 @@ def test_accelerometers_that_are_together_and_in_time_are_found_so() -> None:
 
 
 def test_verify_holds_them_against_a_recording(moved: Evidence) -> None:
-    seen = Observed(moved, known(terms=True).imu, UNIT.rate)
+    observation = Observed(moved, known(terms=True).imu, UNIT.rate)
     right = SensorModel().with_values(parameters_of(TERMS), true_values())
     spread = np.diag((1e-6 * np.abs(true_values())) ** 2)
     calibration = replace(known(terms=True), model=right, covariance=spread)
-    assert verify(calibration, seen).verdict is Verdict.PASS
+    assert verify(calibration, observation).verdict is Verdict.PASS
     for parameter in (*SIZE_EFFECT.parameters[:1], *DELAY.parameters):
         value = right.values((parameter,))
         wrong = replace(calibration, model=right.with_values((parameter,), 1.1 * value))
-        judged = {t.gyros: t.verdict for t in verify(wrong, seen).triads}
+        judged = {t.gyros: t.verdict for t in verify(wrong, observation).triads}
         assert judged == {True: Verdict.PASS, False: Verdict.FAIL}, parameter.name
     # Gyros carry the axes of velocities: 1000 ppm are their fault alone.
     wrong = replace(calibration, model=right.with_values(PARAMETERS[:1], right.vector()[:1] + 1e-3))
-    judged = {t.gyros: t.verdict for t in verify(wrong, seen).triads}
+    judged = {t.gyros: t.verdict for t in verify(wrong, observation).triads}
     assert judged == {True: Verdict.FAIL, False: Verdict.PASS}
 
 

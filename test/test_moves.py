@@ -328,8 +328,8 @@ def test_by_the_true_sensors_moves_are_off_by_their_noise(unit) -> None:
     state = equations.nominal()
     state[:25] = [*true_vector(unit), world.azimuth]
     rows = equations.layout.velocity.ravel()
-    left = (equations.outputs - equations.predict(state))[rows]
-    square = left @ np.linalg.solve(equations.covariance(state)[np.ix_(rows, rows)], left)
+    residuals = (equations.outputs - equations.predict(state))[rows]
+    square = residuals @ np.linalg.solve(equations.covariance(state)[np.ix_(rows, rows)], residuals)
     assert chi2.ppf(1e-4, len(rows)) < square < chi2.isf(1e-4, len(rows))
 
 
@@ -355,9 +355,9 @@ def test_a_gap_ends_a_move_and_no_other() -> None:
             else:
                 yield name, block
 
-    left = gathered(fed(lossy(), setup)).links.links
+    residuals = gathered(fed(lossy(), setup)).links.links
     ends = [(link.first, link.second) for link in whole]
-    assert [(link.first, link.second) for link in left] == [e for e in ends if e != (1, 2)]
+    assert [(link.first, link.second) for link in residuals] == [e for e in ends if e != (1, 2)]
 
 
 def test_a_move_that_does_not_fit_is_left_out_and_named() -> None:
@@ -366,11 +366,11 @@ def test_a_move_that_does_not_fit_is_left_out_and_named() -> None:
     bent = replace(wrong, turned=wrong.turned * (1 + 3000 * PPM))
     moves = tuple(bent if m is wrong else m for m in evidence().moves)
     solution = joint.solve(replace(evidence(), moves=moves))
-    (said,) = [f for f in solution.findings if 'moves end elsewhere' in f]
+    (finding,) = [f for f in solution.findings if 'moves end elsewhere' in f]
     names = [evidence().segments[k].position for k in (links[4].first, links[4].second)]
     assert (
         f'By the gyros 1 of 9 moves end elsewhere than by the encoders (from position {names[0]} to'
-        in said
+        in finding
     )
     without = tuple(m for m in evidence().moves if m is not wrong)
     other = joint.solve(replace(evidence(), moves=without))
@@ -386,9 +386,9 @@ def test_a_velocity_that_does_not_fit_is_left_out_and_named() -> None:
     bent = replace(wrong, velocity_steps=knocked)
     moves = tuple(bent if m is wrong else m for m in evidence().moves)
     solution = joint.solve(replace(evidence(), moves=moves))
-    (said,) = [f for f in solution.findings if 'end at rest' in f]
+    (finding,) = [f for f in solution.findings if 'end at rest' in f]
     names = [evidence().segments[k].position for k in (links[4].first, links[4].second)]
-    assert said.startswith(
+    assert finding.startswith(
         f'By the accelerometers 1 of 9 moves do not end at rest (from position {names[0]} to '
         f'{names[1]};'
     )
@@ -437,10 +437,10 @@ def test_a_fit_ends_where_its_derivatives_are_known(monkeypatch) -> None:
     equations = Equations(evidence())
     state = fit(equations, equations.nominal())
     monkeypatch.setattr(Equations, 'covariance', None)
-    jacobian, left = equations.whitened(state)
+    jacobian, residuals = equations.whitened(state)
     # A step from there would move the outputs by less than a billionth of their deviations.
-    step = np.linalg.lstsq(jacobian, left, rcond=None)[0]
-    assert np.linalg.norm(jacobian @ step) < 1e-9 * np.sqrt(len(left))
+    step = np.linalg.lstsq(jacobian, residuals, rcond=None)[0]
+    assert np.linalg.norm(jacobian @ step) < 1e-9 * np.sqrt(len(residuals))
 
 
 def test_samples_lost_where_a_joint_starts_leave_what_is_said() -> None:

@@ -71,14 +71,14 @@ def test_turns_and_moves_are_claimed_as_well_as_their_samples_hold_them() -> Non
     equations = Equations(evidence)
     state = equations.nominal()
     state[:25] = [*truth().model.vector(), 0.3]
-    left = equations.outputs - equations.predict(state)
+    residuals = equations.outputs - equations.predict(state)
     covariance = equations.covariance(state)
     first = 6 * len(evidence.segments)
     assert len(evidence.turns) == 6
     assert len(evidence.links) > 5
-    for k in range(first, len(left), 3):
+    for k in range(first, len(residuals), 3):
         rows = slice(k, k + 3)
-        off = np.linalg.solve(np.linalg.cholesky(covariance[rows, rows]), left[rows])
+        off = np.linalg.solve(np.linalg.cholesky(covariance[rows, rows]), residuals[rows])
         assert np.abs(off).max() < 4.5
 
 

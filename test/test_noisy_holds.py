@@ -115,8 +115,8 @@ def test_a_session_that_has_ended_says_the_same_again() -> None:
 
 def test_few_holds_are_said() -> None:
     few = shaky(UNIT, rate=100, noise=(0.3 * DEG, NOISE), holds=13)
-    (said,) = (f for f in calibrator(few).finish().calibration.findings if 'are few' in f)
-    assert said.startswith('13 holds are few: 18 or more')
+    (findings,) = (f for f in calibrator(few).finish().calibration.findings if 'are few' in f)
+    assert findings.startswith('13 holds are few: 18 or more')
     assert not any('are few' in finding for finding in result(False).calibration.findings)
 
 

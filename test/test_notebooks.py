@@ -51,7 +51,7 @@ def _last_digit(number: str) -> Decimal:
     return Decimal(1).scaleb(Decimal(number).as_tuple().exponent)
 
 
-def said(cell: Any) -> list[str]:
+def output_texts(cell: Any) -> list[str]:
     """Return what the outputs of a cell are, and say: pictures say nothing but that they are."""
     texts = []
     for output in cell.get('outputs', []):
@@ -67,7 +67,7 @@ def said(cell: Any) -> list[str]:
 def test_a_notebook_runs_and_prints_what_is_committed(name: str) -> None:
     committed = RUN.read(name).cells
     for cell, before in zip(RUN.executed(name).cells, committed, strict=True):
-        now, then = said(cell), said(before)
+        now, then = output_texts(cell), output_texts(before)
         assert not [text for text in now if text.startswith('stderr')], cell.source
         assert len(now) == len(then), f'{cell.source}\n{now}'
         for mine, theirs in zip(now, then, strict=True):

@@ -196,8 +196,8 @@ def test_counts_at_the_cuts_are_read_from_all_that_turns_as_fast() -> None:
         part = without(samples, (0.0, begin), (end, 99.0))
         first = (cuts.start - part.stamp[0]) * 1e-9 / PERIOD + 1
         wanted = statistics_between(part, first, first + cuts.seconds / PERIOD, sensor.walk)
-        seen = around(without(samples, gap) if gap else samples, sensor)
-        (turn,) = read_turns(seen, turned(), TABLE, 0)
+        neighbours = around(without(samples, gap) if gap else samples, sensor)
+        (turn,) = read_turns(neighbours, turned(), TABLE, 0)
         assert isinstance(turn, Turn)
         assert turn.statistics.mean == pytest.approx(wanted.mean, rel=1e-6, abs=1e-10)
         assert turn.statistics.walk_gain == pytest.approx(wanted.walk_gain, rel=1e-6)
@@ -234,8 +234,8 @@ def free(degrees: float, *gaps: tuple[float, float]) -> list[FreeMotion | Reject
     rows[100:200, :3] = np.array([0.0, 0.6, 0.8]) * degrees * DEG / 100
     rows[:, 3:] = np.arange(1.0, 4.0) * PERIOD
     motion = Motion(START + 10**9, START + 2 * 10**9, np.empty(0), np.empty((0, 0)))
-    seen = around(without(replace(samples, increments=rows), *gaps))
-    return read_free_motion(seen, motion)
+    neighbours = around(without(replace(samples, increments=rows), *gaps))
+    return read_free_motion(neighbours, motion)
 
 
 def test_a_motion_is_what_the_gyros_gained() -> None:

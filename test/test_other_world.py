@@ -294,9 +294,9 @@ def test_biases_that_step_are_found_with_the_instant(grade: str, at: float) -> N
     # To within a part of the session without outputs: the longest motion.
     longest = max(m.end - m.start for m in schedule(World()))
     assert abs(found.changes.instant - EPOCH - at * end) < longest
-    said = [f for f in found.findings if re.search('The session shows', f)]
-    assert len(said) == 1
-    assert 'biases that step at one instant (step,' in said[0]
+    findings = [f for f in found.findings if re.search('The session shows', f)]
+    assert len(findings) == 1
+    assert 'biases that step at one instant (step,' in findings[0]
 
 
 def test_a_move_in_which_the_samples_froze_keeps_no_session_from_its_answer(
@@ -307,14 +307,14 @@ def test_a_move_in_which_the_samples_froze_keeps_no_session_from_its_answer(
     calibrator = fed(world, NAVIGATION, find_terms=True)
     judged, refused = search._significant, []
 
-    def judge(*given: Any) -> Any:
+    def fail_first(*given: Any) -> Any:
         if not refused:
             # By the view with all moves, which comes first.
             refused.append(given)
             raise NotConverged('It goes to and fro.')
         return judged(*given)
 
-    monkeypatch.setattr(search, '_significant', judge)
+    monkeypatch.setattr(search, '_significant', fail_first)
     found = calibrator.finish().calibration
     assert refused
     assert np.abs(errors(found, NAVIGATION)).max() < 4.5
@@ -394,6 +394,6 @@ def test_a_program_without_a_plan_is_no_further_off_than_stated(
 def test_turns_about_a_level_axis_are_left_out_and_said(
     unplanned: tuple[Calibration, World],
 ) -> None:
-    told = [f for f in unplanned[0].findings if 'a turn is left out' in f]
-    assert len(told) == 1
-    assert 'its axis is 90 deg off the vertical' in told[0]
+    findings = [f for f in unplanned[0].findings if 'a turn is left out' in f]
+    assert len(findings) == 1
+    assert 'its axis is 90 deg off the vertical' in findings[0]

@@ -106,8 +106,8 @@ def test_a_calibration_that_nobody_named_is_not_overwritten(
     file = tmp_path / 'calibration.yaml'
     assert program('calibrate', folder / 'one')['result']['file'] == file.name
     before = file.read_bytes()
-    said = program('calibrate', folder / 'two', code=2)['error']['message']
-    assert said == (
+    message = program('calibrate', folder / 'two', code=2)['error']['message']
+    assert message == (
         'calibration.yaml exists already: name another with -o, or give -o calibration.yaml to '
         'overwrite it.'
     )
@@ -324,12 +324,12 @@ def test_what_is_no_calibration_file_is_said(
         ['report', recording],
     ):
         assert main([*map(str, words)]) == 2
-        said = ' '.join(capsys.readouterr().err.split())
-        assert f'{recording} is a recording; expected a calibration file.' in said
+        errors = ' '.join(capsys.readouterr().err.split())
+        assert f'{recording} is a recording; expected a calibration file.' in errors
     imu = folder / 'wide.imu.yaml'
     assert main(['report', str(imu)]) == 2
-    said = ' '.join(capsys.readouterr().err.split())
-    assert f"{imu} is not a calibration file (the key 'format' is missing)." in said
+    errors = ' '.join(capsys.readouterr().err.split())
+    assert f"{imu} is not a calibration file (the key 'format' is missing)." in errors
 
 
 def test_tables_in_files_end_without_blanks_and_zeros_have_no_sign(

@@ -37,12 +37,12 @@ def test_a_pipe_takes_the_text_and_stays_a_pipe(tmp_path):
     """As /dev/null and /dev/stdout do: a user who may write /dev must not lose them."""
     pipe = tmp_path / 'pipe'
     os.mkfifo(pipe)
-    heard = []
-    reader = threading.Thread(target=lambda: heard.append(pipe.read_text()))
+    messages = []
+    reader = threading.Thread(target=lambda: messages.append(pipe.read_text()))
     reader.start()
     write_whole(pipe, 'new')
     reader.join()
-    assert heard == ['new']
+    assert messages == ['new']
     assert stat.S_ISFIFO(pipe.stat().st_mode)
     assert names(tmp_path) == ['pipe']
 

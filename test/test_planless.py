@@ -181,9 +181,9 @@ def test_a_program_without_a_turn_about_x_is_refused_and_told_what_it_lacks() ->
     blocks = recorded(program(random_angles(), (1, 2)), seed=2)
     with pytest.raises(NotObservable) as refused:
         calibrate(blocks, UNPLANNED)
-    told = str(refused.value)
-    assert 'No turn is about X: K_gx, E_gyx, E_gzx not observable' in told
-    assert 'whole turns at a steady rate with X up (K_gx, E_gyx, E_gzx)' in told
+    message = str(refused.value)
+    assert 'No turn is about X: K_gx, E_gyx, E_gzx not observable' in message
+    assert 'whole turns at a steady rate with X up (K_gx, E_gyx, E_gzx)' in message
 
 
 def test_attitudes_that_leave_an_axis_level_are_refused_and_told_what_they_lack() -> None:
@@ -192,9 +192,9 @@ def test_attitudes_that_leave_an_axis_level_are_refused_and_told_what_they_lack(
     blocks = recorded(program(angles, (0, 4)), seed=2)
     with pytest.raises(NotObservable) as refused:
         calibrate(blocks, UNPLANNED)
-    told = str(refused.value)
-    assert 'no static dwell has X vertical: K_ax' in told
-    assert 'a static dwell with X ' in told.split('It would take', 1)[1]
+    message = str(refused.value)
+    assert 'no static dwell has X vertical: K_ax' in message
+    assert 'a static dwell with X ' in message.split('It would take', 1)[1]
 
 
 def test_one_axis_of_turns_tells_no_three_responses_however_oblique_it_is() -> None:
@@ -264,7 +264,7 @@ def test_a_rest_off_its_setpoint_counts_where_the_encoders_have_it() -> None:
     """The table was told to go two degrees further at position 10, and stopped before."""
     plan = y_at_other_headings()
 
-    def told(named: Named) -> Named:
+    def with_setpoints(named: Named) -> Named:
         topic, block = named
         if not isinstance(block, SetpointBlock):
             return named
@@ -274,7 +274,7 @@ def test_a_rest_off_its_setpoint_counts_where_the_encoders_have_it() -> None:
         )
         return topic, SetpointBlock(tuple(further))
 
-    result = calibrate(map(told, session(plan, stand(azimuth=17 * DEG))), plan)
+    result = calibrate(map(with_setpoints, session(plan, stand(azimuth=17 * DEG))), plan)
     names = [s.position for s in result.labelled.segments]
     assert names[9] == 'Z up, heading 180 deg'
     findings = ' '.join(result.calibration.findings)
@@ -461,9 +461,9 @@ def test_without_joint_states_a_plan_is_asked_for(
     bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['calibrate', str(bag), '--imu-only', *SAID]) == 2
-    told = capsys.readouterr().err
-    assert 'does not say which plan was run: give --plan' in told
-    assert 'where joint states of a table give the attitudes' in told
+    error_text = capsys.readouterr().err
+    assert 'does not say which plan was run: give --plan' in error_text
+    assert 'where joint states of a table give the attitudes' in error_text
 
 
 def rows_below(text: str, first: str, last: str) -> list[str]:

@@ -159,10 +159,10 @@ def session(name: str, terms: tuple[Term, ...], positioning: float, seed: int) -
     table = THREE if name == 'full_model' else LEVEL
     imu = replace(IMU, sample_rate=20.0)
     options = replace(stand(azimuth=0.7), positioning_error=positioning)
-    told = replace(table, positioning=positioning / np.sqrt(3))
+    stated_table = replace(table, positioning=positioning / np.sqrt(3))
     model = UNIT.model if terms else LINEAR
     blocks = simulate(plan, table, imu, model, SITE, options, seed)
-    return fed(blocks, Setup(imu, plan, told, SITE, terms=terms)).finish()
+    return fed(blocks, Setup(imu, plan, stated_table, SITE, terms=terms)).finish()
 
 
 def test_what_moves_tell_of_the_terms_of_motion_is_foreseen_on_average() -> None:
@@ -212,13 +212,13 @@ def turns() -> list[tuple[Floats, Floats, Floats]]:
 def test_every_axis_is_turned_while_level_in_both_senses_and_stands_up_and_down() -> None:
     assert len(NINETEEN.positions) == 19
     assert all(step.mode is Mode.POSITION for step in NINETEEN.steps(LEVEL))
-    seen = []
+    calls = []
     for axis, angle, up in turns():
         assert abs(axis @ up) < 1e-9
         assert abs(angle[0]) == pytest.approx(90 * DEG)
         body = int(np.argmax(np.abs(axis)))
-        seen.append((body, float(np.sign(axis[body] * angle[0]))))
-    counts = {which: seen.count(which) for which in set(seen)}
+        calls.append((body, float(np.sign(axis[body] * angle[0]))))
+    counts = {which: calls.count(which) for which in set(calls)}
     assert set(counts) == {(k, s) for k in range(3) for s in (1.0, -1.0)}
     assert min(counts.values()) >= 2
     ups = {tuple(np.round(p.up) + 0.0) for p in NINETEEN.positions}

@@ -303,8 +303,8 @@ def test_a_stand_that_cannot_be_solved_does_not_start(
 ) -> None:
     folder = tmp_path / 'stand'
     assert main(['stand', *arguments, '-o', str(folder)]) == code
-    said = capsys.readouterr().err
-    assert all(word in said for word in words), said
+    errors = capsys.readouterr().err
+    assert all(word in errors for word in words), errors
     assert not folder.exists()
 
 
@@ -338,9 +338,9 @@ def test_what_counts_in_a_prediction_is_refused_without_one(
     assert main(['plans', *plan]) == 0
     capsys.readouterr()
     assert main(['plans', *plan, *option]) == 2
-    said = capsys.readouterr()
-    assert f'{option[0]} is for the prediction of a plan' in said.err
-    assert not said.out
+    printed = capsys.readouterr()
+    assert f'{option[0]} is for the prediction of a plan' in printed.err
+    assert not printed.out
 
 
 def test_the_optimised_plan_gains_what_its_page_says() -> None:
@@ -454,12 +454,12 @@ def test_what_a_plan_leaves_open_is_a_sentence_and_an_exit_code(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(['plans', 'static_six', '--method', 'joint', '--imu', 'fog_medium']) == 1
-    told = capsys.readouterr()
-    assert ' '.join(told.err.split()) == (
+    printed = capsys.readouterr()
+    assert ' '.join(printed.err.split()) == (
         'imu-calib plans: Plan static_six, method joint: No position has X vertical: K_ax, E_ayx, '
         'E_azx not observable.'
     )
-    assert 'D_gz' in told.out
+    assert 'D_gz' in printed.out
     assert main(['plans', 'six_position', '--method', 'six_position', '--imu', 'fog_medium']) == 1
     assert 'need north' in capsys.readouterr().err
 

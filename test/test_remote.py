@@ -98,9 +98,9 @@ def test_every_command_that_reads_a_recording_takes_a_url(
     imu_calib.calibrate(here / 'rec').calibration.save(own)
     url = f'{bucket}/one.mcap'
     assert main(['info', url]) == 0
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert main(['info', str(here / 'one.mcap')]) == 0
-    assert capsys.readouterr().out == told
+    assert capsys.readouterr().out == output
     assert main(['verify', url, '--calibration', str(own), '--json']) == 1
     assert 'The calibration was made from this recording' in capsys.readouterr().out
     # Outside the specification, as the unit of the paper is: 3.
@@ -120,9 +120,9 @@ def test_topics_of_a_long_mcap_are_read_from_its_summary(
 ) -> None:
     here, bucket = lab
     assert main(['info', f'{bucket}/rec', '--topics']) == 0
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert main(['info', str(here / 'rec'), '--topics']) == 0
-    assert capsys.readouterr().out == told
+    assert capsys.readouterr().out == output
     # The magic at the beginning, summary and footer at the end, metadata in between.
     assert sum(fetched) <= 4 * remote_copy.BLOCK < size(here / 'rec') / 4
 
@@ -216,9 +216,9 @@ def test_a_connection_that_is_lost_is_tried_again(
     assert len(lost) == retries.TRIES - 1
     failing(monkeypatch, retries.TRIES)
     assert main(['calibrate', f'{bucket}/rec']) == 2
-    said = capsys.readouterr().err
-    assert f'not read after {retries.TRIES} tries (ConnectionResetError' in said
-    assert 'Check the network' in said and 'Traceback' not in said
+    errors = capsys.readouterr().err
+    assert f'not read after {retries.TRIES} tries (ConnectionResetError' in errors
+    assert 'Check the network' in errors and 'Traceback' not in errors
 
 
 def test_a_file_of_several_that_cannot_be_reached_is_no_loss(

@@ -50,11 +50,11 @@ def result() -> Result:
 
 
 def dated(calibration: Calibration, month: int, celsius: float) -> Calibration:
-    seen = {'mean': celsius, 'lowest': celsius - 0.4, 'highest': celsius + 0.6}
+    temperature = {'mean': celsius, 'lowest': celsius - 0.4, 'highest': celsius + 0.6}
     where = {**calibration.provenance, 'recorded': f'2026-{month:02}-03T08:00:00Z'}
     moved = calibration.values + (celsius - 20) * calibration.std
     model = calibration.model.with_values(calibration.parameters, moved)
-    return replace(calibration, model=model, provenance={**where, 'temperature': seen})
+    return replace(calibration, model=model, provenance={**where, 'temperature': temperature})
 
 
 @pytest.fixture(scope='module')
@@ -157,8 +157,8 @@ def test_every_position_has_a_cube_that_points_as_the_plan_says(
     asked = yaml.safe_load(named_file('plans', 'twelve_position').read_text())['positions']
     for position, stood in zip(PLAN.positions, stands(result), strict=True):
         (axes,) = [p['axes'] for p in asked if str(p['id']) == position.id]
-        said = [letters[letter] for letter in axes]
-        expected = ', '.join(f'{a} {w}' for a, w in zip('XYZ', said, strict=True))
+        text = [letters[letter] for letter in axes]
+        expected = ', '.join(f'{a} {w}' for a, w in zip('XYZ', text, strict=True))
         assert (stood.name, stood.words) == (position.id, expected)
 
 

@@ -66,13 +66,13 @@ def comes_to(process, folder, step, *, word='', run=1):
     """
     log = folder / 'nodes' / 'turntable_node.log'
 
-    def said():
+    def has_reached():
         assert process.poll() is None, process.communicate()
         parts = log.read_text().split(BEGINS)[1:] if log.exists() else []
         found = re.findall(rf'{word}: step (\d+) of', parts[run - 1]) if len(parts) >= run else []
         return any(int(number) >= step for number in found)
 
-    assert until(said)
+    assert until(has_reached)
 
 
 def numbers(folder):
@@ -106,7 +106,7 @@ def tear(folder):
         held.truncate(file.stat().st_size - 3000)
 
 
-def stood(folder):
+def stop_count(folder):
     """Return how often the simulated table has ended at rest, by its own word."""
     return (folder / 'nodes' / 'stand_node.log').read_text().count('the table stands')
 
@@ -149,7 +149,7 @@ def test_what_is_interrupted_torn_off_and_killed_is_gone_on_with_time_after_time
     last = interrupted(process, signal.SIGINT)
     # Nothing is left running, and the table was stopped before.
     assert not numbers(folder)
-    assert stood(folder) == 1
+    assert stop_count(folder) == 1
     assert last == f"imu-calib stand --resume '{folder}'"
     # Files that a person edits meanwhile are no matter.
     (tmp_path / 'short.yaml').write_text('name: another\n')
@@ -160,12 +160,12 @@ def test_what_is_interrupted_torn_off_and_killed_is_gone_on_with_time_after_time
     process = command(['stand', '--resume', str(folder)])
     comes_to(process, folder, TURN + 7, word='Turning', run=3)
     # Its nodes stop the table and end by themselves: what goes on waits for that.
-    assert stood(folder) == 1
+    assert stop_count(folder) == 1
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     process = command(['stand', '--resume', str(folder)])
     comes_to(process, folder, TURN + 9, run=4)
-    assert stood(folder) == 2
+    assert stop_count(folder) == 2
     output = finishes(process, folder)
     assert 'The IMU stream was interrupted' in output
     parts = runs(folder)
@@ -239,35 +239,39 @@ def write(journal, seconds):
         journal.flush()
 
 
-def says(capsys, *words):
+def refusal_text(capsys, *words):
     """Run a command that is refused; return what it says."""
     assert main.main(['stand', *words]) == 2
     return capsys.readouterr().err
 
 
 def test_what_cannot_be_gone_on_with_is_refused(tmp_path, capsys):
-    assert 'there is no such folder' in says(capsys, '--resume', str(tmp_path / 'no'))
-    assert 'holds no session of imu-calib stand' in says(capsys, '--resume', str(tmp_path))
+    assert 'there is no such folder' in refusal_text(capsys, '--resume', str(tmp_path / 'no'))
+    assert 'holds no session of imu-calib stand' in refusal_text(capsys, '--resume', str(tmp_path))
     complete = ended(tmp_path / 'complete', finished=True, result=True)
-    assert 'is complete; the result is' in says(capsys, '--resume', str(complete))
+    assert 'is complete; the result is' in refusal_text(capsys, '--resume', str(complete))
     failed = ended(tmp_path / 'failed', finished=True)
-    assert 'ended without a result' in says(capsys, '--resume', str(failed))
+    assert 'ended without a result' in refusal_text(capsys, '--resume', str(failed))
     left = ended(tmp_path / 'left', finished=False)
     with resume.locked_folder(left):
-        assert f'still runs (process {os.getpid()})' in says(capsys, '--resume', str(left))
-    assert 'found --imu too' in says(capsys, '--resume', str(left), '--imu', 'si')
-    assert 'found PLAN too' in says(capsys, 'six_position', '--resume', str(left))
-    simulated = says(capsys, '--resume', str(left), '--port', '/dev/ttyS0')
+        assert f'still runs (process {os.getpid()})' in refusal_text(capsys, '--resume', str(left))
+    assert 'found --imu too' in refusal_text(capsys, '--resume', str(left), '--imu', 'si')
+    assert 'found PLAN too' in refusal_text(capsys, 'six_position', '--resume', str(left))
+    simulated = refusal_text(capsys, '--resume', str(left), '--port', '/dev/ttyS0')
     assert 'its hardware is simulated' in simulated
-    assert 'Give a PLAN' in says(capsys)
-    exists = says(capsys, 'six_position', '-o', str(left))
+    assert 'Give a PLAN' in refusal_text(capsys)
+    exists = refusal_text(capsys, 'six_position', '-o', str(left))
     assert f'imu-calib stand --resume {left}' in exists
-    assert 'recordings are not overwritten' in says(capsys, 'six_position', '-o', str(complete))
+    assert 'recordings are not overwritten' in refusal_text(
+        capsys, 'six_position', '-o', str(complete)
+    )
     (complete / 'settings' / 'options.yaml').write_text('')
-    assert 'it holds no options' in says(capsys, '--resume', str(complete))
+    assert 'it holds no options' in refusal_text(capsys, '--resume', str(complete))
     file = tmp_path / 'file'
     file.write_text('')
-    assert f'{file}/stand: Not a directory.' in says(capsys, 'six_position', '-o', f'{file}/stand')
+    assert f'{file}/stand: Not a directory.' in refusal_text(
+        capsys, 'six_position', '-o', f'{file}/stand'
+    )
 
 
 def test_a_real_stand_goes_on_with_its_own_settings_at_another_port(tmp_path):

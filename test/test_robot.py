@@ -87,10 +87,10 @@ def test_a_stand_ends_in_a_stream_that_shows_gravity_and_the_earths_rate(tmp_pat
         }
         for name in ('compensator_node', *NODES):
             stand.start(name)
-        assert stand.wait(lambda: stand.said('compensator_node', 'No calibration'))
+        assert stand.wait(lambda: stand.has_status('compensator_node', 'No calibration'))
         final = stand.ended(seconds=240)
         assert final.status == final.VALID, final.status_text
-        assert stand.wait(lambda: stand.said('compensator_node', '/calibration is applied'))
+        assert stand.wait(lambda: stand.has_status('compensator_node', '/calibration is applied'))
         assert stand.reaches(State.DONE, seconds=60)
         ears = Ears(stand.node)
         stand.states.clear()

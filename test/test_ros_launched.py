@@ -32,9 +32,9 @@ def test_services_lead_a_stand_in_its_namespace(tmp_path):
     net = Network(tmp_path)
     with nothing_left(net):
         launch(net, namespace='lab', speed='3.0')
-        net.says('launch', 'Turning: step 2')
+        net.wait_for_text('launch', 'Turning: step 2')
         assert net.call('/lab/turntable_node/pause')[0]
-        net.says('launch', 'Paused')
+        net.wait_for_text('launch', 'Paused')
         refused, why = net.call('/lab/calibrator_node/save')
         assert not refused, why
         listed = net.ask('node', 'list', '--no-daemon', '--spin-time', '2').split()
@@ -71,8 +71,8 @@ def test_a_real_stand_and_a_calibrator_alone_are_launched(tmp_path):
         for name, given in (('stand', real), ('calibrator', alone)):
             words = [f'{k}:={v}' for k, v in {'latitude': LATITUDE, **given}.items()]
             net.start(name, net.ros('ros2', 'launch', 'imu_calib', f'{name}.launch.py', *words))
-        net.says('stand', port, 'Nothing is started.', 'Waiting for /real/imu/pulses.')
-        net.says('calibrator', 'Waiting for /my/imu')
+        net.wait_for_text('stand', port, 'Nothing is started.', 'Waiting for /real/imu/pulses.')
+        net.wait_for_text('calibrator', 'Waiting for /my/imu')
         topics = net.ask('topic', 'list', '--no-daemon', '--spin-time', '2').split()
         written = net.stop('calibrator') + net.stop('stand')
     assert ours <= set(topics)
@@ -109,9 +109,9 @@ def test_the_table_stands_when_the_launcher_alone_is_ended(number, tmp_path):
         # The table is no child of the launcher, and outlives it.
         executable = str(PACKAGE / 'lib' / 'imu_calib' / 'stand_node')
         net.start('table', net.ros(executable, '--ros-args', *table))
-        net.says('table', 'No program reads the frames')
+        net.wait_for_text('table', 'No program reads the frames')
         net.start('launch', net.ros('ros2', 'launch', 'imu_calib', 'stand.launch.py', *words))
-        net.says('launch', 'Turning: step', seconds=120)
+        net.wait_for_text('launch', 'Turning: step', seconds=120)
         launcher = net.processes.pop('launch')
         launcher.send_signal(number)
         launcher.wait(timeout=60)

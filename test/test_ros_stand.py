@@ -45,29 +45,29 @@ pytestmark = NEEDS_ROS
 def session(tmp_path_factory):
     """A session under `ros2 launch`, looked at and, where it can be, recorded with ROS's tools."""
     net = Network(tmp_path_factory.mktemp('session'))
-    seen = SimpleNamespace(net=net)
+    results = SimpleNamespace(net=net)
     look = ('--no-daemon', '--spin-time', '2')
     with nothing_left(net):
         launch(net, autostart='false')
-        net.says('launch', 'Waiting for /imu/pulses.', 'Frames come in.')
+        net.wait_for_text('launch', 'Waiting for /imu/pulses.', 'Frames come in.')
         if BAG:
             record(net)
         net.start('goal', net.ros('ros2', *GOAL, '{plan: short}'))
-        net.says('goal', 'Feedback:')
-        seen.parameters = net.ask('param', 'list', '/turntable_node', *look)
-        seen.latitude = net.ask('param', 'get', '/calibrator_node', 'latitude', *look)
-        seen.described = net.ask('param', 'describe', '/turntable_node', 'setpoint_rate', *look)
-        net.says('launch', 'The plan is done.', 'calibration.yaml is written', seconds=120)
+        net.wait_for_text('goal', 'Feedback:')
+        results.parameters = net.ask('param', 'list', '/turntable_node', *look)
+        results.latitude = net.ask('param', 'get', '/calibrator_node', 'latitude', *look)
+        results.described = net.ask('param', 'describe', '/turntable_node', 'setpoint_rate', *look)
+        net.wait_for_text('launch', 'The plan is done.', 'calibration.yaml is written', seconds=120)
         echo = ('topic', 'echo', '--no-daemon', '--once', '--full-length')
         latched = ('--qos-durability', 'transient_local', '--qos-reliability', 'reliable')
         echoed = net.ask(*echo, *latched, '/calibration', 'imu_calib_msgs/msg/ImuCalibration')
-        seen.echoed = yaml.safe_load(echoed.split('\n---')[0])
-        seen.recorded = net.stop('record') if BAG else ''
+        results.echoed = yaml.safe_load(echoed.split('\n---')[0])
+        results.recorded = net.stop('record') if BAG else ''
         assert net.processes.pop('goal').wait(timeout=patience()) == 0
-        seen.goal = net.log('goal')
-        seen.launched = net.stop('launch')
-    seen.live = Calibration.load(net.folder / 'calibration.yaml')
-    return seen
+        results.goal = net.log('goal')
+        results.launched = net.stop('launch')
+    results.live = Calibration.load(net.folder / 'calibration.yaml')
+    return results
 
 
 def test_a_launched_session_ends_in_the_true_parameters(session):
@@ -139,15 +139,15 @@ def test_the_tool_of_ros_cancels_a_goal_of_a_node_without_ros(tmp_path):
             file.write_text(yaml.safe_dump({name: {'ros__parameters': parameters[name]}}))
             words = ['-m', f'imu_calib.nodes.{name}', '--ros-args', '--params-file', str(file)]
             net.start(name, [sys.executable, *words], **alone)
-        net.says('turntable_node', 'Joint states are received.')
+        net.wait_for_text('turntable_node', 'Joint states are received.')
         net.start('refused', net.ros('ros2', *GOAL, '{plan: another}'))
         assert net.processes.pop('refused').wait(timeout=patience()) == 0
         net.start('goal', net.ros('ros2', *GOAL, '{plan: short}'))
-        net.says('goal', 'phase: 3')
+        net.wait_for_text('goal', 'phase: 3')
         # No identity and no time: all goals.
         net.ask('service', 'call', f'{GOAL[3]}/_action/cancel_goal', CANCEL, '{}')
         net.processes.pop('goal').wait(timeout=patience())
-        net.says('turntable_node', 'Cancelled by the client of run_calibration.')
+        net.wait_for_text('turntable_node', 'Cancelled by the client of run_calibration.')
         rates = one_joint_state(net)[1]
         logs = [net.stop(name) for name in ('turntable_node', 'imu_node', 'stand_node')]
     assert 'Goal finished with status: ABORTED' in net.log('refused')
@@ -190,8 +190,8 @@ def test_nodes_on_both_runtimes_make_one_stand(on_ros, tmp_path):
             else:
                 alone = {'IMU_CALIB_MIDDLEWARE': 'dds', 'PYTHONPATH': str(library)}
                 net.start(name, [sys.executable, *words], **alone)
-        net.says('turntable_node', 'The plan is done.', seconds=120)
-        net.says('calibrator_node', 'calibration.yaml is written')
+        net.wait_for_text('turntable_node', 'The plan is done.', seconds=120)
+        net.wait_for_text('calibrator_node', 'calibration.yaml is written')
         logs = [net.stop(name) for name in reversed(NODES)]
     assert 'Traceback' not in ''.join(logs)
     live = Calibration.load(folder / 'calibration.yaml')

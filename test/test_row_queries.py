@@ -127,7 +127,7 @@ class Held:
         loaded.append(name)
 
 
-def asked(limit: int, requests: str, users: int = 2, nbytes: int = 10) -> str:
+def loaded_chunks(limit: int, requests: str, users: int = 2, nbytes: int = 10) -> str:
     """What is loaded of chunks that are asked for in turn."""
     loaded: list[str] = []
     cache = Cache(limit)
@@ -137,23 +137,23 @@ def asked(limit: int, requests: str, users: int = 2, nbytes: int = 10) -> str:
 
 
 def test_a_chunk_is_loaded_once_for_all_who_read_it() -> None:
-    assert asked(100, 'aabbcc') == 'abc'
-    assert asked(100, 'abcabc') == 'abc'
-    assert asked(100, 'aaaaaa', users=3) == 'aa'
+    assert loaded_chunks(100, 'aabbcc') == 'abc'
+    assert loaded_chunks(100, 'abcabc') == 'abc'
+    assert loaded_chunks(100, 'aaaaaa', users=3) == 'aa'
 
 
 def test_it_goes_when_the_last_has_read_it() -> None:
-    assert asked(100, 'aaa') == 'aa'
-    assert asked(100, 'aaaa', users=1) == 'aaaa'
+    assert loaded_chunks(100, 'aaa') == 'aa'
+    assert loaded_chunks(100, 'aaaa', users=1) == 'aaaa'
 
 
 def test_of_too_many_the_one_that_was_used_longest_ago_goes() -> None:
-    assert asked(30, 'abcabc') == 'abc'
-    assert asked(29, 'abcabc') == 'abcabc'
+    assert loaded_chunks(30, 'abcabc') == 'abc'
+    assert loaded_chunks(29, 'abcabc') == 'abcabc'
     # Asked for again, a is used later than b.
-    assert asked(29, 'abacab', users=3) == 'abcb'
+    assert loaded_chunks(29, 'abacab', users=3) == 'abcb'
     # One that is larger than the limit is held all the same.
-    assert asked(5, 'aabb') == 'ab'
+    assert loaded_chunks(5, 'aabb') == 'ab'
 
 
 def test_what_was_read_by_all_no_longer_counts() -> None:
@@ -199,20 +199,20 @@ def past(*damaged: int, end: int = LAST_ROW) -> tuple[list[tuple[int, int, int |
 
 
 def test_what_cannot_be_read_is_passed_over_in_growing_steps() -> None:
-    windows, told = past(3000, 3001, 3002)
+    windows, reports = past(3000, 3001, 3002)
     # After one, two and four rows: 3003 lies in between, and nobody looks at it.
     assert windows == [(10, 2048, 2049), (20490, 951, 3004), (30040, 1997, 5052)]
-    assert told == ['bag.db3: rows 3000 to 3003 cannot be read (malformed).']
+    assert reports == ['bag.db3: rows 3000 to 3003 cannot be read (malformed).']
 
 
 def test_where_nothing_follows_that_can_be_read_it_is_said_once() -> None:
-    windows, told = past(*range(3000, 5001))
+    windows, reports = past(*range(3000, 5001))
     assert windows == [(10, 2048, 2049), (20490, 951, None)]
-    assert told == ['bag.db3: the rows after 2999 cannot be read (malformed).']
+    assert reports == ['bag.db3: the rows after 2999 cannot be read (malformed).']
     # Up to the end of a window only, the next begins behind it.
-    windows, told = past(*range(3000, 5001), end=4000)
+    windows, reports = past(*range(3000, 5001), end=4000)
     assert windows == [(10, 2048, 2049), (20490, 951, 4001)]
-    assert told == ['bag.db3: rows 3000 to 4000 cannot be read (malformed).']
+    assert reports == ['bag.db3: rows 3000 to 4000 cannot be read (malformed).']
 
 
 def test_before_damage_rows_come_in_windows_too() -> None:

@@ -31,7 +31,7 @@ class Client:
             kind.Impl.FeedbackMessage, f'{ACTION}/_action/feedback', self.feedback.append, 10
         )
         assert session.until(self.client.server_is_ready)
-        assert session.until(lambda: session.watcher.says('joint states', 0, 'are received'))
+        assert session.until(lambda: session.watcher.has_report('joint states', 0, 'are received'))
 
     def ask(self, **goal):
         """Send a goal; return its handle when it is answered."""
@@ -67,12 +67,12 @@ def test_a_goal_runs_the_plan_and_tells_how_far_it_is(session):
     assert result.calibration.status == ros.messages.ImuCalibration.REFUSED
     assert session.watcher.phase is Phase.DONE
     assert session.until(lambda: client.feedback)
-    told = [message.feedback for message in client.feedback]
-    assert {f.step for f in told} >= {0, 1, 2}
-    assert {Phase(f.phase) for f in told} >= {Phase.TURNING, Phase.DWELLING}
-    assert {f.position_id for f in told} >= {'first', 'second'}
-    assert all(f.steps == 4 for f in told)
-    assert told[0].seconds_left > told[-1].seconds_left
+    feedback = [message.feedback for message in client.feedback]
+    assert {f.step for f in feedback} >= {0, 1, 2}
+    assert {Phase(f.phase) for f in feedback} >= {Phase.TURNING, Phase.DWELLING}
+    assert {f.position_id for f in feedback} >= {'first', 'second'}
+    assert all(f.steps == 4 for f in feedback)
+    assert feedback[0].seconds_left > feedback[-1].seconds_left
     assert session.ends_stopped()
 
 
@@ -256,12 +256,12 @@ def test_while_one_of_several_units_is_not_heard_nothing_starts(session):
     units = {'plan': 'tiny', 'serial_numbers': ['A1', 'B2']}
     text = 'No samples come from B2.'
     session.watcher.progress.publish(kinds(**units, state=kinds.WAITING, text=text))
-    assert session.until(lambda: session.watcher.says('calibrator', 1, text))
+    assert session.until(lambda: session.watcher.has_report('calibrator', 1, text))
     done, words = session.press('start')
     assert not done
     assert text in words
     session.watcher.progress.publish(kinds(**units, state=kinds.COLLECTING))
-    assert session.until(lambda: session.watcher.says('calibrator', 0, 'expects this plan'))
+    assert session.until(lambda: session.watcher.has_report('calibrator', 0, 'expects this plan'))
     assert session.press('start')[0]
 
 

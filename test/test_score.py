@@ -136,12 +136,12 @@ def test_terms_that_nobody_asked_for_are_named_and_estimated(name: str) -> None:
         truth |= dict(zip(term.parameters, case.values[term.name], strict=True))
     off = (found.values - [truth[p] for p in found.parameters]) / found.std
     assert np.abs(off).max() < TOO_FAR, np.round(off, 1)
-    told = [text for text in found.findings if 'The session shows' in text]
-    assert len(told) == len(case.values)
+    findings = [text for text in found.findings if 'The session shows' in text]
+    assert len(findings) == len(case.values)
     blamed = [text for text in found.findings if any(word in text for word in BLAMED)]
     assert not blamed
     for rival in case.alike:
-        assert any(f'{rival} would explain it as well' in text for text in told)
+        assert any(f'{rival} would explain it as well' in text for text in findings)
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ class Screen:
             self._seen.append(self._lines.get())
         return ''.join(self._seen)
 
-    def says(self, *words):
+    def wait_for_text(self, *words):
         return until(lambda: all(word in self.text for word in words))
 
     def ends(self):
@@ -150,8 +150,8 @@ def refused(tmp_path, capsys, *words):
 
 
 def test_a_port_that_is_not_there_is_refused_at_once(tmp_path, capsys):
-    said = refused(tmp_path, capsys, '--port', '/dev/ttyUSB9', '--device', 'stim300')
-    assert '/dev/ttyUSB9 does not open: there is no such device. Connect it' in said
+    message = refused(tmp_path, capsys, '--port', '/dev/ttyUSB9', '--device', 'stim300')
+    assert '/dev/ttyUSB9 does not open: there is no such device. Connect it' in message
 
 
 def test_a_port_that_may_not_be_read_is_refused_with_what_to_do(serial, monkeypatch):
@@ -162,9 +162,9 @@ def test_a_port_that_may_not_be_read_is_refused_with_what_to_do(serial, monkeypa
 
 
 def test_a_port_needs_a_device_file(tmp_path, capsys):
-    said = refused(tmp_path, capsys, '--port', 'socket://127.0.0.1:1')
-    assert '--device' in said
-    assert 'stim300' in said
+    message = refused(tmp_path, capsys, '--port', 'socket://127.0.0.1:1')
+    assert '--device' in message
+    assert 'stim300' in message
 
 
 @pytest.mark.parametrize(
@@ -174,9 +174,9 @@ def test_a_device_file_that_cannot_be_read_is_refused_at_once(tmp_path, capsys, 
     file = tmp_path / 'mine.yaml'
     if text is not None:
         file.write_text(text)
-    said = refused(tmp_path, capsys, '--port', 'socket://127.0.0.1:1', '--device', str(file))
-    assert str(file) in said
-    assert words in said
+    message = refused(tmp_path, capsys, '--port', 'socket://127.0.0.1:1', '--device', str(file))
+    assert str(file) in message
+    assert words in message
 
 
 def test_nobody_listens_at_a_socket(tmp_path):
@@ -193,8 +193,8 @@ def test_nobody_listens_at_a_socket(tmp_path):
 def test_a_silent_device_is_said_and_waited_for(tmp_path, serial):
     ours, name = serial
     with Screen(tmp_path, name) as screen:
-        assert screen.says('imu_node: No frame has come', 'set to send'), screen.text
-        assert screen.says('turntable_node: There are no joint states'), screen.text
+        assert screen.wait_for_text('imu_node: No frame has come', 'set to send'), screen.text
+        assert screen.wait_for_text('turntable_node: There are no joint states'), screen.text
         assert screen.process.poll() is None
         # Of 0.01 m/s each, 200 times a second.
         send = Frames([0, 0, 0, 0, 0, 5])
@@ -263,7 +263,7 @@ def test_a_port_that_does_not_open_says_what_to_do(error, words):
     assert words in source.state.text
 
 
-def said(words, level, text, part='imu_node: stream', value='0'):
+def report_status(words, level, text, part='imu_node: stream', value='0'):
     status = messages.DiagnosticStatus(
         level=bytes([level]),
         name=part,
@@ -278,25 +278,25 @@ def test_a_sentence_is_shown_once_and_its_end_too(capsys, monkeypatch):
     now = 100.0
     monkeypatch.setattr(time, 'monotonic', lambda: now)
     words = NodeReports(real=True)
-    said(words, 1, 'It has not come yet.')
+    report_status(words, 1, 'It has not come yet.')
     assert not capsys.readouterr().err
-    said(words, 2, 'It is broken.')
-    said(words, 2, 'It is broken.')
-    said(words, 2, 'Another one is broken.', part='robot_node: stream')
+    report_status(words, 2, 'It is broken.')
+    report_status(words, 2, 'It is broken.')
+    report_status(words, 2, 'Another one is broken.', part='robot_node: stream')
     assert capsys.readouterr().err == 'imu_node: It is broken.\n'
     for _ in range(3):
         # It comes and goes.
-        said(words, 0, 'It works.')
-        said(words, 2, 'It is broken.')
+        report_status(words, 0, 'It works.')
+        report_status(words, 2, 'It is broken.')
     assert not capsys.readouterr().err
-    said(words, 0, 'It works.')
+    report_status(words, 0, 'It works.')
     now += 2.0
     words.show()
     words.show()
     assert capsys.readouterr().err == 'imu_node: It works.\n'
-    said(words, 1, 'Frames are lost.')
+    report_status(words, 1, 'Frames are lost.')
     now += 2.0
-    said(words, 1, 'Frames are lost.')
+    report_status(words, 1, 'Frames are lost.')
     assert capsys.readouterr().err == 'imu_node: Frames are lost.\n'
 
 
@@ -304,8 +304,8 @@ def test_a_port_that_breaks_later_ends_nothing(capsys, monkeypatch):
     now = 100.0
     monkeypatch.setattr(time, 'monotonic', lambda: now)
     words = NodeReports(real=True)
-    said(words, 0, 'It is open.', part='imu_node: port', value='4400')
-    said(words, 2, 'It broke.', part='imu_node: port', value='4400')
+    report_status(words, 0, 'It is open.', part='imu_node: port', value='4400')
+    report_status(words, 2, 'It broke.', part='imu_node: port', value='4400')
     now += 60.0
     words.show()
     assert capsys.readouterr().err == 'imu_node: It broke.\n'
@@ -342,13 +342,13 @@ def test_a_table_that_stops_ends_the_command_where_nobody_can_have_it_go_on(
     board = Board(Expected('short', 'fog_medium', 'three_axis', (), (), ()))
     running = SimpleNamespace(check=lambda: None)
     outcome = stand_session._follow(running, None, board, control=control)
-    said = ' '.join(capsys.readouterr().err.split())
+    errors = ' '.join(capsys.readouterr().err.split())
     if control:
         assert outcome == Outcome(True, 'Done.', 7.0)
-        assert said.count('The table has stopped. Joint inner stalls. Go on from the page') == 1
+        assert errors.count('The table has stopped. Joint inner stalls. Go on from the page') == 1
     else:
         assert outcome == Outcome(False, 'The table has stopped. Joint inner stalls.', 7.0)
-        assert not said
+        assert not errors
 
 
 @pytest.mark.parametrize('verbose', [False, True])

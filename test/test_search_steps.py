@@ -175,13 +175,13 @@ def test_drift_that_seems_absent_counts_in_full_beside_terms_of_the_session() ->
 def test_scatter_is_what_is_left_once_a_family_explains_what_it_can(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    seen: list[Any] = []
-    monkeypatch.setattr(scores_module, 'excess', lambda *given: seen.append(given))
+    calls: list[Any] = []
+    monkeypatch.setattr(scores_module, 'excess', lambda *given: calls.append(given))
     equations = stated(TableErrors(zeros=1e-4))
     state = equations.nominal()
     for family in (CUBIC, WOBBLE, WARM_UP):
         family.scatter(equations, state, 0.25)
-    (with_term, longer), (with_error, same), (warming, drifted) = seen
+    (with_term, longer), (with_error, same), (warming, drifted) = calls
     assert with_term.parameters == (*PARAMETERS, *GYRO_CUBIC.parameters)
     assert longer.tolist() == [*state[:24], 0, 0, 0, *state[24:]]
     # Of the table's errors it is free, 300 arcseconds, and the others are as stated.
@@ -189,8 +189,8 @@ def test_scatter_is_what_is_left_once_a_family_explains_what_it_can(
     assert same is state
     assert (warming.changes, warming.shape) == (session_term('warm_up'), 0.25)
     # One step of the least squares from where it would be without.
-    jacobian, left = warming.whitened(np.append(state, np.zeros(8)))
-    step = np.linalg.lstsq(jacobian, left, rcond=None)[0]
+    jacobian, residuals = warming.whitened(np.append(state, np.zeros(8)))
+    step = np.linalg.lstsq(jacobian, residuals, rcond=None)[0]
     assert warming.predict(drifted) == pytest.approx(
         warming.predict(np.append(state, np.zeros(8)) + step), abs=1e-9
     )
@@ -527,8 +527,8 @@ def test_a_search_that_comes_to_no_end_is_said_to_be_broken_off(
     monkeypatch.setattr(module, '_shown', lambda *_: ())
     assert findings(search_terms(first.equations.evidence)) == []
     monkeypatch.setattr(module, '_shown', refused)
-    (said,) = findings(search_terms(first.equations.evidence))
-    assert 'did not converge' in said
+    (sentences,) = findings(search_terms(first.equations.evidence))
+    assert 'did not converge' in sentences
 
 
 def test_a_rival_counts_by_its_likelihood_and_by_how_far_parameters_are_off(

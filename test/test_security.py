@@ -245,12 +245,12 @@ def test_enforced_a_stand_runs_and_nobody_else_leads_its_table(tmp_path):
     launcher, net.own = net.own, {**net.own, **secured}
     with nothing_left(net):
         launch(net, autostart='false', view='false')
-        net.says('launch', 'Waiting for /imu/pulses.', 'Frames come in.', seconds=90)
+        net.wait_for_text('launch', 'Waiting for /imu/pulses.', 'Frames come in.', seconds=90)
         asked = {'ROS_SECURITY_ENCLAVE_OVERRIDE': enclave('operator')}
         net.own |= asked
         # It may wait for the calibrator's first word; what it says later is in its log.
         assert net.call('/turntable_node/start')[0]
-        net.says('launch', 'Turning', seconds=90)
+        net.wait_for_text('launch', 'Turning', seconds=90)
         # Who has the leader's own keys is heard: a rogue would be, by then, if it were let in.
         others = ('imu_node', 'observer', 'operator')
         for name in ('turntable_node', *others):

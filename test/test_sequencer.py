@@ -1032,13 +1032,13 @@ def test_a_stop_is_no_way_beyond_the_limits_and_none_back(angle, end, sense):
 
 def test_a_hold_is_told_again_every_second_while_the_table_moves():
     lead = Lead(TABLE)
-    told = []
+    messages = []
     for tick in range(50):
         stamp = 50_000_000 * tick
         fast = at(rates=(60 * DEG, 0.0, 0.0), still=False, stamp=stamp)
         if lead.piece(setpoint(Mode.HOLD, stamp=stamp), fast) is not None:
-            told.append(stamp * 1e-9)
-    assert told == pytest.approx([0.0, 1.0, 2.0], abs=0.06)
+            messages.append(stamp * 1e-9)
+    assert messages == pytest.approx([0.0, 1.0, 2.0], abs=0.06)
 
 
 def test_a_piece_that_comes_too_late_is_no_jump():

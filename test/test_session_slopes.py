@@ -201,13 +201,13 @@ def test_outputs_are_whitened_by_their_covariance() -> None:
     covariance = equations.covariance(state)
     root = np.linalg.cholesky(covariance)
     np.testing.assert_allclose(equations.factor(state), root, rtol=1e-9)
-    columns, left = equations.whitened(state)
+    columns, residuals = equations.whitened(state)
     m = len(equations.outputs)
     np.testing.assert_allclose(
         columns[:m], np.linalg.solve(root, equations.jacobian(state)), atol=1e-6
     )
     off = equations.outputs - equations.predict(state)
-    np.testing.assert_allclose(left[:m], np.linalg.solve(root, off), rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(residuals[:m], np.linalg.solve(root, off), rtol=1e-9, atol=1e-6)
     np.testing.assert_array_equal(columns[m:], equations.prior_rows(state)[:, :-1])
     np.testing.assert_allclose(equations.own_variances[:3], GYRO_WALK**2 / 120)
     still = Equations(replace(some(), walk=np.zeros(6)), PARAMETERS)

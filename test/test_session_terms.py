@@ -217,13 +217,17 @@ def test_derivatives_are_those_of_the_prediction(drifting: Evidence) -> None:
 def test_what_is_kept_for_the_file_is_applied_at_every_temperature(drifting: Evidence) -> None:
     solution = solve(drifting, changes=split_terms('thermal')[1])
     assert drifting.temperature is not None
-    seen = drifting.temperature
+    temperature = drifting.temperature
     calibration = Calibration(
         load_imu('fog_navigation'),
         solution.model,
         solution.covariance,
         provenance={
-            'temperature': {'mean': seen.mean, 'lowest': seen.lowest, 'highest': seen.highest}
+            'temperature': {
+                'mean': temperature.mean,
+                'lowest': temperature.lowest,
+                'highest': temperature.highest,
+            }
         },
         changes=solution.changes,
     )
@@ -236,17 +240,17 @@ def test_what_is_kept_for_the_file_is_applied_at_every_temperature(drifting: Evi
         far = (at.values[:24] - truth_at(seconds)) / at.std[:24]
         assert np.abs(far).max() < FAR, np.round(far, 1)
     # At the mean they are those of the file.
-    assert ready.at(seen.mean).values == pytest.approx(read.values, abs=1e-15)
+    assert ready.at(temperature.mean).values == pytest.approx(read.values, abs=1e-15)
     # Beyond the session nothing is known, and the last holds.
-    hot, hotter = ready.at(seen.highest), ready.at(seen.highest + 20.0)
+    hot, hotter = ready.at(temperature.highest), ready.at(temperature.highest + 20.0)
     assert (hot.values == hotter.values).all()
 
 
 def test_a_session_that_warms_says_what_that_means(drifting: Evidence, constant: Estimate) -> None:
-    told = [f for f in solve(drifting).findings if 'The temperature moved' in f]
-    assert len(told) == 1
-    assert 'The terms thermal or trend' in told[0]
-    assert 'K_a' in told[0]
+    findings = [f for f in solve(drifting).findings if 'The temperature moved' in f]
+    assert len(findings) == 1
+    assert 'The terms thermal or trend' in findings[0]
+    assert 'K_a' in findings[0]
     # What a data sheet states is in the deviations, and takes the error in.
     sheet = replace(drifting, thermal=np.array([[3 * PPM, 0.02 * DEG_H], [6 * PPM, 8 * MICRO_G]]))
     stated = estimate(sheet)
@@ -300,9 +304,9 @@ def test_a_drift_that_nobody_asked_for_is_found_and_named(drifting: Evidence) ->
     found = solve(replace(drifting, temperature=None), find_terms=True)
     assert found.changes is not None
     assert {c.course for c in found.changes.changes} == {Course.TREND}
-    told = [f for f in found.findings if 'The session shows' in f]
-    assert len(told) == 1
-    assert 'parameters that drift evenly with time (trend' in told[0]
+    findings = [f for f in found.findings if 'The session shows' in f]
+    assert len(findings) == 1
+    assert 'parameters that drift evenly with time (trend' in findings[0]
     assert not [f for f in found.findings if any(word in f for word in BLAMED)]
     std = np.sqrt(np.diag(found.covariance)[:24])
     wrong = (found.model.values(PARAMETERS) - truth_at(middle(drifting))) / std
@@ -319,11 +323,11 @@ def test_what_follows_a_recorded_temperature_is_found_and_holds_beyond_the_sessi
     found = solve(drifting, find_terms=True)
     assert found.changes is not None
     assert {c.course for c in found.changes.changes} == {Course.THERMAL}
-    told = [f for f in found.findings if 'The session shows' in f]
-    assert len(told) == 1
-    assert 'parameters that follow the temperature (thermal' in told[0]
-    assert 'trend' in told[0]
-    assert 'let the temperature rise and fall' in told[0]
+    findings = [f for f in found.findings if 'The session shows' in f]
+    assert len(findings) == 1
+    assert 'parameters that follow the temperature (thermal' in findings[0]
+    assert 'trend' in findings[0]
+    assert 'let the temperature rise and fall' in findings[0]
     assert not [f for f in found.findings if 'as if they did not follow it' in f]
     assert drifting.temperature is not None
     std = np.sqrt(np.diag(found.covariance)[:24])
@@ -339,10 +343,10 @@ def test_a_temperature_that_stays_is_no_candidate(drifting: Evidence) -> None:
     course = drifting.temperature.course
     for rise, there in ((0.7, True), (0.3, False)):
         celsius = np.linspace(20.0, 20.0 + rise, len(course))
-        seen = Temperature(
+        temperature = Temperature(
             20.0 + rise / 2, 20.0, 20.0 + rise, np.column_stack([course[:, 0], celsius])
         )
-        equations = Equations(replace(drifting, temperature=seen))
+        equations = Equations(replace(drifting, temperature=temperature))
         names = {family.name for family in families(equations)}
         assert ('thermal' in names) is there
 
@@ -354,11 +358,11 @@ def test_a_warm_up_that_nobody_asked_for_is_told_from_a_drift(
     found = solve(evidence, find_terms=True)
     assert found.changes is not None
     assert {c.course for c in found.changes.changes} == {Course.WARM_UP}
-    told = [f for f in found.findings if 'The session shows' in f]
-    assert len(told) == 1
-    assert 'settle as the unit warms up (warm_up' in told[0]
+    findings = [f for f in found.findings if 'The session shows' in f]
+    assert len(findings) == 1
+    assert 'settle as the unit warms up (warm_up' in findings[0]
     # It fades with a fifth of the session: no drift would do.
-    assert 'trend' not in told[0]
+    assert 'trend' not in findings[0]
     std = np.sqrt(np.diag(found.covariance)[:24])
     wrong = (found.model.values(PARAMETERS) - wanted) / std
     assert np.abs(wrong).max() < FAR, np.round(wrong, 1)
@@ -393,9 +397,9 @@ def test_terms_that_the_session_cannot_tell_are_refused(drifting: Evidence) -> N
     changes = split_terms('thermal')[1]
     with pytest.raises(NotObservable, match='no temperature'):
         estimate(replace(drifting, temperature=None), changes=changes)
-    seen = drifting.temperature
-    assert seen is not None
-    still = replace(seen, course=seen.course * [1.0, 0.0] + [0.0, 20.0])
+    temperature = drifting.temperature
+    assert temperature is not None
+    still = replace(temperature, course=temperature.course * [1.0, 0.0] + [0.0, 20.0])
     with pytest.raises(NotObservable, match=r'moves by 0\.00 K.*expected 0\.5 K'):
         estimate(replace(drifting, temperature=still), changes=changes)
     one = replace(drifting, segments=drifting.segments, turns=drifting.turns, moves=())

@@ -53,8 +53,8 @@ def test_what_does_not_go_together_is_refused_in_words(
     capsys, file, tmp_path, units, words, expected
 ):
     output = str(tmp_path / 'stand')
-    said = refused(capsys, 'twelve_position', '--imus', file(*units), '-o', output, *words)
-    assert expected in ' '.join(said.split())
+    message = refused(capsys, 'twelve_position', '--imus', file(*units), '-o', output, *words)
+    assert expected in ' '.join(message.split())
     assert not (tmp_path / 'stand').exists()
 
 

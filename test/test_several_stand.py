@@ -40,7 +40,7 @@ VALID, REFUSED = messages.ImuCalibration.VALID, messages.ImuCalibration.REFUSED
 
 
 @pytest.fixture(scope='module')
-def stood(tmp_path_factory):
+def finished_session(tmp_path_factory):
     """The session, and what was seen on its way."""
     folder = tmp_path_factory.mktemp('several_stand')
     file = folder / 'units.yaml'
@@ -56,31 +56,33 @@ def stood(tmp_path_factory):
             topic = f'{name}/calibration'
             listen(Progress, f'{topic}/progress', heard.progress.append, qos.latched(100))
             listen(messages.ImuCalibration, topic, heard.calibrations.append, qos.results())
-        seen = SimpleNamespace(stand=stand, own=own, folder=stand.folder, plan=plan)
-        seen.unheard = stand.wait(lambda: waits_for(stand, 'C3'), patience(60))
+        results = SimpleNamespace(stand=stand, own=own, folder=stand.folder, plan=plan)
+        results.unheard = stand.wait(lambda: waits_for(stand, 'C3'), patience(60))
         # The leader hears it too, and says so: a start before that waits for the calibrator.
-        assert stand.wait(lambda: stand.said('turntable_node: calibrator', 'C3'), patience(60))
-        seen.before, seen.refused = stand.state.phase, stand.call('turntable_node/start')
+        assert stand.wait(
+            lambda: stand.has_status('turntable_node: calibrator', 'C3'), patience(60)
+        )
+        results.before, results.refused = stand.state.phase, stand.call('turntable_node/start')
         stand.start(DEVICES[2])
         assert stand.reaches(State.DWELLING, step=2), (stand.state, stand.words[-9:])
         stand.fault(f'unit_A1 silence {LOSS}')
         stand.fault(f'unit_B_2 freeze {LOSS}')
         assert stand.reaches(State.DWELLING, step=5), stand.state
         stand.kill(DEVICES[2])
-        seen.silent = stand.wait(lambda: waits_for(stand, 'C3'), patience(60))
-        seen.goes_on = stand.reaches(State.DWELLING, step=stand.state.step + 1)
-        seen.answer = stand.call('calibrator_node/leave_out/unit_C3')
-        seen.twice = stand.call('calibrator_node/leave_out/unit_C3')
+        results.silent = stand.wait(lambda: waits_for(stand, 'C3'), patience(60))
+        results.goes_on = stand.reaches(State.DWELLING, step=stand.state.step + 1)
+        results.answer = stand.call('calibrator_node/leave_out/unit_C3')
+        results.twice = stand.call('calibrator_node/leave_out/unit_C3')
         assert stand.wait(lambda: stand.progress[-1].state == Progress.FINISHED, patience(240)), (
             stand.state,
             stand.progress[-1],
         )
         assert stand.wait(lambda: all(heard.calibrations for heard in own.values()))
         assert stand.wait(lambda: len(last_words(stand)) == 3)
-        seen.late = stand.call('calibrator_node/leave_out/unit_A1')
-        seen.journal = stand.folder / 'journal'
+        results.late = stand.call('calibrator_node/leave_out/unit_A1')
+        results.journal = stand.folder / 'journal'
     # What was heard stays; its processes have ended.
-    return seen
+    return results
 
 
 def waits_for(stand, serial):
@@ -93,47 +95,47 @@ def last_words(stand):
     return {c.serial_number: c for c in stand.calibrations if c.status in {VALID, REFUSED}}
 
 
-def test_the_table_starts_when_every_unit_is_heard(stood):
-    assert stood.unheard
-    assert stood.before == State.IDLE
-    done, said = stood.refused
+def test_the_table_starts_when_every_unit_is_heard(finished_session):
+    assert finished_session.unheard
+    assert finished_session.before == State.IDLE
+    done, message = finished_session.refused
     assert not done
-    assert 'C3' in said
+    assert 'C3' in message
 
 
-def test_a_unit_that_falls_silent_stops_nothing_and_is_named(stood):
-    assert stood.silent
-    assert stood.goes_on
-    assert stood.stand.said('unit_C3', 'silent, but the table is not')
+def test_a_unit_that_falls_silent_stops_nothing_and_is_named(finished_session):
+    assert finished_session.silent
+    assert finished_session.goes_on
+    assert finished_session.stand.has_status('unit_C3', 'silent, but the table is not')
 
 
-def test_a_unit_is_left_out_once(stood):
-    assert stood.answer == (True, 'C3 is left out; the session goes on with the others.')
-    assert stood.twice == (False, 'C3 is left out already.')
+def test_a_unit_is_left_out_once(finished_session):
+    assert finished_session.answer == (True, 'C3 is left out; the session goes on with the others.')
+    assert finished_session.twice == (False, 'C3 is left out already.')
     # It had ended the node: its recording was closed.
-    assert stood.late == (False, 'The session is over: A1 is not left out.')
-    assert 'C3' not in stood.stand.progress[-1].serial_numbers
-    with open_recording(stood.journal) as recording:
+    assert finished_session.late == (False, 'The session is over: A1 is not left out.')
+    assert 'C3' not in finished_session.stand.progress[-1].serial_numbers
+    with open_recording(finished_session.journal) as recording:
         assert recording.custom_data[LEFT_OUT] == 'unit_C3'
 
 
-def test_steps_that_left_too_little_to_one_unit_are_run_again_for_all(stood):
+def test_steps_that_left_too_little_to_one_unit_are_run_again_for_all(finished_session):
     """A1 was silent in a step, B-2 said the same sample all along: after the last step come others.
 
     Which steps it hits depends on how far the table is when the fault arrives.
     """
     steps, topic = [], '/turntable/setpoint'
-    with open_recording(stood.journal) as recording:
+    with open_recording(finished_session.journal) as recording:
         for _, block in recording.read({topic: Kind.SETPOINTS}):
             steps += [s.step for s in block.setpoints if s.plan and s.mode is not Mode.HOLD]
-    last = len(load_plan(stood.plan).steps(load_table('three_axis'))) - 1
+    last = len(load_plan(finished_session.plan).steps(load_table('three_axis'))) - 1
     again = set(steps[steps.index(last) :]) - {last}
-    wanted = {int(k) for p in stood.stand.progress for k in p.repeat_steps}
+    wanted = {int(k) for p in finished_session.stand.progress for k in p.repeat_steps}
     assert again & wanted - {0}, (again, wanted)
 
 
-def test_the_others_have_their_results_by_their_serial_numbers(stood):
-    words = last_words(stood.stand)
+def test_the_others_have_their_results_by_their_serial_numbers(finished_session):
+    words = last_words(finished_session.stand)
     assert {serial: c.status for serial, c in words.items()} == {
         'A1': VALID,
         'B-2': VALID,
@@ -141,28 +143,28 @@ def test_the_others_have_their_results_by_their_serial_numbers(stood):
     }
     truth = Calibration.load(named_file('truths', 'cao2022_table1')).model.vector()
     for name in ('unit_A1', 'unit_B_2'):
-        serial, message = SERIALS[name], stood.own[name].calibrations[-1]
+        serial, message = SERIALS[name], finished_session.own[name].calibrations[-1]
         assert message.serial_number == serial
-        found = Calibration.load(stood.folder / 'calibrations' / f'{serial}.yaml')
+        found = Calibration.load(finished_session.folder / 'calibrations' / f'{serial}.yaml')
         assert found.serial_number == serial
         values = [getattr(message, parameter.lower()) for parameter in message.parameter_names]
         assert np.array_equal(values, found.values)
         assert np.abs((found.values - truth) / found.std).max() < LIMIT
-    assert not (stood.folder / 'calibrations' / 'C3.yaml').exists()
+    assert not (finished_session.folder / 'calibrations' / 'C3.yaml').exists()
 
 
-def test_progress_of_all_is_that_of_the_unit_that_knows_least(stood):
-    last = stood.stand.progress[-1]
+def test_progress_of_all_is_that_of_the_unit_that_knows_least(finished_session):
+    last = finished_session.stand.progress[-1]
     assert last.state == Progress.FINISHED
     assert last.text == '2 of 2 units are calibrated.'
-    ends = [stood.own[name].progress[-1] for name in ('unit_A1', 'unit_B_2')]
+    ends = [finished_session.own[name].progress[-1] for name in ('unit_A1', 'unit_B_2')]
     worst = np.max([list(end.standard_deviations) for end in ends], axis=0)
     assert np.array_equal(last.standard_deviations, worst)
-    assert last.file == str((stood.folder / 'calibrations').absolute())
+    assert last.file == str((finished_session.folder / 'calibrations').absolute())
 
 
-def test_the_journal_holds_all_units_and_says_whose_topic_is_whose(stood):
-    with open_recording(stood.journal) as recording:
+def test_the_journal_holds_all_units_and_says_whose_topic_is_whose(finished_session):
+    with open_recording(finished_session.journal) as recording:
         counts = {topic.name: topic.count for topic in recording.topics}
         data = recording.custom_data
     for name, serial in SERIALS.items():
@@ -171,11 +173,11 @@ def test_the_journal_holds_all_units_and_says_whose_topic_is_whose(stood):
     assert counts['/unit_C3/imu/pulses'] < counts['/unit_B_2/imu/pulses']
 
 
-def test_reprocessing_gives_the_same_bits(stood, tmp_path):
-    words = ['calibrate', str(stood.journal), '-o', str(tmp_path / 'again')]
+def test_reprocessing_gives_the_same_bits(finished_session, tmp_path):
+    words = ['calibrate', str(finished_session.journal), '-o', str(tmp_path / 'again')]
     assert main.main(words) == 0
     for serial in ('A1', 'B-2'):
-        live = Calibration.load(stood.folder / 'calibrations' / f'{serial}.yaml')
+        live = Calibration.load(finished_session.folder / 'calibrations' / f'{serial}.yaml')
         again = Calibration.load(tmp_path / 'again' / f'{serial}.yaml')
         assert np.array_equal(again.values, live.values)
         assert np.array_equal(again.covariance, live.covariance)

@@ -691,7 +691,7 @@ def test_the_stand_sends_each_step_at_10_hz_and_dwells_after_settling():
 
 
 def test_topics_come_in_order_of_time_in_blocks_of_bounded_length():
-    seen: dict[str, int] = {}
+    calls: dict[str, int] = {}
     options = StandOptions(block_length=3.0, joint_stamp_jitter=1e-3, imu_stamp_jitter=1e-3)
     for topic, block in simulate(small_plan(), THREE_AXIS, PULSES, SensorModel(), SITE, options, 0):
         if topic == 'turntable/setpoint':
@@ -699,10 +699,10 @@ def test_topics_come_in_order_of_time_in_blocks_of_bounded_length():
         else:
             stamps = block.stamp
         assert (np.diff(stamps) > 0).all()
-        assert stamps[0] > seen.get(topic, 0)
+        assert stamps[0] > calls.get(topic, 0)
         assert np.ptp(stamps) <= 3.02e9
-        seen[topic] = stamps[-1]
-    assert set(seen) == {
+        calls[topic] = stamps[-1]
+    assert set(calls) == {
         'turntable/setpoint',
         'turntable/joint_states',
         'imu/pulses',
@@ -751,8 +751,8 @@ def test_vibration_rings_after_an_arrival_and_leaves_nothing():
         assert 0.3 * amplitude < change[near].max() < amplitude
         assert change[(time > last + 4)].max() < 1e-6 * amplitude
         ringing = time > last - 0.02
-        left = (with_[column] - without[column])[ringing].sum(axis=0) / 100
-        assert np.abs(left).max() < 1e-9
+        residuals = (with_[column] - without[column])[ringing].sum(axis=0) / 100
+        assert np.abs(residuals).max() < 1e-9
 
 
 def test_wrong_options_are_refused_in_words():

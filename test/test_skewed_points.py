@@ -172,20 +172,20 @@ def test_what_turns_cannot_tell_apart_is_named_for_four_channels() -> None:
 
 
 def test_variances_are_pooled_over_the_points_of_one_rate() -> None:
-    left = np.random.default_rng(3).standard_normal((8, 4)) * 1e-6
-    them = points(left)
+    residuals = np.random.default_rng(3).standard_normal((8, 4)) * 1e-6
+    them = points(residuals)
     # Four points more than unknowns: what is left of each counts twice.
     slow, fast = [0, 1, 2, 6, 7], [3, 4, 5]
     found = them.pooled(COUPLINGS)
     for mine in (slow, fast):
-        wanted = 8 / 4 * np.mean(left[mine] ** 2, axis=0)
+        wanted = 8 / 4 * np.mean(residuals[mine] ** 2, axis=0)
         np.testing.assert_allclose(found[mine], np.tile(wanted, (len(mine), 1)), rtol=1e-6)
     # What single turns show counts instead, of the points that have several.
     spread = np.full((8, 4), np.nan)
     spread[1], spread[6] = [1e-12, 2e-12, 3e-12, 4e-12], [3e-12, 4e-12, 5e-12, 6e-12]
-    found = points(left, spread).pooled(COUPLINGS)
+    found = points(residuals, spread).pooled(COUPLINGS)
     np.testing.assert_allclose(found[slow], np.tile([2e-12, 3e-12, 4e-12, 5e-12], (5, 1)))
-    np.testing.assert_allclose(found[fast[0]], 2 * np.mean(left[fast] ** 2, axis=0), rtol=1e-6)
+    np.testing.assert_allclose(found[fast[0]], 2 * np.mean(residuals[fast] ** 2, axis=0), rtol=1e-6)
     assert points().pooled(COUPLINGS).min() == 1e-24
 
 
@@ -255,28 +255,28 @@ def test_the_bound_is_that_of_gauss_and_markov() -> None:
 def test_the_parity_is_what_no_rate_moves() -> None:
     vector = null_space(COUPLINGS[:, :3].T)[:, 0]
     outputs = np.random.default_rng(2).standard_normal((5, 4))
-    left, found = parity(outputs, COUPLINGS)
+    residuals, found = parity(outputs, COUPLINGS)
     assert abs(found @ vector) == pytest.approx(1.0)
-    np.testing.assert_allclose(left, (outputs - COUPLINGS[:, 3]) @ found, rtol=1e-12)
+    np.testing.assert_allclose(residuals, (outputs - COUPLINGS[:, 3]) @ found, rtol=1e-12)
 
 
 def test_parity_is_told_in_degrees_an_hour_and_contradictions_in_rates() -> None:
     vector = parity(np.zeros((1, 4)), COUPLINGS)[1]
     size, deviation = 3.0 * DEG_H, 0.5 * DEG_H
-    left = np.zeros((8, 4))
-    left[3] = size * vector
+    residuals = np.zeros((8, 4))
+    residuals[3] = size * vector
     variances = np.full((8, 4), deviation**2)
-    first, second = _parity(points(left), COUPLINGS, variances)
+    first, second = _parity(points(residuals), COUPLINGS, variances)
     # One of eight: 3 over the root of 8.
     assert first == (
         'Parity of the four gyros over 8 turns: root mean square 1.06 deg/h, where their noise '
         'explains 0.5 deg/h.'
     )
     assert second == (f'The four gyros contradict each other in turns at {-1 / DEG:+.0f} deg/s.')
-    assert len(_parity(points(left), COUPLINGS, variances * 1.43)) == 2
-    assert len(_parity(points(left), COUPLINGS, variances * 1.45)) == 1
-    left[7] = -size * vector
-    assert _parity(points(left), COUPLINGS, variances)[1].endswith('at -57 deg/s, +29 deg/s.')
+    assert len(_parity(points(residuals), COUPLINGS, variances * 1.43)) == 2
+    assert len(_parity(points(residuals), COUPLINGS, variances * 1.45)) == 1
+    residuals[7] = -size * vector
+    assert _parity(points(residuals), COUPLINGS, variances)[1].endswith('at -57 deg/s, +29 deg/s.')
 
 
 def test_what_weights_cost_is_by_their_slopes() -> None:

@@ -136,11 +136,11 @@ def test_a_line_rests_on_the_stamps_that_are_not_late() -> None:
     slope, origin = np.polyfit(index[sound], (0.002 + 0.01001 * index + late)[sound], 1)
     assert grid.period == pytest.approx(slope, rel=1e-10)
     assert grid.origin == pytest.approx(origin, rel=1e-9)
-    left = (0.002 + 0.01001 * index + late - origin - slope * index)[sound]
-    assert grid.scatter == pytest.approx(sqrt((left**2).mean()))
+    residuals = (0.002 + 0.01001 * index + late - origin - slope * index)[sound]
+    assert grid.scatter == pytest.approx(sqrt((residuals**2).mean()))
     # Too few for blocks: white.
     spread = ((index[sound] - index[sound].mean()) ** 2).sum()
-    assert grid.period_std == pytest.approx(sqrt((left**2).mean() / spread))
+    assert grid.period_std == pytest.approx(sqrt((residuals**2).mean() / spread))
 
 
 def test_stamps_without_scatter_are_known_to_a_twelfth_of_a_square_nanosecond() -> None:
@@ -158,9 +158,9 @@ def test_outliers_are_four_robust_deviations_off() -> None:
 
 def test_what_is_late_together_counts_by_its_blocks() -> None:
     # 16 blocks of 3, 0.5 early and late by turns; to and fro by 1, 0, -1 within.
-    left = np.tile([1.0, 0.0, -1.0], 17)[:50] + np.resize([0.5] * 3 + [-0.5] * 3, 50)
-    own = float((left**2).mean())
-    assert _in_common(left) == pytest.approx(max(own, 3 * 0.25))
+    residuals = np.tile([1.0, 0.0, -1.0], 17)[:50] + np.resize([0.5] * 3 + [-0.5] * 3, 50)
+    own = float((residuals**2).mean())
+    assert _in_common(residuals) == pytest.approx(max(own, 3 * 0.25))
     together = np.resize([0.5] * 3 + [-0.5] * 3, 50)
     assert _in_common(together) == pytest.approx(3 * 0.25)
     assert _in_common(together[:31]) == pytest.approx(0.25)
@@ -284,9 +284,9 @@ def test_the_interval_is_that_of_a_line_through_the_segments() -> None:
     # A level is known as well as the interval over the scatter of the samples: 29.15 of 101.
     own = 1e-6 * sqrt((101**2 - 1) / 12)
     spread = ((np.array(FIRSTS) - np.mean(FIRSTS)) ** 2).sum()
-    left = np.array(LATE) - level - slope * np.array(FIRSTS)
+    residuals = np.array(LATE) - level - slope * np.array(FIRSTS)
     # They scatter by more than that, with two degrees of freedom.
-    assert std == pytest.approx(sqrt((left @ left) / 2 / spread))
+    assert std == pytest.approx(sqrt((residuals @ residuals) / 2 / spread))
     assert std > 2 * own / sqrt(spread)
     # They scatter by less: what their own errors make of it.
     _, quiet = session([1e-3 * late for late in LATE], FIRSTS)._long()

@@ -124,11 +124,11 @@ def test_what_is_late_is_said_and_nothing_else(share: float) -> None:
         reader = Segmenter(paper_imu(), load_table('three_axis'))
         for _, block in session(plan(), stand(delivery=late), seed=seed):
             reader.feed(block)
-        (said,) = reader.finish().losses
+        (losses,) = reader.finish().losses
         found = re.match(
-            r'(\d+) IMU samples \((.*) %\) are stamped late, by up to (.*?), the', said
+            r'(\d+) IMU samples \((.*) %\) are stamped late, by up to (.*?), the', losses
         )
-        assert found, said
+        assert found, losses
         # A queue behind each: of Poisson's process 1 - exp(-rate delay) of the time.
         assert float(found[2]) == pytest.approx(100 * (1 - np.exp(-share * 10)), rel=0.25)
 
@@ -250,7 +250,9 @@ def test_counts_that_freeze_within_a_motion_leave_it_out_and_are_named() -> None
         else:
             frozen.append((name, block))
     found = calibrate(frozen, plan()).calibration
-    said = [f for f in found.findings if 'are frozen' in f]
-    assert len(said) == 1, found.findings
-    assert said[0].startswith('The samples are frozen (one is repeated) in 1 motion of the table')
+    findings = [f for f in found.findings if 'are frozen' in f]
+    assert len(findings) == 1, found.findings
+    assert findings[0].startswith(
+        'The samples are frozen (one is repeated) in 1 motion of the table'
+    )
     assert not [f for f in found.findings if 'clocks that jump' in f]

@@ -31,14 +31,14 @@ def test_an_imu_whose_node_is_killed_that_falls_silent_and_sends_garbage(tmp_pat
             stand.words.clear()
             jumped = len(stand.states)
             stand.fault(f'clock_jump {jump}')
-            assert stand.wait(lambda: stand.said('imu_node: clock', 'jump')), jump
+            assert stand.wait(lambda: stand.has_status('imu_node: clock', 'jump')), jump
         # A busy machine may hear of the jump when the session is over.
         assert stand.reaches(State.DWELLING, step=15, since=jumped), stand.state
         stand.fault('garbage 500')
         finishes(stand)
         # On a busy machine the session may be over before imu_node says so.
         garbage = 'Bytes are received that belong to no frame'
-        assert stand.wait(lambda: stand.said('imu_node', garbage))
+        assert stand.wait(lambda: stand.has_status('imu_node', garbage))
 
 
 def test_calibrator_and_leader_are_killed_and_the_session_goes_on_from_its_journal(tmp_path):
@@ -60,7 +60,7 @@ def test_calibrator_and_leader_are_killed_and_the_session_goes_on_from_its_journ
             stops(stand, 'calibrator', 'silent')
             stand.words.clear()
             stand.start('calibrator_node')
-            assert stand.wait(lambda: stand.said('is resumed from'))
+            assert stand.wait(lambda: stand.has_status('is resumed from'))
             resumes(stand)
         final = finishes(stand)
         assert 'interrupted' in final.status_text
@@ -80,7 +80,7 @@ def done_without_its_leader_ends_no_session(stand):
             output.publish(spoofed_done(stand))
             stand.wait(lambda: False, 0.05)
         assert stand.wait(
-            lambda: stand.said('turntable state', 'is ignored', f'to {steps} of short')
+            lambda: stand.has_status('turntable state', 'is ignored', f'to {steps} of short')
         )
     assert not [c for c in stand.calibrations if c.status != c.PROVISIONAL]
     assert stand.progress[-1].state != Progress.FINISHED
@@ -130,6 +130,6 @@ def test_a_table_that_does_not_do_as_it_is_told(tmp_path):
         stand.words.clear()
         stand.fault('delay 1.0')
         stops(stand)
-        assert stand.said('stand_node', 'stamp')
+        assert stand.has_status('stand_node', 'stamp')
         stand.fault('clear')
         finishes(stand, resumed=True)

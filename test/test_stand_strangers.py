@@ -150,17 +150,17 @@ def a_stranger_is_stopped(stand):
             output.publish(ten_turns(stand.joints))
             stand.wait(lambda: False, 0.02)
         asked_until = seconds(stand.joints)
-        assert stand.wait(lambda: stand.said('turntable_node: plan', '/stranger'))
+        assert stand.wait(lambda: stand.has_status('turntable_node: plan', '/stranger'))
         assert not stand.call('turntable_node/start')[0]
     assert stand.table_stands()
     # At 1 rad/s, by the table's own clock, it would have come at least twice as far.
     moved = np.abs(np.array(stand.joints.position) - np.array(before.position)).max()
     assert moved < (asked_until - seconds(before)) / 2
     assert stand.state.phase == phase
-    told = []
+    messages = []
     assert stand.wait(
-        lambda: told.append(stand.call('turntable_node/start')) or told[-1][0], patience(20)
-    ), told[-1]
+        lambda: messages.append(stand.call('turntable_node/start')) or messages[-1][0], patience(20)
+    ), messages[-1]
     assert stand.reaches(*MOVES)
 
 

@@ -40,9 +40,9 @@ COMMANDS = sorted(dispatch.COMMANDS)
 
 def loaded(code, *arguments):
     """Run code in a Python of its own; return the modules that it has loaded."""
-    told = 'import json, sys\n' + code + '\nprint("\\n" + json.dumps(sorted(sys.modules)))'
+    text = 'import json, sys\n' + code + '\nprint("\\n" + json.dumps(sorted(sys.modules)))'
     done = subprocess.run(
-        [sys.executable, '-c', told, *map(str, arguments)],
+        [sys.executable, '-c', text, *map(str, arguments)],
         cwd=CHECKOUT,
         capture_output=True,
         text=True,
@@ -301,7 +301,7 @@ def test_a_port_that_is_handed_on_keeps_its_control_lines(port, restarts):
     assert bool(lowered) is restarts
 
 
-def told(reception, steady, state=OPEN):
+def format_status(reception, steady, state=OPEN):
     """What is said of the format."""
     words = reception.statuses(state, int(steady * NS), steady)
     return next(word for word in words if word.part == 'format')
@@ -309,20 +309,20 @@ def told(reception, steady, state=OPEN):
 
 def test_a_greeting_is_no_other_device():
     reception = Reception(SIMULATED, FOG)
-    told(reception, 10.0)
+    format_status(reception, 10.0)
     reception.take([Chunk(b'U' * 44 * 40, 10 * NS, 10 * NS)], 10 * NS, 10.0)
-    assert told(reception, 10.4).severity is Severity.OK
+    assert format_status(reception, 10.4).severity is Severity.OK
     reception.take([Chunk(frame(0, 0, [0] * 6), 10 * NS, 10 * NS)], 10 * NS, 10.4)
-    assert told(reception, 60.0).severity is Severity.OK
+    assert format_status(reception, 60.0).severity is Severity.OK
 
 
 def test_bytes_without_a_frame_are_another_device_after_a_greeting():
     reception = Reception(SIMULATED, FOG)
-    told(reception, 9.0)
+    format_status(reception, 9.0)
     reception.take([Chunk(b'U' * 44 * 10, 10 * NS, 10 * NS)], 10 * NS, 10.0)
-    assert told(reception, 10.6).severity is Severity.OK
+    assert format_status(reception, 10.6).severity is Severity.OK
     reception.take([Chunk(b'U' * 44 * 10, 10 * NS, 10 * NS)], 10 * NS, 10.7)
-    word = told(reception, 10.7)
+    word = format_status(reception, 10.7)
     assert word.severity is Severity.ERROR
     assert word.text.startswith('Bytes are received, but no frame of the format simulated')
 
@@ -330,11 +330,11 @@ def test_bytes_without_a_frame_are_another_device_after_a_greeting():
 @pytest.mark.parametrize('data', [b'', b'U' * 100])
 def test_a_recording_without_a_frame_is_one_of_another_device(data):
     reception = Reception(SIMULATED, FOG)
-    told(reception, 10.0)
+    format_status(reception, 10.0)
     if data:
         reception.take([Chunk(data, 10 * NS, 10 * NS)], 10 * NS, 10.1)
-    assert told(reception, 10.3, ENDED).severity is Severity.OK
-    word = told(reception, 10.7, ENDED)
+    assert format_status(reception, 10.3, ENDED).severity is Severity.OK
+    word = format_status(reception, 10.7, ENDED)
     assert word.severity is Severity.ERROR
     assert word.text.startswith('It was read to its end. It holds no frame of the format simulated')
 

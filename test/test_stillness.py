@@ -183,8 +183,10 @@ def test_turns_beyond_the_range_are_left_out_and_said() -> None:
     calibrator = HandCalibrator(Setup(spec, load_plan('free_positions'), None, SITE))
     calibrator.feed(held.block)
     found = calibrator.finish().calibration
-    (said,) = (finding for finding in found.findings if f'{sum(clipped)} turns are lost' in finding)
-    assert said.endswith(
+    (findings,) = (
+        finding for finding in found.findings if f'{sum(clipped)} turns are lost' in finding
+    )
+    assert findings.endswith(
         '(a sensor is at the end of its range: turn more slowly, or set a wider range).'
     )
     wrong = found.values - in_frame_of_accelerometers(sensors).vector()
@@ -192,7 +194,7 @@ def test_turns_beyond_the_range_are_left_out_and_said() -> None:
     assert square < chi2.isf(1e-4, FREE.sum())
 
 
-def felt(size: float) -> tuple[SensorModel, Result]:
+def g_sensitive_session(size: float) -> tuple[SensorModel, Result]:
     """A session with gyros that feel gravity by up to a given rate per g, deg/s."""
     sensitivity = size * DEG / STANDARD_GRAVITY * np.random.default_rng(8).uniform(-1, 1, (3, 3))
     sensors = replace(unit(3.0 * DEG), g_sensitivity=sensitivity)
@@ -201,7 +203,7 @@ def felt(size: float) -> tuple[SensorModel, Result]:
 
 
 def test_gyros_that_feel_gravity_are_found_and_named() -> None:
-    sensors, result = felt(0.15)
+    sensors, result = g_sensitive_session(0.15)
     found, truth = result.calibration, in_frame_of_accelerometers(sensors)
     assert any('g_sensitivity' in finding for finding in found.findings)
     assert not any('noise is left' in finding for finding in found.findings)
@@ -216,7 +218,7 @@ def test_gyros_that_feel_gravity_are_found_and_named() -> None:
 
 
 def test_gyros_that_feel_none_are_not_said_to() -> None:
-    _, result = felt(0.0)
+    _, result = g_sensitive_session(0.0)
     assert len(result.calibration.parameters) == 24
 
 

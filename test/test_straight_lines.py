@@ -143,16 +143,16 @@ def test_a_departure_is_counted_in_limits() -> None:
 
 def test_angles_whose_blocks_scatter_together_count_by_their_blocks() -> None:
     # 16 blocks of 10: to and fro by 1 within, and their means to and fro by `common`.
-    def left(common: float, count: int = 165) -> Floats:
+    def common_residuals(common: float, count: int = 165) -> Floats:
         return np.resize([1.0, -1.0], count) + common * np.resize([1.0] * 10 + [-1.0] * 10, count)
 
     # Ten times the mean square of 16 means, over 14 degrees of freedom.
-    assert _variance(left(1.0), 1.0) == pytest.approx(10 * 16 / 14)
+    assert _variance(common_residuals(1.0), 1.0) == pytest.approx(10 * 16 / 14)
     # The chance of chi-square of 14 above 36.12 is a thousandth.
     limit = sqrt(36.12 / 160)
-    assert _variance(left(limit * 1.001), 1.0) == pytest.approx(36.12 / 14, rel=3e-3)
-    assert _variance(left(limit * 0.999), 1.0) == 1.0
-    assert _variance(left(limit * 0.999), 0.9) > 2.5
+    assert _variance(common_residuals(limit * 1.001), 1.0) == pytest.approx(36.12 / 14, rel=3e-3)
+    assert _variance(common_residuals(limit * 0.999), 1.0) == 1.0
+    assert _variance(common_residuals(limit * 0.999), 0.9) > 2.5
     # Two in a block at least, and noise at all.
     assert _variance(np.full(31, 3.0), 1.0) == 1.0
     assert _variance(np.full(32, 3.0), 1.0) == pytest.approx(2 * 9 * 16 / 14)
@@ -292,11 +292,11 @@ def test_a_bend_is_what_a_square_and_a_cube_have() -> None:
     noisy, limit = _bends(time, np.append([7.0, 9.0], angle + scatter), ranges, 9)
     design = legendre(x)
     found = np.linalg.solve(design.T @ design, design.T @ (angle + scatter))
-    left = angle + scatter - design @ found
+    residuals = angle + scatter - design @ found
     variances = np.diag(np.linalg.inv(design.T @ design))
     assert noisy == pytest.approx([np.hypot(found[2], found[3])])
     # Nine less four degrees of freedom.
-    std = sqrt(left @ left / 5) * sqrt(variances[2] + variances[3])
+    std = sqrt(residuals @ residuals / 5) * sqrt(variances[2] + variances[3])
     assert limit == pytest.approx([5 * std + 1e-4 * np.pi])
 
 

@@ -41,11 +41,11 @@ def test_each_cause_is_known_by_words_that_the_package_says() -> None:
     """A sentence that changes would else make right names silent."""
     package = (CHECKOUT / imu_calib.__name__).rglob('*.py')
     # Sentences of several lines as one.
-    said = re.sub(r"'\n\s*f?'", '', '\n'.join(path.read_text('utf-8') for path in package))
+    text = re.sub(r"'\n\s*f?'", '', '\n'.join(path.read_text('utf-8') for path in package))
     terms = {one.name for one in TERMS}
     for cause in set(CAUSES) - terms - {'course'}:
         for part in re.split(r'\.\*|\|', CAUSES[cause]):
-            assert part.strip() in said or 'biases of the' in part, cause
+            assert part.strip() in text or 'biases of the' in part, cause
     assert re.search(CAUSES['accel_quadratic'], TERM)
 
 

@@ -100,8 +100,8 @@ def spans(columns: Floats, wanted: Floats) -> bool:
     """Whether errors, all angles together, are combinations of columns (n, 3, e)."""
     columns = columns.reshape(-1, columns.shape[2])
     wanted = wanted.ravel()
-    left = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
-    return bool(np.abs(left).max() < 1e-5)
+    residuals = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
+    return bool(np.abs(residuals).max() < 1e-5)
 
 
 def of_joint(which: int, axis=None, more=None, lean=None):
@@ -162,9 +162,9 @@ def true_table(sizes: Mapping[str, float], seed: int) -> TrueTable:
 def recorded(seed: int) -> Evidence:
     """A session on a table with all of it; its description says how large."""
     options = replace(stand(), true=true_table(SIZES, seed))
-    told = replace(TABLE, errors=TableErrors(**SIZES))
+    stated_table = replace(TABLE, errors=TableErrors(**SIZES))
     blocks = session(BRIEF, options, seed=seed)
-    return gathered(fed(blocks, Setup(paper_imu(), BRIEF, told, SITE, None)))
+    return gathered(fed(blocks, Setup(paper_imu(), BRIEF, stated_table, SITE, None)))
 
 
 SILENT = """
@@ -208,12 +208,12 @@ def test_a_table_that_is_taken_as_exact_is_not() -> None:
 
 
 def test_the_budget_has_a_line_for_it() -> None:
-    told = joint.solve(recorded(1))
+    solution = joint.solve(recorded(1))
     exact = joint.solve(replace(evidence_of(), table=TABLE))
-    share = told.shares[Source.TABLE].covariance
+    share = solution.shares[Source.TABLE].covariance
     # Misalignments are against axes that nobody knows better; biases of gyros hardly feel them.
-    assert np.sqrt(share[3, 3]) > 0.5 * told.std[3]
-    assert np.sqrt(share[9, 9]) < 0.2 * told.std[9]
+    assert np.sqrt(share[3, 3]) > 0.5 * solution.std[3]
+    assert np.sqrt(share[9, 9]) < 0.2 * solution.std[9]
     assert Source.TABLE not in exact.shares
 
 
@@ -279,16 +279,16 @@ def test_a_method_that_counts_no_errors_of_a_table_assumes_none(unstated: Result
 def test_a_session_on_such_a_table_is_reviewed_from_its_first_block_on() -> None:
     # What a review finds at first: nothing at all, then turns, then a rest as well.
     calibrator = Calibrator(Setup(paper_imu(), PLAN, described(), SITE))
-    seen = set()
+    calls = set()
     for count, (_, block) in enumerate(islice(session(PLAN, seed=1), 500)):
         if count % 20 == 0:
             review = calibrator.snapshot().review()
             assert review.result is None and review.refusal
-            seen.add((bool(review.session.segments), bool(review.session.turns)))
-        if len(seen) == 3:
+            calls.add((bool(review.session.segments), bool(review.session.turns)))
+        if len(calls) == 3:
             break
         calibrator.feed(block)
-    assert seen == {(False, False), (False, True), (True, True)}
+    assert calls == {(False, False), (False, True), (True, True)}
 
 
 def test_nothing_is_assumed_of_a_table_that_states_all_nor_without_one() -> None:

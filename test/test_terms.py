@@ -29,14 +29,14 @@ TOO_FAR = 4.5
 
 
 @cache
-def told(truth: str, terms: str, seed: int = 0) -> tuple[Calibration, Result]:
+def calibrated_with(truth: str, terms: str, seed: int = 0) -> tuple[Calibration, Result]:
     model = Calibration.load(named_file('truths', truth))
     imu, table = load_imu(model.imu.id), load_table('three_axis')
     blocks = simulate(PLAN, table, imu, model.model, SITE, stand(azimuth=0.4), seed)
     return model, fed(blocks, Setup(imu, PLAN, table, SITE, terms=named_terms(terms))).finish()
 
 
-def asked(truth: str) -> str:
+def requested_terms(truth: str) -> str:
     """The terms that the head of a shipped truth says to calibrate with."""
     found = re.search(r'--terms ([\w,]+)', named_file('truths', truth).read_text())
     assert found is not None
@@ -48,7 +48,7 @@ SHIPPED = ['fog_navigation_terms', 'mems_counts_terms', 'mems_counts_motion']
 
 @pytest.mark.parametrize('truth', SHIPPED)
 def test_a_simulated_session_gives_back_its_terms(truth: str) -> None:
-    model, result = told(truth, asked(truth))
+    model, result = calibrated_with(truth, requested_terms(truth))
     calibration = result.calibration
     assert calibration.parameters == parameters_of(terms_of(model.parameters))
     off = (calibration.values - model.model.values(calibration.parameters)) / calibration.std
@@ -57,14 +57,14 @@ def test_a_simulated_session_gives_back_its_terms(truth: str) -> None:
     for term in terms_of(calibration.parameters):
         mine = [k for k, p in enumerate(calibration.parameters) if p in term.parameters]
         assert np.abs(calibration.values[mine] / calibration.std[mine]).max() > TOO_FAR
-    assert calibration.provenance['terms'] == asked(truth).split(',')
+    assert calibration.provenance['terms'] == requested_terms(truth).split(',')
 
 
 def test_what_is_reached_is_what_was_predicted() -> None:
     truth = 'fog_navigation_terms'
-    model, result = told(truth, asked(truth))
+    model, result = calibrated_with(truth, requested_terms(truth))
     imu, table = load_imu(model.imu.id), load_table('three_axis')
-    setup = Setup(imu, PLAN, table, SITE, terms=named_terms(asked(truth)))
+    setup = Setup(imu, PLAN, table, SITE, terms=named_terms(requested_terms(truth)))
     found = forecast(setup, model.model)
     assert found.refusal == ''
     assert found.parameters == result.calibration.parameters
@@ -75,7 +75,7 @@ def test_what_is_reached_is_what_was_predicted() -> None:
 
 
 def test_without_its_terms_the_same_session_is_wrong() -> None:
-    model, result = told('fog_navigation_terms', 'none')
+    model, result = calibrated_with('fog_navigation_terms', 'none')
     calibration = result.calibration
     off = (calibration.values - model.model.values(calibration.parameters)) / calibration.std
     # Rate dependence of 20 ppm at 60 deg/s against turns known to parts of a ppm.
@@ -132,9 +132,9 @@ def test_the_commands_take_terms_from_simulation_to_firmware(
         run('simulate', './short.yaml', '-o', bag, *words)
     shown = run('calibrate', 'one', '-o', 'auto.yaml')
     found = shown.split('terms: ')[1].split(' not significant; ')[0]
-    assert set(found.split(', ')) == set(asked(truth).split(','))
+    assert set(found.split(', ')) == set(requested_terms(truth).split(','))
     assert 'accel_asymmetry would explain it as well' in shown
-    shown = run('calibrate', 'one', '--terms', asked(truth), '-o', 'c.yaml')
+    shown = run('calibrate', 'one', '--terms', requested_terms(truth), '-o', 'c.yaml')
     assert all(name in shown for name in ('A_gx', 'N_gz', 'K2_ay', 'ug/g^2'))
     assert 'ACCEPTED' in run('verify', 'two', '--calibration', 'c.yaml')
     # The truth is of a paper; it is outside the limits of the file's example.

@@ -103,13 +103,15 @@ def test_a_mean_over_a_stretch_follows_the_course():
     seconds = np.arange(600)
     thermometer = Thermometer()
     thermometer.feed(TemperatureBlock(10**9 * seconds, 20.0 + 0.01 * seconds))
-    seen = thermometer.temperature
+    temperature = thermometer.temperature
     # Of a straight line it is the middle, wherever the stretch begins and however short it is.
     starts, ends = np.array([33, 120, 301]) * 10**9, np.array([153, 121, 555]) * 10**9
     wanted = 20.0 + 0.01 * (starts + ends) / 2e9
-    assert seen.over(starts, ends) == pytest.approx(wanted, abs=1e-6)
+    assert temperature.over(starts, ends) == pytest.approx(wanted, abs=1e-6)
     # Beyond what was seen the last mean of ten seconds holds: that of 590 to 599 s.
-    assert seen.over(np.array([700 * 10**9]), np.array([800 * 10**9])) == pytest.approx(25.945)
+    assert temperature.over(np.array([700 * 10**9]), np.array([800 * 10**9])) == pytest.approx(
+        25.945
+    )
 
 
 def test_beyond_the_ends_the_nearest_calibration_holds():

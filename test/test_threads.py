@@ -55,8 +55,8 @@ def test_what_is_called_from_python_takes_one_thread_and_gives_the_others_back(a
     environ = {**os.environ, 'OMP_NUM_THREADS': allowed}
     environ['PYTHONPATH'] = os.pathsep.join([str(CHECKOUT), os.environ.get('PYTHONPATH', '')])
     run = [sys.executable, '-c', _DEEP, allowed]
-    said = subprocess.run(run, env=environ, capture_output=True, text=True, check=True).stdout
-    before, within, after = (part.strip('[ ]\n') for part in said.split(']')[:3])
+    output = subprocess.run(run, env=environ, capture_output=True, text=True, check=True).stdout
+    before, within, after = (part.strip('[ ]\n') for part in output.split(']')[:3])
     assert (before, within, after) == (allowed, '1', allowed)
 
 

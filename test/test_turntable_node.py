@@ -164,10 +164,12 @@ class Watcher(ros.Node):
     def phase(self):
         return Phase(self.states[-1].phase) if self.states else None
 
-    def says(self, part, level, words):
+    def has_report(self, part, level, words):
         """Whether the last word on a part of the node has a level and some words."""
-        told = [s for d in self.diagnostics for s in d.status if s.name.endswith(f'node: {part}')]
-        return bool(told) and told[-1].level[0] == level and words in told[-1].message
+        statuses = [
+            s for d in self.diagnostics for s in d.status if s.name.endswith(f'node: {part}')
+        ]
+        return bool(statuses) and statuses[-1].level[0] == level and words in statuses[-1].message
 
     def phases(self):
         """The phases, one after the other."""
@@ -450,8 +452,8 @@ def test_a_start_that_waited_for_a_node_that_hung_moves_nothing(session):
     session.turn_at(90).open(with_node=False)
     process = session.start(feedback_timeout=30.0)
     client = session.watcher.buttons['start']
-    says = session.watcher.says
-    assert session.until(lambda: says('joint states', 0, 'are received'))
+    has_report = session.watcher.has_report
+    assert session.until(lambda: has_report('joint states', 0, 'are received'))
     assert session.until(client.service_is_ready)
     os.kill(process.pid, signal.SIGSTOP)
     future = client.call_async(ros.Trigger.Request())
@@ -496,7 +498,7 @@ def test_a_stop_that_is_taken_back_on_its_topic_alone_stays_pressed(session):
     assert not session.press('start')[0]
     assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.5)
     assert session.ends_stopped()
-    assert session.watcher.says('stop', 2, 'The emergency stop is on.')
+    assert session.watcher.has_report('stop', 2, 'The emergency stop is on.')
 
 
 @pytest.mark.parametrize('said', [True, None])
@@ -575,7 +577,7 @@ def test_where_a_stop_could_not_be_kept_the_table_stays_stopped(session):
     assert not started
     assert f'cannot be saved in {session.folder / "state"}' in why
     assert not session.press('release')[0]
-    assert session.until(lambda: session.watcher.says('stop', 2, 'cannot be saved'))
+    assert session.until(lambda: session.watcher.has_report('stop', 2, 'cannot be saved'))
     (session.folder / 'state').unlink()
     assert session.press('release')[0]
     assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.3)
@@ -615,8 +617,8 @@ def test_joint_states_that_cease_stop_the_table(session):
     session.reaches(Phase.PAUSED)
     assert session.ends_stopped()
     assert 'No joint state from the table for 0.5 s' in session.watcher.states[-1].reason
-    told = [s for d in session.watcher.diagnostics for s in d.status if s.level == b'\x02']
-    assert any('No joint state' in s.message and s.name == 'turntable_node: plan' for s in told)
+    statuses = [s for d in session.watcher.diagnostics for s in d.status if s.level == b'\x02']
+    assert any('No joint state' in s.message and s.name == 'turntable_node: plan' for s in statuses)
     session.table.silent = False
     assert not session.until(lambda: session.watcher.phase is not Phase.PAUSED, 0.5)
     assert session.until(lambda: session.press('start')[0])
@@ -765,15 +767,15 @@ def test_two_publishers_hold_the_table_are_named_and_nothing_starts(session, top
     names = ', '.join(sorted([owner, '/stranger']))
     words = f'2 publishers are on /{topic}: {names}.'
     assert words in session.watcher.states[-1].reason
-    assert session.until(lambda: session.watcher.says('publishers', 2, words))
-    assert session.until(lambda: session.watcher.says('plan', 2, words))
+    assert session.until(lambda: session.watcher.has_report('publishers', 2, words))
+    assert session.until(lambda: session.watcher.has_report('plan', 2, words))
     assert session.ends_stopped()
     assert session.table.setpoints[-1].mode is Mode.HOLD
     started, why = session.press('start')
     assert not started
     assert words in why
     stranger.destroy_node()
-    assert session.until(lambda: session.watcher.says('publishers', 0, 'one publisher'))
+    assert session.until(lambda: session.watcher.has_report('publishers', 0, 'one publisher'))
     assert not session.until(lambda: session.watcher.phase is not Phase.PAUSED, 0.5)
     assert session.press('start')[0]
     session.reaches(Phase.TURNING)
@@ -786,10 +788,10 @@ def test_two_publishers_forbid_a_start_by_itself_even_when_one_has_left(session,
     stranger = Stranger(topic)
     session.table.silent = True
     session.join()
-    assert session.until(lambda: session.watcher.says('publishers', 2, '/stranger'))
+    assert session.until(lambda: session.watcher.has_report('publishers', 2, '/stranger'))
     session.table.silent = False
     stranger.destroy_node()
-    assert session.until(lambda: session.watcher.says('publishers', 0, 'one publisher'))
+    assert session.until(lambda: session.watcher.has_report('publishers', 0, 'one publisher'))
     assert not session.until(lambda: session.watcher.phase is not Phase.IDLE, 0.5)
     assert session.press('start')[0]
 
@@ -802,7 +804,7 @@ def test_two_leaders_of_one_name_hear_each_other_and_hold(session):
     session.reaches(Phase.PAUSED)
     words = '/turntable_node, /turntable_node'
     assert words in session.watcher.states[-1].reason or session.until(
-        lambda: session.watcher.says('publishers', 2, words)
+        lambda: session.watcher.has_report('publishers', 2, words)
     )
     assert session.ends_stopped()
     session.processes[0].kill()
@@ -847,13 +849,13 @@ def test_a_table_that_a_stranger_turns_is_held_and_it_is_said_how_far_and_how_fa
     session.table.force(tuple(at + np.array([360 * DEG, 0.0, 0.0])))
     assert session.until(lambda: session.table.turned(at) > 1 * DEG)
     session.table.deaf = False
-    assert session.until(lambda: session.watcher.says('plan', 2, 'without a command'))
+    assert session.until(lambda: session.watcher.has_report('plan', 2, 'without a command'))
     assert session.watcher.phase is phase
     assert session.until(
         lambda: session.table.setpoints and session.table.setpoints[-1].mode is Mode.HOLD
     )
     assert session.ends_stopped()
-    assert session.until(lambda: session.watcher.says('plan', 2, 'it stands again'))
+    assert session.until(lambda: session.watcher.has_report('plan', 2, 'it stands again'))
     told = session.watcher.states[-1].reason
     assert 'Joint outer moves while it is to stand at' in told
     went, fast = (float(told.split(word)[1].split()[0]) for word in (' moved ', ' up to '))
@@ -871,7 +873,7 @@ def test_nothing_starts_while_the_table_moves_by_itself(session):
     assert session.until(lambda: session.node._sequencer.feedback.still)
     session.table.deaf = True
     session.table.force((1e6 * DEG, 0.0, 0.0))
-    assert session.until(lambda: session.watcher.says('plan', 2, 'it still moves'))
+    assert session.until(lambda: session.watcher.has_report('plan', 2, 'it still moves'))
     started, why = session.press('start')
     assert not started
     assert 'it still moves' in why
@@ -888,7 +890,7 @@ def test_a_setpoint_of_a_stranger_is_answered_by_hold_at_once(session):
     for _ in range(30):
         stranger.turn(session.table.stamp())
         session.until(lambda: False, 0.03)
-    assert session.until(lambda: session.watcher.says('plan', 2, '/stranger'))
+    assert session.until(lambda: session.watcher.has_report('plan', 2, '/stranger'))
     # On a busy machine the HOLD is late as well: the stranger alone would turn it all the time.
     alone = STRANGERS_RATE * (session.table.now() - began)
     assert session.table.turned(at) < 0.6 * alone
@@ -995,44 +997,44 @@ def test_a_calibrator_that_fails_stops_a_run_whoever_it_is(running, plan):
 
 
 @pytest.mark.parametrize(('publishers', 'says'), [(1, False), (2, True), (0, False)])
-def test_a_stop_is_taken_back_by_its_only_publisher(publishers, says):
-    heard = []
+def test_a_stop_is_taken_back_by_its_only_publisher(publishers, has_report):
+    messages = []
     count = [2]
     node = SimpleNamespace(
         resolve_topic_name=lambda name: f'/{name}',
         create_subscription=lambda *_, **__: None,
         count_publishers=lambda _: count[0],
     )
-    topic = stop.StopTopic(node, 'estop', heard.append)
+    topic = stop.StopTopic(node, 'estop', messages.append)
     assert not topic.is_stopping
     topic._receive(ros.messages.Bool(data=True))
     assert topic.is_stopping
     count[0] = publishers
     topic._receive(ros.messages.Bool(data=False))
-    assert topic.is_stopping == says
-    assert heard == [True, False]
+    assert topic.is_stopping == has_report
+    assert messages == [True, False]
 
 
 @pytest.mark.parametrize('alone', [True, False])
 def test_progress_counts_of_one_publisher_only(alone):
-    said = []
+    messages = []
     sequencer = SimpleNamespace(
         plan=SimpleNamespace(name='tiny'),
-        review=lambda stamp, steps: said.append(('review', stamp, steps)),
-        skip_done=lambda seen, steps: said.append(('done', seen, steps)),
+        review=lambda stamp, steps: messages.append(('review', stamp, steps)),
+        skip_done=lambda seen, steps: messages.append(('done', seen, steps)),
         set_calibrator_fault=lambda _: None,
-        set_calibrator_present=lambda heard, _: said.append(heard),
+        set_calibrator_present=lambda heard, _: messages.append(heard),
     )
     diagnostics = SimpleNamespace(report=lambda *_: None)
     progress = CalibratorProgress(sequencer, diagnostics, 1.0, lambda _: alone)
     message = ros.messages.CalibrationProgress(plan='tiny', step=4, repeat_steps=[2])
     message.header.stamp.sec = 7
     assert progress.take(message, 10.0)
-    assert said == [('review', 7 * 10**9, [2]), ('done', 4, [2])] * alone
+    assert messages == [('review', 7 * 10**9, [2]), ('done', 4, [2])] * alone
     # That somebody is there is heard in any case; what he says is not believed.
     progress.check(11.0)
     progress.check(11.1)
-    assert said[-2:] == [True, False]
+    assert messages[-2:] == [True, False]
 
 
 def test_progress_of_another_plan_keeps_no_calibrator_alive(session):
@@ -1043,7 +1045,7 @@ def test_progress_of_another_plan_keeps_no_calibrator_alive(session):
         session.until(lambda: False, 0.05)
     assert session.watcher.phase is Phase.IDLE
     assert session.until(
-        lambda: session.watcher.says('calibrator', 2, 'The calibrator expects plan another')
+        lambda: session.watcher.has_report('calibrator', 2, 'The calibrator expects plan another')
     )
 
 

@@ -61,12 +61,12 @@ def test_a_drift_that_hides_is_named_with_what_would_tell(
     ramp: tuple[Result, Result, Floats],
 ) -> None:
     looked, plain, _ = ramp
-    told = [text for text in looked.calibration.findings if 'hints at' in text]
-    assert len(told) == 1
-    assert 'drift evenly with time (trend) or' in told[0]
-    assert 'settle as the unit warms up (warm_up)' in told[0]
-    assert 'K_az allow for it' in told[0]
-    assert 'record the temperature (imu/temperature)' in told[0]
+    findings = [text for text in looked.calibration.findings if 'hints at' in text]
+    assert len(findings) == 1
+    assert 'drift evenly with time (trend) or' in findings[0]
+    assert 'settle as the unit warms up (warm_up)' in findings[0]
+    assert 'K_az allow for it' in findings[0]
+    assert 'record the temperature (imu/temperature)' in findings[0]
     assert not [text for text in plain.calibration.findings if 'hints at' in text]
     tests = {one.name: one for one in looked.solution.tests}
     assert tests['trend'].state is TermState.OFF

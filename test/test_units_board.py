@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import pytest
 from rich.console import Console
-from test_web_board import NOON, SETUP, calibration, progress, said, state
+from test_web_board import NOON, SETUP, calibration, diagnostics, progress, state
 
 from imu_calib.cli.table_view import view
 from imu_calib.config import Section
@@ -38,12 +38,14 @@ def board(mounted):
     board.take_progress(of_all, 1.0)
     for name, std in (('unit_A1', 1e-6), ('unit__B_', 2e-6)):
         board.each[name].take_progress(progress(100.0, std), 1.0)
-        device = said(f'{name}/imu_node: stream', 0, 'Frames come in.', rate='1000.00 Hz')
+        device = diagnostics(f'{name}/imu_node: stream', 0, 'Frames come in.', rate='1000.00 Hz')
         device.status[0].values.append(SimpleNamespace(key='lost frames', value='0'))
         board.take_diagnostics(device, 1.0)
-        heard = said(f'calibrator_node: {name}: stream', 0, 'It comes in.', samples='7')
+        heard = diagnostics(f'calibrator_node: {name}: stream', 0, 'It comes in.', samples='7')
         board.take_diagnostics(heard, 1.0)
-    lost = said('unit__B_/imu_node: stream', 1, 'Frames are lost on the way.', rate='999.00 Hz')
+    lost = diagnostics(
+        'unit__B_/imu_node: stream', 1, 'Frames are lost on the way.', rate='999.00 Hz'
+    )
     lost.status[0].values.append(SimpleNamespace(key='lost frames', value='12'))
     board.take_diagnostics(lost, 1.0)
     return board

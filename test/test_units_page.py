@@ -7,8 +7,8 @@ import pytest
 from browser import chromium, contrasts, width
 from installed import needs_modules
 from loopback import patience
+from test_units_board import diagnostics, progress
 from test_units_board import mounted as mounted  # noqa: PLC0414
-from test_units_board import progress, said
 from test_web_board import SETUP, state
 
 from imu_calib.imu import load_imu
@@ -50,7 +50,7 @@ def shown(mounted, tmp_path):
     serving.stop()
 
 
-def hear(board, names, seconds, std):
+def take_samples(board, names, seconds, std):
     """What the nodes say of a moment at which the samples of some units come."""
     now = board.clock[0] = seconds - 99.0
     board.take_state(state(seconds), now)
@@ -59,9 +59,11 @@ def hear(board, names, seconds, std):
     )
     for name in names:
         board.each[name].take_progress(progress(seconds, std[name]), now)
-        device = said(f'{name}/imu_node: stream', 0, 'Frames come in.')
+        device = diagnostics(f'{name}/imu_node: stream', 0, 'Frames come in.')
         board.take_diagnostics(device, now)
-        board.take_diagnostics(said(f'calibrator_node: {name}: stream', 0, 'It comes in.'), now)
+        board.take_diagnostics(
+            diagnostics(f'calibrator_node: {name}: stream', 0, 'It comes in.'), now
+        )
 
 
 def keep(window, name):
@@ -74,7 +76,7 @@ def keep(window, name):
 def test_all_units_are_there_and_one_that_falls_silent_is_named(shown):
     board, url = shown
     std = dict(zip(board.names, (1e-6, 4e-6, 2e-6), strict=True))
-    hear(board, board.names, 100.0, std)
+    take_samples(board, board.names, 100.0, std)
     with chromium() as browser:
         windows = {}
         for name, (across, down) in SIZES.items():
@@ -108,7 +110,7 @@ def test_all_units_are_there_and_one_that_falls_silent_is_named(shown):
 
         # The last one is heard no more, while the others go on.
         for seconds in (104.0, 108.0, 112.0):
-            hear(board, board.names[:2], seconds, std)
+            take_samples(board, board.names[:2], seconds, std)
         for name, window in windows.items():
             silent = window.locator('tr[data-unit=unit_C3]')
             silent.get_by_text('No message has come for').wait_for()

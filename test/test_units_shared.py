@@ -62,10 +62,16 @@ def test_all_units_take_part_and_their_deviations_are_honest(sessions):
 def test_the_tables_tilts_are_better_by_the_root_of_the_number_of_units(sessions):
     squares = 0.0
     for session in sessions:
-        seen = session.shared.table
-        assert seen.names[:3] == ('azimuth', 'tilt about x', 'tilt about y')
-        squares += float((((seen.values[1:3] - tilt(session.table)) / seen.std[1:3]) ** 2).sum())
-        for which, std in zip((Nuisance.TILT_X, Nuisance.TILT_Y), seen.std[1:3], strict=True):
+        table_estimate = session.shared.table
+        assert table_estimate.names[:3] == ('azimuth', 'tilt about x', 'tilt about y')
+        squares += float(
+            (
+                ((table_estimate.values[1:3] - tilt(session.table)) / table_estimate.std[1:3]) ** 2
+            ).sum()
+        )
+        for which, std in zip(
+            (Nuisance.TILT_X, Nuisance.TILT_Y), table_estimate.std[1:3], strict=True
+        ):
             by_itself = [
                 result.solution.search.estimate.nuisance(which)[1] for result in session.alone
             ]
@@ -77,16 +83,16 @@ def test_the_tables_tilts_are_better_by_the_root_of_the_number_of_units(sessions
 def test_positioning_errors_are_those_of_the_table(sessions):
     """Each stop's error, but for what is a change of frame, lies within its stated deviation."""
     for session in sessions:
-        seen = session.shared.table
+        table_estimate = session.shared.table
         true = {}
         for joint, name in enumerate(TABLE.names):
             mine = [error for of, _, error in session.table.stops if of == joint]
             true[name] = np.array(mine)
         for name in ('middle', 'inner'):
-            rows = [k for k, of in enumerate(seen.names) if of.startswith(f'{name} at')]
+            rows = [k for k, of in enumerate(table_estimate.names) if of.startswith(f'{name} at')]
             # The first stop is that of the start, which no motion led to.
-            found = seen.values[rows][-len(true[name]) :]
-            std = seen.std[rows][-len(true[name]) :]
+            found = table_estimate.values[rows][-len(true[name]) :]
+            std = table_estimate.std[rows][-len(true[name]) :]
             assert (np.abs(found - true[name]) < 4.5 * std).all()
             assert (std < 3 * world.ARCSEC).all()
 

@@ -116,16 +116,16 @@ def test_moves_between_rests_alone_tell_scale_factors_of_gyros() -> None:
     # What turns and their run-ups were is a move of a thousand degrees, a minute for each axis at
     # the fastest rate alone; the Earth's rate alone knows K_g to a percent.
     table, plan = load_table('three_axis'), at_one_rate(PLAN)
-    seen = observe(segmented(0, table, plan=plan), paper_imu(), SITE, plan, table)
-    seen = replace(seen, evidence=replace(seen.evidence, turns=()))
-    assert len(seen.evidence.links) == 5
-    (gyros, _) = verify(calibration(), seen).triads
+    observation = observe(segmented(0, table, plan=plan), paper_imu(), SITE, plan, table)
+    observation = replace(observation, evidence=replace(observation.evidence, turns=()))
+    assert len(observation.evidence.links) == 5
+    (gyros, _) = verify(calibration(), observation).triads
     assert gyros.verdict is Verdict.PASS
     assert abs(gyros.chi_square - gyros.freedom) < 5 * np.sqrt(2 * gyros.freedom)
-    wrong = verify(gyro(g().error_matrix + 300 * PPM * np.eye(3)), seen)
+    wrong = verify(gyro(g().error_matrix + 300 * PPM * np.eye(3)), observation)
     assert wrong.triads[0].verdict is Verdict.FAIL
     assert 'the scale factors are others' in symptom(wrong, gyros=True)
-    resting = replace(seen, evidence=replace(seen.evidence, moves=()))
+    resting = replace(observation, evidence=replace(observation.evidence, moves=()))
     unseen = verify(gyro(g().error_matrix + 300 * PPM * np.eye(3)), resting)
     assert unseen.triads[0].verdict is Verdict.PASS
 
@@ -175,8 +175,8 @@ def test_a_bias_instability_that_nobody_stated_is_named_where_it_counts() -> Non
     silent = replace(spec, gyro=replace(spec.gyro, bias_instability=0.0))
     seen = replace(by_the_imu_alone(), imu=silent)
     moved = gyro(bias=g().bias + np.array([30.0, -20.0, 40.0]) * DEG_H)
-    said = [f for f in verify(moved, seen).findings if 'No bias instability' in f]
-    assert len(said) == 1 and 'of the gyros is stated' in said[0]
+    findings = [f for f in verify(moved, seen).findings if 'No bias instability' in f]
+    assert len(findings) == 1 and 'of the gyros is stated' in findings[0]
     assert not [f for f in verify(calibration(), seen).findings if 'No bias instability' in f]
 
 
@@ -203,11 +203,11 @@ def test_biases_that_moved_as_the_data_sheet_allows_are_no_fault(gyros: bool, si
     name = 'gyro' if gyros else 'accel'
     imu = paper_imu()
     imu = replace(imu, **{name: replace(getattr(imu, name), bias_instability=size)})
-    seen, rng, square, runs = replace(observed(), imu=imu), np.random.default_rng(6), 0.0, 12
+    observation, rng, square, runs = replace(observed(), imu=imu), np.random.default_rng(6), 0.0, 12
     for _ in range(runs):
         moved = size * rng.standard_normal(3)
         good = getattr(calibration().model, name)
-        verification = verify(_spoilt(name, None, good.bias + moved), seen)
+        verification = verify(_spoilt(name, None, good.bias + moved), observation)
         assert verification.verdict is Verdict.PASS
         # At x_up the channel x sees gravity, or the Earth's vertical rate, and the bias of x.
         quantity = Quantity.UP_RATE if gyros else Quantity.GRAVITY
@@ -357,8 +357,8 @@ def test_a_unit_turned_in_its_mount_is_told_by_how_much() -> None:
     small = np.array([1.0, -2.0, 1.5]) * ARCMIN
     angle = float(np.linalg.norm(small))
     otherwise = replace(table, mount=rotation(small / angle, angle))
-    seen = observe(segmented(7, table, otherwise), paper_imu(), SITE, PLAN, table)
-    verification = verify(calibration(), seen)
+    observation = observe(segmented(7, table, otherwise), paper_imu(), SITE, PLAN, table)
+    verification = verify(calibration(), observation)
     # The body turns with the mount; what it sees turns the other way.
     for gyros in (True, False):
         words = symptom(verification, gyros=gyros)
@@ -464,8 +464,8 @@ def test_an_axis_off_by_what_the_table_states_is_no_fault_of_the_calibration() -
     turns = tuple(replace(t, up=leaning.attitude(t.angles)[2]) for t in evidence.turns)
 
     def stating(**stated: float) -> Verification:
-        said = replace(table, errors=TableErrors(**stated))
-        seen = replace(evidence, segments=segments, turns=turns, table=said)
+        stated_table = replace(table, errors=TableErrors(**stated))
+        seen = replace(evidence, segments=segments, turns=turns, table=stated_table)
         return verify(calibration(), replace(observed(), evidence=seen))
 
     assert stating().verdict is Verdict.FAIL
@@ -532,13 +532,13 @@ def test_the_command_accepts_rejects_and_refuses_by_its_exit_code(
     calibration().save(good)
     gyro(g().error_matrix.T).save(bad)
     assert main(['verify', str(bag), '--calibration', str(good)]) == 0
-    told = capsys.readouterr().out
-    assert 'ACCEPTED' in told
-    assert 'x_down' in told
+    output = capsys.readouterr().out
+    assert 'ACCEPTED' in output
+    assert 'x_down' in output
     assert main(['verify', str(bag), '--calibration', str(bad)]) == 1
-    told = capsys.readouterr().out
-    assert 'REJECTED' in told
-    assert 'vanish when the gyro error matrix is transposed' in told
+    output = capsys.readouterr().out
+    assert 'REJECTED' in output
+    assert 'vanish when the gyro error matrix is transposed' in output
     assert main(['verify', str(bag), '--calibration', str(tmp_path / 'none.yaml')]) == 2
 
 
@@ -557,10 +557,10 @@ def test_the_calibration_of_another_unit_is_refused_by_its_name_and_by_its_data(
     ):
         stranger.save(file)
         assert main(words) == 2
-        said = ' '.join(capsys.readouterr().err.split())
-        assert found in said
-        assert expected in said
-        assert '--another-unit' in said
+        errors = ' '.join(capsys.readouterr().err.split())
+        assert found in errors
+        assert expected in errors
+        assert '--another-unit' in errors
         assert main([*words, '--another-unit']) == 0
     # One of the same type that states no serial number: ten deviations of the data sheet off.
     far = gyro(bias=g().bias + np.array([1.0, -1.0, 1.0]) * 10 * 0.1 * DEG_H * np.sqrt(3))

@@ -88,14 +88,14 @@ def turning(rates):
     turns = Watch(TABLE, Rules(), step, at(0.0))
     assert turns.check(at(4.0, outer=280.0)) == (False, '')
     outer, seconds = 280.0, 4.0
-    said = []
+    messages = []
     for rate in rates:
         outer += 0.3 * rate
         seconds += 0.3
         arrived, fault = turns.check(at(seconds, outer))
         assert not arrived
-        said.append(fault)
-    return said
+        messages.append(fault)
+    return messages
 
 
 def test_turns_are_held_against_the_rate_that_was_commanded():

@@ -106,7 +106,7 @@ def calibration(status, text='All is well.', **values):
     )
 
 
-def said(source, level, text, **figures):
+def diagnostics(source, level, text, **figures):
     values = [SimpleNamespace(key=key, value=value) for key, value in figures.items()]
     status = SimpleNamespace(name=source, level=bytes([level]), message=text, values=values)
     return SimpleNamespace(status=[status])
@@ -149,20 +149,22 @@ def test_a_table_that_has_stopped_says_why_and_a_silent_leader_is_told(expected)
 
 def test_a_node_that_falls_silent_is_wrong_until_it_speaks_or_the_session_is_over(expected):
     board = Board(expected)
-    board.take_diagnostics(said('imu_node: stream', 0, 'Frames come in.'), 1.0)
-    board.take_diagnostics(said('stand_node: table', 1, 'It is late.'), 6.5)
+    board.take_diagnostics(diagnostics('imu_node: stream', 0, 'Frames come in.'), 1.0)
+    board.take_diagnostics(diagnostics('stand_node: table', 1, 'It is late.'), 6.5)
     assert [s.text for s in board.snapshot(7.0).problems] == [
         'No message has come for 6 s: has it ended?',
         'It is late.',
     ]
-    board.take_diagnostics(said('imu_node: stream', 2, 'No frame has come.'), 7.0)
+    board.take_diagnostics(diagnostics('imu_node: stream', 2, 'No frame has come.'), 7.0)
     assert [s.text for s in board.snapshot(7.0).problems] == [
         'No frame has come.',
         'It is late.',
     ]
     # The banner says how it ended, and why.
     board.take_calibration(calibration('VALID'))
-    board.take_diagnostics(said('calibrator_node: calibration', 1, 'There are findings.'), 59.0)
+    board.take_diagnostics(
+        diagnostics('calibrator_node: calibration', 1, 'There are findings.'), 59.0
+    )
     assert board.snapshot(60.0).problems == ()
 
 
@@ -228,9 +230,9 @@ def test_the_time_left_is_by_the_clock_on_the_wall(expected):
     assert time_left(board.snapshot(0.0), NOON)[0] == 'time left not known'
     for k in range(10):
         board.take_state(state(100.0 + 20.0 * k, seconds_left=600.0 - 20.0 * k), float(k))
-    left, rests_on = time_left(board.snapshot(9.0), NOON)
+    remaining, rests_on = time_left(board.snapshot(9.0), NOON)
     # 420 s of the stand, 20 of which go by in one.
-    assert left == '21 s'
+    assert remaining == '21 s'
     assert rests_on == 'ends at 12:00 (20 times real time)'
     assert board.snapshot(9.0).share == pytest.approx(180 / 600)
 
@@ -275,7 +277,7 @@ def test_no_text_of_a_node_is_taken_for_markup(expected):
     board = Board(replace(expected, imu=evil))
     board.take_state(state(100.0, Phase.PAUSED, reason=evil, joint_names=[evil] * 3), 1.0)
     board.take_progress(progress(100.0, 1.0, next_attitudes=[evil]), 1.0)
-    board.take_diagnostics(said(f'imu_node: {evil}', 2, evil, **{evil: evil}), 1.0)
+    board.take_diagnostics(diagnostics(f'imu_node: {evil}', 2, evil, **{evil: evil}), 1.0)
     shown = board.snapshot(1.0)
     by_hand = replace(shown, expected=replace(expected, steps=()))
     parts = [

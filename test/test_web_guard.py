@@ -14,7 +14,7 @@ from imu_calib.web.guard import Guard, Token, address, exposure, is_loopback
 OWN = b'127.0.0.1:8080'
 
 
-def asked(place, kind='http', method='GET', **headers):
+def response_to(place, kind='http', method='GET', **headers):
     """Send a request through a guard; return what it sends back, and whether it came through."""
     came, sent = [], []
 
@@ -41,7 +41,7 @@ LOCAL = ('127.0.0.1', 8080)
 
 def test_the_page_itself_is_served_by_the_addresses_that_it_has():
     for host in (b'127.0.0.1:8080', b'localhost:8080', b'LOCALHOST:8080', b'[::1]:8080'):
-        came, sent = asked(LOCAL, host=host)
+        came, sent = response_to(LOCAL, host=host)
         assert came, host
         headers = dict(sent[0]['headers'])
         assert b"frame-ancestors 'self'" in headers[b'content-security-policy']
@@ -64,47 +64,47 @@ def test_the_page_itself_is_served_by_the_addresses_that_it_has():
 )
 def test_another_name_of_this_machine_is_refused(host):
     """So is DNS rebinding: the browser sends the name that it has resolved."""
-    came, sent = asked(LOCAL, host=host)
+    came, sent = response_to(LOCAL, host=host)
     assert not came
     assert sent[0]['status'] == 403
 
 
 def test_other_pages_may_not_speak_to_this_one():
     evil = b'http://evil.example'
-    assert not asked(LOCAL, origin=evil)[0]
-    assert not asked(LOCAL, method='POST', origin=evil)[0]
-    assert not asked(LOCAL, method='POST', origin=b'null')[0]
-    assert not asked(LOCAL, method='POST', origin=b'http://127.0.0.1:9')[0]
-    assert not asked(LOCAL, method='POST', origin=b'https://127.0.0.1:8080')[0]
-    assert asked(LOCAL, method='POST', origin=b'http://127.0.0.1:8080')[0]
+    assert not response_to(LOCAL, origin=evil)[0]
+    assert not response_to(LOCAL, method='POST', origin=evil)[0]
+    assert not response_to(LOCAL, method='POST', origin=b'null')[0]
+    assert not response_to(LOCAL, method='POST', origin=b'http://127.0.0.1:9')[0]
+    assert not response_to(LOCAL, method='POST', origin=b'https://127.0.0.1:8080')[0]
+    assert response_to(LOCAL, method='POST', origin=b'http://127.0.0.1:8080')[0]
     # An image, a script, a frame, a form of another page name no origin, but where they come from.
     for site in (b'cross-site', b'same-site'):
         for mode, purpose in ((b'no-cors', b'image'), (b'navigate', b'iframe')):
             far = {'sec_fetch_site': site, 'sec_fetch_mode': mode, 'sec_fetch_dest': purpose}
-            assert not asked(LOCAL, **far)[0]
+            assert not response_to(LOCAL, **far)[0]
         link = {
             'sec_fetch_site': site,
             'sec_fetch_mode': b'navigate',
             'sec_fetch_dest': b'document',
         }
         # A link leads to the page, and commands nothing.
-        assert asked(LOCAL, **link)[0]
-        assert not asked(LOCAL, method='POST', **link)[0]
+        assert response_to(LOCAL, **link)[0]
+        assert not response_to(LOCAL, method='POST', **link)[0]
 
 
 def test_a_websocket_comes_from_the_page_alone():
     for origin in (None, b'http://evil.example', b'null', b'http://localhost:8080'):
-        came, sent = asked(LOCAL, kind='websocket', origin=origin)
+        came, sent = response_to(LOCAL, kind='websocket', origin=origin)
         assert not came
         assert sent[0]['type'] == 'websocket.close'
-    assert asked(LOCAL, kind='websocket', origin=b'http://127.0.0.1:8080')[0]
+    assert response_to(LOCAL, kind='websocket', origin=b'http://127.0.0.1:8080')[0]
 
 
 def test_on_another_interface_addresses_are_taken_and_strange_names_are_not():
     everywhere = ('0.0.0.0', 8080)
-    assert asked(everywhere, host=b'192.168.0.7:8080')[0]
-    assert asked(('lab', 8080), host=b'lab:8080')[0]
-    assert not asked(everywhere, host=b'evil.example:8080')[0]
+    assert response_to(everywhere, host=b'192.168.0.7:8080')[0]
+    assert response_to(('lab', 8080), host=b'lab:8080')[0]
+    assert not response_to(everywhere, host=b'evil.example:8080')[0]
     assert 'without encryption' in exposure('0.0.0.0')
     assert not exposure('127.0.0.1')
     assert is_loopback('::1')
@@ -144,6 +144,6 @@ def test_a_node_that_nobody_needs_may_end_and_it_is_said_once(tmp_path, capsys):
         assert until(lambda: not running.runs('web_node'))
         running.check()
         running.check()
-    said = capsys.readouterr().err
-    assert said.count('web_node has ended') == 1
-    assert 'latitude' in said
+    errors = capsys.readouterr().err
+    assert errors.count('web_node has ended') == 1
+    assert 'latitude' in errors

@@ -59,18 +59,18 @@ class Linear:
 
     def solved(self) -> Floats:
         """Return the least squares."""
-        jacobian, left = self.whitened(np.zeros(STATE))
-        return np.asarray(np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ left))
+        jacobian, residual_values = self.whitened(np.zeros(STATE))
+        return np.asarray(np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual_values))
 
     def refitted(self, columns: Floats) -> tuple[Floats, Floats, float]:
         """Coefficients of further columns, their covariance, and the chi-square that is left."""
         white = np.linalg.inv(self.factor(columns))
         further = np.vstack([white @ columns, np.zeros((PRIORS, columns.shape[1]))])
-        jacobian, left = self.whitened(np.zeros(STATE))
+        jacobian, residual_values = self.whitened(np.zeros(STATE))
         both = np.hstack([jacobian, further])
         inverse = np.linalg.inv(both.T @ both)
-        solved = inverse @ both.T @ left
-        rest = left - both @ solved
+        solved = inverse @ both.T @ residual_values
+        rest = residual_values - both @ solved
         return solved[STATE:], inverse[STATE:, STATE:], float(rest @ rest)
 
 
@@ -89,9 +89,9 @@ def test_a_score_is_what_a_refit_would_find(scatter: float) -> None:
     columns = np.random.default_rng(5).standard_normal((ROWS, 2)) * 1e-3
     sizes = np.array([1e5, 1e9])
     (found,) = residuals(system).scores(family(), [(columns * sizes, sizes)])
-    values, covariance, left = system.refitted(columns)
+    values, covariance, residual_values = system.refitted(columns)
     _, _, before = system.refitted(np.zeros((ROWS, 0)))
-    assert found.statistic == pytest.approx(before - left)
+    assert found.statistic == pytest.approx(before - residual_values)
     assert found.rank == 2
     assert found.estimate == pytest.approx(values)
     assert found.covariance == pytest.approx(covariance)
@@ -106,10 +106,10 @@ def test_the_scale_is_that_of_what_is_judged() -> None:
     (found,) = residuals(system).scores(family(judged), [(BIG * columns, BIG * np.ones(2))])
     # By the hat matrix of state and columns, without the priors' rows.
     white = np.linalg.inv(system.factor(columns))
-    jacobian, left = system.whitened(np.zeros(STATE))
+    jacobian, residual_values = system.whitened(np.zeros(STATE))
     both = np.hstack([jacobian, np.vstack([white @ columns, np.zeros((PRIORS, 2))])])
     hat = both @ np.linalg.inv(both.T @ both) @ both.T
-    rest = (left - hat @ left)[:30]
+    rest = (residual_values - hat @ residual_values)[:30]
     freedom = 30 - np.trace(hat[:30, :30])
     assert found.freedom == pytest.approx(freedom)
     assert found.scale == pytest.approx(rest @ rest / freedom)
@@ -158,10 +158,10 @@ def test_an_outlier_takes_what_offsets_of_its_own_would() -> None:
     system = Linear(seed=3)
     rows = np.array([4, 5, 6])
     columns = np.eye(ROWS)[:, rows]
-    _, _, left = system.refitted(columns)
+    _, _, residual_values = system.refitted(columns)
     _, _, before = system.refitted(np.zeros((ROWS, 0)))
     square, rank, freedom = _fall(system, system.solved(), rows)  # type: ignore[arg-type]
-    assert square == pytest.approx(before - left)
+    assert square == pytest.approx(before - residual_values)
     assert rank == 3
     # Three quarters of the variance are known by nine degrees of freedom: GUM, G.2b.
     assert freedom == pytest.approx(FEW / 0.75**2)
@@ -197,12 +197,12 @@ class Turning:
 
 
 def test_turns_that_scatter_weigh_less_by_axis_and_channel() -> None:
-    left = np.zeros(24)
+    residual_values = np.zeros(24)
     # Channel y of the turns about x, of five of them: 5 degrees of freedom.
-    left[[1, 4, 7, 19, 22]] = 6.0
+    residual_values[[1, 4, 7, 19, 22]] = 6.0
     # Channel x of the turns about z, too little.
-    left[[9, 12, 15]] = 2.0
-    found, largest = turns_downweighted(Turning(left), np.zeros(2))  # type: ignore[arg-type]
+    residual_values[[9, 12, 15]] = 2.0
+    found, largest = turns_downweighted(Turning(residual_values), np.zeros(2))  # type: ignore[arg-type]
     assert largest == pytest.approx(36.0)
     wanted = np.ones(24)
     wanted[[1, 4, 7, 19, 22]] = 36.0
@@ -211,29 +211,29 @@ def test_turns_that_scatter_weigh_less_by_axis_and_channel() -> None:
 
 
 def test_what_is_taken_up_leaves_a_degree_less() -> None:
-    left = np.zeros(24)
-    left[[0, 3, 6, 18, 21]] = [0.0, 6.0, 6.0, 6.0, 6.0]
-    _, largest = turns_downweighted(Turning(left), np.zeros(2))  # type: ignore[arg-type]
+    residual_values = np.zeros(24)
+    residual_values[[0, 3, 6, 18, 21]] = [0.0, 6.0, 6.0, 6.0, 6.0]
+    _, largest = turns_downweighted(Turning(residual_values), np.zeros(2))  # type: ignore[arg-type]
     assert largest == pytest.approx(4 * 36.0 / 4)
 
 
 def test_less_than_one_degree_tells_nothing() -> None:
-    left = np.zeros(24)
-    left[22] = 50.0
+    residual_values = np.zeros(24)
+    residual_values[22] = 50.0
     taken = np.zeros((24, 5))
     # Four of five outputs, and half of the fifth.
     taken[[1, 4, 7, 19], range(4)] = 1.0
     taken[[22, 2], 4] = 1.0
-    found, largest = turns_downweighted(Turning(left, taken=taken), np.zeros(5))  # type: ignore[arg-type]
+    found, largest = turns_downweighted(Turning(residual_values, taken=taken), np.zeros(5))  # type: ignore[arg-type]
     assert found.inflation is None
     assert largest == 1.0
 
 
 @pytest.mark.parametrize(('times', 'weighs'), [(0.99, False), (1.01, True)])
 def test_they_do_where_chance_hardly_makes_them(times: float, weighs: bool) -> None:
-    left = np.zeros(24)
-    left[[1, 4, 7, 19, 22]] = np.sqrt(times * chi2.isf(_UNLIKE, 5) / 5)
-    found, largest = turns_downweighted(Turning(left), np.zeros(2))  # type: ignore[arg-type]
+    residual_values = np.zeros(24)
+    residual_values[[1, 4, 7, 19, 22]] = np.sqrt(times * chi2.isf(_UNLIKE, 5) / 5)
+    found, largest = turns_downweighted(Turning(residual_values), np.zeros(2))  # type: ignore[arg-type]
     assert (found.inflation is not None) is weighs
     assert (largest > 1.0) is weighs
 

@@ -79,15 +79,15 @@ def test_the_readme_makes_both_packages_visible(workspace):
 def test_a_build_without_messages_says_so_and_so_does_the_node(workspace):
     built = run(workspace, 'colcon build --packages-select imu_calib')
     assert built.returncode == 0
-    told = re.search(r'ln -s .*', built.stderr)
-    assert told, built.stderr
+    errors = re.search(r'ln -s .*', built.stderr)
+    assert errors, built.stderr
     ran = run(workspace, '. install/setup.bash && ros2 run imu_calib turntable_node')
     assert ran.returncode == 2
     assert 'Traceback' not in ran.stderr
     assert 'The package imu_calib_msgs is not built' in ran.stderr
     assert link() in ran.stderr
     # What the build told to do, done.
-    assert run(workspace, told[0]).returncode == 0
+    assert run(workspace, errors[0]).returncode == 0
     assert (workspace / 'src' / 'imu_calib_msgs' / 'package.xml').is_file()
 
 
@@ -97,10 +97,10 @@ def test_a_node_without_its_messages_ends_with_a_sentence(node):
                                (CHECKOUT / 'setup.py').read_text()))  # fmt: skip
     program = f'imu_calib{programs["node"]}:{node}'
     process = start(UNBUILT, node, program, IMU_CALIB_MIDDLEWARE='rclpy')
-    _, said = process.communicate(timeout=patience())
-    assert process.returncode == 2, said
-    assert said.startswith(f'{node}: The package imu_calib_msgs is not built')
-    assert 'Traceback' not in said
+    _, output = process.communicate(timeout=patience())
+    assert process.returncode == 2, output
+    assert output.startswith(f'{node}: The package imu_calib_msgs is not built')
+    assert 'Traceback' not in output
 
 
 def test_a_robot_needs_no_rviz():

@@ -42,11 +42,11 @@ def moved(read, at, joint, way, rate):
     ramp, length = rate / RAMP, abs(way) / rate + rate / RAMP
     t = np.arange(1, int(np.ceil(length / STEP)) + 1) * STEP
     t = np.minimum(t, length)
-    left = length - t
+    remaining = length - t
     done = np.where(
         t < ramp,
         RAMP * t**2 / 2,
-        np.where(left < ramp, abs(way) - RAMP * left**2 / 2, rate * (t - ramp / 2)),
+        np.where(remaining < ramp, abs(way) - RAMP * remaining**2 / 2, rate * (t - ramp / 2)),
     )
     for value in done:
         q = at.copy()
