@@ -147,7 +147,7 @@ def angle_about(axis: Floats, matrix: Floats) -> float:
 def shortest(start: Floats, end: Floats) -> Floats:
     """Return the rotation (3, 3) that takes a unit vector to another the short way.
 
-    Not to the opposite one, to which any way is as short.
+    The opposite vector is excluded: all ways to it are equally short.
     """
     cross = cross_matrix(np.cross(start, end))
     return np.asarray(np.eye(3) + cross + cross @ cross / (1 + float(start @ end)))

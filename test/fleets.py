@@ -240,7 +240,7 @@ def _unit(
     return UnitHistory(
         serial=number,
         imu=TYPES[made.unit[rows[0]] % len(TYPES)],
-        lot_of_unit=lot_of_unit(made.unit[rows[0]], made.unit[-1] + 1),
+        lot=lot_of_unit(made.unit[rows[0]], made.unit[-1] + 1),
         key=tuple(made.rows['key'][k] for k in rows),
         date=dates,
         stand=tuple(at),

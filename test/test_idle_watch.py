@@ -31,36 +31,36 @@ def test_a_table_that_stands_is_nothing_to_be_told():
     watch = standing()
     for k in range(1, 9):
         assert not watch.check(at(0.1 + 0.1 * k, outer=0.04 * (k % 2), still=True))
-    assert (watch.text, watch.moves, watch.way, watch.rate) == ('', False, 0.0, 0.0)
+    assert (watch.text, watch.is_moving, watch.excursion, watch.rate) == ('', False, 0.0, 0.0)
 
 
 def test_what_a_joint_does_is_told_as_it_begins_as_it_doubles_and_as_it_stands():
     watch = standing()
     messages = []
     ways = [0.06, 0.08, 0.119, 0.121, 0.2, 0.23, 0.25, 0.3]
-    for k, way in enumerate(ways):
-        if watch.check(at(0.2 + 0.1 * k, outer=-way, rate=-1.0)):
-            messages.append(way)
-            assert watch.moves
+    for k, excursion in enumerate(ways):
+        if watch.check(at(0.2 + 0.1 * k, outer=-excursion, rate=-1.0)):
+            messages.append(excursion)
+            assert watch.is_moving
             assert watch.text == (
                 'Joint outer moves while it is to stand at 0.000 deg: it is at -0.060 deg. '
-                f'Joint outer moved {way:.2f} deg, at up to 1 deg/s, {NOT_LED}; it still moves.'
+                f'Joint outer moved {excursion:.2f} deg, at up to 1 deg/s, {NOT_LED}; it still moves.'
             )
     assert messages == [0.06, 0.121, 0.25]
     # On the way back it has gone no further.
     assert not watch.check(at(1.1, outer=-0.1, rate=2.0))
     assert watch.check(at(1.2, outer=-0.1))
     assert watch.text.endswith(f'moved 0.30 deg, at up to 2 deg/s, {NOT_LED}; it stands again.')
-    assert (watch.moves, watch.way, watch.rate) == (
+    assert (watch.is_moving, watch.excursion, watch.rate) == (
         False,
         pytest.approx(0.3 * DEG),
         pytest.approx(2.0 * DEG),
     )
     # It stands where it is now; a shorter way than the one that was told is no news.
     assert not watch.check(at(1.3, outer=-0.1, still=True))
-    assert not watch.moves
+    assert not watch.is_moving
     assert not watch.check(at(1.4, outer=-0.2))
-    assert watch.moves
+    assert watch.is_moving
     assert watch.check(at(1.5, outer=-0.7))
     assert f'moved 0.70 deg, at up to 2 deg/s, {NOT_LED}; it still moves.' in watch.text
 
@@ -90,7 +90,7 @@ def test_it_rests_when_neither_angle_nor_rate_shows_a_motion(step, rate, rests):
     watch = standing()
     watch.check(at(0.2, outer=1.0, rate=5.0))
     fault = watch.check(at(0.3, outer=1.0 + step, rate=rate))
-    assert (fault, watch.moves) == (rests, not rests)
+    assert (fault, watch.is_moving) == (rests, not rests)
 
 
 def test_a_table_that_is_still_moving_after_its_time_to_stop_is_told():

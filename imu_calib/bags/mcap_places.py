@@ -76,8 +76,8 @@ def indexed(parts: Sequence[Part], buffer: Bytes) -> dict[int, Placed] | None:
     """Find messages by the indexes alone; arguments as of `located`.
 
     Returns:
-        Messages by channel; None if an index contradicts its chunk or is incomplete, and for
-            several chunks also if each must be examined separately.
+        Messages by channel; None if an index contradicts its chunk or is incomplete, or if
+            several chunks must be examined one by one.
     """
     # The tables of a channel are joined, in the order of the buffer.
     channels = dict.fromkeys(channel for part in parts for channel in part.tables)

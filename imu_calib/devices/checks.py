@@ -22,7 +22,7 @@ FLETCHER = (255, 256)
 
 @dataclass(frozen=True)
 class FrameCheck:
-    """Position of a checksum and the bytes that it covers: from `first` up to, without, `end`."""
+    """Position of a checksum, and the bytes that it covers: from `first` to `end` - 1."""
 
     algorithm: Algorithm
     number: Number
@@ -83,7 +83,7 @@ def read_order(section: Section, default: str | None) -> str:
 
 
 def read_number_order(section: Section, default: str, size: int) -> str:
-    """Read the byte order of a number of so many bytes: words may be swapped, too."""
+    """Read the byte order of a number of `size` bytes: its words may be swapped, too."""
     if not section.has('byte_order'):
         return default
     order = section.choice('byte_order', ORDERS)

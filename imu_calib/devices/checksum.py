@@ -60,7 +60,7 @@ CATALOGUE = {
 
 @dataclass(frozen=True)
 class Sum:
-    """Sum of the bytes, or of words of several, modulo 2^width.
+    """Sum of the bytes, or of words of several bytes, modulo 2^width.
 
     Attributes:
         width: Bits: 8, 16, 24 or 32.
@@ -189,7 +189,7 @@ def _contributions(crc: Crc, length: int, padding: int) -> tuple[Words, int]:
 
 
 def _byte_table(crc: Crc) -> Words:
-    """Return the (256,) register after each byte, from an empty one, in refin's orientation."""
+    """Return the (256,) registers that each byte gives from zero, reflected if `refin` is set."""
     values = np.arange(256, dtype=np.uint64)
     if crc.refin:
         values = _reflected(values.astype(np.uint32), 8).astype(np.uint64)
@@ -204,7 +204,7 @@ def _byte_table(crc: Crc) -> Words:
 
 
 def _after_zero(register: Words, crc: Crc, table: Words) -> Words:
-    """Return registers after one more byte of zero."""
+    """Return the registers after a further zero byte."""
     if crc.refin:
         low: Words = table[register & np.uint32(0xFF)]
         return (register >> np.uint32(8)) ^ low

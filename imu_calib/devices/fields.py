@@ -225,7 +225,7 @@ def differences(
         values: (n,) as sent.
         previous: The one before.
         modulus: None without one.
-        signed: Whether a step of more than half the modulus is one back.
+        signed: Whether a step of more than half the modulus counts as a step back.
     """
     with np.errstate(over='ignore'):
         steps = np.diff(values, prepend=np.int64(previous))

@@ -29,11 +29,11 @@ _RETRY = 0.5
 _CAPACITY = 1 << 18
 """Bytes held for a slow node: more than 2 s at 921600 baud."""
 _TRIES = 5
-"""Readings of both clocks, of which at least one is not interrupted."""
+"""Attempts to read both clocks together: one of them is not interrupted."""
 _NS = 1_000_000_000
 """ns per second."""
 _AT_ONCE = 1_000_000
-"""ns; if reading both clocks took longer, they are read again."""
+"""ns: if reading both clocks takes longer, it was interrupted and is repeated."""
 _SOCKETS = ('socket', 'tcp', 'udp')
 _ADVICE = {
     errno.ENOENT: 'there is no such device. Connect it and switch it on; ls -l /dev/serial/by-id '
@@ -110,9 +110,9 @@ class Source:
         capacity: Bytes that may wait.
         commands: Start the device when a serial port or a TCP connection opens, and stop it before
             closing. Nothing is sent to datagram sources or files.
-        restarts: Whether closing leaves the device stopped: a serial port lowers its control lines,
-            as usual, and some devices restart when these are raised at the next opening; and the
-            stop commands are sent.
+        restarts: Whether closing stops the device: the stop commands are sent, and a serial port
+            lowers its control lines as usual (some devices restart when the next opening raises
+            them).
 
     Attributes:
         url: As given.
@@ -166,7 +166,7 @@ class Source:
 
     @property
     def live(self) -> bool:
-        """Whether bytes come when they are made; those of a file are available at once."""
+        """Whether bytes arrive as the device sends them; those of a file are there at once."""
         return self._kind is not File
 
     @property
@@ -186,7 +186,9 @@ class Source:
         while not self._stopping.is_set():
             try:
                 line = self._kind(*self._where)
-            except Exception as error:  # Drivers raise what they like, termios.error for one.
+            except (
+                Exception
+            ) as error:  # Drivers raise exceptions of their own, such as termios.error.
                 self.state = SourceState(False, False, _does_not_open(self.url, error))
             else:
                 with contextlib.closing(line):

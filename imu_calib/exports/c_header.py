@@ -46,7 +46,7 @@ def export(source: ExportSource) -> Exported:
         [
             _scalar('IMU_CALIB_GYRO_SCALE', imu.gyro.scale_factor, 'nominal: raw to rad/s or rad'),
             _scalar('IMU_CALIB_ACCEL_SCALE', imu.accel.scale_factor, 'nominal: to m/s^2 or m/s'),
-            _vector('imu_calib_gyro_bias', model.gyro.bias, 'rad/s, taken off before the matrix'),
+            _vector('imu_calib_gyro_bias', model.gyro.bias, 'rad/s, subtracted before the matrix'),
             _vector('imu_calib_accel_bias', model.accel.bias, 'm/s^2, likewise'),
             _matrix(
                 'imu_calib_gyro_matrix',
@@ -113,7 +113,7 @@ def _slope(model: SensorModel, imu: ImuSpec) -> tuple[float, str]:
         min(spec.range, widest)
         for spec, widest in ((imu.gyro, _WIDEST_RATE), (imu.accel, _WIDEST_FORCE))
     )
-    # Slopes of products of amounts are largest if all inputs are; signs may add them up.
+    # The slopes are largest at the largest inputs, where all contributions have one sign.
     most = model.with_values(model.parameters, np.abs(model.values(model.parameters)))
     ends = np.repeat([rate, force], len(AXES))
     linear = replace(model, terms={}).slopes(np.zeros(3), np.zeros(3))

@@ -195,7 +195,7 @@ class Catalogue:
 
         Args:
             one: With a row.
-            newest: Name of the newest file of each unit that has been searched.
+            newest: Name of the newest file in each folder of a unit; filled in as they are listed.
         """
         row = dict(one.row or {})
         if row['status'] != CALIBRATED:

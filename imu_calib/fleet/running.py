@@ -25,10 +25,9 @@ if TYPE_CHECKING:
 Task: TypeAlias = Callable[[Job, frozenset[str]], Done]
 
 _FLUSH, _FLUSH_SHARE, _LATEST_FLUSH = 1.0, 0.05, 60.0
-"""s between additions to the catalogue, their share of the batch's time so far, and the largest s.
+"""Time between additions to the catalogue: at least 1 s, 5 % of the batch's time, at most 60 s.
 
-Each addition is a file: ten hours give at least six hundred. A killed client loses at most a
-minute.
+Each addition is a file: ten hours give about six hundred. A killed client loses at most a minute.
 """
 _MOST = 100
 """Most rows that wait to be added: 70 kB each with the text of the calibration."""

@@ -27,7 +27,7 @@ _MOST = 20
 _RANK = 1e-9
 """Ratio of an eigenvalue of a covariance to the largest, below which it is rounding."""
 _DISTINCT = 1e-6
-"""Share of a stand's column that is independent of others, below which it is one of them."""
+"""Independent share of a stand's column below which the other columns determine it."""
 
 
 @dataclass(frozen=True, eq=False)

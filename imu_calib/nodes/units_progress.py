@@ -1,4 +1,4 @@
-"""Reports of a calibrator on several units: the least advanced counts."""
+"""Reports of a calibrator on several units: the least advanced unit determines them."""
 
 from __future__ import annotations
 

@@ -59,7 +59,8 @@ _BY_HAND_STILL = 2.0
 """s at rest before and after a turn by hand, which separate it from the moves around it."""
 
 _BY_HAND_LEVEL = 0.25
-"""Level rate that remains of such a turn, with a third of a second each for rise and fall."""
+"""Share of a level rate that such a turn does not average out: its rate rises and falls for a third
+of a second each."""
 
 _WARMTH = 20.0
 """Mean temperature of a session, degrees Celsius: only differences from it matter."""

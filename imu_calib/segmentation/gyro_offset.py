@@ -41,7 +41,7 @@ _ATTITUDES = 5
 slow turns about the vertical among them do not move it."""
 
 _USUAL_TO_MOST = 3 * 1.4826
-"""Three standard deviations of normal scatter over the median of its absolute value."""
+"""Ratio of three standard deviations of normal scatter to the median of its absolute value."""
 
 
 @dataclass(eq=False)
@@ -55,10 +55,10 @@ class _Attitude:
 
 @dataclass(eq=False)
 class _Level:
-    """A steady rate: its value in each attitude, the last one at the end.
+    """A steady rate: its value in each attitude, the latest last.
 
-    The rate is the median over the last attitudes: a slow turn is one of them, of whatever length,
-    and a bias that warms up is followed within three.
+    The rate is the median over the latest attitudes. A slow turn counts as one attitude, however
+    long it takes; a bias that warms up is followed within three attitudes.
     """
 
     ups: list[_Attitude]
@@ -123,7 +123,7 @@ class GyroOffset:
 
     @property
     def spread(self) -> float:
-        """Largest difference of a dwell's rate from it, as seen in other dwells, rad/s."""
+        """Largest difference of a dwell's rate from the offset, by the attitudes so far, rad/s."""
         level = self._level
         return ASSUMED_SPREAD if level is None else level.spread
 

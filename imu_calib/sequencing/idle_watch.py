@@ -8,8 +8,8 @@ from .encoders import WINDOW, Feedback
 from .rules import Rules
 from .watch import Standing
 
-_NEWS = 2.0
-"""Growth of the excursion that is reported again: a few reports for a long turn."""
+_GROWTH = 2.0
+"""Factor by which an excursion must grow to be reported again: few reports for a long turn."""
 
 
 class IdleWatch:
@@ -17,8 +17,9 @@ class IdleWatch:
 
     The table may take the time that its limits allow to come to rest. From then on a joint that
     moves further than `Standing` allows (five times the arrival tolerance, at most the overshoot
-    tolerance) moves without a command. It is at rest again after a joint state without motion since
-    the one before and without a rate: less than the arrival tolerance within `encoders.WINDOW`.
+    tolerance) moves without a command. It is at rest again when a
+    joint state shows no motion since the one before, and rates that move no joint by more than the
+    arrival tolerance within `encoders.WINDOW`.
 
     Args:
         table: The table.
@@ -27,9 +28,9 @@ class IdleWatch:
         led: Whether it was in a commanded motion until then.
 
     Attributes:
-        moves: Whether it moves at present.
+        is_moving: Whether it moves at present.
         text: Sentences on its motion; empty without.
-        way: Largest distance from its rest, rad.
+        excursion: Largest distance from its rest, rad.
         rate: Largest rate, rad/s.
     """
 
@@ -43,9 +44,9 @@ class IdleWatch:
         self._fault = ''
         self._joint = ''
         self._reported = 0.0
-        self.moves = False
+        self.is_moving = False
         self.text = ''
-        self.way = 0.0
+        self.excursion = 0.0
         self.rate = 0.0
 
     def check(self, now: Feedback) -> bool:
@@ -54,23 +55,23 @@ class IdleWatch:
         if self._standing.rest is None and not 0 < now.gap <= self._rules.feedback_timeout:
             # The motion in the meantime is unknown.
             self._standing = Standing(self._table, self._rules, now)
-        if not self.moves:
+        if not self.is_moving:
             stands, fault = self._standing.check(now)
             if stands and not self.text:
                 self._origin = self._standing.rest
             if not fault:
                 return False
-            self.moves = True
+            self.is_moving = True
             self._fault = self._fault or fault
             self._origin = self._origin or now.angles
         self._measure(now)
         if now.still or self._rests(now, last):
-            self.moves = False
+            self.is_moving = False
             self._standing = Standing(self._table, self._rules, now)
             self._standing.keep(now.angles)
-        elif self.text and self.way < _NEWS * self._reported:
+        elif self.text and self.excursion < _GROWTH * self._reported:
             return False
-        self._reported = self.way
+        self._reported = self.excursion
         self.text = self._words()
         return True
 
@@ -89,14 +90,14 @@ class IdleWatch:
     def _measure(self, now: Feedback) -> None:
         assert self._origin is not None  # set before it moves
         ways = [abs(angle - rest) for angle, rest in zip(now.angles, self._origin, strict=True)]
-        way = max(ways)
-        if way >= self.way:
-            self.way, self._joint = way, self._table.names[ways.index(way)]
+        excursion = max(ways)
+        if excursion >= self.excursion:
+            self.excursion, self._joint = excursion, self._table.names[ways.index(excursion)]
         self.rate = max(self.rate, *map(abs, now.rates))
 
     def _words(self) -> str:
-        end = 'it stands again' if not self.moves else 'it still moves'
+        end = 'it stands again' if not self.is_moving else 'it still moves'
         return (
-            f'{self._fault} Joint {self._joint} moved {self.way / DEG:.2f} deg, at up to '
+            f'{self._fault} Joint {self._joint} moved {self.excursion / DEG:.2f} deg, at up to '
             f'{self.rate / DEG:.3g} deg/s, without a command; {end}.'
         )

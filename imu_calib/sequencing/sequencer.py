@@ -102,7 +102,7 @@ class Sequencer:
             return found.emergency
         if self.running:
             return f'The plan is running, at step {self._run.itinerary.index}.'
-        unled = self.idle.text if self.idle.moves else ''
+        unled = self.idle.text if self.idle.is_moving else ''
         return found.forbidden or unled or found.feedback or found.calibrator
 
     @property

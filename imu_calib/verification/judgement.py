@@ -283,7 +283,11 @@ class _Trial:
         found = [
             f'Between {what} the {self.name} scatter {factor:.1f} times more than within them, '
             'whatever the parameters (positioning errors, bias drift): the limits are widened.'
-            + (' So much makes the verdict MARGINAL by itself.' if factor > _TOO_WIDE else '')
+            + (
+                ' Scatter this large alone makes the verdict MARGINAL.'
+                if factor > _TOO_WIDE
+                else ''
+            )
             for what, factor in zip(
                 ('positions', 'turns', 'moves'), self.system.inflation, strict=True
             )
