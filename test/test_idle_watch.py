@@ -44,7 +44,8 @@ def test_what_a_joint_does_is_told_as_it_begins_as_it_doubles_and_as_it_stands()
             assert watch.is_moving
             assert watch.text == (
                 'Joint outer moves while it is to stand at 0.000 deg: it is at -0.060 deg. '
-                f'Joint outer moved {excursion:.2f} deg, at up to 1 deg/s, {NOT_LED}; it still moves.'
+                f'Joint outer moved {excursion:.2f} deg, at up to 1 deg/s, {NOT_LED}; '
+                'it still moves.'
             )
     assert messages == [0.06, 0.121, 0.25]
     # On the way back it has gone no further.
