@@ -36,7 +36,7 @@ from units_sessions import PULSE, TURNED, WALK, solved, tilt, truth  # noqa: E40
 
 from imu_calib.budget import Budget  # noqa: E402
 from imu_calib.calibrator import Result  # noqa: E402
-from imu_calib.calibrator.together import together  # noqa: E402
+from imu_calib.calibrator.shared_results import estimate_together  # noqa: E402
 from imu_calib.observation.equations import Nuisance  # noqa: E402
 
 PAGE = CHECKOUT / 'docs' / 'units_study.md'
@@ -96,7 +96,7 @@ def session(seed: int, grade: str, figures: dict[int, Figures]) -> None:
         figures[1].azimuth_std.append(found.nuisance(Nuisance.AZIMUTH)[1])
     for size in list(figures)[1:]:
         here, begun = figures[size], time.process_time()
-        shared = together(alone[:size], [str(k) for k in range(size)])
+        shared = estimate_together(alone[:size], [str(k) for k in range(size)])
         here.seconds += time.process_time() - begun
         here.left_out += len(shared.left_out)
         _of_units(here, shared.results, units[:size])

@@ -22,8 +22,8 @@ def entry(start: int = FIRST, index: dict[int, int] | None = None, **other: int)
     move = start - FIRST
     index = {2: INDEX_2 + move, 1: INDEX_1 + move} if index is None else index
     length = other.get('length', DATA + STORED - FIRST)
-    behind = other.get('behind', END - INDEX_1)
-    return ChunkIndex((7, 9), start, length, index, behind, '', (STORED, 900))
+    index_bytes = other.get('behind', END - INDEX_1)
+    return ChunkIndex((7, 9), start, length, index, index_bytes, '', (STORED, 900))
 
 
 def catalogue(*entries: ChunkIndex, counts: dict[int, int], **other: object) -> Catalogue:
@@ -102,8 +102,8 @@ def test_channels_without_messages_do_no_harm() -> None:
 
 def test_an_index_too_short_for_an_entry_has_none() -> None:
     """The three messages of channel 1 are in the second chunk."""
-    first = entry(index={1: INDEX_1, 2: INDEX_1}, behind=15 + 16)
-    second = entry(1000, index={1: 1000 + INDEX_1 - FIRST}, behind=15 + 3 * 16 + 15)
+    first = entry(index={1: INDEX_1, 2: INDEX_1}, index_bytes=15 + 16)
+    second = entry(1000, index={1: 1000 + INDEX_1 - FIRST}, index_bytes=15 + 3 * 16 + 15)
     found = chunks_of(catalogue(first, second, counts={1: 3, 2: 1}), SUMMARY)
     assert found is not None
     assert found[0].counts == {1: 0, 2: 1}

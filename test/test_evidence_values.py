@@ -415,8 +415,8 @@ TILT = Tilt(np.array([0.003, -0.004, np.sqrt(1 - 25e-6)]), 1e-3)
 
 def test_a_tilt_is_sure_beyond_five_deviations() -> None:
     assert TILT.size == pytest.approx(0.005)
-    assert replace(TILT, std=0.99e-3).sure
-    assert not replace(TILT, std=1.01e-3).sure
+    assert replace(TILT, std=0.99e-3).is_significant
+    assert not replace(TILT, std=1.01e-3).is_significant
 
 
 def test_a_vector_is_put_against_the_plumb_line() -> None:

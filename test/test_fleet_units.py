@@ -92,9 +92,9 @@ def test_what_is_done_is_not_done_again_until_the_list_changes(
 ) -> None:
     (job,) = find_jobs([manifest], Stated())
     known = Catalogue(done).keys()
-    assert [one.row for one in run(job, known).every] == [None] * 3
+    assert [one.row for one in run(job, known).results] == [None] * 3
     # What failed is done again, and its fellows stay as they are.
-    (first, second, third) = run(job, Catalogue(done).keys(failed=False)).every
+    (first, second, third) = run(job, Catalogue(done).keys(failed=False)).results
     assert first.row is second.row is None
     assert third.row is not None and third.key in known
     changed = folder / 'changed.yaml'
@@ -113,10 +113,10 @@ def test_what_is_done_is_not_done_again_until_the_list_changes(
 
 def test_a_recording_that_says_which_units_it_has_needs_no_list(folder: Path) -> None:
     (job,) = find_jobs([folder / 'lists'], Stated())
-    said = run(job).every
+    said = run(job).results
     assert [one.row['serial'] for one in said if one.row] == ['A1', 'A2']
     # One that is chosen is by itself.
-    (one,) = run(replace(job, stated=Stated(imu_topic='right/imu/pulses'))).every
+    (one,) = run(replace(job, stated=Stated(imu_topic='right/imu/pulses'))).results
     assert one.row is not None and one.row['serial'] == 'A2'
     assert one.row['topic'] == '/right/imu/pulses'
 
@@ -142,14 +142,14 @@ def test_a_recording_that_gives_nothing_is_a_row_for_each_unit(folder: Path) -> 
     broken.write_bytes(b'no mcap at all')
     job = Job(str(broken), imus=str(folder / 'units.yaml'))
     for ended, code in ((run(job), 2), (lost(job), LOST)):
-        found = [one.row for one in ended.every]
+        found = [one.row for one in ended.results]
         assert [(r['serial'], r['imu'], r['exit_code']) for r in found if r] == [
             ('A1', 'fog_medium', code),
             ('A2', 'fog_medium', code),
         ]
     # It is no news as long as it does not change.
-    known = frozenset(one.key for one in run(job).every)
-    assert [one.row for one in run(job, known).every] == [None, None]
+    known = frozenset(one.key for one in run(job).results)
+    assert [one.row for one in run(job, known).results] == [None, None]
 
 
 def test_the_list_of_a_row_counts_before_that_of_all(folder: Path, tmp_path: Path) -> None:

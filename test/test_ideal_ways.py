@@ -232,7 +232,7 @@ def test_rests_and_turns_are_proposed_about_each_axis() -> None:
 
 def test_one_turn_is_advised_where_one_is_missing() -> None:
     equations = Equations(without(1))
-    lost = lacking.lacking_parameters(equations)
+    lost = lacking.undetermined_parameters(equations)
     assert NAMES[lost].tolist() == ['K_gy', 'E_gxy', 'E_gzy']
     with pytest.MonkeyPatch.context() as patch:
         few = lacking._additions(equations.evidence)

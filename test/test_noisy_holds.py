@@ -64,13 +64,13 @@ def test_a_hold_that_sways_leaves_the_noise_of_the_others_alone() -> None:
 
 def test_it_is_known_along_gravity_as_the_others_are_and_across_by_its_sway() -> None:
     holds = calibrator(session(True)).segmented().segments
-    (hold,) = (s for s in with_own_noise(holds) if s.unrest is not None)
+    (hold,) = (s for s in with_own_noise(holds) if s.excess_covariance is not None)
     up = hold.statistics.mean[3:] / np.linalg.norm(hold.statistics.mean[3:])
-    across = hold.unrest @ np.cross(up, [1.0, 0.0, 0.0])
-    assert np.abs(up @ hold.unrest @ up) < 1e-6 * np.linalg.norm(across)
+    across = hold.excess_covariance @ np.cross(up, [1.0, 0.0, 0.0])
+    assert np.abs(up @ hold.excess_covariance @ up) < 1e-6 * np.linalg.norm(across)
     # Four blocks of a quarter of a sine have means of 2 / pi of its size.
     lean = GRAVITY * LEAN * 2 / np.pi / 2
-    spread = np.sqrt(np.trace(hold.unrest) / 2)
+    spread = np.sqrt(np.trace(hold.excess_covariance) / 2)
     assert lean / 3 < spread < lean * 3
 
 

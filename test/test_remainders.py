@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imu_calib.model import SensorModel, Triad
-from imu_calib.observation.remainders import RoughAnswers, _line, remainder_covariance
+from imu_calib.observation.remainders import ApproximateSensors, _line, remainder_covariance
 from imu_calib.stream import Floats
 
 PERIOD, PULSE = 0.02, 0.01
@@ -103,7 +103,7 @@ MODEL = SensorModel(
 OWN = np.array([1e-6, 4e-6, 9e-6])
 
 
-def roughly(ups: Floats, axes: list[int]) -> RoughAnswers:
+def roughly(ups: Floats, axes: list[int]) -> ApproximateSensors:
     """What rests with these ups and turns about these axes tell, without noise."""
     forces = 9.8 * ups
     segments: list[Any] = [
@@ -122,7 +122,7 @@ def roughly(ups: Floats, axes: list[int]) -> RoughAnswers:
             mean = np.concatenate(MODEL.predict(rate * up, 9.8 * up))
             statistics = SimpleNamespace(mean=mean)
             turns.append(SimpleNamespace(up=up, rate=lambda rate=rate: rate, statistics=statistics))
-    return RoughAnswers.of(segments, turns, forces, np.zeros(6))
+    return ApproximateSensors.of(segments, turns, forces, np.zeros(6))
 
 
 def test_rests_and_turns_all_around_tell_what_the_sensors_answer() -> None:

@@ -11,7 +11,7 @@ import units_world as world
 from units_sessions import PULSE, TABLE, TURNED, WALK, solved, tilt, truth
 
 from imu_calib.budget import Source, total
-from imu_calib.calibrator.together import together
+from imu_calib.calibrator.shared_results import estimate_together
 from imu_calib.estimation.several import join, own_covariance
 from imu_calib.observation.common_errors import CommonSizes, CommonTable
 from imu_calib.observation.positioning_errors import PositioningErrors
@@ -34,7 +34,7 @@ class Session:
             self.counts.append(world.sampled(self.table, unit, rng))
         pairs = zip(self.units, self.counts, strict=True)
         self.alone = [solved(self.table, unit, counts) for unit, counts in pairs]
-        self.shared = together(self.alone, NAMES)
+        self.shared = estimate_together(self.alone, NAMES)
 
 
 @pytest.fixture(scope='module')
@@ -177,13 +177,13 @@ def test_a_unit_that_is_loose_on_the_fixture_is_left_out_and_named(sessions):
     counts = world.sampled(loose, session.units[1], rng)
     bad = solved(session.table, session.units[1], counts)
     alone = [session.alone[0], bad, *session.alone[2:]]
-    found = together(alone, NAMES)
+    found = estimate_together(alone, NAMES)
     assert found.shared == (0, 2, 3)
     assert list(found.left_out) == [1]
     assert any(
         'contradicts the other units' in one for one in found.results[1].calibration.findings
     )
-    without = together([session.alone[0], None, *session.alone[2:]], NAMES)
+    without = estimate_together([session.alone[0], None, *session.alone[2:]], NAMES)
     for k in (0, 2, 3):
         ours, theirs = (one.results[k].calibration for one in (found, without))
         np.testing.assert_array_equal(ours.values, theirs.values)
@@ -205,7 +205,7 @@ def test_of_two_that_contradict_each_other_neither_is_changed(sessions):
     loose = replace_table(session.table, np.random.default_rng(5), 20 * world.ARCSEC)
     counts = world.sampled(loose, session.units[1], np.random.default_rng(8))
     pair = [session.alone[0], solved(session.table, session.units[1], counts)]
-    found = together(pair, NAMES[:2])
+    found = estimate_together(pair, NAMES[:2])
     assert found.table is None
     assert found.shared == ()
     for before, after in zip(pair, found.results, strict=True):
@@ -216,7 +216,7 @@ def test_of_two_that_contradict_each_other_neither_is_changed(sessions):
 def test_what_is_there_once_stays_as_it_is(sessions):
     """One unit, beside one that failed, shares nothing: the same bits."""
     first = sessions[0].alone[0]
-    found = together([first, None], NAMES[:2])
+    found = estimate_together([first, None], NAMES[:2])
     assert found.results[0] is first
     assert found.table is None
 
@@ -231,7 +231,7 @@ def test_what_one_unit_takes_for_errors_of_the_table_convinces_no_other(sessions
     estimate = replace(search.estimate, equations=equations)
     solution = replace(first.solution, search=replace(search, estimate=estimate))
     credulous = replace(first, solution=solution)
-    found = together([credulous, *session.alone[1:]], NAMES)
+    found = estimate_together([credulous, *session.alone[1:]], NAMES)
     for ours, theirs in zip(found.results[1:], session.shared.results[1:], strict=True):
         np.testing.assert_allclose(ours.calibration.std, theirs.calibration.std, rtol=1e-6)
 
@@ -246,6 +246,6 @@ def test_a_unit_that_saw_less_than_half_of_the_session_tells_nothing_of_its_tabl
     estimate = replace(search.estimate, equations=equations)
     solution = replace(session.alone[1].solution, search=replace(search, estimate=estimate))
     units = [session.alone[0], replace(session.alone[1], solution=solution), session.alone[2]]
-    found = together(units, NAMES[:3])
+    found = estimate_together(units, NAMES[:3])
     assert found.shared == (0, 2)
     assert 'saw 4 of the' in found.left_out[1]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..bags import AnyPath, Recording
 from ..calibrator import Calibrator, HandCalibrator, Result, calibrator_of
-from ..calibrator.together import Together, together
+from ..calibrator.shared_results import SharedResults, estimate_together
 from ..errors import ImuCalibError, InputError
 from ..estimation.several import TableSeen
 from ..metadata import serial_key
@@ -149,14 +149,14 @@ def units_of_recording(
     _read(recording, parts, progress)
     alone = [part.finished() for part in parts]
     found = (
-        Together(tuple(alone), None, (), {})
+        SharedResults(tuple(alone), None, (), {})
         if separate
-        else together(alone, [part.unit.serial_number for part in parts])
+        else estimate_together(alone, [part.unit.serial_number for part in parts])
     )
     return _documented(parts, found)
 
 
-def _documented(parts: Sequence[_Part], found: Together) -> UnitResults:
+def _documented(parts: Sequence[_Part], found: SharedResults) -> UnitResults:
     """Return the results with a reference to their recording."""
     units = []
     for part, result in zip(parts, found.results, strict=True):

@@ -55,8 +55,8 @@ class Compensated:
         topic: The raw stream.
         target: The compensated stream.
         further_topics: Further topics that were used: temperature, a skewed gyro.
-        taken: Number of samples of the raw stream.
-        given: Number of samples written.
+        samples_in: Number of samples of the raw stream.
+        samples_out: Number of samples written.
         marked: Number of samples by mark, for instance beyond the range.
         findings: Messages for the user, in sentences.
     """
@@ -65,8 +65,8 @@ class Compensated:
     topic: str
     target: str
     further_topics: tuple[str, ...]
-    taken: int
-    given: int
+    samples_in: int
+    samples_out: int
     marked: Mapping[Mark, int]
     findings: tuple[str, ...]
 
@@ -141,8 +141,8 @@ def compensate(
             topic.name,
             target,
             tuple(further_topics),
-            stream.taken,
-            stream.given,
+            stream.samples_in,
+            stream.samples_out,
             {mark: compensator.counts[mark] for mark in Mark if compensator.counts[mark]},
             (*_findings(stream), *stamps.words(), *recording.losses),
         )
@@ -154,7 +154,7 @@ class _Stream:
     def __init__(self, compensator: Compensator, target: str, frame_id: str) -> None:
         self.compensator = compensator
         self.malformed = Malformed()
-        self.taken = self.given = 0
+        self.samples_in = self.samples_out = 0
         self._target = target
         self._frame_id = frame_id
         self._dropped = 0
@@ -166,7 +166,7 @@ class _Stream:
         blocks = decode_imu(messages, self.malformed)
         if self.malformed.count > before:
             log_time = log_time[_sound(messages)]
-        self.taken += len(messages)
+        self.samples_in += len(messages)
         repeats, kept = self.compensator.repeats, []
         readings = []
         for block in blocks:
@@ -191,7 +191,7 @@ class _Stream:
             block = ImuBlock(reading.stamp, values.rate, values.force, frame_id)
             encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
             times = self._next_times(len(reading))[reading.numbers]
-            self.given += len(times)
+            self.samples_out += len(times)
             kept = encoded.select(reading.numbers)
             writer.write(self._target, Kind.IMU.type_name, kept, times)
 

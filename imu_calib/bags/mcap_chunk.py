@@ -153,7 +153,7 @@ def chunks_of(catalogue: Catalogue, end: int) -> list[Chunk] | None:
     entries = sorted(catalogue.chunks, key=lambda entry: entry.start)
     starts = [*(entry.start for entry in entries), end]
     apart = all(
-        entry.start + entry.length + entry.behind <= following
+        entry.start + entry.length + entry.index_bytes <= following
         for entry, following in zip(entries, starts[1:], strict=True)
     )
     if not apart or catalogue.totals != (len(catalogue.metadata_at), len(entries)):
@@ -173,7 +173,7 @@ def _of_summary(entry: ChunkIndex) -> Chunk:
     data = entry.start + entry.length - stored
     # The message indexes adjoin; the last one ends where all of them do.
     inside = sorted((offset, channel) for channel, offset in entry.index.items())
-    ends = [*(offset for offset, _ in inside[1:]), data + stored + entry.behind]
+    ends = [*(offset for offset, _ in inside[1:]), data + stored + entry.index_bytes]
     index = {}
     for (offset, channel), after in zip(inside, ends, strict=True):
         entries = offset + RECORD_HEAD + INDEX_HEAD

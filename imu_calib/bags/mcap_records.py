@@ -66,7 +66,7 @@ class ChunkIndex:
         start: Offset of the chunk record.
         length: Of the record, its head included.
         index: Offset of the message index of each channel.
-        behind: Bytes of all message indexes, which follow the chunk.
+        index_bytes: Bytes of all message indexes, which follow the chunk.
         compression: '', 'lz4' or 'zstd'.
         sizes: Bytes of the messages, stored and unpacked.
     """
@@ -75,7 +75,7 @@ class ChunkIndex:
     start: int
     length: int
     index: dict[int, int]
-    behind: int
+    index_bytes: int
     compression: str
     sizes: tuple[int, int]
 
@@ -130,9 +130,9 @@ class Catalogue:
         elif op == Op.CHUNK_INDEX:
             first, last, start, length = fields.numbers('QQQQ')
             index = dict(struct.iter_unpack('<HQ', fields.block()))
-            behind, compression = fields.number('Q'), fields.string()
+            index_bytes, compression = fields.number('Q'), fields.string()
             stored, size = fields.numbers('QQ')
-            found = (first, last), start, length, index, behind, compression, (stored, size)
+            found = (first, last), start, length, index, index_bytes, compression, (stored, size)
             self.chunks.append(ChunkIndex(*found))
         elif op == Op.METADATA_INDEX:
             start, length = fields.numbers('QQ')

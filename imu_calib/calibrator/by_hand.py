@@ -122,13 +122,13 @@ class HandCalibrator:
         lost = [f'{loss}.' for loss in session.losses]
         if not session.segments:
             text = f'The unit never stood still in {session.duration:.0f} s: there is no hold.'
-            raise NotObservable(' '.join([text, *self._unrest(), *lost]))
+            raise NotObservable(' '.join([text, *self._least_motion(), *lost]))
         evidence = self.evidence(session)
         try:
             fit = solve(evidence)
         except NotObservable as error:
             self._refuse_other_lengths(evidence)
-            few = self._unrest() if len(evidence.segments) < FEWEST else []
+            few = self._least_motion() if len(evidence.segments) < FEWEST else []
             few += _lost_turns(evidence, session)
             raise NotObservable(' '.join([str(error), *few, *lost])) from None
         return self._result(session, evidence, fit)
@@ -150,7 +150,7 @@ class HandCalibrator:
             f"factor of the IMU's description are those of the recording{zero if counts else ''}."
         )
 
-    def _unrest(self) -> list[str]:
+    def _least_motion(self) -> list[str]:
         """Return the least motion of the unit and a remedy, if there are too few holds."""
         seen = self._segmenter.quietest
         if seen is None:
@@ -315,10 +315,12 @@ def _noisy_holds(evidence: Evidence) -> list[str]:
     names: list[str] = []
     times: list[float] = []
     for hold in evidence.segments:
-        if hold.unrest is None:
+        if hold.excess_covariance is None:
             continue
         usual = float((evidence.walk[3:] ** 2 * hold.statistics.walk_gain[3:]).mean())
-        times.append(float(np.sqrt(1 + float(np.linalg.eigvalsh(hold.unrest)[-1]) / usual)))
+        times.append(
+            float(np.sqrt(1 + float(np.linalg.eigvalsh(hold.excess_covariance)[-1]) / usual))
+        )
         names.append(str(hold.position))
     if not names:
         return []

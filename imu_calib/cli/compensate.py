@@ -48,7 +48,8 @@ def run(arguments: argparse.Namespace) -> None:
     )
     used = f', with {", ".join(done.further_topics)}' if done.further_topics else ''
     OUTPUT.print(
-        f'{done.given} of {done.taken} samples of {done.topic}{used} written to {arguments.output}',
+        f'{done.samples_out} of {done.samples_in} samples of {done.topic}{used} written to '
+        f'{arguments.output}',
         markup=False,
     )
     sentence_list('Worth knowing', done.findings)

@@ -23,7 +23,7 @@ from ..observation.information import (
     undetermined_in_words,
     unobservable_in_words,
 )
-from ..observation.lacking import advice, lacking_parameters
+from ..observation.lacking import advice, undetermined_parameters
 from ..observation.session_model import Nuisance
 from ..stream import Floats
 from ..units import DEG
@@ -57,7 +57,7 @@ def check_observable(equations: Equations) -> None:
     """
     evidence = equations.evidence
     plain = replace(equations, parameters=PARAMETERS)
-    open_ones = lacking_parameters(plain)
+    open_ones = undetermined_parameters(plain)
     if open_ones.any():
         text = unobservable_in_words(evidence, open_ones)
         # The plan itself states what is missing of it.

@@ -190,5 +190,5 @@ def _each(
     for number, outcome in outcomes(client, task, jobs, known):
         done = lost(jobs[number]) if isinstance(outcome, WorkerDied) else outcome
         # The same recording under two names is one row.
-        yield [Done(one.key) if one.key in seen else one for one in done.every]
-        seen.update(one.key for one in done.every)
+        yield [Done(one.key) if one.key in seen else one for one in done.results]
+        seen.update(one.key for one in done.results)

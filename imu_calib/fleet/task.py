@@ -61,7 +61,7 @@ class Done:
     others: tuple[Done, ...] = ()
 
     @property
-    def every(self) -> tuple[Done, ...]:
+    def results(self) -> tuple[Done, ...]:
         """Return the result for each unit."""
         return (self, *self.others)
 
@@ -166,7 +166,7 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
         code = DEFECT
     ended = _none_of(job, key, sha256, sentence, code, time.process_time() - begun)
     # What still cannot be read is no news; that of several units has their keys, not one.
-    return _as_one(Done(one.key) if one.key in known else one for one in ended.every)
+    return _as_one(Done(one.key) if one.key in known else one for one in ended.results)
 
 
 def _is_of_several(job: Job, recording: Recording) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..bags import Journal
 from ..calibrator import Result, Review
-from ..calibrator.together import together
+from ..calibrator.shared_results import estimate_together
 from ..cdr import Kind
 from ..errors import ImuCalibError
 from ..metadata import LEFT_OUT
@@ -178,7 +178,7 @@ def concluded(
     # In the order of names: floating-point sums depend on the order.
     order = sorted(range(len(each)), key=lambda k: namespace(serials[k]))
     results = [one.result if isinstance(one, Review) else None for one in each]
-    shared = together([results[k] for k in order], [serials[k] for k in order]).results
+    shared = estimate_together([results[k] for k in order], [serials[k] for k in order]).results
     for k, result in zip(order, shared, strict=True):
         one = each[k]
         if isinstance(one, Review):

@@ -66,7 +66,7 @@ def ideal_move(
     spans = np.array([stood, *np.diff(knots), stood])
     turned, velocity = _along(attitudes, spans, truth, world)
     pulse = before.statistics.pulse
-    gained = VelocitySteps(velocity, np.zeros_like(velocity), pulse[3:], foreseen=True)
+    gained = VelocitySteps(velocity, np.zeros_like(velocity), pulse[3:], predicted=True)
     return Move(before.end, after.start, turned, spans, pulse[:3], velocity_steps=gained)
 
 

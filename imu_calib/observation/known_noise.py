@@ -66,7 +66,8 @@ def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
     Source: docs/mathematics.md, 'Free positions'.
 
     Returns:
-        The same; those found have `unrest`, and the blocks of their accelerometers are left out.
+        The same; those found have an `excess_covariance`, and no blocks of their
+            accelerometers.
     """
     statistics = [s.statistics for s in segments]
     counts = np.array([[len(b) for b in s.blocks[3:]] for s in statistics]).reshape(-1, 3)
@@ -94,7 +95,7 @@ def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
         found[where[k]] = replace(
             segments[where[k]],
             statistics=replace(old, blocks=blocks),
-            unrest=gain * (along * up + across * (np.eye(3) - up)),
+            excess_covariance=gain * (along * up + across * (np.eye(3) - up)),
         )
     return tuple(found)
 

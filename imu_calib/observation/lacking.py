@@ -34,7 +34,7 @@ _UNSEEN = 1e-6
 Addition = tuple[str, Segment | Turn]
 
 
-def lacking_parameters(equations: Equations) -> NDArray[np.bool_]:
+def undetermined_parameters(equations: Equations) -> NDArray[np.bool_]:
     """Return which of the 24 parameters, those of the equations, a session does not determine."""
     return ~determined(nominal_information(equations)) | without_turns(equations.evidence)
 
@@ -77,14 +77,16 @@ def advice(equations: Equations) -> str:
     scale[scale == 0] = 1.0
     pending: list[str] = []
     requirements: list[str] = []
-    open_now = lacking_parameters(equations)
+    open_now = undetermined_parameters(equations)
     for _ in range(_MOST):
         tried = [(_with(equations, segment), words) for words, segment in additions]
-        scores = [(int(lacking_parameters(t).sum()), -_information(t, scale)) for t, _ in tried]
+        scores = [
+            (int(undetermined_parameters(t).sum()), -_information(t, scale)) for t, _ in tried
+        ]
         best = min(range(len(scores)), key=lambda k: scores[k])
         equations, words = tried[best]
         pending.append(words)
-        still_open = lacking_parameters(equations)
+        still_open = undetermined_parameters(equations)
         determined = [
             p.name
             for p, was, is_open in zip(PARAMETERS, open_now, still_open, strict=True)

@@ -47,7 +47,7 @@ class Tilt:
         return float(np.hypot(self.up[0], self.up[1]))
 
     @property
-    def sure(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether it is more than the noise explains."""
         return self.size > _SURE * self.std
 
@@ -96,7 +96,7 @@ def widened_for_tilt(
     Returns:
         The covariance, and a sentence or none.
     """
-    if not tilt.sure:
+    if not tilt.is_significant:
         return covariance, []
     own = slice(12, 24)
     bias = tilt_bias(evidence, accel, solver, tilt)

@@ -34,7 +34,7 @@ from ..segmentation.segmented import Move
 from ..stream import Floats
 from .arms import APART, LONGEST
 from .gyro_paths import GyroPath, summed
-from .remainders import RoughAnswers, remainder_covariance
+from .remainders import ApproximateSensors, remainder_covariance
 from .velocity_increments import VelocityIncrement, by_delay, by_places
 
 _FORESEEN = 1.0
@@ -97,13 +97,13 @@ class Moves:
         links: In order.
         attitudes: (s, 3, 3) of all segments.
         gravity: m/s^2.
-        rough: Approximate outputs of the sensors; None where the attitudes are unknown.
+        approximate_sensors: Their outputs, to count pulses; None where the attitudes are unknown.
     """
 
     links: tuple[LinkedMove, ...]
     attitudes: Floats
     gravity: float
-    rough: RoughAnswers | None = None
+    approximate_sensors: ApproximateSensors | None = None
     _paths: dict[bytes, tuple[GyroPath, ...]] = field(default_factory=dict, init=False, repr=False)
     _thrusts: dict[bytes, tuple[VelocityIncrement | None, ...]] = field(
         default_factory=dict, init=False, repr=False
@@ -162,8 +162,10 @@ class Moves:
         attitudes = [np.eye(3) if s.attitude is None else s.attitude for s in segments]
         turned = np.array(attitudes).reshape(-1, 3, 3)
         known = links and not free
-        rough = RoughAnswers.of(segments, turns, gravity * turned[:, 2], walk) if known else None
-        return cls(tuple(links), turned, gravity, rough)
+        sensors = (
+            ApproximateSensors.of(segments, turns, gravity * turned[:, 2], walk) if known else None
+        )
+        return cls(tuple(links), turned, gravity, sensors)
 
     def __len__(self) -> int:
         return len(self.links)
@@ -423,18 +425,18 @@ class Moves:
         for k in self.with_accels:
             gained = self.links[k].move.velocity_steps
             if gained is not None and gained.pulse.any():
-                accel_std = _FORESEEN * gained.pulse if gained.foreseen else np.zeros(3)
+                accel_std = _FORESEEN * gained.pulse if gained.predicted else np.zeros(3)
                 found[k] = self._held_back(k, gained.pulse, accel_std)
         return found
 
     def _held_back(self, index: int, pulse: Floats, least: Floats) -> Floats:
         """Return one of them, with counter rates uncertain by at least (3,) m/s^2."""
-        if self.rough is None:
+        if self.approximate_sensors is None:
             return np.eye(3) * _EDGES * np.mean(pulse**2)
-        path = self.paths(self.rough.model)[index]
+        path = self.paths(self.approximate_sensors.model)[index]
         directions = self.attitudes[self.links[index].second] @ path.axes
-        _, outputs = self.rough.model.predict(path.rates, path.forces)
-        accel_std = np.maximum(self.rough.accel_std, least)
+        _, outputs = self.approximate_sensors.model.predict(path.rates, path.forces)
+        accel_std = np.maximum(self.approximate_sensors.accel_std, least)
         return remainder_covariance(directions, path.seconds, outputs, accel_std, pulse)
 
     def encoders(self) -> Floats:

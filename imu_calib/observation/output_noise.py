@@ -98,9 +98,9 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
         rows = np.array(evidence.layout.velocity)
         parts.append(Component(Source.QUANTISATION, Blocks(rows, across)))
     for k, segment in enumerate(segments):
-        if segment.unrest is not None:
+        if segment.excess_covariance is not None:
             rows = evidence.layout.dwell[k : k + 1, 3:]
-            blocks = Blocks(rows, segment.unrest[None])
+            blocks = Blocks(rows, segment.excess_covariance[None])
             parts.append(Component(Source.NOISE, blocks, UNREST_FREEDOM))
     return tuple(parts)
 

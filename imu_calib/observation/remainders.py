@@ -48,7 +48,7 @@ _UNKNOWN = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class RoughAnswers:
+class ApproximateSensors:
     """Approximate sensors, accurate enough to count pulses: a line through all segments.
 
     Attributes:
@@ -62,7 +62,7 @@ class RoughAnswers:
     @classmethod
     def of(
         cls, segments: Sequence[Segment], turns: Sequence[Turn], forces: Floats, walk: Floats
-    ) -> RoughAnswers:
+    ) -> ApproximateSensors:
         """Fit the lines.
 
         Args:

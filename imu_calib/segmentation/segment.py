@@ -103,8 +103,8 @@ class Segment:
         notes: What was cut away and why, in sentences.
         attitude_error: Standard deviation of the attitude about any axis by the encoders' noise,
             rad.
-        unrest: (3, 3) covariance of the accelerometers' mean beyond their usual noise, (m/s^2)^2;
-            None where it is as usual.
+        excess_covariance: (3, 3) covariance of the accelerometers' mean beyond their usual noise,
+            (m/s^2)^2; None without.
     """
 
     start: int
@@ -115,7 +115,7 @@ class Segment:
     angles: Floats | None = None
     notes: tuple[str, ...] = ()
     attitude_error: float = 0.0
-    unrest: Floats | None = None
+    excess_covariance: Floats | None = None
 
     def variance(self, walk: Floats, gravity: float) -> Floats:
         """Return the variances of the mean outputs, (6,), SI: noise, and gravity by the lean.
@@ -125,8 +125,8 @@ class Segment:
             gravity: m/s^2; the Earth rate by the lean is below all noise.
         """
         found = self.statistics.variance(walk) + self.encoder_variance(gravity)
-        if self.unrest is not None:
-            found[3:] += np.diag(self.unrest)
+        if self.excess_covariance is not None:
+            found[3:] += np.diag(self.excess_covariance)
         return found
 
     def encoder_variance(self, gravity: float) -> Floats:
@@ -138,7 +138,7 @@ class Segment:
 
 
 @dataclass(frozen=True)
-class WholeWay:
+class RestToRest:
     """A turn as a part of the whole motion from rest to rest.
 
     Attributes:
@@ -196,7 +196,7 @@ class Turn:
     angles: Floats | None = None
     joint: int | None = None
     step: float = 0.0
-    whole_way: WholeWay | None = None
+    whole_way: RestToRest | None = None
 
     def encoder_variance(self) -> Floats:
         """Return the variances of the gyros' means by the encoders' noise, (3,)."""

@@ -60,14 +60,14 @@ class VelocitySteps:
         mean: (n, 3) that mean less half of the rotation, rad: the effect of a changing rate.
         pulse: (3,) size of one pulse of their counters, m/s; 0 where there are none.
         filled: Variance along any axis due to lost samples that are interpolated, (m/s)^2.
-        foreseen: Whether the counts are predicted: before a session they are not known to a pulse.
+        predicted: Whether the counts are predicted: before a session they are not known to a pulse.
     """
 
     velocity: Floats
     mean: Floats
     pulse: Floats
     filled: float = 0.0
-    foreseen: bool = False
+    predicted: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from .counter import END_POINT_VARIANCE
 from .motion import Motion, averaged
 from .plateau import WholeTurns, find_turns, no_turn_reason
 from .repeated_samples import repeating_samples
-from .segment import Statistics, Turn, WholeWay
+from .segment import RestToRest, Statistics, Turn
 from .segmented import FreeMotion, Rejected
 from .sensor import Sensor
 from .statistics import Samples, gap_free, statistics_between
@@ -183,7 +183,7 @@ def _whole_way(motion: Motion, turns: WholeTurns) -> float:
 
 def _compare_whole_way(
     seen: Around, rests: Floats, way: float, cut: float, up: Floats, seconds: float
-) -> WholeWay | None:
+) -> RestToRest | None:
     """Compare the gyros' angle about up between cuts, `cut` rad in `seconds`, with the whole `way`.
 
     The way is turned between two rests (2,), ns, rad, signed. The gyros' output at rest on either
@@ -211,7 +211,7 @@ def _compare_whole_way(
     lever = lasted / whole - seconds / within
     looked = np.array([begin - first, last - end]) * period
     pulse = float(np.linalg.norm(samples.pulse[:3] * up)) * math.sqrt(END_POINT_VARIANCE)
-    return WholeWay(
+    return RestToRest(
         within / whole * way,
         abs(way),
         abs(lever) * math.sqrt((1 / looked).sum()) / 2,

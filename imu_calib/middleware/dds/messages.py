@@ -49,13 +49,13 @@ class Field:
     """Storage of one field.
 
     Attributes:
-        spelled: Its type in IDL.
+        idl: Its type in IDL.
         default: Returns the value in a new message.
         check: Returns the stored form of a value; raises AssertionError for another type.
         read: Returns the stored form of a value read from bytes; None for the same.
     """
 
-    spelled: str
+    idl: str
     default: Callable[[], Any]
     check: Callable[[str, Any], Any]
     read: Callable[[Any], Any] | None = None
@@ -106,7 +106,7 @@ class Message:
     @classmethod
     def get_fields_and_field_types(cls) -> dict[str, str]:
         """Return the names of the fields and their types."""
-        return {name: field.spelled for name, field in cls.FIELDS.items()}
+        return {name: field.idl for name, field in cls.FIELDS.items()}
 
     def invalid_field(self) -> str:
         """Return the field with a wrong value that no assignment has checked, else empty."""
@@ -175,10 +175,10 @@ def _field(description: Any, default: str = '') -> Field:
 
 
 def _scalar(base: str, bound: int, default: str) -> Field:
-    spelled = _IDL.get(base, base)
+    idl = _IDL.get(base, base)
     if base == 'byte':
         one = _check(bytes, 'one byte', lambda v: len(v) == 1)
-        return Field(spelled, _octet, lambda name, value: _octet(*one(name, value)), _octet)
+        return Field(idl, _octet, lambda name, value: _octet(*one(name, value)), _octet)
     kind = _KINDS.get(base, int)
     zero = kind(default) if default else kind()
     if kind is int:
@@ -188,33 +188,31 @@ def _scalar(base: str, bound: int, default: str) -> Field:
         check = _check(str, f'a string of at most {bound}', lambda v: len(v) <= bound)
     else:
         check = _check(kind)
-    return Field(spelled, lambda: zero, check)
+    return Field(idl, lambda: zero, check)
 
 
 def _many(inner: Any, size: int, *, fixed: bool) -> Field:
     """Return the storage of an array of `size` elements, or of a sequence with at most `size`."""
     one = _field(inner)
     bound = f', {size}' if size else ''
-    spelled = f'{one.spelled}[{size}]' if fixed else f'sequence<{one.spelled}{bound}>'
+    idl = f'{one.idl}[{size}]' if fixed else f'sequence<{one.idl}{bound}>'
     check = partial(_check_many, one, size, fixed)
     if inner[0] == Nodetype.NAME or inner[1][0] == 'string':
         first = size if fixed else 0
-        return Field(spelled, lambda: [one.default() for _ in range(first)], partial(check, list))
+        return Field(idl, lambda: [one.default() for _ in range(first)], partial(check, list))
     code = np.dtype(inner[1][0]).char
     if fixed:
         make = partial(np.array, dtype=code)
-        return Field(spelled, partial(np.zeros, size, code), partial(check, make), np.array)
+        return Field(idl, partial(np.zeros, size, code), partial(check, make), np.array)
     numbers = partial(_Numbers, code)
-    return Field(spelled, numbers, partial(check, numbers), lambda v: numbers(v.tobytes()))
+    return Field(idl, numbers, partial(check, numbers), lambda v: numbers(v.tobytes()))
 
 
 def _check_many(
     one: Field, size: int, fixed: bool, make: Callable[[Any], Any], name: str, values: Any
 ) -> Any:
     if isinstance(values, (str, bytes)) or not hasattr(values, '__len__'):
-        raise AssertionError(
-            f"The '{name}' field must be a sequence of {one.spelled}, not {values!r}"
-        )
+        raise AssertionError(f"The '{name}' field must be a sequence of {one.idl}, not {values!r}")
     if size and (len(values) > size or (fixed and len(values) < size)):
         most = '' if fixed else 'at most '
         raise AssertionError(

@@ -33,7 +33,7 @@ _PARTIAL = (
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
+class SharedResults:
     """Results of several units.
 
     Attributes:
@@ -49,7 +49,7 @@ class Together:
     left_out: Mapping[int, str]
 
 
-def together(alone: Sequence[Result | None], names: Sequence[str]) -> Together:
+def estimate_together(alone: Sequence[Result | None], names: Sequence[str]) -> SharedResults:
     """Estimate the shared unknowns of several units on one table once, from all of them.
 
     Results of the joint estimate on a table with known joint angles take part: closed forms, units
@@ -63,12 +63,12 @@ def together(alone: Sequence[Result | None], names: Sequence[str]) -> Together:
     parts = {k: part for k, one in enumerate(alone) if one and (part := _part(one))}
     places = list(parts)
     if len(places) < 2:
-        return Together(tuple(results), None, (), {})
+        return SharedResults(tuple(results), None, (), {})
     try:
         joined = join([search.estimate for _, search in parts.values()])
     except ImuCalibError as error:
         finding = f'What the units share could not be estimated from all of them: {error}'
-        return Together(_noted(results, dict.fromkeys(places, finding)), None, (), {})
+        return SharedResults(_noted(results, dict.fromkeys(places, finding)), None, (), {})
     shared, left_out = [], {}
     for i, estimate in joined.estimates.items():
         place = places[i]
@@ -92,7 +92,7 @@ def together(alone: Sequence[Result | None], names: Sequence[str]) -> Together:
         # Of the last two, which one is wrong cannot be determined.
         last = [p for p in places if p not in left_out]
         left_out |= {p: _words(joined.contradicting[-1], others=0) for p in last}
-    return Together(_noted(results, left_out), joined.table, tuple(shared), left_out)
+    return SharedResults(_noted(results, left_out), joined.table, tuple(shared), left_out)
 
 
 def _with_others(result: Result | None, others: Sequence[str]) -> Result | None:
