@@ -151,7 +151,7 @@ def test_the_node_opens_the_port_at_that_rate(bench, port, parameters, speed):  
 
 def test_the_node_warns_of_frames_that_do_not_fit(bench, port):  # noqa: F811
     bench.open(port=port[1], device='stim300', imu='stim300', sample_rate=500.0, baud=115200)
-    assert bench.until(lambda: bench.listener.heard('port', 1, 'frames will be lost'))
+    assert bench.until(lambda: bench.listener.has_status('port', 1, 'frames will be lost'))
 
 
 @pytest.mark.parametrize('name', ['stand', 'bringup'])

@@ -22,7 +22,7 @@ def entry(start: int = FIRST, index: dict[int, int] | None = None, **other: int)
     move = start - FIRST
     index = {2: INDEX_2 + move, 1: INDEX_1 + move} if index is None else index
     length = other.get('length', DATA + STORED - FIRST)
-    index_bytes = other.get('behind', END - INDEX_1)
+    index_bytes = other.get('index_bytes', END - INDEX_1)
     return ChunkIndex((7, 9), start, length, index, index_bytes, '', (STORED, 900))
 
 

@@ -43,7 +43,7 @@ SLOPES = np.array([[1.0, 0.5, 0.0], [0.0, -1.0, 2.0]])
 """How two parameters follow three coefficients."""
 
 
-def tested_coefficients(coefficients: Floats) -> list[tuple[Score, Floats]]:
+def coefficients_seen(coefficients: Floats) -> list[tuple[Score, Floats]]:
     """What a session says that knows three coefficients to one each."""
     score = Score(
         float(coefficients @ coefficients), 3, 1.0, 100.0, coefficients, np.ones(3), np.eye(3)
@@ -60,7 +60,7 @@ def test_drifts_are_as_likely_and_do_as_much_as_is_said() -> None:
     sizes = np.sqrt((1 - rng.random(sessions)) ** -2 - 1)
     coefficients = there[:, None] * sizes[:, None] * rng.standard_normal((sessions, 3))
     seen_ones = coefficients + rng.standard_normal((sessions, 3))
-    found = [undecided({DRIFT: tested_coefficients(one)}, 2) for one in seen_ones]
+    found = [undecided({DRIFT: coefficients_seen(one)}, 2) for one in seen_ones]
     probability = np.array([one.probability[DRIFT] for one in found])
     # Where it is said to be likely it is there as often as is said, within what chance allows.
     for low, high in ((0.0, 0.05), (0.05, 0.5), (0.5, 1.0)):
@@ -77,7 +77,7 @@ def test_drifts_are_as_likely_and_do_as_much_as_is_said() -> None:
 
 
 def test_what_cannot_be_tested_counts_for_nothing() -> None:
-    ((score, slopes),) = tested_coefficients(np.full(3, 9.0))
+    ((score, slopes),) = coefficients_seen(np.full(3, 9.0))
     none = undecided({DRIFT: [(replace(score, rank=0), slopes)]}, 2)
     assert none.probability == {}
     assert not none.covariance.any()

@@ -190,7 +190,7 @@ def test_what_a_bad_line_brings_is_in_the_recording_once_and_in_time(
     done = compensate(tmp_path / 'bag', calibration(), tmp_path / 'out', imu=SPEC)
     count = len(session.imu_stamps)
     assert len(block) > count
-    assert (done.taken, done.given) == (len(block), count)
+    assert (done.samples_in, done.samples_out) == (len(block), count)
     assert f'{len(block) - count} samples came twice and are written once.' in done.findings
     with open_recording(tmp_path / 'out') as recording:
         found = [b for _, b in recording.read({'/imu/data_raw': Kind.IMU})]
