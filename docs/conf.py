@@ -77,7 +77,8 @@ nitpick_ignore_regex = [
     ),
     (
         'py:class',
-        'Named|AnyCalibration|Progress|Fields|Assessed|Inside|Topic|Stated|Basis|Search|Path|pa.Table',
+        'Named|AnyCalibration|Progress|Fields|Assessed|StreamContents|Topic|Stated|Basis|Search|Path'
+        '|pa.Table',
     ),
 ]
 
