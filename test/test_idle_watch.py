@@ -96,7 +96,7 @@ def test_it_rests_when_neither_angle_nor_rate_shows_a_motion(step, rate, rests):
 
 def test_a_table_that_is_still_moving_after_its_time_to_stop_is_told():
     # The longest way to stop is that of the outer joint: 400 / 200 s; twice that, and 1 s.
-    watch = IdleWatch(TABLE, RULES, at(0.0), led=True)
+    watch = IdleWatch(TABLE, RULES, at(0.0), commanded=True)
     for k in range(1, 50):
         assert not watch.check(at(0.1 * k, outer=k, rate=10.0))
     assert watch.check(at(5.2, outer=52.0, rate=10.0))
@@ -105,7 +105,7 @@ def test_a_table_that_is_still_moving_after_its_time_to_stop_is_told():
 
 @pytest.mark.parametrize(('gap', 'again'), [(0.5, False), (0.51, True), (0.0, True)])
 def test_what_a_table_did_while_it_was_not_seen_is_not_held_against_it(gap, again):
-    watch = IdleWatch(TABLE, RULES, at(0.0), led=True)
+    watch = IdleWatch(TABLE, RULES, at(0.0), commanded=True)
     assert not watch.check(at(4.5, outer=10.0, rate=10.0, gap=gap))
     # Its time to stop begins anew with what is seen again.
     assert watch.check(at(5.2, outer=17.0, rate=10.0)) != again

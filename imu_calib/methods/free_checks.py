@@ -122,13 +122,13 @@ def _astray(evidence: Evidence, model: SensorModel, response: Floats) -> float:
     """Return the error of gravity turned by gyros of a response (3, 3), rad, mean square."""
     tried = SensorModel(Triad(response - np.eye(3), model.gyro.bias), model.accel)
     links, ups = evidence.links, evidence.attitudes()[:, 2]
-    led = np.array(
+    propagated_ups = np.array(
         [
             path.rotation @ ups[link.first]
             for path, link in zip(links.paths(tried), links.links, strict=True)
         ]
     )
-    cosines = np.einsum('ij,ij->i', led, ups[[link.second for link in links.links]])
+    cosines = np.einsum('ij,ij->i', propagated_ups, ups[[link.second for link in links.links]])
     missed = np.arccos(np.clip(cosines, -1.0, 1.0))
     return float(np.sqrt(np.mean(missed**2)))
 

@@ -151,8 +151,8 @@ class Equations(SessionModel):
             known = self.held | {p.kind for p in self.parameters}
             rate, model = self.surroundings(state).rate, self.model(state)
             by_moves = evidence.links.shared_velocity_errors(model, rate, known)
-            for source, led in zip((Source.ARM, Source.DELAY), by_moves, strict=True):
-                found.append(Component(source, Factor(self._of_moves(led))))
+            for source, in_moves in zip((Source.ARM, Source.DELAY), by_moves, strict=True):
+                found.append(Component(source, Factor(self._of_moves(in_moves))))
         if (by_table := self.by_table(state)).shape[1]:
             found.append(Component(Source.TABLE, Factor(by_table)))
         if evidence.site.latitude_std:
@@ -165,12 +165,13 @@ class Equations(SessionModel):
             found.append(Component(Source.TEMPERATURE, Factor(warmth)))
         return tuple(found)
 
-    def _of_moves(self, led: Floats) -> Floats:
+    def _of_moves(self, in_moves: Floats) -> Floats:
         """Return values (m, 6, ...) of moves in the order of the outputs, zero for all others."""
         at_rest, turned = (
-            np.zeros((count, *led.shape[1:])) for count in (self.layout.dwells, self.layout.turns)
+            np.zeros((count, *in_moves.shape[1:]))
+            for count in (self.layout.dwells, self.layout.turns)
         )
-        return self.layout.joined(at_rest, turned, led)
+        return self.layout.joined(at_rest, turned, in_moves)
 
     @cached_by_weights
     def covariance(self, state: Floats) -> Floats:

@@ -40,9 +40,9 @@ class FreeEquations(Equations):
     @cached_property
     def runs(self) -> Indices:
         """Index of the unbroken run of moves of each dwell, (s,)."""
-        unled = np.ones(len(self.evidence.segments), dtype=np.intp)
-        unled[[link.second for link in self.evidence.links.links]] = 0
-        return np.asarray(np.cumsum(unled) - 1)
+        unlinked = np.ones(len(self.evidence.segments), dtype=np.intp)
+        unlinked[[link.second for link in self.evidence.links.links]] = 0
+        return np.asarray(np.cumsum(unlinked) - 1)
 
     @cached_property
     def _sought(self) -> NDArray[np.bool_]:
@@ -136,8 +136,8 @@ def at_headings_by_moves(evidence: Evidence, ups: Floats, model: SensorModel) ->
     """
     east, north = across(ups)
     attitudes = np.stack([east, north, ups], axis=1)
-    led = evidence.with_attitudes(attitudes).links
-    for link, path in zip(led.links, led.paths(model), strict=True):
+    moves = evidence.with_attitudes(attitudes).links
+    for link, path in zip(moves.links, moves.paths(model), strict=True):
         up = ups[link.second]
         east = np.cross(path.rotation @ attitudes[link.first, 1], up)
         east = east / (np.linalg.norm(east) or 1.0)

@@ -64,7 +64,7 @@ class GyroPath:
         seconds = [seconds for _, seconds, _ in motions]
         outputs = np.concatenate([turned / each[:, None] for turned, each, _ in motions])
         forces = [np.zeros_like(turned) for turned, *_ in motions]
-        rates, middles, wholes = _led(outputs, seconds, model, forces)
+        rates, middles, wholes = _integrated(outputs, seconds, model, forces)
         ends = np.cumsum([len(each) for each in seconds])[:-1]
         if any(force is not None for *_, force in motions):
             known = np.array([np.zeros(3) if force is None else force for *_, force in motions])
@@ -72,7 +72,7 @@ class GyroPath:
             specific_force = each[0] * middles[0] + each[1] * middles[1] + each[2] * middles[2]
             forces = np.split(np.ascontiguousarray(specific_force.T), ends)
             if model.gyros_sense_force:
-                rates, middles, wholes = _led(outputs, seconds, model, forces)
+                rates, middles, wholes = _integrated(outputs, seconds, model, forces)
         # An error over an interval acts as one in its middle, to the second order of its angle.
         transfer = product(middles, np.asarray(np.linalg.inv(model.gyro.response))[..., None])
         first = (np.ascontiguousarray(np.moveaxis(each, -1, 0)) for each in (middles, transfer))
@@ -108,7 +108,7 @@ def summed(matrices: Floats, products: Floats) -> Floats:
     return np.asarray((matrices.reshape(-1, 9).T @ products).reshape(3, 3, -1))
 
 
-def _led(
+def _integrated(
     outputs: Floats, seconds: list[Floats], model: SensorModel, forces: list[Floats]
 ) -> tuple[Floats, Floats, Floats]:
     """Return rates (n, 3), rotations (3, 3, n) from the middle of each interval, the whole ones."""

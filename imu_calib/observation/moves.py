@@ -67,7 +67,7 @@ to the next from either."""
 _LINEAR = frozenset(p for p in PARAMETERS if p.triad == 'a' and p.column is not None)
 """Scale factors and misalignments of the accelerometers."""
 
-Led = TypeVar('Led')
+Cached = TypeVar('Cached')
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,13 +177,15 @@ class Moves:
 
     def paths(self, model: SensorModel) -> tuple[GyroPath, ...]:
         """Return the moves by a model's gyros."""
-        return _cached(self._paths, model.gyros_fingerprint(), lambda: self._led(model))
+        return _cached(
+            self._paths, model.gyros_fingerprint(), lambda: self._integrated_paths(model)
+        )
 
     def velocity_increments(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
         """Return the velocities gained by a model's accelerometers; None where not used."""
         return _cached(self._thrusts, model.fingerprint(), lambda: self._gained(model))
 
-    def _led(self, model: SensorModel) -> tuple[GyroPath, ...]:
+    def _integrated_paths(self, model: SensorModel) -> tuple[GyroPath, ...]:
         """Integrate the moves."""
         motions = [
             (k.move.turned, k.move.seconds, self.gravity * self.attitudes[k.second, 2])
@@ -237,8 +239,8 @@ class Moves:
         seconds, ends = self._seconds[:, None], self.attitudes[second]
         # The rotation by the encoders, inverted.
         back = _transposed(self.attitudes[first]) @ rotations(rates * seconds) @ ends
-        led = np.array([path.rotation for path in self.paths(model)])
-        found[:, :3] = rotation_vector(led @ back)
+        rotated = np.array([path.rotation for path in self.paths(model)])
+        found[:, :3] = rotation_vector(rotated @ back)
         if pushes := self._pushes(model):
             mine = self._pushed
             half_way = rotations(_times(ends[mine], found[mine, :3]) / -2)
@@ -345,8 +347,8 @@ class Moves:
         if not self.links:
             return found
         first, second = self._ends
-        led = np.array([path.rotation for path in self.paths(model)])
-        found[:, :3] = leaning[second] - led @ leaning[first]
+        rotated = np.array([path.rotation for path in self.paths(model)])
+        found[:, :3] = leaning[second] - rotated @ leaning[first]
         mine = self._pushed
         # Half of either, times gravity as a cross product.
         about = self.attitudes[:, :2] @ leaning
@@ -460,7 +462,7 @@ class Moves:
         return np.hstack([np.ones((len(self), 3)), along])
 
 
-def _cached(memo: dict[bytes, Led], key: bytes, worked_out: Callable[[], Led]) -> Led:
+def _cached(memo: dict[bytes, Cached], key: bytes, worked_out: Callable[[], Cached]) -> Cached:
     """Return the cached result for a model, or compute it; the oldest is dropped.
 
     A model whose term has zero coefficients gives the same result as one without the term.

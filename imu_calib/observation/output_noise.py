@@ -52,7 +52,7 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
 
 def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
     segments, turns, walk = evidence.segments, evidence.turns, evidence.walk
-    led = evidence.links
+    links = evidence.links
     statistics = [s.statistics for s in segments]
     turned = [t.statistics for t in turns]
     site = evidence.site
@@ -61,7 +61,7 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
         rest, turn = (np.array(part).reshape(-1, 6) for part in (at_rest, turned))
         return evidence.layout.joined(rest, turn, moved)
 
-    leading, pushing = led.noise(walk)
+    leading, pushing = links.noise(walk)
     noise = joined(
         [walk**2 * s.walk_gain for s in statistics],
         [walk**2 * s.walk_gain for s in turned],
@@ -73,12 +73,12 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
     quantisation = joined(
         [s.quantisation_variance for s in statistics],
         [s.quantisation_variance for s in turned],
-        led.quantisation(),
+        links.quantisation(),
     )
     encoder = joined(
         [s.encoder_variance(site.gravity) for s in segments],
         [np.append(t.encoder_variance(), t.lean_variance(site.gravity)) for t in turns],
-        led.encoders(),
+        links.encoders(),
     )
     total = noise + leaning + quantisation + encoder
     quantisation = quantisation + np.maximum(SMALLEST_VARIANCE - total, 0.0)
@@ -92,9 +92,9 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
         Component(Source.QUANTISATION, Diagonal(quantisation)),
         Component(Source.ENCODER_NOISE, Diagonal(encoder)),
     ]
-    if held := led.with_accels:
+    if held := links.with_accels:
         # The remainder of a level channel is an error along both level axes.
-        across = led.by_remainders[list(held)] * (1 - np.eye(3))
+        across = links.by_remainders[list(held)] * (1 - np.eye(3))
         rows = np.array(evidence.layout.velocity)
         parts.append(Component(Source.QUANTISATION, Blocks(rows, across)))
     for k, segment in enumerate(segments):

@@ -194,10 +194,10 @@ class SessionModel:
         """Return the outputs predicted from the session's mean parameters, (m,)."""
         around, model = self.surroundings(state), self.model(state)
         at_rest, turned = self.answers(state)
-        led = self.evidence.links.misclosures(model, self.earth(state), around.force)
+        in_moves = self.evidence.links.misclosures(model, self.earth(state), around.force)
         if state[self.clock]:
-            led = led + self._by_clock(state) * state[self.clock]
-        predicted = self.layout.joined(at_rest, turned, led)
+            in_moves = in_moves + self._by_clock(state) * state[self.clock]
+        predicted = self.layout.joined(at_rest, turned, in_moves)
         predicted[self._divided] /= 1 + state[self.clock]
         return predicted
 
@@ -221,20 +221,20 @@ class SessionModel:
     def _derivatives(self, state: Floats) -> Floats:
         around, _, _, turning, turning_force = self._inputs(state)
         model, n = self.model(state), self.sensors
-        at_rest, turned, led = (
+        at_rest, turned, in_moves = (
             np.zeros((count, 6, self.size))
             for count in (self.layout.dwells, self.layout.turns, self.layout.moves)
         )
         arms, by_force = self.evidence.arms, model.slopes(turning, turning_force)[..., 3:]
         turned[arms.turns, :, self.arms] = mean_over_turn(by_force)[arms.turns] @ arms.slopes
-        led[:, :, self.clock] = self._by_clock(state)
-        result = self.layout.joined(at_rest, turned, led)
+        in_moves[:, :, self.clock] = self._by_clock(state)
+        result = self.layout.joined(at_rest, turned, in_moves)
         faster, divided = 1 + state[self.clock], self._divided
         result[divided] /= faster
         world = np.vstack([around.rate_slopes, around.force_slopes])
         result[:, n : n + 3] = self.by_world(state) @ world
         result[:, :n] = self.by_parameters(state, self.parameters)
-        answered = self.layout.joined(*self.answers(state), np.zeros_like(led[:, :, 0]))
+        answered = self.layout.joined(*self.answers(state), np.zeros_like(in_moves[:, :, 0]))
         result[divided, self.clock] = -answered[divided] / faster**2
         result[:, self.changing] = self.columns(self.changes, result)
         return result
@@ -250,8 +250,8 @@ class SessionModel:
         model = self.model(state)
         at_rest = model.derivatives(rate, force, parameters)
         turned = mean_over_turn(model.derivatives(turning, turning_force, parameters))
-        led = self.evidence.links.by_parameters(model, parameters)
-        result = self.layout.joined(at_rest, turned, led)
+        in_moves = self.evidence.links.by_parameters(model, parameters)
+        result = self.layout.joined(at_rest, turned, in_moves)
         result[self._divided] /= 1 + state[self.clock]
         return result
 
@@ -306,8 +306,8 @@ class SessionModel:
         turned = mean_over_turn(
             model.slopes(turning, turning_force) @ _both(self.evidence.headings)
         )
-        led = np.concatenate([moves.by_rate(), moves.by_force()], axis=2)
-        result = self.layout.joined(at_rest, turned, led)
+        in_moves = np.concatenate([moves.by_rate(), moves.by_force()], axis=2)
+        result = self.layout.joined(at_rest, turned, in_moves)
         result[self._divided] /= 1 + state[self.clock]
         return result
 
@@ -343,8 +343,8 @@ class SessionModel:
             turned: (t, 3, e) of the turns.
         """
         s, by_each = len(at_rest), self._by_leaning(state)
-        led = self.evidence.links.by_attitudes(self.model(state), at_rest)
-        return self.layout.joined(by_each[:s] @ at_rest, by_each[s:] @ turned, led)
+        in_moves = self.evidence.links.by_attitudes(self.model(state), at_rest)
+        return self.layout.joined(by_each[:s] @ at_rest, by_each[s:] @ turned, in_moves)
 
     def by_encoder_rates(self, state: Floats) -> Floats:
         """Return the effect of one deviation of the encoder's rate in each turn, (m, t)."""

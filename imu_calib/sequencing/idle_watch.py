@@ -25,7 +25,7 @@ class IdleWatch:
         table: The table.
         rules: Tolerances.
         at: The last joint state before the stop, None if there is none.
-        led: Whether it was in a commanded motion until then.
+        commanded: Whether it was in a commanded motion until then.
 
     Attributes:
         is_moving: Whether it moves at present.
@@ -35,11 +35,11 @@ class IdleWatch:
     """
 
     def __init__(
-        self, table: Table, rules: Rules, at: Feedback | None, *, led: bool = False
+        self, table: Table, rules: Rules, at: Feedback | None, *, commanded: bool = False
     ) -> None:
         self._table = table
         self._rules = rules
-        self._standing = Standing(table, rules, at, led=led)
+        self._standing = Standing(table, rules, at, commanded=commanded)
         self._last = self._origin = None if at is None else at.angles
         self._fault = ''
         self._joint = ''

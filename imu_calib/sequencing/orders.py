@@ -62,9 +62,9 @@ class Orders:
 
     def stop(self, current: Step | None, at: Feedback | None) -> None:
         """Command the table to hold, and watch it come to rest; arguments as of `hold`."""
-        led = isinstance(self._watch, Watch) or self._watch.led
-        self.idle = IdleWatch(self._table, self._rules, at, led=led)
-        self._watch = Standing(self._table, self._rules, at, led=led)
+        commanded = isinstance(self._watch, Watch) or self._watch.commanded
+        self.idle = IdleWatch(self._table, self._rules, at, commanded=commanded)
+        self._watch = Standing(self._table, self._rules, at, commanded=commanded)
         self.hold(current, at)
 
     def move(self, motion: Step) -> None:

@@ -102,8 +102,8 @@ class Sequencer:
             return found.emergency
         if self.running:
             return f'The plan is running, at step {self._run.itinerary.index}.'
-        unled = self.idle.text if self.idle.is_moving else ''
-        return found.forbidden or unled or found.feedback or found.calibrator
+        uncommanded = self.idle.text if self.idle.is_moving else ''
+        return found.forbidden or uncommanded or found.feedback or found.calibrator
 
     @property
     def idle(self) -> IdleWatch:
@@ -352,4 +352,4 @@ class Sequencer:
     def _hold_idle_table(self, now: Feedback) -> None:
         """Hold an idle table that moves, and report how far and how fast."""
         if self.idle.check(now):
-            self._remark('unled', self.idle.text)
+            self._remark('uncommanded', self.idle.text)

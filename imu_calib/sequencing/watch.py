@@ -218,19 +218,20 @@ class Standing:
         table: The table that was commanded to hold.
         rules: Tolerances.
         at: The last joint state before the command, None if there is none.
-        led: Whether it was in a commanded motion until then: rest before its start does not count.
+        commanded: Whether it was in a commanded motion until then: rest before that motion starts
+            does not count.
 
     Attributes:
-        led: The same, until it has come to rest.
+        commanded: The same, until it has come to rest.
     """
 
     def __init__(
-        self, table: Table, rules: Rules, at: Feedback | None, *, led: bool = False
+        self, table: Table, rules: Rules, at: Feedback | None, *, commanded: bool = False
     ) -> None:
         self._table = table
         self._rules = rules
         self._begin = None if at is None else at.stamp
-        self.led = led
+        self.commanded = commanded
         self._rest: tuple[float, ...] | None = None
         stop = max(joint.max_rate / joint.max_acceleration for joint in table.joints)
         self._allowed = _LAG + _SLACK * stop
@@ -255,8 +256,8 @@ class Standing:
                     return False, _strays(joint, angle, rest)
             return True, ''
         elapsed = (now.stamp - self._begin) * 1e-9
-        if now.still and (not self.led or elapsed >= SETS_OUT):
-            self._rest, self.led = now.angles, False
+        if now.still and (not self.commanded or elapsed >= SETS_OUT):
+            self._rest, self.commanded = now.angles, False
             return True, ''
         if elapsed > self._allowed:
             return False, f'The table still moves {elapsed:.1f} s after the command to stand still.'
