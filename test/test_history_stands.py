@@ -51,7 +51,7 @@ def laboratory(seed: int, shift: np.ndarray, stands=THREE, units: int = 30, coun
 def test_a_stand_that_shifts_accelerometers_by_5_ppm_is_named() -> None:
     found = backtest(laboratory(1, of(K_ax=5.0, K_ay=5.0, K_az=5.0)), LIMITS)
     (shift,) = found.stands.shifts
-    assert (shift.stand, shift.what, shift.alone) == ('south', 'K_a', True)
+    assert (shift.stand, shift.what, shift.identified) == ('south', 'K_a', True)
     assert shift.others == ('east', 'west') and shift.units >= 25 and shift.unit == '1'
     assert shift.low < 5e-6 < shift.high and shift.chance < 0.01
     assert found.findings[0].startswith('Stand south is off: it adds +')
@@ -62,14 +62,16 @@ def test_a_stand_that_shifts_accelerometers_by_5_ppm_is_named() -> None:
 def test_a_stand_that_shifts_a_misalignment_by_a_hundredth_of_an_arcminute_is_named(name) -> None:
     found = backtest(laboratory(2, of(**{name: 0.01})), LIMITS)
     (shift,) = found.stands.shifts
-    assert (shift.stand, shift.what, shift.alone) == ('south', name, True)
+    assert (shift.stand, shift.what, shift.identified) == ('south', name, True)
     assert shift.low < 0.01 * SCALE[index(name)] < shift.high
 
 
 def test_a_stand_that_is_far_off_is_named_once() -> None:
     """Chances of large shifts are all zero in floating point."""
     found = backtest(laboratory(1, of(K_ax=5e4, K_ay=5e4, K_az=5e4)), LIMITS)
-    assert [(s.stand, s.what, s.alone) for s in found.stands.shifts] == [('south', 'K_a', True)]
+    assert [(s.stand, s.what, s.identified) for s in found.stands.shifts] == [
+        ('south', 'K_a', True)
+    ]
 
 
 def test_a_fixture_that_is_turned_is_one_shift() -> None:
@@ -139,7 +141,7 @@ def test_what_a_unit_does_is_not_blamed_on_a_stand() -> None:
 def test_of_two_stands_none_is_blamed() -> None:
     found = backtest(laboratory(6, of(K_ax=9, K_ay=9, K_az=9), stands=('east', 'south')), LIMITS)
     (shift,) = found.stands.shifts
-    assert not shift.alone and {shift.stand, *shift.others} == {'east', 'south'}
+    assert not shift.identified and {shift.stand, *shift.others} == {'east', 'south'}
     assert 'Which of them is off needs a further stand' in found.findings[0]
 
 

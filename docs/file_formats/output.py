@@ -373,7 +373,7 @@ _EFFECT = [
 _SHIFT = [
     _key('stand', _TEXT, 'name'),
     _key('others', _TEXTS, 'stands that it was compared with'),
-    _key('alone', flag(), 'whether this one is off'),
+    _key('identified', flag(), 'whether this one is off'),
     _key('what', _TEXT, 'a parameter, or `K_g`, `K_a`, `E about X`'),
     _key('parameters', _TEXTS, 'shifted parameters'),
     _UNIT,

@@ -409,9 +409,9 @@ class StandShift:
     """A stand with a common shift of all units.
 
     Attributes:
-        stand: Its name; for a pair of different stands that of the second (`alone`).
+        stand: Its name; for a pair of different stands that of the second (not `identified`).
         others: Stands in the comparison.
-        alone: Whether this stand is the cause: this requires three stands, with two it is unknown.
+        identified: Whether this stand is the cause; with only two stands it is unknown which is.
         what: Name of a parameter, or of a common cause of several ('K_a', 'E about X').
         parameters: Names of the shifted ones.
         unit: SI unit of the numbers.
@@ -425,7 +425,7 @@ class StandShift:
 
     stand: str
     others: tuple[str, ...]
-    alone: bool
+    identified: bool
     what: str
     parameters: tuple[str, ...]
     unit: str

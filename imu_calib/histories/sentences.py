@@ -152,7 +152,7 @@ def stand_sentence(shift: StandShift) -> str:
     by = f'{shift.units} unit{"s" * (shift.units != 1)}'
     what = shift.what if len(shift.parameters) == 1 else f'{shift.what} (all alike)'
     agree = 'agree' if len(shift.others) > 1 else 'does not'
-    if shift.alone:
+    if shift.identified:
         return (
             f'Stand {shift.stand} is off: it adds {size} ({low} to {high}) to {what} of every '
             f'unit, by {by}; {listed(shift.others)} {agree}.'

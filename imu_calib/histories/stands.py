@@ -275,7 +275,7 @@ def _shift(
     return StandShift(
         stand=names[k],
         others=tuple(doubtful or [name for name in names if name != names[k]]),
-        alone=not doubtful,
+        identified=not doubtful,
         what=tested.pattern.name,
         parameters=tuple(PARAMETER_NAMES[p] for p in tested.pattern.parameters),
         unit=tested.pattern.unit,
