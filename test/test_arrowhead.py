@@ -19,7 +19,7 @@ from imu_calib.estimation.fit import fit
 from imu_calib.estimation.several import (
     Contradicting,
     SharedEstimate,
-    TableSeen,
+    TableEstimate,
     _System,
     _worst,
     join,
@@ -146,7 +146,7 @@ def test_units_are_where_one_dense_system_of_them_all_has_them() -> None:
         whole = total(one.shares())
         assert whole / unit[:n, :n] == pytest.approx(wanted[:n, :n] / unit[:n, :n], abs=1e-6)
         assert one.state[n : n + 3].tolist() == found[0].state[n : n + 3].tolist()
-    table_estimate = system().table_seen()
+    table_estimate = system().table_estimate()
     named = 3 + np.array(dense.named)
     sizes = dense.size_of[dense.named]
     assert table_estimate.names[:3] == ('azimuth', 'tilt about x', 'tilt about y')
@@ -249,7 +249,7 @@ class Given:
     def estimate(self, k: int) -> str:
         return f'{self.units[k]} of {len(self.units)}'
 
-    def table_seen(self) -> Any:
+    def table_estimate(self) -> Any:
         return self.sizes
 
 
@@ -258,7 +258,7 @@ def joined(monkeypatch: pytest.MonkeyPatch, squares: Any, sizes: Any, seen: Any)
     monkeypatch.setattr(module, '_System', lambda units, size: Given(units, size, squares))
     of_one_unit = lambda of: sizes[of]  # noqa: E731
     monkeypatch.setattr(module, 'CommonSizes', type('Sizes', (), {'of_one_unit': of_one_unit}))
-    monkeypatch.setattr(module, 'dwells_seen', lambda _: (seen, 10))
+    monkeypatch.setattr(module, 'dwell_counts', lambda _: (seen, 10))
     units = [type('Alone', (str,), {'equations': name})(name) for name in sizes]
     return join(units)
 
@@ -300,7 +300,7 @@ def test_nothing_contradicts_that_tells_nothing() -> None:
 
 def test_what_was_found_of_the_table_is_kept_by_name() -> None:
     two = np.array([1.0, 2.0])
-    assert TableSeen(('azimuth', 'inner at 3'), two, 10 * two, 100 * two).to_dict() == [
+    assert TableEstimate(('azimuth', 'inner at 3'), two, 10 * two, 100 * two).to_dict() == [
         {'name': 'azimuth', 'value': 1.0, 'std': 10.0, 'prior_std': 100.0},
         {'name': 'inner at 3', 'value': 2.0, 'std': 20.0, 'prior_std': 200.0},
     ]

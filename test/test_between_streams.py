@@ -8,7 +8,7 @@ from ideal import mean_of
 
 from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.segmentation.bridging import Bridged
-from imu_calib.segmentation.clock import NO_CLOCK, ClockFit, ShareSeen
+from imu_calib.segmentation.clock import NO_CLOCK, ClockFit, MeasuredShare
 from imu_calib.segmentation.interruptions import interruption
 from imu_calib.segmentation.motion import Motion
 from imu_calib.segmentation.repeated_samples import Repetition
@@ -83,7 +83,7 @@ def kept_middles(angles: list[float], times: list[float]) -> list[float]:
     """Rests, each with a shock, around motions at 10, 20 and 30 s: the middles that are kept."""
     held = reader()
     held._seen_motions = [
-        (10.0 * NS * (k + 1), ShareSeen(*share))
+        (10.0 * NS * (k + 1), MeasuredShare(*share))
         for k, share in enumerate(zip(angles, times, strict=True))
     ]
     held._repetitions = [Repetition(100, 0.0, 0)] * len(held._seen_motions)
@@ -110,8 +110,8 @@ def test_a_dwell_that_repeats_the_sample_of_a_frozen_motion_is_frozen_itself() -
     values[:, 3] = 9.0
     sound = np.random.default_rng(0).normal(size=(60, 6))
     held = reader()
-    held._seen_motions = [(10.0 * NS * (k + 1), ShareSeen(1.0, 1.0)) for k in range(3)]
-    held._seen_motions.append((40.0 * NS, ShareSeen(0.1, 0.1)))
+    held._seen_motions = [(10.0 * NS * (k + 1), MeasuredShare(1.0, 1.0)) for k in range(3)]
+    held._seen_motions.append((40.0 * NS, MeasuredShare(0.1, 0.1)))
     held._repetitions = [Repetition.of(part, part) for part in (*[sound] * 3, values)]
     assert np.array_equal(held._repetitions[3].sample, values[0])
     # The mean of samples that are alike, by an interval that is a little off; others; and the same

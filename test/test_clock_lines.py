@@ -10,11 +10,11 @@ import pytest
 from imu_calib.rotations import rotation
 from imu_calib.segmentation.clock import (
     ClockSample,
-    ShareSeen,
+    MeasuredShare,
     _windows,
     clock_sample,
     fit_clock,
-    seen_by_gyros,
+    measured_share,
 )
 from imu_calib.segmentation.statistics import Samples
 from imu_calib.stream import Floats
@@ -179,7 +179,7 @@ def test_gyros_may_leave_a_fiftieth_of_a_motion() -> None:
 
 def share_of_motion(
     ways: list[float], by_gyros: list[float], late: float = 0.0
-) -> ShareSeen | None:
+) -> MeasuredShare | None:
     """What is seen of a motion of these degrees in each tenth of a second, and by the gyros."""
     joint = np.arange(2 * len(ways) + 1) * 0.05
     angle = np.interp(joint, 0.1 * np.arange(len(ways) + 1), np.cumsum([0, *ways]))
@@ -192,7 +192,7 @@ def share_of_motion(
     stamp = START + np.rint(time * 1e9).astype(np.int64)
     samples = Samples(stamp, increments, np.zeros(6), 0.01, np.zeros(6))
     joint_stamp = START + np.rint(joint * 1e9).astype(np.int64)
-    return seen_by_gyros(samples, joint_stamp, attitudes)
+    return measured_share(samples, joint_stamp, attitudes)
 
 
 def test_shares_are_by_angle_and_by_cells() -> None:

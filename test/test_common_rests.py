@@ -13,7 +13,7 @@ from imu_calib.observation.common_errors import (
     _blocks,
     _count,
     _summed,
-    dwells_seen,
+    dwell_counts,
     shares_a_table,
 )
 
@@ -79,10 +79,10 @@ def unit(times: list[tuple[float, float]], offset: float, rate: float) -> Any:
 def test_rests_are_told_apart_by_the_tables_clock() -> None:
     table = [(0.0, 10.0), (20.0, 30.0), (3600.0, 3610.0)]
     ahead, fast = unit(table, 300.0, 0.0), unit(table[1:], -20.0, 0.01)
-    assert dwells_seen([ahead, fast]) == ([3, 2], 3)
+    assert dwell_counts([ahead, fast]) == ([3, 2], 3)
     # Taken by its own clock the rest of an hour later is another.
     fast.evidence.clock.rate = 0.0
-    assert dwells_seen([ahead, fast]) == ([3, 2], 4)
+    assert dwell_counts([ahead, fast]) == ([3, 2], 4)
 
 
 @pytest.mark.parametrize(

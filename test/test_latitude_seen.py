@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imu_calib.observation.earth_seen import contradicts, latitude_seen, up_rate_seen
+from imu_calib.observation.measured_earth_rate import (
+    contradicts,
+    measured_latitude,
+    vertical_earth_rate,
+)
 from imu_calib.stream import Floats
 
 RATE = 7.292115e-5
@@ -34,7 +38,7 @@ def attitudes(count: int) -> Floats:
 
 
 def test_three_rests_show_the_rate_about_up() -> None:
-    found = up_rate_seen(rests(attitudes(3)))
+    found = vertical_earth_rate(rests(attitudes(3)))
     assert found is not None
     up, std = found
     assert up == pytest.approx(EARTH[2], rel=1e-9)
@@ -43,12 +47,12 @@ def test_three_rests_show_the_rate_about_up() -> None:
 
 
 def test_two_rests_or_one_attitude_show_nothing() -> None:
-    assert up_rate_seen(rests(attitudes(2))) is None
-    assert up_rate_seen(rests(np.repeat(attitudes(1), 5, axis=0))) is None
+    assert vertical_earth_rate(rests(attitudes(2))) is None
+    assert vertical_earth_rate(rests(np.repeat(attitudes(1), 5, axis=0))) is None
     unknown = rests(attitudes(3))
     unknown[1].attitude = None
-    assert up_rate_seen(unknown) is None
-    assert up_rate_seen([*unknown, *rests(attitudes(4)[3:])]) is not None
+    assert vertical_earth_rate(unknown) is None
+    assert vertical_earth_rate([*unknown, *rests(attitudes(4)[3:])]) is not None
 
 
 def test_its_deviation_is_that_of_the_readings_scatter() -> None:
@@ -56,7 +60,7 @@ def test_its_deviation_is_that_of_the_readings_scatter() -> None:
     ratios = []
     for seed in range(300):
         noise = 1e-5 * np.random.default_rng(seed).standard_normal((12, 3))
-        found = up_rate_seen(rests(turned, noise))
+        found = vertical_earth_rate(rests(turned, noise))
         assert found is not None
         own = np.sqrt(found[1] ** 2 - (0.03 * found[0]) ** 2)
         ratios.append((found[0] - EARTH[2]) / own)
@@ -67,16 +71,16 @@ def test_its_deviation_is_that_of_the_readings_scatter() -> None:
 def test_a_latitude_is_told_where_it_is_known_to_ten_degrees() -> None:
     std = RATE * np.radians(1.0)
     up = RATE * np.sin(np.radians(60.0))
-    latitude, found = latitude_seen(up, std) or (np.nan, np.nan)
+    latitude, found = measured_latitude(up, std) or (np.nan, np.nan)
     assert np.degrees(latitude) == pytest.approx(60.0)
     assert np.degrees(found) == pytest.approx(2.0)
-    assert latitude_seen(up, 4.99 * std) is not None
-    assert latitude_seen(up, 5.01 * std) is None
+    assert measured_latitude(up, 4.99 * std) is not None
+    assert measured_latitude(up, 5.01 * std) is None
     # Near a pole the sine hardly tells the angle: as much as ten degrees from it.
-    pole, there = latitude_seen(1.2 * RATE, std) or (np.nan, np.nan)
+    pole, there = measured_latitude(1.2 * RATE, std) or (np.nan, np.nan)
     assert np.degrees(pole) == pytest.approx(90.0)
     assert np.degrees(there) == pytest.approx(1.0 / np.sin(np.radians(10.0)))
-    south, _ = latitude_seen(-up, std) or (np.nan, np.nan)
+    south, _ = measured_latitude(-up, std) or (np.nan, np.nan)
     assert np.degrees(south) == pytest.approx(-60.0)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imu_calib.rotations import rotation
-from imu_calib.segmentation.clock import ClockSample, clock_sample, fit_clock, seen_by_gyros
+from imu_calib.segmentation.clock import ClockSample, clock_sample, fit_clock, measured_share
 from imu_calib.segmentation.statistics import Samples
 from imu_calib.stream import Floats
 
@@ -142,7 +142,7 @@ def seen_share(factor: Callable[[Floats], Floats], *, late: float = 0.0) -> tupl
     rate = np.gradient(quarter(time - late), PERIOD) * factor(time)
     joint = np.arange(0.0, 2.0 + STATES / 2, STATES)
     stamp = START + np.round(joint * 1e9).astype(np.int64)
-    found = seen_by_gyros(samples(np.cumsum(rate) * PERIOD), stamp, attitudes(quarter(joint)))
+    found = measured_share(samples(np.cumsum(rate) * PERIOD), stamp, attitudes(quarter(joint)))
     assert found is not None
     return found.angle, found.time
 
@@ -173,10 +173,10 @@ def test_a_motion_that_cannot_be_compared_is_not() -> None:
     joint = np.arange(0.0, 2.0 + STATES / 2, STATES)
     stamp = START + np.round(joint * 1e9).astype(np.int64)
     whole, ways = samples(quarter(time)), attitudes(quarter(joint))
-    assert seen_by_gyros(whole, stamp, ways) is not None
-    assert seen_by_gyros(whole, stamp[:1], ways[:1]) is None
+    assert measured_share(whole, stamp, ways) is not None
+    assert measured_share(whole, stamp[:1], ways[:1]) is None
     # The way is what counts, not how long it took.
-    assert seen_by_gyros(whole, stamp, attitudes(0.09 * quarter(joint) / (np.pi / 2))) is None
+    assert measured_share(whole, stamp, attitudes(0.09 * quarter(joint) / (np.pi / 2))) is None
     # Samples that begin after the motion does, end before it, or lack some of it.
     kept = np.ones(len(whole.stamp), dtype=bool)
     late, early, gap = kept.copy(), kept.copy(), kept.copy()
@@ -184,4 +184,4 @@ def test_a_motion_that_cannot_be_compared_is_not() -> None:
     early[int((BEFORE + 1.5) / PERIOD) :] = False
     gap[int((BEFORE + 1.0) / PERIOD) :][:20] = False
     for some in (late, early, gap):
-        assert seen_by_gyros(whole.at(some), stamp, ways) is None
+        assert measured_share(whole.at(some), stamp, ways) is None

@@ -17,7 +17,7 @@ from imu_calib.calibrator import Setup
 from imu_calib.imu import load_imu
 from imu_calib.rotations import rotation
 from imu_calib.segmentation.cleaning import find_step, sound_samples
-from imu_calib.segmentation.clock import ClockSample, fit_clock, seen_by_gyros
+from imu_calib.segmentation.clock import ClockSample, fit_clock, measured_share
 from imu_calib.segmentation.dwells import read_dwell
 from imu_calib.segmentation.motion import JointTracker, Motion, Rest
 from imu_calib.segmentation.order import StampOrder
@@ -488,12 +488,12 @@ def test_how_much_of_a_motion_the_gyros_saw(delay: float, share: float) -> None:
     rows = np.zeros((401, 6))
     rows[:, 1] = np.diff(45 * DEG * np.clip(stamps - delay, 0, 2), prepend=0.0)
     imu = Samples(seconds(10 + stamps), rows, np.zeros(6), 0.01, np.zeros(6))
-    found = seen_by_gyros(imu, seconds(10 + time), attitudes)
+    found = measured_share(imu, seconds(10 + time), attitudes)
     assert found is not None
     assert found.angle == pytest.approx(share, abs=0.06)
     assert found.time == pytest.approx(share, abs=0.06)
     # A unit whose range ends at a third of the rate sees the motion for all of its time.
-    clipped = seen_by_gyros(replace(imu, increments=rows / 3), seconds(10 + time), attitudes)
+    clipped = measured_share(replace(imu, increments=rows / 3), seconds(10 + time), attitudes)
     assert clipped is not None
     assert clipped.angle == pytest.approx(share / 3, abs=0.02)
     assert clipped.time == pytest.approx(share, abs=0.06)

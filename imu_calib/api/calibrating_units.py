@@ -12,7 +12,7 @@ from ..bags import AnyPath, Recording
 from ..calibrator import Calibrator, HandCalibrator, Result, calibrator_of
 from ..calibrator.shared_results import SharedResults, estimate_together
 from ..errors import ImuCalibError, InputError
-from ..estimation.several import TableSeen
+from ..estimation.several import TableEstimate
 from ..metadata import serial_key
 from ..mounted import MountedUnit, load_units
 from ..stream import Floats
@@ -62,7 +62,7 @@ class UnitResults:
     """
 
     units: tuple[UnitResult, ...]
-    table: TableSeen | None = None
+    table: TableEstimate | None = None
     shared: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
 

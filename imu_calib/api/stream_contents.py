@@ -11,7 +11,7 @@ import numpy as np
 from ..bags import Recording
 from ..calibrator.setup import Setup
 from ..errors import InputError, NotObservable
-from ..observation.earth_seen import contradicts, latitude_seen, up_rate_seen
+from ..observation.measured_earth_rate import contradicts, measured_latitude, vertical_earth_rate
 from ..plan import Plan
 from ..segmentation.labelling import Labelled, label
 from ..segmentation.naming import heading, up_words
@@ -111,8 +111,8 @@ def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
         Labelled(session.segments, (), ()) if free else label(session, setup.plan, setup.table)
     )
     zero = _zero(opened.recording, session)
-    seen = up_rate_seen(session.segments)
-    found = None if seen is None else latitude_seen(*seen)
+    seen = vertical_earth_rate(session.segments)
+    found = None if seen is None else measured_latitude(*seen)
     contradictions = [refusal] if refusal else []
     if seen is not None and found is not None and contradicts(*seen, setup.site.latitude):
         contradictions.insert(0, _other_latitude(seen, found, setup))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from ..errors import ImuCalibError
 from ..estimation.search import Search
-from ..estimation.several import Contradicting, TableSeen, join
+from ..estimation.several import Contradicting, TableEstimate, join
 from ..methods import joint
 from ..observation.common_errors import shares_a_table
 from .basis import Basis
@@ -44,7 +44,7 @@ class SharedResults:
     """
 
     results: tuple[Result | None, ...]
-    table: TableSeen | None
+    table: TableEstimate | None
     shared: tuple[int, ...]
     left_out: Mapping[int, str]
 

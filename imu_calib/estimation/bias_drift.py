@@ -90,7 +90,7 @@ class BiasDrift:
         answers = self.answers[: parts.shape[1]]
         return np.asarray(np.einsum('rni,nic->crn', parts, answers))
 
-    def seen(self, time: float, entering: Floats, slopes: Floats) -> Floats:
+    def projected(self, time: float, entering: Floats, slopes: Floats) -> Floats:
         """Return `kernel` projected on means and slopes, (r + 3s, r + 3s).
 
         Channels drift independently, and slopes are those of the biases: only the kernel of one
@@ -101,14 +101,14 @@ class BiasDrift:
             entering: (3, r, n) factors of the means.
             slopes: (3s,) factors of the slopes.
         """
-        alone, (_, seen, count) = self.of_one(time * self.span), entering.shape
+        alone, (_, projected, count) = self.of_one(time * self.span), entering.shape
         drifting = entering @ alone[:count]
-        found = np.empty((seen + len(slopes),) * 2)
-        found[:seen, :seen] = _columns(drifting[..., :count]) @ _columns(entering).T
-        crossed = np.moveaxis(drifting[..., count:], 0, -1).reshape(seen, -1) * slopes
-        found[:seen, seen:], found[seen:, :seen] = crossed, crossed.T
-        found[seen:, seen:] = np.kron(alone[count:, count:], np.eye(3))
-        found[seen:, seen:] *= np.outer(slopes, slopes)
+        found = np.empty((projected + len(slopes),) * 2)
+        found[:projected, :projected] = _columns(drifting[..., :count]) @ _columns(entering).T
+        crossed = np.moveaxis(drifting[..., count:], 0, -1).reshape(projected, -1) * slopes
+        found[:projected, projected:], found[projected:, :projected] = crossed, crossed.T
+        found[projected:, projected:] = np.kron(alone[count:, count:], np.eye(3))
+        found[projected:, projected:] *= np.outer(slopes, slopes)
         return found
 
     def of_one(self, time: float) -> Floats:

@@ -483,8 +483,8 @@ def _triad(
     )
     stated = float(evidence.instability[first] ** 2)
 
-    def seen_by(time: float, variance: float) -> Floats:
-        return variance * drift.seen(time, entering, slopes)
+    def projected_by(time: float, variance: float) -> Floats:
+        return variance * drift.projected(time, entering, slopes)
 
     moved = [
         np.vstack([project.T @ p[rows], np.zeros((len(slopes), p.shape[1]))]) for p in positioning
@@ -501,8 +501,8 @@ def _triad(
     return _Triad(
         rows,
         np.concatenate([z, slope_residuals * slopes]),
-        seen_by(drift.stated_time, stated),
-        tuple(seen_by(time, typical) for time in _TIMES),
+        projected_by(drift.stated_time, stated),
+        tuple(projected_by(time, typical) for time in _TIMES),
         (moved[0], moved[1]),
         tuple(noise),
         drift,

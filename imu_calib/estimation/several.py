@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..budget import Share, Source
 from ..errors import NotObservable
-from ..observation.common_errors import SHARED, TABLE_STATE, CommonSizes, CommonTable, dwells_seen
+from ..observation.common_errors import SHARED, TABLE_STATE, CommonSizes, CommonTable, dwell_counts
 from ..observation.components import Component
 from ..observation.components import parts as parts_of
 from ..observation.equations import Equations
@@ -67,7 +67,7 @@ class SharedEstimate(Estimate):
 
 
 @dataclass(frozen=True, eq=False)
-class TableSeen:
+class TableEstimate:
     """Common estimate of the table by several units.
 
     Attributes:
@@ -118,7 +118,7 @@ class Joined:
     """
 
     estimates: dict[int, SharedEstimate]
-    table: TableSeen | None
+    table: TableEstimate | None
     contradicting: tuple[Contradicting, ...] = ()
     partial: tuple[tuple[int, int, int], ...] = ()
 
@@ -136,7 +136,7 @@ def join(alone: Sequence[Estimate]) -> Joined:
     Raises:
         NotObservable: The iteration does not converge.
     """
-    seen, of_all = dwells_seen([found.equations for found in alone])
+    seen, of_all = dwell_counts([found.equations for found in alone])
     partial = tuple((k, n, of_all) for k, n in enumerate(seen) if n < _HALF * of_all)
     kept = [k for k, n in enumerate(seen) if n >= _HALF * of_all]
     out: list[Contradicting] = []
@@ -145,7 +145,7 @@ def join(alone: Sequence[Estimate]) -> Joined:
         worst = _worst(system, kept)
         if worst is None:
             estimates = {k: system.estimate(i) for i, k in enumerate(kept)}
-            return Joined(estimates, system.table_seen(), tuple(out), partial)
+            return Joined(estimates, system.table_estimate(), tuple(out), partial)
         out.append(worst)
         kept = [] if len(kept) == 2 else [k for k in kept if k != worst.unit]
     return Joined({}, None, tuple(out), partial)
@@ -320,14 +320,14 @@ class _System:
         square = (1 + ratios[informative]) * pull[informative] ** 2 / ratios[informative]
         return float(square.sum()), int(informative.sum())
 
-    def table_seen(self) -> TableSeen:
+    def table_estimate(self) -> TableEstimate:
         """Return the estimate of the table."""
         errors, count = self._errors, len(TABLE_STATE)
         std = np.sqrt(np.diag(self._inverse))
         named = [k for k, name in enumerate(errors.names) if name]
         sizes = errors.sizes[named]
         tilts = 1 / np.sqrt(np.diag(self._prior)[:count])
-        return TableSeen(
+        return TableEstimate(
             ('azimuth', 'tilt about x', 'tilt about y', *(errors.names[k] for k in named)),
             np.concatenate([self._table, self._values[named] * sizes]),
             np.concatenate([std[:count], std[count:][named] * sizes]),

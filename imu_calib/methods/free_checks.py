@@ -15,8 +15,8 @@ import numpy as np
 
 from ..errors import Contradiction, InputError
 from ..model import AXES, SensorModel, Triad
-from ..observation.earth_seen import latitude_seen, up_rate_seen
 from ..observation.evidence import Evidence
+from ..observation.measured_earth_rate import measured_latitude, vertical_earth_rate
 from ..stream import Floats
 from ..units import DEG
 from .checks import SCALE_LIMIT, TIMES, wrong_scale_sentence
@@ -81,8 +81,8 @@ def check_turns(evidence: Evidence, model: SensorModel) -> None:
 
 def other_latitudes(evidence: Evidence) -> tuple[float, ...]:
     """Return latitudes, rad, that may be meant: the opposite one, and that seen by the gyros."""
-    seen = up_rate_seen(evidence.segments)
-    found = None if seen is None else latitude_seen(*seen)
+    seen = vertical_earth_rate(evidence.segments)
+    found = None if seen is None else measured_latitude(*seen)
     stated = evidence.site.latitude
     return (-stated,) if found is None else (-stated, found[0])
 
@@ -93,7 +93,7 @@ def contradicts_latitude(evidence: Evidence) -> bool:
     By three standard deviations: a doubt, not a contradiction. The attitudes have the ups of the
     accelerometers.
     """
-    seen = up_rate_seen(evidence.segments)
+    seen = vertical_earth_rate(evidence.segments)
     return seen is not None and abs(seen[0] - evidence.site.up_rate) > _DOUBT * seen[1]
 
 

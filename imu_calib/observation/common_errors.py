@@ -179,7 +179,7 @@ def shares_a_table(equations: Equations) -> bool:
     return all(part.angles is not None for part in parts)
 
 
-def dwells_seen(units: Sequence[Equations]) -> tuple[list[int], int]:
+def dwell_counts(units: Sequence[Equations]) -> tuple[list[int], int]:
     """Return the number of the table's dwells that each unit saw, and their total."""
     evidences = [unit.evidence for unit in units]
     dwells = _alike([_times(e, e.segments) for e in evidences])

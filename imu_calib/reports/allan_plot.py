@@ -22,14 +22,14 @@ _LEAST = 0.02
 _CHANNELS = 'xyz'
 
 
-def noise_plots(seen: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
+def noise_plots(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
     """Draw one panel per triad, with the random walk of the data sheet if it is known."""
-    shown = [t for t in TRIADS if any(c in seen for c in t.channels)]
+    shown = [t for t in TRIADS if any(c in noise for c in t.channels)]
     if not shown:
         return ''
     drawings = []
     for units in shown:
-        channels = {c: seen[c] for c in units.channels if c in seen}
+        channels = {c: noise[c] for c in units.channels if c in noise}
         spec = None if imu is None else _of(units, imu)
         parts = [legend('XYZ', _WIDTH - 216, 14), *_panel(units, channels, spec).parts]
         title = f'Allan deviation of the {units.name}s'
@@ -90,15 +90,15 @@ def _clipped(panel: Panel, line: list[tuple[float, float]]) -> list[tuple[float,
     return [(first, high), (last, low)]
 
 
-def noise_table(seen: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
+def noise_table(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
     """Return a table of the coefficients of all channels and those of the data sheet."""
     rows = []
     for units in TRIADS:
         spec = TriadSpec() if imu is None else _of(units, imu)
         for axis, name in zip(_CHANNELS, units.channels, strict=True):
-            if name not in seen:
+            if name not in noise:
                 continue
-            channel = seen[name]
+            channel = noise[name]
             rows.append(
                 [
                     f'{units.name} {axis.upper()}',
@@ -113,25 +113,25 @@ def noise_table(seen: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
 
 
 def _both(coefficient: Coefficient, stated: float, scale: float) -> tuple[str, str]:
-    seen = written(coefficient, scale).replace('+-', ' \u00b1 ').replace('<', 'below ')
-    return escape(seen), f'{stated / scale:.3g}' if stated else '-'
+    noise = written(coefficient, scale).replace('+-', ' \u00b1 ').replace('<', 'below ')
+    return escape(noise), f'{stated / scale:.3g}' if stated else '-'
 
 
-def noise_notes(seen: Mapping[str, ChannelNoise], accel_rate: float | None = None) -> str:
+def noise_notes(noise: Mapping[str, ChannelNoise], accel_rate: float | None = None) -> str:
     """Return sentences on how the curves were computed.
 
     Args:
-        seen: By name of the channel.
+        noise: By name of the channel.
         accel_rate: Sample rate of interpolated accelerometers, Hz; None without interpolation.
     """
-    if not seen:
+    if not noise:
         return ''
     text = (
         'Overlapping Allan deviation of all static dwells together, with one standard '
         'deviation; "below" is a 95 % bound. A dwell of two minutes shows the random walk and '
         'seldom the bias instability: for that, let one position last for hours.'
     )
-    if any(c.timed for c in seen.values()):
+    if any(c.timed for c in noise.values()):
         text += (
             ' Where single pulses hide the noise, the curve begins at ten seconds: its points are '
             'made of the moments at which pulses came.'

@@ -8,7 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from ..calibration import Calibration
-from ..estimation.several import TableSeen
+from ..estimation.several import TableEstimate
 from ..model import Parameter
 from ..plain_table import plain_table
 from ..units import ARCSEC, DEG
@@ -35,7 +35,7 @@ def comparison_tables(units: Sequence[tuple[str, Calibration]]) -> Iterator[Tabl
         yield _table(units[first : first + _AT_ONCE], parameters)
 
 
-def table_estimate(seen: TableSeen) -> Table:
+def table_estimate(seen: TableEstimate) -> Table:
     """Return the table errors estimated from several units, with their prior values."""
     table = plain_table(('unknown', 'value', 'std', 'beforehand', 'unit'), 'lrrrl')
     for name, value, std, prior in zip(seen.names, seen.values, seen.std, seen.prior, strict=True):

@@ -164,7 +164,7 @@ def _windows(time: Floats, duration: float) -> list[NDArray[np.intp]]:
 
 
 @dataclass(frozen=True)
-class ShareSeen:
+class MeasuredShare:
     """Share of a table's motion seen by the gyros, by angle and by time; 1 is all of it."""
 
     angle: float
@@ -178,7 +178,9 @@ def cells(joint_stamp: Stamps) -> NDArray[np.intp]:
     return np.unique(np.append(index, len(passed) - 1))
 
 
-def seen_by_gyros(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> ShareSeen | None:
+def measured_share(
+    samples: Samples, joint_stamp: Stamps, attitudes: Floats
+) -> MeasuredShare | None:
     """Compare a motion as seen by the gyros and by the encoders, about any axes.
 
     Args:
@@ -210,7 +212,7 @@ def seen_by_gyros(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> S
     lasting = np.diff(table[index])
     moving = ways > _MOVING * ways.max()
     least = np.minimum(_MOVING * ways, _SURELY_MOVING * lasting)
-    return ShareSeen(
+    return MeasuredShare(
         float(by_gyros.sum(axis=1).max() / ways.sum()),
         float((by_gyros > least)[:, moving].mean(axis=1).max()),
     )

@@ -29,7 +29,15 @@ from .apart import FARTHEST, offset_by_pattern
 from .bridging import LONGEST, Bridged, bridged
 from .buffer import RowBuffer
 from .bunches import sampling_times
-from .clock import ClockFit, ClockSample, ShareSeen, cells, clock_sample, fit_clock, seen_by_gyros
+from .clock import (
+    ClockFit,
+    ClockSample,
+    MeasuredShare,
+    cells,
+    clock_sample,
+    fit_clock,
+    measured_share,
+)
 from .dwells import read_dwell
 from .grid import clock_steps
 from .intake import StreamBuffer
@@ -94,7 +102,7 @@ class Segmenter:
         self._trial: list[Rest | Motion] | None = [] if table is not None else None
         self._clock: list[ClockSample] = []
         self._interruptions = Interruptions()
-        self._seen_motions: list[tuple[float, ShareSeen]] = []
+        self._seen_motions: list[tuple[float, MeasuredShare]] = []
         self._repetitions: list[Repetition] = []
         self._segments: list[Segment] = []
         self._turns: list[Turn] = []
@@ -368,7 +376,7 @@ class Segmenter:
             shown = motion.stamp + self._offset_ns
             some = cells(shown)
             attitudes = self._table.attitude(motion.position[some])
-            seen = seen_by_gyros(samples, shown[some], attitudes)
+            seen = measured_share(samples, shown[some], attitudes)
             if seen is not None:
                 middle = (motion.start + motion.end) / 2 + self._offset_ns
                 self._seen_motions.append((middle, seen))

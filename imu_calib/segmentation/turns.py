@@ -72,7 +72,9 @@ class Around:
     skew: tuple[Stamps, Floats] | None = None
 
 
-def read_turns(seen: Around, motion: Motion, table: Table, offset_ns: int) -> list[Turn | Rejected]:
+def read_turns(
+    readings: Around, motion: Motion, table: Table, offset_ns: int
+) -> list[Turn | Rejected]:
     """Measure the whole turns of a motion about the vertical.
 
     The offset is IMU clock minus table clock, ns.
@@ -82,15 +84,16 @@ def read_turns(seen: Around, motion: Motion, table: Table, offset_ns: int) -> li
         start, end = motion.start + offset_ns, motion.end + offset_ns
         return [Rejected(start, end, no_turn_reason(motion), turn=True)]
     return [
-        _read_turn(seen, turns, motion, table, offset_ns, alone=len(found) == 1) for turns in found
+        _read_turn(readings, turns, motion, table, offset_ns, alone=len(found) == 1)
+        for turns in found
     ]
 
 
-def read_free_motion(seen: Around, motion: Motion) -> list[FreeMotion | Rejected]:
+def read_free_motion(readings: Around, motion: Motion) -> list[FreeMotion | Rejected]:
     """Measure a motion without an encoder."""
-    bounds = np.searchsorted(seen.samples.stamp, [motion.start, motion.end], side='right')
+    bounds = np.searchsorted(readings.samples.stamp, [motion.start, motion.end], side='right')
     inside = slice(*bounds.tolist())
-    part = seen.samples.at(inside)
+    part = readings.samples.at(inside)
     if len(part.stamp) < 2:
         return []
     turned = part.increments[:, :3].sum(axis=0)
@@ -98,10 +101,10 @@ def read_free_motion(seen: Around, motion: Motion) -> list[FreeMotion | Rejected
         return []
     if not _sound(part):
         reason = 'IMU samples are missing within it'
-    elif seen.sensor.saturated(seen.values[inside], part).any():
+    elif readings.sensor.saturated(readings.values[inside], part).any():
         reason = 'the sensor is saturated during it'
     else:
-        statistics = statistics_between(part, 0.0, float(len(part.stamp)), seen.sensor.walk)
+        statistics = statistics_between(part, 0.0, float(len(part.stamp)), readings.sensor.walk)
         return [FreeMotion(motion.start, motion.end, statistics, turned, _mean_phase(part, turned))]
     return [Rejected(motion.start, motion.end, reason, turn=True)]
 
@@ -113,7 +116,13 @@ def _mean_phase(samples: Samples, turned: Floats) -> complex:
 
 
 def _read_turn(
-    seen: Around, turns: WholeTurns, motion: Motion, table: Table, offset_ns: int, *, alone: bool
+    readings: Around,
+    turns: WholeTurns,
+    motion: Motion,
+    table: Table,
+    offset_ns: int,
+    *,
+    alone: bool,
 ) -> Turn | Rejected:
     angles, up_error = _held(motion, turns)
     up = table.attitude(angles).T @ np.array([0.0, 0.0, 1.0])
@@ -127,30 +136,30 @@ def _read_turn(
             'the vertical are used'
         )
         return Rejected(int(start), int(end), reason, turn=True)
-    inside = _around(seen.samples, start, end)
-    part = seen.samples.at(inside)
-    reason = _unusable(seen, inside, start, end)
+    inside = _around(readings.samples, start, end)
+    part = readings.samples.at(inside)
+    reason = _unusable(readings, inside, start, end)
     if reason:
         return Rejected(int(start), int(end), reason, turn=True)
     count = max(1, round(abs(turns.angle) / TURN))
-    around = _around(seen.samples, start, end, turns.spare)
-    wide = seen.samples.at(around)
+    around = _around(readings.samples, start, end, turns.spare)
+    wide = readings.samples.at(around)
     # Samples beyond the cuts only improve the counts there: unsound ones are left out.
-    if not _unreadable(seen, around):
+    if not _unreadable(readings, around):
         part = wide
-    part = filled_at_steady_rate(part, seen.sensor.walk)
-    statistics, each = _between(part, start, turns.seconds, count, seen.sensor.walk)
-    skewed = _skewed_between(seen, start, turns, count)
+    part = filled_at_steady_rate(part, readings.sensor.walk)
+    statistics, each = _between(part, start, turns.seconds, count, readings.sensor.walk)
+    skewed = _skewed_between(readings, start, turns, count)
     if skewed is not None:
         each = np.hstack([each[:, :3], skewed[1][:, :1]])
     way = _whole_way(motion, turns) if alone else 0.0
     limit = _SURER * 2 * max(table.positioning, _LEAST_POSITIONING)
     whole_way = None
-    if seen.sensor.counted and way and turns.rate_error * way > limit:
+    if readings.sensor.counted and way and turns.rate_error * way > limit:
         rests = np.array([motion.start, motion.end]) + offset_ns
         cut = float(statistics.mean[:3] @ up) * turns.seconds
         signed = way * float(np.sign(turns.angle * sense))
-        whole_way = _compare_whole_way(seen, rests, signed, cut, up, turns.seconds)
+        whole_way = _compare_whole_way(readings, rests, signed, cut, up, turns.seconds)
     return Turn(
         int(start),
         int(end),
@@ -182,7 +191,7 @@ def _whole_way(motion: Motion, turns: WholeTurns) -> float:
 
 
 def _compare_whole_way(
-    seen: Around, rests: Floats, way: float, cut: float, up: Floats, seconds: float
+    readings: Around, rests: Floats, way: float, cut: float, up: Floats, seconds: float
 ) -> RestToRest | None:
     """Compare the gyros' angle about up between cuts, `cut` rad in `seconds`, with the whole `way`.
 
@@ -190,7 +199,7 @@ def _compare_whole_way(
     side is subtracted. None where they did not see all of it. Source: docs/mathematics.md, 'Rate
     test'.
     """
-    samples, period = seen.samples, seen.samples.period
+    samples, period = readings.samples, readings.samples.period
     offsets = np.array([-_BESIDE, 0.0, 0.0, _BESIDE]) * 1e9
     edges = np.searchsorted(samples.stamp, np.repeat(rests, 2) + offsets).tolist()
     first, begin, end, last = edges
@@ -198,7 +207,7 @@ def _compare_whole_way(
     filled = samples.filled is not None and samples.filled[all_of_it].any()
     if not 0 < first < begin < end < last < len(samples.stamp):
         return None
-    if filled or _unreadable(seen, all_of_it):
+    if filled or _unreadable(readings, all_of_it):
         return None
     gained = samples.increments[:, :3] @ up
     before, after = float(gained[first:begin].mean()), float(gained[end:last].mean())
@@ -230,41 +239,41 @@ def _held(motion: Motion, turns: WholeTurns) -> tuple[Floats, float]:
     return readings.mean(axis=0), averaged(held)[1] if held.shape[1] else 0.0
 
 
-def _unusable(seen: Around, inside: slice, start: float, end: float) -> str:
+def _unusable(readings: Around, inside: slice, start: float, end: float) -> str:
     """Return why the samples between two instants (ns) measure no turn; empty where they do."""
-    part = seen.samples.at(inside)
+    part = readings.samples.at(inside)
     if len(part.stamp) < 2 or part.stamp[0] > start or part.stamp[-1] < end:
         return 'the IMU stream does not span it'
-    if reason := _unreadable(seen, inside):
+    if reason := _unreadable(readings, inside):
         return reason
     if not _steady(part):
         return 'the gyros show no steady rate while the joint states do'
     return ''
 
 
-def _unreadable(seen: Around, where: slice) -> str:
+def _unreadable(readings: Around, where: slice) -> str:
     """Return why samples do not give the sensors' counts; empty where they do."""
-    part = seen.samples.at(where)
+    part = readings.samples.at(where)
     if not _sound(part):
         return 'IMU samples are missing within it'
-    if seen.sensor.saturated(seen.values[where], part).any():
+    if readings.sensor.saturated(readings.values[where], part).any():
         return 'the sensor is saturated during it'
-    if repeating_samples(seen.values[where], counted=seen.sensor.counted).any():
+    if repeating_samples(readings.values[where], counted=readings.sensor.counted).any():
         return 'the samples are frozen within it, repeating one'
     return ''
 
 
 def _skewed_between(
-    seen: Around, start: float, turns: WholeTurns, count: int
+    readings: Around, start: float, turns: WholeTurns, count: int
 ) -> tuple[Statistics, Floats] | None:
     """Return statistics of the skewed gyro over whole turns; None without one or with gaps."""
-    sensor = seen.sensor.skewed
-    if seen.skew is None or sensor is None:
+    sensor = readings.sensor.skewed
+    if readings.skew is None or sensor is None:
         return None
     end = start + turns.seconds * 1e9
     bounds = [round(start) - MARGIN_NS, round(end) + MARGIN_NS]
-    near = slice(*np.searchsorted(seen.skew[0], bounds, side='right').tolist())
-    stamp, values = seen.skew[0][near], seen.skew[1][near]
+    near = slice(*np.searchsorted(readings.skew[0], bounds, side='right').tolist())
+    stamp, values = readings.skew[0][near], readings.skew[1][near]
     if len(stamp) < 2 or stamp[0] > start or stamp[-1] < end:
         return None
     came = sensor.samples(stamp, values)

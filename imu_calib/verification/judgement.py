@@ -192,7 +192,7 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
         tuple(compared),
         limits,
         (
-            *_not_seen(calibration, observed),
+            *_omissions(calibration, observed),
             *(f for t in trials for f in t.findings()),
             *_without_drift(trials, judged),
             *observed.notes,
@@ -205,7 +205,7 @@ def _limit(chance: float, count: int) -> float:
     return float(-scipy.special.ndtri(chance / (2 * count)))
 
 
-def _not_seen(calibration: Calibration, observed: Observed) -> list[str]:
+def _omissions(calibration: Calibration, observed: Observed) -> list[str]:
     notes = []
     if not observed.with_attitudes:
         notes.append(

@@ -331,7 +331,7 @@ def streams(shown: Snapshot, imu: ImuSpec | None) -> str:
     return facts(pairs) + _channels(seen, imu)
 
 
-def _channels(seen: Streams, imu: ImuSpec) -> str:
+def _channels(streams: Streams, imu: ImuSpec) -> str:
     """Return the means of the channels over the last two seconds."""
     units = {
         Units.PULSES: ('pulses/s', 'pulses/s'),
@@ -340,7 +340,7 @@ def _channels(seen: Streams, imu: ImuSpec) -> str:
     }[imu.units]
     cells = ''.join(
         tag('div', tag('dt', name) + tag('dd', f'{_mean(mean)}{tag("span", units[k // 3])}'))
-        for k, (name, mean) in enumerate(zip(CHANNELS, seen.means.tolist(), strict=True))
+        for k, (name, mean) in enumerate(zip(CHANNELS, streams.means.tolist(), strict=True))
     )
     return tag('dl', cells, class_='channels')
 

@@ -20,7 +20,7 @@ _DETERMINED = np.radians(10.0)
 """rad: a latitude with a larger uncertainty is not reported, as in `methods.checks`."""
 
 
-def up_rate_seen(segments: Sequence[Segment]) -> tuple[float, float] | None:
+def vertical_earth_rate(segments: Sequence[Segment]) -> tuple[float, float] | None:
     """Estimate the Earth rate about up from several attitudes; return it and its deviation, rad/s.
 
     Least squares over dwells k with attitudes R_k = R_nb: y_k = b + R_k' w, of the biases b and the
@@ -47,7 +47,7 @@ def up_rate_seen(segments: Sequence[Segment]) -> tuple[float, float] | None:
     return up, float(np.hypot(np.sqrt(variance), _NOMINAL * up))
 
 
-def latitude_seen(up: float, std: float) -> tuple[float, float] | None:
+def measured_latitude(up: float, std: float) -> tuple[float, float] | None:
     """Return the latitude of an Earth rate about up and its deviation, rad; None if too uncertain.
 
     Args:
