@@ -101,14 +101,14 @@ class BiasDrift:
             entering: (3, r, n) factors of the means.
             slopes: (3s,) factors of the slopes.
         """
-        alone, (_, projected, count) = self.of_one(time * self.span), entering.shape
+        alone, (_, rows, count) = self.of_one(time * self.span), entering.shape
         drifting = entering @ alone[:count]
-        found = np.empty((projected + len(slopes),) * 2)
-        found[:projected, :projected] = _columns(drifting[..., :count]) @ _columns(entering).T
-        crossed = np.moveaxis(drifting[..., count:], 0, -1).reshape(projected, -1) * slopes
-        found[:projected, projected:], found[projected:, :projected] = crossed, crossed.T
-        found[projected:, projected:] = np.kron(alone[count:, count:], np.eye(3))
-        found[projected:, projected:] *= np.outer(slopes, slopes)
+        found = np.empty((rows + len(slopes),) * 2)
+        found[:rows, :rows] = _columns(drifting[..., :count]) @ _columns(entering).T
+        crossed = np.moveaxis(drifting[..., count:], 0, -1).reshape(rows, -1) * slopes
+        found[:rows, rows:], found[rows:, :rows] = crossed, crossed.T
+        found[rows:, rows:] = np.kron(alone[count:, count:], np.eye(3))
+        found[rows:, rows:] *= np.outer(slopes, slopes)
         return found
 
     def of_one(self, time: float) -> Floats:
