@@ -996,8 +996,8 @@ def test_a_calibrator_that_fails_stops_a_run_whoever_it_is(running, plan):
     assert failed == ['The calibrator has failed: full.'] * running
 
 
-@pytest.mark.parametrize(('publishers', 'says'), [(1, False), (2, True), (0, False)])
-def test_a_stop_is_taken_back_by_its_only_publisher(publishers, has_report):
+@pytest.mark.parametrize(('publishers', 'is_stopping'), [(1, False), (2, True), (0, False)])
+def test_a_stop_is_taken_back_by_its_only_publisher(publishers, is_stopping):
     messages = []
     count = [2]
     node = SimpleNamespace(
@@ -1011,7 +1011,7 @@ def test_a_stop_is_taken_back_by_its_only_publisher(publishers, has_report):
     assert topic.is_stopping
     count[0] = publishers
     topic._receive(ros.messages.Bool(data=False))
-    assert topic.is_stopping == has_report
+    assert topic.is_stopping == is_stopping
     assert messages == [True, False]
 
 
