@@ -7,7 +7,6 @@ order they end.
 from __future__ import annotations
 
 import os
-import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from multiprocessing import active_children, get_context
 
 from .errors import InputError
 from .threads import THREADS
-from .workers import Engine, Result, Task, WorkerDied, end_started, outcomes
+from .workers import Engine, Result, Task, WorkerDied, end_started, outcomes, without_interrupts
 
 _CHUNK = 4
 """Tasks handed to a process of a pool at once."""
@@ -90,9 +89,12 @@ def _in_processes(
 ) -> None:
     others = set(active_children())
     spawn = get_context('spawn')
-    with single_threaded(), ProcessPoolExecutor(jobs, spawn, _leave_interrupts) as pool:
+    with single_threaded(), ProcessPoolExecutor(jobs, spawn) as pool:
         try:
-            for result in pool.map(function, tasks, chunksize=_share(len(tasks), jobs)):
+            # Ctrl-C reaches every process of a terminal: this one ends the others.
+            with without_interrupts():
+                found = pool.map(function, tasks, chunksize=_share(len(tasks), jobs))
+            for result in found:
                 take(result)
         except BaseException:
             # Otherwise running tasks, whose results are dropped, would be waited for.
@@ -103,11 +105,6 @@ def _in_processes(
 
 def _share(tasks: int, jobs: int) -> int:
     return max(1, min(_CHUNK, tasks // jobs))
-
-
-def _leave_interrupts() -> None:
-    """Ignore Ctrl-C, which reaches every process of a terminal: the parent ends the others."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager

@@ -115,7 +115,7 @@ class Engine:
 
         others = set(active_children())
         try:
-            with _without_interrupts():
+            with without_interrupts():
                 cluster = LocalCluster(
                     n_workers=self.workers or os.cpu_count(),
                     threads_per_worker=1,
@@ -151,7 +151,7 @@ def _reached(scheduler: str) -> Client:
         ) from None
     try:
         # One that is interrupted while connecting would be waited for as well.
-        with _without_interrupts():
+        with without_interrupts():
             return Client(scheduler, timeout=_ANSWER, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(
@@ -295,7 +295,7 @@ def _wait_for_scheduler(client: Client) -> None:
 
 
 @contextmanager
-def _without_interrupts() -> Iterator[None]:
+def without_interrupts() -> Iterator[None]:
     """Block Ctrl-C in threads and processes started meanwhile: the client ends them.
 
     Their later children inherit this. A Ctrl-C meanwhile is delivered afterwards.

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -104,8 +105,12 @@ def test_what_callbacks_of_dask_raise_is_not_logged(
     assert 'no future' not in caplog.text
 
 
-@pytest.mark.parametrize('where', ['jobs', 'scheduler'])
-def test_ctrl_c_ends_a_study(where: str, request: pytest.FixtureRequest) -> None:
+@pytest.mark.parametrize(
+    ('where', 'again'), [('jobs', None), ('jobs', 0.01), ('jobs', 0.02), ('scheduler', 0.01)]
+)
+def test_ctrl_c_ends_a_study(
+    where: str, again: float | None, request: pytest.FixtureRequest
+) -> None:
     command = [sys.executable, '-m', 'imu_calib.cli.main', 'montecarlo', 'twelve_position']
     option = ['--jobs', '2']
     if where == 'scheduler':
@@ -123,6 +128,10 @@ def test_ctrl_c_ends_a_study(where: str, request: pytest.FixtureRequest) -> None
         assert until(lambda: at_work(running.pid, where), patience(120))
         # As a terminal sends it: to all of them.
         os.killpg(group, signal.SIGINT)
+        while again is not None and running.poll() is None:
+            # A key that is held down, while the workers and their threads end.
+            time.sleep(again)
+            os.killpg(group, signal.SIGINT)
         _, output = running.communicate(timeout=patience(120))
     finally:
         if running.poll() is None:
@@ -131,6 +140,7 @@ def test_ctrl_c_ends_a_study(where: str, request: pytest.FixtureRequest) -> None
     assert running.returncode == 130
     assert output.strip().splitlines()[-1] == 'imu-calib montecarlo: interrupted'
     assert 'Traceback' not in output
+    assert output.count('interrupted') == 1
     assert until(lambda: not in_group(group))
 
 

@@ -16,7 +16,7 @@ from ..errors import ImuCalibError, InputError
 from ..paths import user_path
 from ..units import point_for_comma
 from ..version import version
-from .interruption import INTERRUPTED, KIND, WORDS, clear_interrupt
+from .interruption import INTERRUPTED, KIND, WORDS, clear_interrupt, end_once
 from .outcome import JSON, Outcome, error_document, kind_of, write_document
 from .terminal import ERRORS, OUTPUT, as_options
 
@@ -137,6 +137,8 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
     # A wrong option is found before it is known which options there are.
     as_json = JSON in argv
     OUTPUT.stderr = as_json
+    if alone:
+        end_once()
     try:
         arguments = (_loaded if alone else _parsed)(argv)
     except KeyboardInterrupt:

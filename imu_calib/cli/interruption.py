@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Sequence
+from types import FrameType
 
 from .outcome import JSON, Outcome, error_document, write_document
 
@@ -20,6 +22,22 @@ def clear_interrupt() -> None:
     then ends by the signal (unhandled_keyboard_interrupt, Python/pythonrun.c), until another exec.
     """
     exec('')
+
+
+def end_once() -> None:
+    """Let the first Ctrl-C end the command, and further ones change nothing.
+
+    A second one would interrupt the end of worker processes and of threads, with their tracebacks.
+    What is waited for then ends by itself or is killed.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _end)
+
+
+def _end(_number: int, _frame: FrameType | None) -> None:
+    # Another handler would be replaced by the default when the interpreter ends.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def report_interruption(argv: Sequence[str]) -> int:
