@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from datetime import datetime
+from types import SimpleNamespace
 
 import numpy as np
 import processes
@@ -16,8 +17,11 @@ import pytest
 from loopback import CHECKOUT, environment, patience, until
 from test_devices import frame
 
-from imu_calib.cdr import Messages, decode_imu, decode_temperatures
+from imu_calib.cdr import Kind, Messages, decode_imu, decode_temperatures
+from imu_calib.devices import Reception, load_format
+from imu_calib.devices.source import Chunk, SourceState
 from imu_calib.errors import ImuCalibError, InputError
+from imu_calib.imu import load_imu
 from imu_calib.nodes import qos
 
 # ROS reads this when it loads its messages.
@@ -25,10 +29,12 @@ os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib import middleware as ros
     from imu_calib.nodes.imu_node import ImuNode
+    from imu_calib.nodes.session_reports import IMU_TIMEOUT, is_fed
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
 NS = 1_000_000_000
+OPEN = SourceState(True, False, 'It is open.')
 RATE = 1000
 STEADY = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
 
@@ -245,6 +251,27 @@ def test_silence_is_an_error_that_says_since_when_and_ends_with_the_next_frame(b
     assert bench.until(
         lambda: bench.listener.has_status('stream', 1, 'Frames are missing for 0.501 s')
     )
+
+
+@pytest.mark.parametrize(('seconds', 'silent'), [(0.5, False), (0.51, True)])
+def test_silence_is_half_a_second_without_a_frame(seconds, silent):
+    reception = Reception(load_format('simulated'), load_imu('fog_medium'))
+    reception.statuses(OPEN, 0, 0.0)
+    reception.take([Chunk(frame(0, 0, [0] * 6), NS, NS)], NS, 1.0)
+    later = 1.0 + seconds
+    assert reception.health.silent(round(later * NS), later) is silent
+    (word,) = (w for w in reception.statuses(OPEN, round(later * NS), later) if w.part == 'stream')
+    assert ('No frame has come since' in word.text) is silent
+
+
+@pytest.mark.parametrize(('late', 'silent'), [(0.5, False), (0.51, True)])
+def test_the_calibrator_misses_samples_half_a_second_behind_the_table(monkeypatch, late, silent):
+    now = time.monotonic()
+    monkeypatch.setattr(time, 'monotonic', lambda: now + late)
+    imu = SimpleNamespace(newest=0, received_at=now)
+    joints = SimpleNamespace(newest=round(late * NS))
+    session = SimpleNamespace(intakes={Kind.IMU: imu, Kind.JOINTS: joints})
+    assert is_fed(session, IMU_TIMEOUT) is not silent
 
 
 def test_a_clock_that_jumps_is_an_error_and_stamps_go_on(bench):

@@ -337,9 +337,22 @@ def test_a_joint_beyond_its_limits_is_stopped():
 
 @pytest.mark.parametrize('bring', [moving, turning])
 def test_a_table_that_goes_the_wrong_way_is_stopped(bring):
-    stand = bring(Stand())
+    stand = bring(Stand(block=1))
     begin = np.array(stand.sequencer.state().angles)
-    stand.plant = lambda time, angles, rates: (2 * begin - angles, -rates)
+    away = [0.0]
+
+    def back(_, angles, rates):
+        away.append(float(abs(angles[0, 0] - begin[0])))
+        return 2 * begin - angles, -rates
+
+    stand.plant = back
+    stand.phase(Phase.PAUSED, 1.0)
+    # The first joint state beyond the tolerance is answered.
+    assert away[-2] <= ALONE.overshoot < away[-1]
+    assert (stand.sent[-1].mode, stand.sent[-1].stamp) == (
+        Mode.HOLD,
+        EPOCH + round(stand.time * 1e9),
+    )
     pauses(stand, 'outer', 'moves away from its goal')
 
 

@@ -25,7 +25,7 @@ from imu_calib.units import DEG
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib import middleware as ros
-    from imu_calib.nodes import stop
+    from imu_calib.nodes import stop, turntable_node
     from imu_calib.nodes.calibrator_progress import CalibratorProgress
     from imu_calib.nodes.turntable_node import TurntableNode
     from imu_calib.sequencing import Phase
@@ -756,14 +756,44 @@ class Stranger(ros.Node):
         self.output.publish(payload)
 
 
+def answers_to_listed(node, topic):
+    """Gather the mode in force after each check before which a stranger was listed.
+
+    By the node's own order of events: when a check comes depends on the machine, too.
+    """
+    sent, listed, answers = [], [], []
+    check, send, send_what_is_due = node._own.faults, node._send, node._send_what_is_due
+
+    def faults(now):
+        publishers = node.get_publishers_info_by_topic(f'/{topic}')
+        listed.append('stranger' in {p.node_name for p in publishers})
+        return check(now)
+
+    def sends(setpoint):
+        sent.append(setpoint.mode)
+        send(setpoint)
+
+    def sends_what_is_due(now):
+        send_what_is_due(now)
+        if listed and listed.pop():
+            answers.append(sent[-1])
+
+    node._own.faults, node._send, node._send_what_is_due = faults, sends, sends_what_is_due
+    return answers
+
+
 @pytest.mark.parametrize('topic', list(KINDS))
 def test_two_publishers_hold_the_table_are_named_and_nothing_starts(session, topic):
     session.turn_at(60).open(autostart=True, **PATIENT)
     session.reaches(Phase.TURNING)
+    answers = answers_to_listed(session.node, topic)
     stranger = Stranger(topic)
     owner = {'turntable/joint_states': '/table'}.get(topic, '/watcher')
     owner = '/turntable_node' if topic in {'turntable/setpoint', 'turntable/state'} else owner
     session.reaches(Phase.PAUSED)
+    # The check that sees the second one holds the table.
+    assert turntable_node._CHECK_PERIOD == 0.1
+    assert answers[0] is Mode.HOLD
     names = ', '.join(sorted([owner, '/stranger']))
     words = f'2 publishers are on /{topic}: {names}.'
     assert words in session.watcher.states[-1].reason

@@ -19,7 +19,7 @@ from .entry import entry_point
 from .live import SessionPhase
 from .session_factory import SessionFactory
 from .session_parameters import StatedUnit, declared_units
-from .session_reports import journal_sentence, session_sentence
+from .session_reports import IMU_TIMEOUT, journal_sentence, session_sentence
 from .sessions import Sessions
 from .subscriptions import Subscriptions, topics_of_table, topics_of_unit
 from .turntable_state import TurntableStateIntake
@@ -65,7 +65,11 @@ class CalibratorNode(ros.Node):
             declare(self, 'journal', 'journal', 'folder of the recording; resumed if unfinished')
         )
         self._imu_timeout = declare(
-            self, 'imu_timeout', 0.5, 'longest silence of the IMU against the table, s', lower=0.01
+            self,
+            'imu_timeout',
+            IMU_TIMEOUT,
+            'longest silence of the IMU against the table, s',
+            lower=0.01,
         )
         steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
         stand = f'{len(self._units)} units' if self._several else self._setup.imu.id

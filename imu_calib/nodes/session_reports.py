@@ -15,6 +15,8 @@ from ..units import significant
 from .diagnostics import Diagnostics, Level, PartOfDiagnostics
 from .live import LiveSession, SessionPhase
 
+IMU_TIMEOUT = 0.5
+"""s: default of the longest silence of the IMU against the table, as that of imu_node."""
 _SILENCE_BY_HAND = 2.0
 """s of silence after which a driver counts as gone, without a table as reference; a choice."""
 
