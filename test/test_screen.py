@@ -33,14 +33,22 @@ except ImuCalibError as error:
 
 NS = 1_000_000_000
 RATE = 200
+MAIN = """import sys
+from imu_calib.cli import stand_session
+from imu_calib.cli.main import main
+stand_session._START = float(sys.argv.pop(1))
+sys.exit(main())"""
 
 
 class Screen:
-    """A running `imu-calib stand` with an IMU at a port, and what it has written so far."""
+    """A running `imu-calib stand` with an IMU at a port, and what it has written so far.
+
+    It waits for a table as long as a test waits for what must come.
+    """
 
     def __init__(self, folder, port, *words, imu='fog_medium'):
         self.folder = folder / 'stand'
-        command = [sys.executable, '-m', 'imu_calib.cli.main', 'stand', 'twelve_position']
+        command = [sys.executable, '-c', MAIN, str(10 * patience()), 'stand', 'twelve_position']
         command += ['--port', port, '--device', 'simulated', '--imu', imu, '--latitude', '48']
         path = os.pathsep.join([str(CHECKOUT), os.environ.get('PYTHONPATH', '')])
         # What a shell starts in the background ignores Ctrl-C, and so would what starts here.
