@@ -11,6 +11,7 @@ import yaml
 from numpy.typing import NDArray
 
 from .alignment import Angles, free_of_frame
+from .arguments import checked
 from .budget import Budget, Share, Source
 from .budget_file import budget_document, read_budget
 from .changes import KEY as CHANGES
@@ -267,6 +268,7 @@ class Calibration:
         }
 
     @classmethod
+    @checked
     def from_yaml(cls, text: str, where: str) -> Calibration:
         """Read a calibration.
 
@@ -319,6 +321,7 @@ class Calibration:
 
         return draw_noise(self)
 
+    @checked
     def save(self, path: str | Path) -> None:
         """Write the file whole or not at all.
 
@@ -328,6 +331,7 @@ class Calibration:
         write_whole(user_path(path), self.to_yaml())
 
     @classmethod
+    @checked
     def load(cls, path: str | Path) -> Calibration:
         """Read a calibration file.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from .arguments import checked
 from .config import Section
 from .share import named_file
 from .specification import Specification, read_specification
@@ -69,6 +70,7 @@ class ImuSpec:
     specification: Specification | None = None
 
 
+@checked
 def load_imu(name: str | Path) -> ImuSpec:
     """Read an IMU's YAML file, shipped (by name) or the user's (by path).
 

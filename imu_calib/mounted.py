@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .arguments import checked
 from .config import Section
 from .errors import InputError
 from .paths import user_path
@@ -87,6 +88,7 @@ class MountedUnit:
         return replace(table, mount=table.mount @ self.mount) if self.turned else table
 
 
+@checked
 def load_units(path: str | Path) -> tuple[MountedUnit, ...]:
     """Read the file of several units; files named in it are searched for beside it first.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .arguments import checked
 from .config import Section
 from .errors import InputError
 from .rotations import rotation
@@ -212,6 +213,7 @@ UNPLANNED = Plan('', 'whatever the table did', '', 'joint', ())
 states, and dwells and turns are named by them."""
 
 
+@checked
 def load_plan(name: str | Path) -> Plan:
     """Read a plan's YAML file, shipped (by name) or the user's (by path).
 

@@ -54,8 +54,6 @@ def named_file(kind: str, name: str | Path) -> Path:
     Raises:
         InputError: Neither exists; the message lists the shipped names.
     """
-    if not isinstance(name, str | Path):
-        raise InputError(f'found {name!r}, expected the name or the path of a file ({kind}).')
     path = user_path(name)
     if path.suffix in {'.yaml', '.yml'} or path.parent != Path():
         if path.is_file():

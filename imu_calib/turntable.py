@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .arguments import checked
 from .config import Section, numbers_of
 from .errors import InputError
 from .rotations import angle_about, rotation
@@ -330,6 +331,7 @@ def _angle_between(axis: Floats, start: Floats, end: Floats) -> float:
     )
 
 
+@checked
 def load_table(name: str | Path) -> Table:
     """Read a table's YAML file, shipped (by name) or the user's (by path).
 

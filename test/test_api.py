@@ -481,9 +481,12 @@ def test_a_calibration_that_follows_the_temperature_does_so_as_a_value_too(
 @pytest.mark.parametrize(
     ('ask', 'words'),
     [
-        (lambda: imu_calib.compare(None, None), 'found None, expected calibration.yaml'),
-        (lambda: imu_calib.load_imu(None), 'found None, expected the name or the path'),
-        (lambda: imu_calib.calibrate(None), 'found None, expected the path of a recording'),
+        (
+            lambda: imu_calib.compare(None, None),
+            '`calibrations`: found None, expected a Result, a Calib',
+        ),
+        (lambda: imu_calib.load_imu(None), '`name`: found None, expected a text or a path.'),
+        (lambda: imu_calib.calibrate(None), '`bag`: found None, expected a text or a path.'),
         (lambda: imu_calib.calibrate(''), "found '', expected the path of a recording"),
         (lambda: imu_calib.montecarlo('twelve_position', runs=2.5), '`runs`: found 2.5'),
         (lambda: imu_calib.simulate('six_position', 'there', seed=-1), '`seed`: found -1'),

@@ -13,7 +13,6 @@ from hand_sessions import spread_holds
 
 import imu_calib
 from imu_calib.api.simulating import serialised
-from imu_calib.api.stated import Stated
 from imu_calib.bags import RecordingWriter, open_recording
 from imu_calib.calibration import Calibration
 from imu_calib.cdr import Kind
@@ -211,7 +210,7 @@ def test_info_shows_the_topics_and_asks_for_what_is_not_stated(
 
 
 def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag: str) -> None:
-    looked = imu_calib.inspect(bag, Stated(latitude=LATITUDE))
+    looked = imu_calib.inspect(bag, latitude=LATITUDE)
     assert looked.streams is not None
     session = spread_holds(24, 1)
     holds = session.holds

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..arguments import checked
 from ..bags import AnyPath, Recording
 from ..calibrator import Calibrator, HandCalibrator, Result, calibrator_of
 from ..calibrator.shared_results import SharedResults, estimate_together
@@ -80,6 +81,7 @@ class UnitResults:
                 return unit.result
         raise KeyError(serial_number)
 
+    @checked
     def save(self, folder: Named) -> dict[str, Path]:
         """Write the calibration of each unit to `<serial number>.yaml`; return the files.
 

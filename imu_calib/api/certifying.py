@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..arguments import checked
 from ..calibration import Calibration
 from ..certificates.dcc import dcc
 from ..certificates.fields import Fields, read_fields
@@ -17,7 +18,7 @@ from ..config import Section
 from ..errors import InputError
 from ..imu import ImuSpec
 from ..paths import user_path
-from .named import Named, as_calibration, as_imu
+from .named import Named, as_calibration, as_imu, as_list
 
 if TYPE_CHECKING:
     from ..calibrator import Result
@@ -26,6 +27,7 @@ FORMATS = ('.html', '.pdf', '.xml')
 """Formats by file ending."""
 
 
+@checked
 def certificate(
     calibration: Result | AnyCalibration | Named,
     fields: Fields | Named,
@@ -51,8 +53,7 @@ def certificate(
         InputError: Something that the standard requires is missing (everything missing is named),
             the fields contradict the calibration, or a file cannot be read or written.
     """
-    named = [output] if isinstance(output, str | Path) else output
-    targets = [user_path(name) for name in named]
+    targets = [user_path(name) for name in as_list(output)]
     kinds = [t.suffix.lower() for t in targets]
     for target, kind in zip(targets, kinds, strict=True):
         if kind not in FORMATS:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import checked
 from ..bags import AnyPath, Recording, Topic, open_recording
 from ..cdr import Kind
 from ..config import Section
@@ -105,6 +106,7 @@ class Columns:
 def read(bag: str | AnyPath, topic: str) -> Columns: ...
 @overload
 def read(bag: str | AnyPath, topic: None = None) -> dict[str, Columns]: ...
+@checked
 def read(bag: str | AnyPath, topic: str | None = None) -> Columns | dict[str, Columns]:
     """Read topics of a recording into memory.
 

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from ..arguments import checked
 from ..calibration import Calibration
 from ..compensation.thermal import ThermalCalibration
 from ..compensation.thermal import combine as of_temperatures
-from .named import Named, as_calibration, name_of
+from .named import Named, as_calibration, as_list, name_of
 
 if TYPE_CHECKING:
     from ..calibrator import Result
 
 
+@checked
 def combine(
-    calibrations: Sequence[Result | Calibration | Named],
+    calibrations: Result | Calibration | Named | Sequence[Result | Calibration | Named],
     output: Named | None = None,
     *,
     order: int | None = None,
@@ -35,8 +37,9 @@ def combine(
         InputError: They are not of one unit, a temperature is missing or repeated, they are too few
             for the order, or a file cannot be read or written.
     """
-    names = [name_of(one, f'calibration {k + 1}') for k, one in enumerate(calibrations)]
-    combined = of_temperatures([as_calibration(one) for one in calibrations], names, order)
+    given = as_list(calibrations)
+    names = [name_of(one, f'calibration {k + 1}') for k, one in enumerate(given)]
+    combined = of_temperatures([as_calibration(one) for one in given], names, order)
     if output is not None:
         combined.save(output)
     return combined

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..agreement import FALSE_ALARM, Agreement
+from ..arguments import checked
 from ..calibration import Calibration
 from ..compensation.thermal import AnyCalibration, ThermalCalibration, first_of
 from ..errors import InputError
 from ..model import Parameter
 from ..reports.side_by_side import SideBySide, side_by_side
 from ..stream import Floats
+from ..units import counted
 from ..views import compared_frame, draw_differences
 from .named import Named, as_applied
 
@@ -148,6 +150,7 @@ class Compared:
         return draw_differences(title, self.parameters, self.normalised)
 
 
+@checked
 def compare(
     *calibrations: Result | AnyCalibration | Named, names: Sequence[str] | None = None
 ) -> Compared:
@@ -163,11 +166,13 @@ def compare(
             or the streams have different units.
     """
     if len(calibrations) < _FEWEST:
-        raise InputError(f'found {len(calibrations)} calibration, expected two or more.')
+        raise InputError(
+            f'Found {counted(len(calibrations), "calibration")}, expected two or more to compare.'
+        )
     called = tuple(names or _names(calibrations))
     if len(called) != len(calibrations):
         raise InputError(
-            f'names: found {len(called)}, expected {len(calibrations)}, one for each calibration.'
+            f'`names`: found {len(called)}, expected {len(calibrations)}, one for each calibration.'
         )
     own = [_single(one) for one in calibrations]
     compared = side_by_side(own)

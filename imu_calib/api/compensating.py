@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..arguments import checked
 from ..bags import Recording, RecordingWriter, Topic, open_recording
 from ..cdr import Kind, Malformed, Messages, decode_imu, encode_rates
 from ..compensation.apply import noise_gains
@@ -71,6 +72,7 @@ class Compensated:
     findings: tuple[str, ...]
 
 
+@checked
 def compensate(
     bag: Named,
     calibration: Result | AnyCalibration | Named,

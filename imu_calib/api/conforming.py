@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from ..arguments import checked
 from ..calibrator import Result
 from ..compensation.thermal import AnyCalibration, ThermalCalibration
 from ..errors import InputError
@@ -60,6 +61,7 @@ class Conformity:
         }
 
 
+@checked
 def conformity(
     calibration: Result | AnyCalibration | Named, imu: ImuSpec | Named | None = None
 ) -> Conformity:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+from ..arguments import checked
 from ..bags import AnyPath, RecordingError, local, located, open_recording
 from ..bags.files import is_storage
 from ..cdr import Kind
@@ -19,6 +20,7 @@ from .progress import Progress, silent
 from .text import read_text
 
 
+@checked
 def convert(
     source: Named,
     output: Named,

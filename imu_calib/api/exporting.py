@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..arguments import checked
 from ..compensation.thermal import AnyCalibration, ThermalCalibration, first_of
 from ..errors import InputError
 from ..exports import EXPORTS, Exported, ExportSource
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from ..calibrator import Result
 
 
+@checked
 def export(
     calibration: Result | AnyCalibration | Named,
     format: str,  # noqa: A002
@@ -30,7 +32,8 @@ def export(
 
     Args:
         calibration: calibration.yaml, single or combined, or a loaded calibration.
-        format: 'ros': parameters of compensator_node, which name the file; 'kalibr': imu.yaml;
+        format: 'ros': parameters of compensator_node, which name the file (that of a value is
+            written beside `output`, OUTPUT_calibration.yaml); 'kalibr': imu.yaml;
             'imucal': JSON; 'c': a header (docs/exports.md).
         output: File to write, or None.
         sample_rate: Of the stream, Hz: for kalibr, and for imucal of pulses.
@@ -61,8 +64,14 @@ def export(
             f'{name} combines calibrations at several temperatures, which format '
             f'{format} cannot carry: export one of them.'
         )
+    beside = None
+    if path is None and target is not None and format == 'ros':
+        # The node reads a file, which a calibration from Python need not have.
+        path = beside = target.absolute().with_name(f'{target.stem}_calibration.yaml')
     sheet = None if imu is None else as_imu(imu)
     exported = EXPORTS[format](ExportSource(first_of(loaded), path, sample_rate, topic, sheet))
+    if beside is not None:
+        (loaded if combined else first_of(loaded)).save(beside)
     if target is not None:
         write_whole(target, exported.text)
     return exported

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Any
 from ..bags import Recording, open_recording
 from ..errors import NotStated
 from ..metadata import COMPENSATED
+from .keywords import Session, with_keywords
 from .named import Named
 from .opening import open_session
 from .progress import Progress, silent
 from .stated import Stated
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     # Loaded only if it is stated how the streams are to be read.
     from .stream_contents import StreamContents
 
@@ -58,19 +61,19 @@ class Inspection:
         return asdict(self)
 
 
-def inspect(bag: Named, stated: Stated | None = None, progress: Progress = silent) -> Inspection:
+@with_keywords(Session)
+def inspect(bag: Named, *, progress: Progress = silent, **stated: Unpack[Session]) -> Inspection:
     """Examine the topics of a recording, then the streams if their meaning is known.
 
     Args:
         bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
-        stated: Known facts of the session; None for those in the recording.
         progress: Shows the progress.
+        **stated: The session, by the keywords of `calibrate`; by default as in the recording.
 
     Raises:
         InputError: Unreadable, or the statements do not match it.
     """
-    outside = topics(bag, progress)
-    return inspect_streams(outside, stated or Stated(), progress)
+    return inspect_streams(topics(bag, progress), Stated(**stated), progress)
 
 
 def topics(bag: Named, progress: Progress = silent) -> Inspection:

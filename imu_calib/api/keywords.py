@@ -8,6 +8,7 @@ from functools import wraps
 from inspect import Parameter, signature
 from typing import TYPE_CHECKING, ParamSpec, TypedDict, TypeVar
 
+from ..arguments import check
 from .stated import Stated
 
 if TYPE_CHECKING:
@@ -91,7 +92,8 @@ def with_keywords(
 ) -> Callable[[Callable[Arguments, Returned]], Callable[Arguments, Returned]]:
     """Show the keywords of a kind in the signature of a function that takes them by `**`.
 
-    Help, completion, documentation and the command line read them from the signature.
+    The arguments are checked, as by `checked`. Help, completion, documentation and the command line
+    read them from the signature.
     """
 
     def of(function: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
@@ -108,6 +110,7 @@ def with_keywords(
             if unknown := set(kwargs) - set(extended.parameters):
                 name = function.__name__
                 raise TypeError(f'{name}() got an unexpected keyword argument {unknown.pop()!r}')
+            check(extended, args, kwargs)
             return function(*args, **kwargs)
 
         extended = own.replace(parameters=[*named, *more])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..calibration import Calibration
 from ..compensation.thermal import (
@@ -27,6 +28,13 @@ Named: TypeAlias = str | Path
 """The name of a supplied file, or the path of one."""
 
 
+def as_list(given: Any) -> list[Any]:
+    """Return several values as a list, and one as a list of it; a text is one value."""
+    if isinstance(given, Sequence) and not isinstance(given, str):
+        return list(given)
+    return [given]
+
+
 def as_plan(plan: Plan | Named) -> Plan:
     """Return a plan given by name or value."""
     return plan if isinstance(plan, Plan) else load_plan(plan)
@@ -46,13 +54,7 @@ def as_calibration(calibration: Result | Calibration | Named) -> Calibration:
     """Return a calibration given by file, result or value."""
     if isinstance(calibration, str | Path):
         return Calibration.load(calibration)
-    found = getattr(calibration, 'calibration', calibration)
-    if not isinstance(found, Calibration):
-        raise InputError(
-            f'found {calibration!r}, expected calibration.yaml, a Calibration, or what calibrate '
-            'returned.'
-        )
-    return found
+    return calibration if isinstance(calibration, Calibration) else calibration.calibration
 
 
 def as_combined(calibration: Result | AnyCalibration | Named) -> ThermalCalibration | None:

@@ -70,8 +70,8 @@ def recording_at(bag: str | AnyPath, sha256: str | None = None) -> Recording:
     Raises:
         InputError: There is none, or it is unreadable.
     """
-    if not isinstance(bag, str | AnyPath) or bag == '':
-        raise InputError(f'found {bag!r}, expected the path of a recording.')
+    if bag == '':
+        raise InputError("found '', expected the path of a recording.")
     return open_recording(bag, sha256)
 
 

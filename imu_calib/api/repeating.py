@@ -105,7 +105,7 @@ def montecarlo(
         NotObservable: No run gave an estimate; the text states why.
     """
     for name, value, least in (('runs', runs, 1), ('jobs', jobs, 1), ('seed', seed, 0)):
-        if not isinstance(value, int) or value < least:
+        if value < least:
             raise InputError(f'`{name}`: found {value}, expected a whole number from {least} on.')
     study = _study(Stated(**stated), as_plan(plan), as_imu(imu), truth, drifting=bias_instability)
     with progress('simulating and calibrating') as show:

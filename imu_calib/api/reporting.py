@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import checked
 from ..bags import located
 from ..calibration import Calibration
 from ..calibrator import Result
@@ -23,7 +24,7 @@ from ..model.session_terms import SESSION_TERMS
 from ..reports.page import Contents, page
 from ..reports.thermal_page import thermal_page
 from .calibrating import solve
-from .named import Named, as_calibration, as_combined, as_imu
+from .named import Named, as_calibration, as_combined, as_imu, as_list
 from .opening import recording_at, session_of
 from .outputs import output_path
 from .progress import Progress, silent
@@ -34,13 +35,14 @@ _ALIKE = 0.1
 versions of a library differ by rounding, 1e-6 of one; another plan or site by many."""
 
 
+@checked
 def report(
     calibration: Result | AnyCalibration | Named,
     output: Named = 'report.html',
     *,
     bag: Named | None = None,
     imu: ImuSpec | Named | None = None,
-    compare: Sequence[Result | Calibration | Named] = (),
+    compare: Result | Calibration | Named | Sequence[Result | Calibration | Named] = (),
     progress: Progress = silent,
 ) -> Path:
     """Write a report.
@@ -52,7 +54,7 @@ def report(
         bag: The recording of a calibration: it is calibrated again for the course of the session.
             If it does not state its set-up, pass the result of `calibrate` instead.
         imu: The unit's file, for verdicts against its specification; else that of the recording.
-        compare: Further calibrations of the unit: adds repeatability and drift.
+        compare: A further calibration of the unit, or several: adds repeatability and drift.
         progress: Shows the progress; nothing by default.
 
     Returns:
@@ -62,7 +64,7 @@ def report(
         InputError: A file is missing or broken, the recording is another one, or does not reproduce
             the calibration.
     """
-    return written(calibration, output, bag, imu, compare, Stated(), progress)[0]
+    return written(calibration, output, bag, imu, as_list(compare), Stated(), progress)[0]
 
 
 def written(

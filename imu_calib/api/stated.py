@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +26,7 @@ from ..model.session_terms import Change, split_terms
 from ..plan import UNPLANNED, Plan, read_plan
 from ..stream import Floats
 from ..turntable import Table, read_table
-from ..units import DEG, point_for_comma
+from ..units import DEG
 from .named import Named, as_imu, as_plan, as_table
 
 if TYPE_CHECKING:
@@ -46,9 +45,6 @@ _ANYWHERE = 0.0
 """deg: assumed latitude, with the standard deviation `VAGUE`, if only gravity is stated for a unit
 in the hand. The error of the vertical Earth rate is then at most 15 deg/h in either hemisphere:
 0.008 deg in a turn of two seconds."""
-_NUMBERS = (
-    *('azimuth', 'latitude', 'latitude_std', 'height', 'height_std', 'gravity', 'gravity_std'),
-)
 
 
 @dataclass(frozen=True)
@@ -94,18 +90,6 @@ class Stated:
     terms: str | None = None
     serial: str | None = None
     mount: Floats | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse texts instead of numbers, which a notebook or a table of sessions may contain.
-
-        Raises:
-            InputError: Names the keyword, the value found, and what to write.
-        """
-        for name in _NUMBERS:
-            value = getattr(self, name)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
-                point = point_for_comma(value)
-                raise InputError(f'`{name}`: found {value!r}, expected a number.{point}')
 
     @property
     def _terms(self) -> str:

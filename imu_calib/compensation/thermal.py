@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from ..arguments import checked
 from ..calibration import Calibration, calibration_section
 from ..config import Section
 from ..errors import InputError
@@ -18,6 +19,7 @@ from ..imu import ImuSpec
 from ..paths import user_path, write_whole
 from ..stamping import StampingClock
 from ..stream import Floats
+from ..units import counted
 from ..yaml_text import dump, load
 
 _FORMAT = 1
@@ -144,6 +146,7 @@ class ThermalCalibration:
         text += dump({'calibrations': documents}, default_flow_style=None, width=200)
         return text
 
+    @checked
     def save(self, path: str | Path) -> None:
         """Write the file whole or not at all.
 
@@ -176,7 +179,8 @@ def combine(
     """
     if len(calibrations) < 2:
         raise InputError(
-            f'{where}Found {len(calibrations)} calibration, expected two or more to combine.'
+            f'{where}Found {counted(len(calibrations), "calibration")}, expected two or more to '
+            'combine.'
         )
     for calibration, name in zip(calibrations, names, strict=True):
         _check_temperature(calibration, name)

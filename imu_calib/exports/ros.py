@@ -18,7 +18,8 @@ def export(source: ExportSource) -> Exported:
     """
     if source.path is None:
         raise InputError(
-            "The format ros names the calibration's file: save the calibration and give its path."
+            "The format ros names the calibration's file: give its path, or `output`, beside which "
+            'one is written.'
         )
     document = {'/**': {'compensator_node': {'ros__parameters': {'calibration': str(source.path)}}}}
     head = (

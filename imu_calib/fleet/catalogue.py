@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+from ..arguments import checked
 from ..errors import InputError, NotObservable
 from ..extras import require
 from ..histories.sentences import listed
@@ -96,6 +97,7 @@ class Catalogue:
         InputError: There is none, it is of a newer version, or pyarrow is not installed.
     """
 
+    @checked
     def __init__(self, folder: str | Path, *, create: bool = False) -> None:
         require('pyarrow', 'A catalogue', 'fleet')
         self.folder = user_path(folder)
@@ -150,6 +152,7 @@ class Catalogue:
         tables = [_read(part) for part in self._parts()]
         return pa.concat_tables(tables) if tables else schema().empty_table()
 
+    @checked
     def query(self, sql: str) -> pa.Table:
         """Return the result of an SQL query; the table is called `rows`.
 
@@ -176,6 +179,7 @@ class Catalogue:
         finally:
             connection.close()
 
+    @checked
     def selected(self, where: str | None) -> pa.Table:
         """Return the rows that meet a condition in SQL; all without one.
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..api.named import Named, as_imu
+from ..api.named import Named, as_imu, as_list
+from ..arguments import checked
 from ..errors import InputError, NotObservable
 from ..histories.backtest import backtest
 from ..histories.results import USUAL, History, Rules, Sessions
@@ -29,6 +30,7 @@ _SIZE = len(PARAMETERS)
 _TEXTS = ('key', 'sha256', 'recording', 'serial', 'imu', 'lot', 'stand', 'status')
 
 
+@checked
 def history(
     catalogue: str | Path | Catalogue,
     *,
@@ -62,8 +64,7 @@ def history(
             f'{found.folder}: holds no calibration'
             f'{"" if where is None else f" for which {where}"}: there is no history.'
         )
-    given = [imu] if isinstance(imu, ImuSpec | str | Path) else list(imu)
-    whole = backtest(sessions, {**limits, **_limits_of(given)}, rules)
+    whole = backtest(sessions, {**limits, **_limits_of(as_list(imu))}, rules)
     whole = replace(whole, findings=(*whole.findings, *findings))
     if serial is None:
         return whole

@@ -14,6 +14,7 @@ import numpy as np
 from ..api.named import Named
 from ..api.outputs import output_path
 from ..api.progress import Progress, silent
+from ..arguments import checked
 from ..extras import require
 from ..histories.backtest import backtest
 from ..histories.results import USUAL, History, Rules, Sessions
@@ -33,6 +34,7 @@ _STEPS = 3
 """Steps of the progress: read, evaluate, write."""
 
 
+@checked
 def fleet_report(
     catalogue: str | Path | Catalogue,
     output: Named = 'fleet.html',

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from ..api.keywords import Session, with_keywords
+from ..api.named import as_list
 from ..api.progress import Progress, silent
 from ..api.stated import Stated
 from ..errors import InputError
@@ -102,7 +103,7 @@ def batch(
             Dask is not installed. Unreadable recordings are rows.
     """
     session = Stated(**stated)
-    listed = [sources] if isinstance(sources, str | Path) else list(sources)
+    listed = as_list(sources)
     jobs = find_jobs(listed, session, _units_file(imus, session))
     kept = Catalogue(catalogue, create=True)
     engine = Engine(scheduler, workers, memory)
