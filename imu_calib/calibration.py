@@ -52,7 +52,8 @@ if TYPE_CHECKING:
 _FORMAT = 1
 """Version of calibration.yaml; others are refused."""
 
-_RECORDINGS = {'.mcap', '.db3', '.bag'}
+_EXPECTED = 'a calibration file, which imu-calib calibrate makes of a recording'
+_RECORDINGS = {'.mcap', '.db3'}
 
 
 @dataclass(frozen=True, eq=False)
@@ -480,8 +481,8 @@ def calibration_section(path: str | Path) -> Section:
     file = user_path(path)
     inside = file.iterdir() if file.is_dir() else (file,)
     if any(one.suffix in _RECORDINGS for one in inside):
-        raise InputError(f'{file} is a recording; expected a calibration file.')
-    section = Section.load(file)
+        raise InputError(f'{file} is a recording, expected {_EXPECTED}.')
+    section = Section.load(file, _EXPECTED)
     if not section.has('format'):
         raise InputError(f"{file} is not a calibration file (the key 'format' is missing).")
     return section

@@ -11,8 +11,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 import yaml
+from yaml.reader import ReaderError
 
 from .errors import InputError
+from .other_formats import other_format
+from .share import named_file
 from .stream import Floats
 from .units import Dimension, parse, point_for_comma
 from .yaml_text import load
@@ -20,6 +23,16 @@ from .yaml_text import load
 T = TypeVar('T')
 
 _EXPONENTIAL = re.compile(r'[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+')
+
+
+_KINDS = {
+    'plans': 'the file of a plan',
+    'imus': 'the file of an IMU',
+    'tables': 'the file of a table',
+    'imperfections': 'the file of imperfections',
+    'devices': 'the file of a device',
+}
+"""What the files of a folder below config are."""
 
 
 class Section:
@@ -37,8 +50,12 @@ class Section:
         self.where = where
 
     @classmethod
-    def load(cls, path: Path) -> Section:
+    def load(cls, path: Path, expected: str = 'a YAML file') -> Section:
         """Read the mapping at the top of a YAML file.
+
+        Args:
+            path: The file.
+            expected: What it is to be, for the sentence on a recording in its place.
 
         Raises:
             InputError: Unreadable, not YAML, or not a mapping.
@@ -48,14 +65,33 @@ class Section:
         except OSError as error:
             raise InputError(f'{path}: cannot be read ({error.strerror}).') from None
         except UnicodeDecodeError:
-            raise InputError(f'{path}: found binary data, expected YAML text.') from None
-        return cls.parse(text, str(path))
+            sentence = f'{path}: found binary data, expected YAML text.'
+            raise InputError(other_format(path, expected) or sentence) from None
+        try:
+            return cls.parse(text, str(path))
+        except InputError as error:
+            raise InputError(other_format(path, expected) or str(error)) from None
+
+    @classmethod
+    def named(cls, kind: str, name: str | Path) -> Section:
+        """Read a file given by name or path.
+
+        Args:
+            kind: Folder below config, as of `named_file`.
+            name: A supplied name, or the path of a file.
+
+        Raises:
+            InputError: There is none, or as of `load`.
+        """
+        return cls.load(named_file(kind, name), _KINDS[kind])
 
     @classmethod
     def parse(cls, text: str, where: str) -> Section:
         """Read the mapping at the top of a YAML text."""
         try:
             return cls(load(text), where)
+        except ReaderError:
+            raise InputError(f'{where}: found binary data, expected YAML text.') from None
         except yaml.YAMLError as error:
             raise InputError(f'{where}: not YAML: {" ".join(str(error).split())}') from None
 

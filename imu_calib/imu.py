@@ -9,7 +9,6 @@ from typing import Any
 
 from .arguments import checked
 from .config import Section
-from .share import named_file
 from .specification import Specification, read_specification
 from .stream import Units
 from .units import PPM, Dimension
@@ -77,7 +76,7 @@ def load_imu(name: str | Path) -> ImuSpec:
     Raises:
         InputError: File, key, what was found and what was expected.
     """
-    return read_imu(Section.load(named_file('imus', name)))
+    return read_imu(Section.named('imus', name))
 
 
 def compensated_imu(spec: ImuSpec, gyro_gain: float, accel_gain: float) -> ImuSpec:

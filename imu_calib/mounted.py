@@ -96,7 +96,7 @@ def load_units(path: str | Path) -> tuple[MountedUnit, ...]:
         InputError: File, key, what was found and what was expected.
     """
     path = user_path(path)
-    return read_units(Section.load(path), path.parent)
+    return read_units(Section.load(path, 'the file of several units'), path.parent)
 
 
 def read_units(section: Section, folder: Path | None = None) -> tuple[MountedUnit, ...]:

@@ -8,16 +8,27 @@ from pathlib import Path
 from .errors import InputError
 
 
+_LONGEST = 100
+"""Characters of a path that are shown if the system refuses it, as it does names beyond 255."""
+
+
 def user_path(name: str | Path) -> Path:
     """Return a path with a leading `~` or `~user` expanded.
 
     Raises:
-        InputError: There is no such home folder.
+        InputError: There is no such home folder, or no file can have this name.
     """
     try:
-        return Path(name).expanduser()
+        path = Path(name).expanduser()
+        path.exists()
     except RuntimeError:
         raise InputError(f'{name}: there is no such home folder.') from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(
+            f'{str(name)[:_LONGEST]!r}: no file can be found there ({reason}).'
+        ) from None
+    return path
 
 
 def write_whole(path: Path, text: str) -> None:

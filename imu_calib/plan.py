@@ -12,7 +12,6 @@ from .arguments import checked
 from .config import Section
 from .errors import InputError
 from .rotations import rotation
-from .share import named_file
 from .stream import Floats, Mode
 from .turntable import TURN, Table
 from .units import DEG, Dimension, parse
@@ -220,7 +219,7 @@ def load_plan(name: str | Path) -> Plan:
     Raises:
         InputError: File, key, what was found and what was expected.
     """
-    return read_plan(Section.load(named_file('plans', name)))
+    return read_plan(Section.named('plans', name))
 
 
 def read_plan(section: Section) -> Plan:

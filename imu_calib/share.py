@@ -65,12 +65,9 @@ def named_file(kind: str, name: str | Path) -> Path:
     file = share_folder() / 'config' / kind / f'{path.name}.yaml'
     if file.is_file():
         return file
-    meant = ''
-    if path.exists():
-        meant = f' A file of yours ends in .yaml, or has a folder in its path: ./{path}.'
-    raise InputError(
-        f'No {kind.rstrip("s")} is called {str(name)!r}; there are: {shipped(kind)}.{meant}'
-    )
+    if path.is_file():
+        return path
+    raise InputError(f'No {kind.rstrip("s")} is called {str(name)!r}; there are: {shipped(kind)}.')
 
 
 def is_shipped(kind: str, name: str) -> bool:

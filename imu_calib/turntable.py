@@ -13,7 +13,6 @@ from .arguments import checked
 from .config import Section, numbers_of
 from .errors import InputError
 from .rotations import angle_about, rotation
-from .share import named_file
 from .stream import Floats
 from .table_errors import (
     FINEST,
@@ -338,7 +337,7 @@ def load_table(name: str | Path) -> Table:
     Raises:
         InputError: File, key, what was found and what was expected.
     """
-    return read_table(Section.load(named_file('tables', name)))
+    return read_table(Section.named('tables', name))
 
 
 def read_table(section: Section) -> Table:

@@ -377,7 +377,7 @@ def test_an_export_is_that_of_the_command(
     assert mine.read_text() == its.read_text() == done.text
     assert done.findings
     if kind == 'ros':
-        with pytest.raises(InputError, match='save the calibration and give its path'):
+        with pytest.raises(InputError, match='give its path, or `output`, beside which'):
             imu_calib.export(result, kind)
     else:
         again = imu_calib.export(result, kind, sample_rate=100.0, imu=load_imu('fog_medium'))
@@ -483,7 +483,7 @@ def test_a_calibration_that_follows_the_temperature_does_so_as_a_value_too(
     [
         (
             lambda: imu_calib.compare(None, None),
-            '`calibrations`: found None, expected a Result, a Calib',
+            '`calibrations`: found None, expected a Result',
         ),
         (lambda: imu_calib.load_imu(None), '`name`: found None, expected a text or a path.'),
         (lambda: imu_calib.calibrate(None), '`bag`: found None, expected a text or a path.'),

@@ -65,7 +65,7 @@ def certificate(
         )
     found = _single(calibration)
     if not isinstance(fields, Fields):
-        fields = read_fields(Section.load(user_path(fields)))
+        fields = read_fields(Section.load(user_path(fields), 'the fields of a certificate'))
     specification = None if imu is None else as_imu(imu).specification
     made = certificate_of(found, fields, specification, dcc='.xml' in kinds, draft=draft)
     html = certificate_page(made)

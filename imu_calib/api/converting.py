@@ -73,11 +73,11 @@ def convert(
     columns = {'stamp': stamp, 'gyro': gyro, 'accel': accel, 'joints': joints}
     columns |= {'temperature': temperature, 'rate': rate, 'accel_stamp': accel_stamp}
     columns |= {'accel_file': None if accel_file is None else str(accel_file)}
-    if path.suffix == '.bag' or path.is_dir() or path.suffix in {'.mcap', '.db3'}:
+    if path.suffix.lower() == '.bag' or path.is_dir() or path.suffix in {'.mcap', '.db3'}:
         given = [name for name, value in columns.items() if value is not None]
         if given:
             raise InputError(f'`{given[0]}` names columns of a text file; {path} is a recording.')
-        if path.suffix == '.bag':
+        if path.suffix.lower() == '.bag':
             return _from_ros1(path, target)
         if path.is_dir() and not any(is_storage(file) for file in path.iterdir()):
             raise InputError(f'{path} is a folder without a recording; name a file to convert.')

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..bags import AnyPath
 from ..errors import InputError
+from ..other_formats import CONVERTIBLE, other_format
 from ..stream import Floats
 from ..units import counted
 
@@ -72,7 +73,7 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
     written = [row for row in _decoded(path).splitlines() if row.strip()]
     lines = [row for row in written if not row.startswith(_COMMENTS)]
     if not lines:
-        raise InputError(f'{path}: holds no lines, expected a table of numbers.')
+        raise _no_table(path, 'holds no lines, expected a table of numbers.')
     if delimiter is not None and len(delimiter) != 1:
         raise InputError(f'`delimiter`: found {delimiter!r}, expected one character.')
     sample = lines[len(lines) // 2]
@@ -80,9 +81,10 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
     count = _usual_count(lines, between)
     first = next((k for k, row in enumerate(lines) if _is_row(row, between, count)), None)
     if first is None:
-        raise InputError(
-            f'{path}: no row of numbers found; a line of it is {sample[:60]!r}. Expected numbers '
-            'with commas, semicolons, tabs or blanks between them, or what `delimiter` names.'
+        raise _no_table(
+            path,
+            f'no row of numbers found; a line of it is {sample[:60]!r}. Expected numbers '
+            'with commas, semicolons, tabs or blanks between them, or what `delimiter` names.',
         )
     names, above = _heading(lines[:first], between), first
     if names:
@@ -116,13 +118,13 @@ def _decoded(path: AnyPath) -> str:
     try:
         return data.decode('utf-16' if data.startswith(_UTF_16) else 'utf-8-sig')
     except UnicodeDecodeError:
-        way = ''
-        if data.startswith(b'MATLAB'):
-            way = (
-                ' It is a file of MATLAB: writematrix there, or scipy.io.loadmat and numpy.savetxt '
-                'in Python, make text of it.'
-            )
-        raise InputError(f'{path}: is not a text file, expected a table of numbers.{way}') from None
+        raise _no_table(path, 'is not a text file, expected a table of numbers.') from None
+
+
+def _no_table(path: AnyPath, sentence: str) -> InputError:
+    """Return the error of a file without a table: by its ending what it is, else a sentence."""
+    known = None if path.suffix.lower() in CONVERTIBLE else other_format(path)
+    return InputError(known or f'{path}: {sentence}')
 
 
 def _heading(above: Sequence[str], delimiter: str | None) -> list[str]:

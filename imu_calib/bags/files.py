@@ -8,6 +8,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..other_formats import other_format
 from .codec import ZSTD_MAGIC, unpack_file
 from .mcap import McapStorage
 from .metadata import NAME, Metadata, read_metadata
@@ -16,17 +17,6 @@ from .storage import Losses, RecordingError, Storage
 
 _STORAGE = ('.mcap', '.db3')
 _PACKED = ('.zstd', '.zst')
-_OTHERS = {
-    '.bag': 'is a bag of ROS 1: imu-calib convert {path} -o OUT makes a recording of it.',
-    '.ulg': 'is a log of PX4: ulog2csv (pyulog) makes text files of it, and imu-calib convert a '
-    'recording of those.',
-    **dict.fromkeys(
-        ('.csv', '.txt', '.tsv', '.dat'),
-        'is a text file: imu-calib convert {path} -o OUT --stamp NAME:UNIT --gyro '
-        'NAME,NAME,NAME:UNIT --accel NAME,NAME,NAME:UNIT makes a recording of it.',
-    ),
-}
-"""Other formats of recordings, by file ending, and the way to convert them."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +62,8 @@ def find_files(path: AnyPath, losses: Losses) -> Found:
         InputError: Its connection was lost.
     """
     if path.is_file():
-        if (way := _OTHERS.get(path.suffix.lower())) is not None:
-            raise RecordingError(f'{path} {way.format(path=path)}')
+        if (sentence := other_format(path)) is not None:
+            raise RecordingError(sentence)
         if path.name == NAME:
             raise RecordingError(f'{path} describes a recording: give the folder that holds it.')
         return Found((path,), Metadata())

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from ..config import Section
 from ..errors import InputError
-from ..share import named_file
 from ..units import Dimension
 from .checks import FrameCheck, read_algorithm, read_number_order, read_order
 from .checksum import Checksums, checksums, fits
@@ -90,7 +89,7 @@ def load_format(name: str | Path) -> FrameFormat:
     Raises:
         InputError: File, key, what was found and what was expected.
     """
-    return read_format(Section.load(named_file('devices', name)))
+    return read_format(Section.named('devices', name))
 
 
 def read_format(section: Section) -> FrameFormat:

@@ -26,6 +26,7 @@ from ..errors import InputError, NotObservable
 from ..extras import require
 from ..histories.sentences import listed
 from ..model import PARAMETER_NAMES, PARAMETERS
+from ..other_formats import other_format
 from ..paths import user_path, write_whole
 from ..units import counted
 from .task import CALIBRATED, Done
@@ -108,10 +109,13 @@ class Catalogue:
             with self._written():
                 self._rows.mkdir(parents=True, exist_ok=True)
         elif not self._rows.is_dir():
-            raise InputError(
+            sentence = (
                 f'{self.folder}: is not a catalogue (it has no folder rows): imu-calib batch makes '
                 'one.'
             )
+            meant = 'the folder of a catalogue, which imu-calib batch makes of recordings'
+            other = other_format(self.folder, meant) if self.folder.is_file() else None
+            raise InputError(other or sentence)
 
     def keys(self, *, failed: bool = True) -> frozenset[str]:
         """Return the keys of all rows; without failed ones if these are to be retried."""

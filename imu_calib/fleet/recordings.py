@@ -17,14 +17,13 @@ from ..api.keywords import Session
 from ..api.stated import Stated
 from ..bags import AnyPath, RemotePath, is_url, located
 from ..errors import InputError
+from ..other_formats import CONVERTIBLE, other_format
 from ..paths import user_path
 from ..units import point_for_comma
 from ..yaml_text import load
 
 _STORAGE = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd', '.mcap.zst', '.db3.zst')
 _METADATA = 'metadata.yaml'
-_CONVERTIBLE = ('.csv', '.txt', '.tsv', '.dat', '.bag')
-"""Endings of files that imu-calib convert makes recordings of."""
 _MANIFESTS = ('.csv', '.yaml', '.yml')
 _RECORDING = 'recording'
 _LONGEST_HEADING = 10_000
@@ -117,6 +116,8 @@ def _jobs(source: str, usual: Job) -> Iterator[Job]:
             yield replace(usual, recording=str(recording))
     elif path.suffix.lower() in _MANIFESTS and path.name != _METADATA:
         yield from read_manifest(path, usual.stated, usual.imus)
+    elif path.is_file() and (sentence := other_format(path)) is not None:
+        raise InputError(sentence)
     elif path.exists():
         yield replace(usual, recording=str(path))
     elif glob.has_magic(source):
@@ -185,7 +186,7 @@ def convertible(sources: Iterable[str | Path]) -> list[Path]:
 
 def _is_convertible(path: Path) -> bool:
     """Return whether a file has such an ending, and is no manifest."""
-    if not path.is_file() or path.suffix.lower() not in _CONVERTIBLE:
+    if not path.is_file() or path.suffix.lower() not in CONVERTIBLE:
         return False
     with path.open(encoding='utf-8-sig', errors='replace') as file:
         heading = file.readline(_LONGEST_HEADING)
@@ -239,7 +240,11 @@ def _rows(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
         lines = text.splitlines()
         # If the comma is the decimal sign, spreadsheets use another delimiter.
         parts = max(',;\t', key=lines[0].count) if lines else ','
-        rows: list[Any] = list(csv.DictReader(lines, delimiter=parts, skipinitialspace=True))
+        table = csv.DictReader(lines, delimiter=parts, skipinitialspace=True)
+        if not set(COLUMNS) & set(table.fieldnames or ()):
+            # Not one column of a manifest: the text file of a recording.
+            raise InputError(str(other_format(path, f'a manifest with the column {_RECORDING}')))
+        rows: list[Any] = list(table)
         first = 2
     else:
         try:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from ..config import Section
 from ..errors import InputError
-from ..share import named_file
 from ..turntable import Table
 from ..units import Dimension
 from .options import (
@@ -31,7 +30,7 @@ def load_imperfections(
 
     Args and errors as for `read_imperfections`.
     """
-    section = Section.load(named_file('imperfections', name))
+    section = Section.named('imperfections', name)
     return read_imperfections(section, options, table, seed)
 
 
