@@ -113,16 +113,16 @@ class Calibration:
         """Standard deviations of `parameters`, SI units; NaN if not estimated."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Return one line; `to_dataframe` has the parameters."""
-        which = ' '.join([self.imu.id, self.serial_number]).strip()
         count = int(np.isfinite(self.std).sum())
         findings = counted(len(self.findings), 'finding')
-        return f'<Calibration of {which}: {count} parameters, {findings}>'
+        return f'<Calibration of {self.unit_name}: {count} parameters, {findings}>'
 
-    def _repr_pretty_(self, printer: Any, _: bool) -> None:
-        """Show one line in a notebook: `repr` has every element of the covariance."""
-        printer.text(str(self))
+    @property
+    def unit_name(self) -> str:
+        """Type and serial number of the unit, for people."""
+        return ' '.join([self.imu.id, self.serial_number]).strip()
 
     @property
     def values(self) -> Floats:

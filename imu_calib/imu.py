@@ -68,6 +68,10 @@ class ImuSpec:
     skewed: TriadSpec | None = None
     specification: Specification | None = None
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f'<ImuSpec {self.id}: {self.units.value}>'
+
 
 @checked
 def load_imu(name: str | Path) -> ImuSpec:

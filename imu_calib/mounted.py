@@ -68,6 +68,10 @@ class MountedUnit:
     truth: str = ''
     seed: int | None = None
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f'<MountedUnit {self.serial_number} of type {self.imu} on {self.topic}>'
+
     @property
     def name(self) -> str:
         """Namespace of its node and topics: unit_ and the serial number, as a ROS name."""

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from .errors import InputError
 
-
 _LONGEST = 100
 """Characters of a path that are shown if the system refuses it, as it does names beyond 255."""
 

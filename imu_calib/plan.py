@@ -14,7 +14,7 @@ from .errors import InputError
 from .rotations import rotation
 from .stream import Floats, Mode
 from .turntable import TURN, Table
-from .units import DEG, Dimension, parse
+from .units import DEG, Dimension, counted, parse
 
 COMPASS = {
     'E': (1.0, 0.0, 0.0),
@@ -118,6 +118,10 @@ class Plan:
     method: str
     positions: tuple[Position, ...]
     by_hand: bool = False
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f'<Plan {self.name}: {counted(len(self.positions), "position")}>'
 
     @property
     def is_stated(self) -> bool:

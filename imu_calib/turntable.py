@@ -24,7 +24,7 @@ from .table_errors import (
     leaning,
     read_error_sizes,
 )
-from .units import DEG, PPM, Dimension
+from .units import DEG, PPM, Dimension, counted
 
 TURN = 2 * math.pi
 """rad."""
@@ -99,6 +99,10 @@ class Table:
     assumed: tuple[str, ...] = ()
     raised: tuple[str, ...] = ()
     described: Table | None = None
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f'<Table {self.name}: {counted(len(self.joints), "joint")}>'
 
     @property
     def assumption(self) -> str:

@@ -118,7 +118,7 @@ def draw(calibration: Calibration) -> Picture:
         _name(axes, [calibration.parameters[k].name for k in members])
         axes.set_ylabel(unit)
         axes.set_title(_TRIADS[letter])
-    figure.suptitle(f'{_unit_of(calibration)}: bars of {_BAR:g} standard deviations')
+    figure.suptitle(f'{calibration.unit_name}: bars of {_BAR:g} standard deviations')
     return figure
 
 
@@ -141,7 +141,7 @@ def draw_residuals(calibration: Calibration) -> Picture:
         axes.set_ylabel(f'residual, {triad.rate}')
         axes.set_title(f'{triad.name}s')
         axes.legend()
-    figure.suptitle(f'{_unit_of(calibration)}: residuals of the static dwells')
+    figure.suptitle(f'{calibration.unit_name}: residuals of the static dwells')
     return figure
 
 
@@ -154,7 +154,7 @@ def draw_noise(calibration: Calibration) -> Picture:
     seen = calibration.noise
     if not any(len(noise.tau) for noise in seen.values()):
         raise InputError(
-            f'The calibration of {_unit_of(calibration)} carries no Allan deviation: its static '
+            f'The calibration of {calibration.unit_name} carries no Allan deviation: its static '
             'dwells are too short for one, as holds in a hand are. Lay the unit down for some '
             'minutes in one of them (docs/report.md).'
         )
@@ -174,7 +174,7 @@ def draw_noise(calibration: Calibration) -> Picture:
         axes.set_xlabel('averaging time, s')
         axes.set_ylabel(f'Allan deviation, {triad.rate}')
         axes.set_title(f'{triad.name}s')
-    figure.suptitle(f'{_unit_of(calibration)}: noise; dashed: random walk')
+    figure.suptitle(f'{calibration.unit_name}: noise; dashed: random walk')
     return figure
 
 
@@ -280,10 +280,6 @@ def _beside_normal(axes: Axes) -> None:
 def _name(axes: Axes, names: Sequence[str], first: int = 0) -> None:
     step = -(-len(names) // _NAMES)
     axes.set_xticks(range(first, first + len(names), step), names[::step], rotation=90)
-
-
-def _unit_of(calibration: Calibration) -> str:
-    return ' '.join([calibration.imu.id, calibration.serial_number]).strip()
 
 
 def _groups(parameters: tuple[Parameter, ...]) -> dict[tuple[str, str], list[int]]:

@@ -18,6 +18,7 @@ from ..metadata import serial_key
 from ..mounted import MountedUnit, load_units
 from ..stream import Floats
 from ..threads import by_one_thread
+from ..units import counted
 from .calibrating import documented, finished
 from .keywords import OfSeveral, with_keywords
 from .named import Named
@@ -50,6 +51,11 @@ class UnitResult:
     error: ImuCalibError | None = None
     imu: str = ''
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        outcome = self.error if self.result is None else self.result.calibration
+        return f'<UnitResult of {self.serial_number} on {self.topic}: {outcome}>'
+
 
 @dataclass(frozen=True, eq=False)
 class UnitResults:
@@ -66,6 +72,11 @@ class UnitResults:
     table: TableEstimate | None = None
     shared: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        failed = sum(unit.result is None for unit in self.units)
+        return f'<UnitResults of {counted(len(self.units), "unit")}, {failed} failed>'
 
     def __getitem__(self, serial_number: str) -> Result:
         """Return the result of a unit.

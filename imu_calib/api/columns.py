@@ -27,6 +27,7 @@ from ..stream import (
     TemperatureBlock,
     Units,
 )
+from ..units import counted
 from ..views import draw_columns
 
 if TYPE_CHECKING:
@@ -60,6 +61,13 @@ class Columns:
     columns: Mapping[str, NDArray[Any]]
     units: Mapping[str, str]
     losses: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return (
+            f'<Columns of {self.topic}: {counted(len(self), "message")}, '
+            f'{counted(len(self.columns), "column")}>'
+        )
 
     def __len__(self) -> int:
         return len(self.stamp)

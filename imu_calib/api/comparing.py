@@ -45,6 +45,14 @@ class Compared:
     side_by_side: SideBySide
     findings: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        count, differ = len(self.parameters), len(self.agreement.names)
+        return (
+            f'<Compared: {counted(len(self.names), "calibration")} by '
+            f'{counted(count, "parameter")}, of which {differ} differ>'
+        )
+
     @property
     def calibrations(self) -> tuple[Calibration, ...]:
         """Return the k calibrations with the nominal scale factors of the first."""

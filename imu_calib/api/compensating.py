@@ -27,6 +27,7 @@ from ..errors import InputError
 from ..imu import ImuSpec, compensated_imu
 from ..metadata import COMPENSATED, stream_description
 from ..stream import ImuBlock, Stamps
+from ..units import counted
 from .named import Named, as_applied
 from .outputs import new_folder, removed_on_failure
 from .progress import Progress, silent
@@ -70,6 +71,11 @@ class Compensated:
     samples_out: int
     marked: Mapping[Mark, int]
     findings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        findings = counted(len(self.findings), 'finding')
+        return f'<Compensated: {self.samples_out} samples in {self.path}, {findings}>'
 
 
 @checked

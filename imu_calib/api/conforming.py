@@ -12,6 +12,7 @@ from ..errors import InputError
 from ..imu import ImuSpec
 from ..reports.assessment import Assessed, assess, worst
 from ..specification import COVERAGE, Specification, Verdict
+from ..units import counted
 from .named import Named, as_calibration, as_combined, as_imu
 
 
@@ -24,6 +25,11 @@ class Conformity:
     """
 
     assessed: tuple[Assessed, ...]
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        verdict = 'no limits' if self.verdict is None else self.verdict.value
+        return f'<Conformity: {verdict}, {counted(len(self.assessed), "parameter")}>'
 
     @property
     def verdict(self) -> Verdict | None:

@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..imu import load_imu
 from ..share import named_file
 from ..stream import ImuBlock, Units
+from ..units import counted
 from .named import Named
 
 RAW, SI, JOINTS, TEMPERATURE = (
@@ -40,6 +41,11 @@ class Converted:
     path: Path
     counts: Mapping[str, int]
     findings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        messages = counted(sum(self.counts.values()), 'message')
+        return f'<Converted: {messages} in {self.path}, {counted(len(self.findings), "finding")}>'
 
 
 def described(imu: Named | None, raw: set[str]) -> dict[str, str]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ..bags import Recording, open_recording
 from ..errors import NotStated
 from ..metadata import COMPENSATED
+from ..units import counted
 from .keywords import Session, with_keywords
 from .named import Named
 from .opening import open_session
@@ -55,6 +56,11 @@ class Inspection:
     lost: tuple[str, ...] = ()
     streams: StreamContents | None = None
     missing_input: str = ''
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        topics = counted(len(self.topics), 'topic')
+        return f'<Inspection of {self.path}: {topics}, {self.seconds:.0f} s>'
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units except headings and latitudes (deg)."""

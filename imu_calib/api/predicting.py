@@ -35,7 +35,7 @@ from ..prediction import reach as shortest_dwells
 from ..prediction.optimise import Optimum
 from ..prediction.optimise import optimise as best_plan
 from ..threads import by_one_thread
-from ..units import DEG, parse
+from ..units import DEG, counted, parse
 from ..views import predicted_frame
 from .keywords import Optimised, Planned, with_keywords
 from .named import Named, as_imu, as_plan, as_truth
@@ -72,6 +72,14 @@ class Prediction:
     closed_form: Forecast | None
     terms: tuple[TermForecast, ...]
     changes: tuple[ChangeForecast, ...]
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        setup, count = self.setup, len(self.forecast.parameters)
+        return (
+            f'<Prediction of plan {setup.plan.name} with IMU {setup.imu.id}: '
+            f'{counted(count, "parameter")} by {self.forecast.method}>'
+        )
 
     @property
     def std(self) -> dict[str, float]:

@@ -16,6 +16,7 @@ from ..plan import Plan
 from ..repetition import Outcome, Study, economical, repeat
 from ..simulation import StandOptions
 from ..threads import by_one_thread
+from ..units import counted
 from ..views import draw_normalised, repeated_frame
 from .keywords import Planned, with_keywords
 from .named import Named, as_imu, as_plan, load_truth
@@ -41,6 +42,14 @@ class MonteCarloResult:
     setup: Setup
     outcome: Outcome
     findings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        setup, runs = self.setup, len(self.outcome.errors)
+        return (
+            f'<MonteCarloResult of plan {setup.plan.name} by {setup.method_name}: '
+            f'{counted(runs, "run")}>'
+        )
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return the statistics of the runs by parameter, as a pandas.DataFrame.

@@ -69,6 +69,10 @@ class Simulated:
     duration: float
     true_table: Path | None
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f'<Simulated: {self.duration:.0f} s of plan {self.plan.name} in {self.path}>'
+
 
 @with_keywords(AtSite)
 def simulate(

@@ -18,6 +18,7 @@ from ..mounted import TRUTHS, MountedUnit, load_units, spread_seeds
 from ..plan import Plan, load_plan
 from ..simulation import SeveralOnTable, SimulatedUnit
 from ..turntable import load_table
+from ..units import counted
 from .keywords import AtSite, with_keywords
 from .named import Named, as_imu, load_truth
 from .outputs import new_folder, removed_on_failure
@@ -49,6 +50,11 @@ class SimulatedUnits:
     truths: Mapping[str, Calibration]
     duration: float
     true_table: Path | None
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        units = counted(len(self.truths), 'unit')
+        return f'<SimulatedUnits: {self.duration:.0f} s of {units} in {self.path}>'
 
 
 @with_keywords(AtSite)

@@ -44,6 +44,10 @@ class StandRun:
     truth: Calibration
     true_table: Path | None
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f'<StandRun: {self.calibration} in {self.path}>'
+
 
 @with_keywords(keywords.StandRun)
 def stand(

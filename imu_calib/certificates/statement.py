@@ -11,6 +11,7 @@ from ..calibration import Calibration
 from ..errors import InputError
 from ..model import Parameter
 from ..specification import Specification
+from ..units import counted
 from .decision import WORST_LAST, Conformity, decide
 from .fields import Fields, missing
 
@@ -60,6 +61,11 @@ class Certificate:
     results: tuple[Stated, ...]
     missing: tuple[str, ...] = ()
     draft: bool = False
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        kind = 'a draft' if self.draft else counted(len(self.results), 'result')
+        return f'<Certificate of {self.calibration}: {kind}>'
 
     @property
     def conformity(self) -> Conformity | None:

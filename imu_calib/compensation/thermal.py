@@ -56,6 +56,11 @@ class ThermalCalibration:
     calibrations: tuple[Calibration, ...]
     order: int | None = None
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        points = ', '.join(f'{one:.1f}' for one in self.temperatures)
+        return f'<ThermalCalibration of {self.calibrations[0].unit_name}: at {points} degC>'
+
     @property
     def temperatures(self) -> Floats:
         """(k,) mean temperatures of the sessions, degrees Celsius."""

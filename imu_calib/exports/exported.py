@@ -12,6 +12,7 @@ from ..errors import InputError
 from ..imu import ImuSpec
 from ..model import Carried
 from ..stream import Units
+from ..units import counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,11 @@ class Exported:
 
     text: str
     findings: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        lines = counted(len(self.text.splitlines()), 'line')
+        return f'<Exported: {lines}, {counted(len(self.findings), "finding")}>'
 
 
 def left_out(calibration: Calibration, export: str) -> list[str]:

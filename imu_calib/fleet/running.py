@@ -14,6 +14,7 @@ from ..api.progress import Progress, silent
 from ..api.stated import Stated
 from ..errors import InputError
 from ..mounted import load_units
+from ..units import counted
 from ..workers import MEMORY, Engine, WorkerDied, outcomes
 from .catalogue import Catalogue
 from .recordings import OF_ONE, Job, convertible, find_jobs
@@ -58,6 +59,13 @@ class Batch:
     known_failed: int
     seconds: float
     convertible: tuple[Path, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return (
+            f'<Batch: {counted(self.recordings, "recording")}, {self.calibrated} calibrated, '
+            f'{self.failed} failed, {self.known} known, in {self.catalogue}>'
+        )
 
 
 @with_keywords(Session)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..specification import Verdict
 from ..stream import Floats
+from ..units import counted
 
 Dates = NDArray[np.datetime64]
 Flags = NDArray[np.bool_]
@@ -483,6 +484,11 @@ class History:
     populations: Mapping[str, Population]
     stands: Stands
     findings: tuple[str, ...] = field(default=())
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        kinds = counted(len(self.populations), 'type')
+        return f'<History of {counted(len(self.units), "unit")} of {kinds}>'
 
     @property
     def outside(self) -> tuple[UnitHistory, ...]:

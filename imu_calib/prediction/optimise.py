@@ -24,7 +24,7 @@ from ..plan import BODY_AXES, COMPASS, Plan, Position, RateTest
 from ..rotations import rotation
 from ..stream import Floats
 from ..turntable import Table
-from ..units import DEG
+from ..units import DEG, counted
 from .expected import expected
 from .forecast import state_at
 from .schedule import duration
@@ -84,6 +84,13 @@ class Optimum:
     attitudes: tuple[Attitude, ...]
     information: float
     seconds: float
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return (
+            f'<Optimum: {counted(len(self.plan.positions), "position")} in '
+            f'{self.seconds / 60:.1f} min>'
+        )
 
     def text(self, name: str) -> str:
         """Return the text of the plan's file, under a name."""

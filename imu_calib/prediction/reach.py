@@ -56,6 +56,11 @@ class Reached:
     forecast: Forecast
     wanted: Mapping[str, float]
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        total = sum(position.dwell for position in self.plan.positions)
+        return f'<Reached: plan {self.plan.name} with dwells of {total:.0f} s in all>'
+
 
 def reach(
     setup: Setup, truth: SensorModel, wanted: Mapping[str, float], azimuth: float | None = None
