@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +15,11 @@ from .errors import InputError, NotStated
 from .imu import ImuSpec, imu_text
 from .share import named_file
 from .stream import Floats
+from .turntable import Table
 from .units import DEG
+
+if TYPE_CHECKING:
+    from .plan import Plan
 
 SERIAL_NUMBER = 'imu_calib.serial_number'
 """Key of a recording's own entries: the unit's serial number."""
@@ -24,33 +30,47 @@ LEFT_OUT = 'imu_calib.left_out'
 COMPENSATED = 'imu_calib.compensated'
 """Key of the calibration file by which a recording was compensated."""
 
+TABLE = 'imu_calib.table'
+"""Key of the text of the table's file; empty if there is none."""
+
 _INTERPOLATED = 'imu_calib.accel_interpolated_from_hz'
 _IMU = 'imu_calib.imu'
 _LATITUDE = 'imu_calib.latitude_deg'
 
 
 def describe(
-    plan: str, imu: str, table: str | None, site: Site, serial_number: str = ''
+    plan: str | Path | Plan,
+    imu: str | Path | ImuSpec,
+    table: str | Path | Table | None,
+    site: Site,
+    serial_number: str = '',
 ) -> dict[str, str]:
     """Return a recording's own entries: full texts of the files, and the site.
 
+    A value has no text, and whoever reads the recording must be given it.
+
     Args:
-        plan: Name or file of the plan.
-        imu: Name or file of the IMU.
-        table: Name or file of the table; None if the unit is held by hand.
+        plan: Name or file of the plan, or a value.
+        imu: Likewise.
+        table: Likewise; None if the unit is held by hand.
         site: Site of the recording.
         serial_number: Of the unit; empty if not stated.
 
     Raises:
         InputError: One of the files does not exist.
     """
-    files = {'plan': named_file('plans', plan), 'imu': named_file('imus', imu)}
-    if table is not None:
-        files['table'] = named_file('tables', table)
+    texts = {
+        f'imu_calib.{kind}': named_file(f'{kind}s', name).read_text(encoding='utf-8')
+        for kind, name in (('plan', plan), ('imu', imu), ('table', table))
+        if isinstance(name, str | Path)
+    }
+    if isinstance(table, Table):
+        # Otherwise the usual table would be assumed.
+        texts[TABLE] = ''
     unit = {SERIAL_NUMBER: serial_number} if serial_number else {}
     described = {
         **unit,
-        **{f'imu_calib.{what}': path.read_text(encoding='utf-8') for what, path in files.items()},
+        **texts,
         _LATITUDE: repr(site.latitude / DEG),
         'imu_calib.latitude_std_deg': repr(site.latitude_std / DEG),
         'imu_calib.gravity': repr(site.gravity),

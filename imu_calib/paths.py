@@ -19,9 +19,11 @@ def user_path(name: str | Path) -> Path:
     """
     try:
         path = Path(name).expanduser()
-        path.exists()
+        path.stat()
     except RuntimeError:
         raise InputError(f'{name}: there is no such home folder.') from None
+    except (FileNotFoundError, NotADirectoryError):
+        return path
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise InputError(

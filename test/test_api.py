@@ -187,6 +187,84 @@ def test_what_is_not_installed_is_asked_for(
         imu_calib.read(folder / 'bag', '/imu/pulses').to_dataframe()
 
 
+def test_a_simulation_takes_values_and_its_recording_asks_for_them(
+    folder: Path, result: imu_calib.Result, tmp_path: Path
+) -> None:
+    plan, imu = load_plan(folder / 'brief.yaml'), load_imu('fog_medium')
+    table = imu_calib.load_table('three_axis')
+    bag = imu_calib.simulate(
+        plan, tmp_path / 'bag', imu=imu, table=table, seed=3, latitude=34.65
+    ).path
+    with pytest.raises(InputError, match=r'does not state its table.*give `table`'):
+        imu_calib.calibrate(bag)
+    # Pulses in the place of SI units.
+    with pytest.raises(imu_calib.ImuCalibError):
+        imu_calib.calibrate(bag, table=table)
+    again = imu_calib.calibrate(bag, plan=plan, imu=imu, table=table)
+    assert again.calibration.values.tolist() == result.calibration.values.tolist()
+    with pytest.raises(InputError, match='`imu`: found a value of the type ImuSpec, expected a te'):
+        imu_calib.stand('six_position', tmp_path / 'stand', imu=imu)  # type: ignore[arg-type]
+
+
+def test_one_calibration_is_a_list_of_one(result: imu_calib.Result, tmp_path: Path) -> None:
+    result.calibration.save(tmp_path / 'c.yaml')
+    others = replace(result.calibration, serial_number='B')
+    others.save(tmp_path / 'b.yaml')
+    with pytest.raises(InputError, match='serial_number: found B, expected A'):
+        imu_calib.report(
+            replace(result.calibration, serial_number='A'),
+            tmp_path / 'r.html',
+            compare=tmp_path / 'b.yaml',
+        )
+    for one in (tmp_path / 'c.yaml', str(tmp_path / 'c.yaml'), result):
+        with pytest.raises(InputError, match='Found 1 calibration, expected two or more'):
+            imu_calib.combine(one)
+        with pytest.raises(InputError, match='Found 1 calibration, expected two or more'):
+            imu_calib.compare(one)
+    with pytest.raises(InputError, match='Found 0 calibrations, expected two or more'):
+        imu_calib.combine([])
+
+
+def test_ros_takes_a_result_whose_file_is_written_beside(
+    result: imu_calib.Result, tmp_path: Path
+) -> None:
+    imu_calib.export(result, 'ros', tmp_path / 'node.yaml')
+    file = tmp_path / 'node_calibration.yaml'
+    assert f'calibration: {file}' in (tmp_path / 'node.yaml').read_text()
+    assert Calibration.load(file).values.tolist() == result.calibration.values.tolist()
+
+
+def test_every_result_is_shown_in_one_line(
+    folder: Path, result: imu_calib.Result, tmp_path: Path
+) -> None:
+    plan = folder / 'brief.yaml'
+    result.calibration.save(tmp_path / 'c.yaml')
+    prediction = imu_calib.predict(plan, 'fog_medium')
+    shown = [
+        result,
+        result.calibration,
+        prediction,
+        imu_calib.reach(plan, 'fog_medium', {'D_gx': '0.5 deg/h'}),
+        imu_calib.montecarlo(plan, runs=1, terms='none'),
+        imu_calib.read(folder / 'bag', '/imu/pulses'),
+        imu_calib.inspect(folder / 'bag'),
+        imu_calib.compare(result, tmp_path / 'c.yaml'),
+        imu_calib.conformity(result, 'fog_navigation'),
+        imu_calib.export(result, 'c'),
+        imu_calib.compensate(folder / 'bag', result, tmp_path / 'compensated'),
+        imu_calib.verify(result, folder / 'bag'),
+        imu_calib.load_plan(plan),
+        imu_calib.load_imu('fog_medium'),
+        imu_calib.load_table('three_axis'),
+    ]
+    for one in shown:
+        assert re.fullmatch(rf'<{type(one).__name__}\b.{{9,200}}>', repr(one)), repr(one)
+    assert repr(result.calibration) == str(result.calibration)
+    assert repr(prediction) == (
+        '<Prediction of plan twelve_position with IMU fog_medium: 24 parameters by joint>'
+    )
+
+
 def test_results_are_shown_in_a_line(folder: Path, result: imu_calib.Result) -> None:
     assert re.fullmatch(
         r'<Result: <Calibration of .*: 24 parameters, \d+ findings?> of \d+ static dwells and '

@@ -16,9 +16,10 @@ from ..calibration import Calibration
 from ..cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints, encode_temperatures
 from ..earth import LUOYANG
 from ..errors import InputError
+from ..imu import ImuSpec
 from ..metadata import describe
 from ..methods import check_plan
-from ..plan import Plan, load_plan
+from ..plan import Plan
 from ..simulation import SimulatedStand, StandOptions, load_imperfections
 from ..simulation.hand import as_planned
 from ..simulation.stand import IMU_TOPIC, TEMPERATURE_TOPIC
@@ -31,9 +32,9 @@ from ..stream import (
     Stamps,
     TemperatureBlock,
 )
-from ..turntable import Table, load_table
+from ..turntable import Table
 from .keywords import AtSite, with_keywords
-from .named import Named, as_imu, load_truth
+from .named import Named, as_imu, as_plan, as_table, load_truth
 from .outputs import new_folder, removed_on_failure
 from .progress import Progress, silent
 from .stated import TRUE_TABLE, Stated, azimuth_of
@@ -76,11 +77,11 @@ class Simulated:
 
 @with_keywords(AtSite)
 def simulate(
-    plan: Named,
+    plan: Plan | Named,
     output: Named,
     *,
-    imu: Named = 'fog_medium',
-    table: Named | None = None,
+    imu: ImuSpec | Named = 'fog_medium',
+    table: Table | Named | None = None,
     truth: Calibration | Named = 'cao2022_table1',
     azimuth: float | None = None,
     bias_instability: bool = False,
@@ -96,10 +97,11 @@ def simulate(
     """Simulate a session and write its recording.
 
     Args:
-        plan: Name or file.
+        plan: Name, file or value. A value is not written to the recording, and `calibrate` must be
+            given it.
         output: Folder to create.
-        imu: Name or file: units and noise of the IMU's samples.
-        table: Name or file; None for the three-axis table, and for none if the plan is by hand.
+        imu: Likewise: units and noise of the IMU's samples.
+        table: Likewise; None for the three-axis table, and for none if the plan is by hand.
         truth: The unit's true parameters.
         azimuth: True heading of the table's zero against north, about up, deg.
         bias_instability: Let the biases drift by the IMU's figure.
@@ -127,11 +129,11 @@ def simulate(
     spec = as_imu(imu)
     # Errors are relative to nominal scale factors: those of this unit.
     true = replace(load_truth(truth, spec), imu=spec)
-    steps = load_plan(plan)
+    steps = as_plan(plan)
     check_plan(steps.method, steps, place)
     named = None if steps.by_hand else table or _TABLE
     blocks: Iterator[tuple[str, Block]]
-    stands = None if named is None else load_table(named)
+    stands = None if named is None else as_table(named)
     stated = options_of(
         stands,
         azimuth,
@@ -149,7 +151,7 @@ def simulate(
     else:
         stand = SimulatedStand(steps, stands, spec, true.model, place, stated, seed)
         duration, blocks = stand.duration, stand.blocks()
-    data = describe(str(plan), str(imu), None if named is None else str(named), place, serial or '')
+    data = describe(plan, imu, named, place, serial or '')
     with removed_on_failure(target):
         with RecordingWriter(target, data, compression) as writer:
             write_blocks(writer, blocks, duration, progress)
@@ -258,7 +260,7 @@ def _in_the_hand(
             yield TEMPERATURE_TOPIC, TemperatureBlock(stamp, options.warming.celsius(times))
 
 
-def _refuse_table(plan: Plan, table: Named | None, azimuth: float | None) -> None:
+def _refuse_table(plan: Plan, table: Table | Named | None, azimuth: float | None) -> None:
     """Refuse options of a table for a plan without one."""
     for name, found in (('table', table), ('azimuth', azimuth)):
         if found is not None:

@@ -15,12 +15,12 @@ from ..errors import InputError
 from ..metadata import describe, mount_description, shared_description, unit_description
 from ..methods import check_plan
 from ..mounted import TRUTHS, MountedUnit, load_units, spread_seeds
-from ..plan import Plan, load_plan
+from ..plan import Plan
 from ..simulation import SeveralOnTable, SimulatedUnit
-from ..turntable import load_table
+from ..turntable import Table
 from ..units import counted
 from .keywords import AtSite, with_keywords
-from .named import Named, as_imu, load_truth
+from .named import Named, as_imu, as_plan, as_table, load_truth
 from .outputs import new_folder, removed_on_failure
 from .progress import Progress, silent
 from .simulating import options_of, save_true_table, write_blocks
@@ -59,11 +59,11 @@ class SimulatedUnits:
 
 @with_keywords(AtSite)
 def simulate_units(
-    plan: Named,
+    plan: Plan | Named,
     output: Named,
     imus: Named | Sequence[MountedUnit],
     *,
-    table: Named | None = None,
+    table: Table | Named | None = None,
     truth: Calibration | Named = _TRUTH,
     azimuth: float | None = None,
     bias_instability: bool = False,
@@ -78,10 +78,10 @@ def simulate_units(
     """Simulate a session of several units on one table and write its recording.
 
     Args:
-        plan: Name or file; one of a table.
+        plan: Name, file or value; one of a table.
         output: Folder to create.
         imus: File of the units (docs/files/units.md), or the units.
-        table: Name or file; None for the three-axis table.
+        table: Name, file or value; None for the three-axis table.
         truth: True parameters of the units that state none.
         azimuth: As for `simulate`, as are all that follow.
         bias_instability: Of every unit, by its own figure.
@@ -104,13 +104,13 @@ def simulate_units(
     target = new_folder(output)
     listed = load_units(imus) if isinstance(imus, str | Path) else tuple(imus)
     place = Stated(**site).site(LUOYANG)
-    steps = load_plan(plan)
+    steps = as_plan(plan)
     check_plan(steps.method, steps, place)
     if steps.by_hand:
         raise InputError(
             f'`imus`: plan {steps.name} is run by hand, without a table: expected one unit (`imu`).'
         )
-    stands = load_table(table or _TABLE)
+    stands = as_table(table or _TABLE)
     options = options_of(
         stands,
         azimuth,
@@ -128,7 +128,7 @@ def simulate_units(
         unit = SimulatedUnit(one.topic, spec, true.model, one.mount, one.lever, own_seed)
         units.append(unit)
     stand = SeveralOnTable(steps, stands, units, place, options, seed)
-    data = shared_description(describe(str(plan), str(listed[0].imu), str(table or _TABLE), place))
+    data = shared_description(describe(plan, listed[0].imu, table or _TABLE, place))
     for one in listed:
         data |= unit_description(one.topic, one.imu, one.serial_number)
         if one.turned:

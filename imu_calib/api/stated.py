@@ -9,11 +9,12 @@ import numpy as np
 
 from ..config import Section
 from ..earth import MEASURED, Site
-from ..errors import InputError
+from ..errors import InputError, NotStated
 from ..gravity import VAGUE
 from ..imu import ImuSpec, read_imu
 from ..metadata import (
     SERIAL_NUMBER,
+    TABLE,
     described_imu,
     described_mount,
     described_site,
@@ -251,9 +252,14 @@ def mounted_on(table: Table, stated: Stated, recording: Recording, topic: str) -
 
 def table_of(stated: Stated, recording: Recording) -> Table:
     """Return the stated table, that of the recording, or the three-axis table."""
-    text = recording.custom_data.get('imu_calib.table')
+    text = recording.custom_data.get(TABLE)
     if stated.table is not None or text is None:
         return stated.simulated_table()
+    if not text:
+        raise NotStated(
+            f'{recording.path} does not state its table, which was a value without a file: give '
+            '`table`.'
+        )
     return stated.at_azimuth(read_table(Section.parse(text, f'{recording.path}: its table')))
 
 
