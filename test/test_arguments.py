@@ -120,6 +120,12 @@ def test_the_sentence_names_the_keyword_what_was_found_and_what_was_expected(
     assert str(caught.value) == sentence
 
 
+def test_a_stand_that_is_a_command_names_keywords_too(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r'^`speed`: found -1') as caught:
+        imu_calib.stand('six_position', tmp_path / 'stand', speed=-1.0)
+    assert '--' not in str(caught.value)
+
+
 def test_what_numpy_and_python_call_a_number_is_one() -> None:
     @checked
     def both(rate: 'float', runs: 'int' = 1) -> float:

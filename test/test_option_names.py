@@ -24,7 +24,7 @@ OTHERS = {
     'middleware/dds/arguments.py': 'options of ROS',
     'middleware/dds/context.py': 'options of ROS',
     'exports/ros.py': 'a command of ROS',
-    'bags/files.py': 'a whole command',
+    'other_formats.py': 'a whole command',
     'fleet/history.py': 'a whole command',
     'api/standing.py': 'runs a command',
     'middleware/ros_action_types.py': 'a command of ROS',

@@ -325,7 +325,7 @@ def test_what_is_no_calibration_file_is_said(
     ):
         assert main([*map(str, words)]) == 2
         errors = ' '.join(capsys.readouterr().err.split())
-        assert f'{recording} is a recording; expected a calibration file.' in errors
+        assert f'{recording} is a recording, expected a calibration file, which' in errors
     imu = folder / 'wide.imu.yaml'
     assert main(['report', str(imu)]) == 2
     errors = ' '.join(capsys.readouterr().err.split())

@@ -13,6 +13,7 @@ from imu_calib import ImuCalibError, InputError, NotObservable
 from imu_calib.api.stated import TRUE_TABLE
 from imu_calib.cli import resume, stand_session
 from imu_calib.cli.main import main
+from imu_calib.cli.terminal import as_options
 from imu_calib.share import named_file
 
 try:
@@ -53,7 +54,7 @@ def test_it_says_what_the_command_says(tmp_path: Path, capsys: pytest.CaptureFix
         imu_calib.stand('six_position', tmp_path / 'stand', method='six_position')
     words = ['six_position', '--method', 'six_position', '-o', str(tmp_path / 'stand')]
     assert main(['stand', *words]) == 1
-    assert capsys.readouterr().err == f'imu-calib stand: {refused.value}\n'
+    assert capsys.readouterr().err == f'imu-calib stand: {as_options(str(refused.value))}\n'
     assert 'need north' in str(refused.value)
     assert not (tmp_path / 'stand').exists()
 

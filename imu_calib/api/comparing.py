@@ -180,7 +180,7 @@ def compare(
     called = tuple(names or _names(calibrations))
     if len(called) != len(calibrations):
         raise InputError(
-            f'`names`: found {len(called)}, expected {len(calibrations)}, one for each calibration.'
+            f'names: found {len(called)}, expected {len(calibrations)}, one for each calibration.'
         )
     own = [_single(one) for one in calibrations]
     compared = side_by_side(own)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -105,7 +107,7 @@ def stand(
     folder = user_path(output)
     given = {name.replace('_', '-'): value for name, value in options.items()}
     words = [f'--{name}={value}' for name, value in given.items() if value is not None]
-    _run(['stand', f'--output={folder}', *words, '--', str(plan)])
+    _run(['stand', f'--output={folder}', *words, '--', str(plan)], options)
     drawn = folder / TRUE_TABLE
     return StandRun(
         folder,
@@ -116,8 +118,8 @@ def stand(
     )
 
 
-def _run(words: list[str]) -> None:
-    """Run a command line in a process that ends with this one."""
+def _run(words: list[str], keywords: Collection[str]) -> None:
+    """Run a command line in a process that ends with this one; its errors name keywords."""
     process = subprocess.Popen(
         [sys.executable, '-m', 'imu_calib.lifetime', sys.executable, '-m', _COMMAND, *words],
         stdin=subprocess.DEVNULL,
@@ -138,4 +140,6 @@ def _run(words: list[str]) -> None:
     if process.returncode == 128 + signal.SIGINT:
         raise KeyboardInterrupt
     text = errors.rpartition('imu-calib stand: ')[2].strip()
+    for name in keywords:
+        text = re.sub(rf'--{name.replace("_", "-")}\b(?!-)', f'`{name}`', text)
     raise _ERRORS.get(process.returncode, ImuCalibError)(text)
