@@ -17,7 +17,6 @@ Returned = TypeVar('Returned')
 
 _ALIASES = {
     'Named': 'str | Path',
-    'AnyPath': 'Path | RemotePath',
     'AnyCalibration': 'Calibration | ThermalCalibration',
     'Progress': 'Callable',
 }

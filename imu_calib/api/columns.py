@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arguments import checked
-from ..bags import AnyPath, Recording, Topic, open_recording
+from ..bags import Recording, Topic, open_recording
 from ..cdr import Kind
 from ..config import Section
 from ..errors import InputError
@@ -111,11 +112,11 @@ class Columns:
 
 
 @overload
-def read(bag: str | AnyPath, topic: str) -> Columns: ...
+def read(bag: str | Path, topic: str) -> Columns: ...
 @overload
-def read(bag: str | AnyPath, topic: None = None) -> dict[str, Columns]: ...
+def read(bag: str | Path, topic: None = None) -> dict[str, Columns]: ...
 @checked
-def read(bag: str | AnyPath, topic: str | None = None) -> Columns | dict[str, Columns]:
+def read(bag: str | Path, topic: str | None = None) -> Columns | dict[str, Columns]:
     """Read topics of a recording into memory.
 
     Args:
@@ -130,18 +131,27 @@ def read(bag: str | AnyPath, topic: str | None = None) -> Columns | dict[str, Co
         InputError: Nothing can be read, or there is no such topic; the available ones are listed.
     """
     with open_recording(bag) as recording:
-        topics = {t.name: t for t in recording.topics if t.type in _READ}
-        if topic is None:
-            return {name: _columns(recording, t) for name, t in topics.items() if t.count != 0}
-        name = topic if topic.startswith('/') else f'/{topic}'
-        found = topics.get(topic, topics.get(name))
-        if found is None:
-            listed = ', '.join(f'{t.name} ({t.type})' for t in recording.topics)
-            raise InputError(
-                f'{recording.path}: no topic {topic} of a type that is understood '
-                f'({", ".join(_READ)}); its topics: {listed}.'
-            )
-        return _columns(recording, found)
+        if topic is not None:
+            return columns_of(recording, topic)
+        read_types = [t for t in recording.topics if t.type in _READ and t.count != 0]
+        return {t.name: _columns(recording, t) for t in read_types}
+
+
+def columns_of(recording: Recording, topic: str) -> Columns:
+    """Return a topic of an open recording; as `read`.
+
+    Raises:
+        InputError: There is no such topic.
+    """
+    names = {topic, f'/{topic}'}
+    found = next((t for t in recording.topics if t.name in names and t.type in _READ), None)
+    if found is None:
+        listed = ', '.join(f'{t.name} ({t.type})' for t in recording.topics)
+        raise InputError(
+            f'{recording.path}: no topic {topic} of a type that is understood '
+            f'({", ".join(_READ)}); its topics: {listed}.'
+        )
+    return _columns(recording, found)
 
 
 def _columns(recording: Recording, topic: Topic) -> Columns:

@@ -10,7 +10,7 @@ from ..bags import AnyPath, Recording, RecordingWriter, open_recording
 from ..errors import InputError
 from ..metadata import interpolation_description
 from ..stream import Floats, ImuBlock, Stamps
-from .columns import read
+from .columns import columns_of
 from .converted import RAW_UNITS, SI, Converted, described, write_imu
 from .named import Named
 from .progress import Progress
@@ -42,7 +42,8 @@ def joined(
         InputError: The topics hold too few samples, or pulses; or the joined topic exists.
     """
     statements = described(imu, set())
-    rates, forces = read(path, gyro_topic), read(path, accel_topic)
+    with open_recording(path) as recording:
+        rates, forces = (columns_of(recording, topic) for topic in (gyro_topic, accel_topic))
     for columns in (rates, forces):
         if (unit := next(iter(columns.units.values()))) in RAW_UNITS:
             raise InputError(
