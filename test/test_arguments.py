@@ -126,6 +126,15 @@ def test_a_stand_that_is_a_command_names_keywords_too(tmp_path: Path) -> None:
     assert '--' not in str(caught.value)
 
 
+def test_nothing_in_place_of_several_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r'^`reach`: found no parameter'):
+        imu_calib.reach('six_position', 'fog_medium', {})
+    with pytest.raises(InputError, match=r'^`imus`: found no unit, expected one or more'):
+        imu_calib.simulate_units('six_position', tmp_path / 'bag', [])
+    with pytest.raises(InputError, match=r'^/: is a folder, expected the name of a file'):
+        imu_calib.export(tmp_path, 'c', '/')
+
+
 def test_what_numpy_and_python_call_a_number_is_one() -> None:
     @checked
     def both(rate: 'float', runs: 'int' = 1) -> float:

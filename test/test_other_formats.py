@@ -26,7 +26,7 @@ CONVERTED = {
     '.txt': 'its columns are t, wx, wy. Say which are which',
 }
 """convert knows the way itself."""
-NO_FILE = {'keystore': 'the folder of keys is created', 'kind': 'one of some words'}
+NO_FILE = {'keystore': 'the folder of keys is created'}
 """Arguments that name no file to be read, and why."""
 
 
@@ -72,8 +72,6 @@ def command_line(name: str, argument: str, file: Path) -> list[str]:
             continue
         value = file if action.dest == argument else STATED.get(action.dest, file.parent / 'x.html')
         words += [*action.option_strings[-1:], str(value)]
-        if action.dest == argument == 'files':
-            words.append(str(STATED['files']))
     return words
 
 

@@ -15,13 +15,13 @@ from ..calibrator.shared_results import SharedResults, estimate_together
 from ..errors import ImuCalibError, InputError
 from ..estimation.several import TableEstimate
 from ..metadata import serial_key
-from ..mounted import MountedUnit, load_units
+from ..mounted import MountedUnit
 from ..stream import Floats
 from ..threads import by_one_thread
 from ..units import counted
 from .calibrating import documented, finished
 from .keywords import OfSeveral, with_keywords
-from .named import Named
+from .named import Named, as_units
 from .opening import Opened, recording_at, session_of
 from .progress import Progress, silent
 from .stated import Stated
@@ -223,10 +223,9 @@ class _Unit:
 
 def _listed(recording: Recording, imus: Named | Sequence[MountedUnit] | None) -> tuple[_Unit, ...]:
     if imus is not None:
-        units = load_units(imus) if isinstance(imus, str | Path) else imus
         return tuple(
             _Unit(u.serial_number, u.topic, u.place, u.imu, u.mount if u.turned else None)
-            for u in units
+            for u in as_units(imus)
         )
     topics, data = units_of(recording), recording.custom_data
     if not topics:

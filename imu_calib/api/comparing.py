@@ -173,6 +173,7 @@ def compare(
         InputError: There are fewer than two, a file cannot be read or is of several temperatures,
             or the streams have different units.
     """
+    own = [_single(one) for one in calibrations]
     if len(calibrations) < _FEWEST:
         raise InputError(
             f'Found {counted(len(calibrations), "calibration")}, expected two or more to compare.'
@@ -182,7 +183,6 @@ def compare(
         raise InputError(
             f'names: found {len(called)}, expected {len(calibrations)}, one for each calibration.'
         )
-    own = [_single(one) for one in calibrations]
     compared = side_by_side(own)
     findings = []
     if any(shown is not one for shown, one in zip(compared.calibrations, own, strict=True)):

@@ -13,6 +13,7 @@ from ..exports import EXPORTS, Exported, ExportSource
 from ..imu import ImuSpec
 from ..paths import user_path, write_whole
 from .named import Named, as_applied, as_imu
+from .outputs import output_path
 
 if TYPE_CHECKING:
     from ..calibrator import Result
@@ -54,7 +55,7 @@ def export(
     path = None
     if isinstance(calibration, str | Path):
         path = user_path(calibration).absolute()
-    target = None if output is None else user_path(output)
+    target = None if output is None else output_path(output)
     if target is not None and path is not None and target.resolve() == path.resolve():
         raise InputError(f'`output`: {target} is the calibration itself.')
     loaded, name = as_applied(calibration if path is None else path)

@@ -16,6 +16,7 @@ from ..compensation.thermal import (
 )
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu
+from ..mounted import MountedUnit, load_units
 from ..plan import Plan, load_plan
 from ..share import named_file
 from ..turntable import Table, load_table
@@ -48,6 +49,18 @@ def as_imu(imu: ImuSpec | Named) -> ImuSpec:
 def as_table(table: Table | Named) -> Table:
     """Return a table given by name or value."""
     return table if isinstance(table, Table) else load_table(table)
+
+
+def as_units(imus: Named | Sequence[MountedUnit]) -> tuple[MountedUnit, ...]:
+    """Return several units given by file or value.
+
+    Raises:
+        InputError: The file is broken, or there is no unit.
+    """
+    units = load_units(imus) if isinstance(imus, str | Path) else tuple(imus)
+    if not units:
+        raise InputError('`imus`: found no unit, expected one or more.')
+    return units
 
 
 def as_calibration(calibration: Result | Calibration | Named) -> Calibration:

@@ -287,6 +287,8 @@ def shortest(
     Raises:
         InputError: No such parameter, no valid standard deviation, or one that no dwell can reach.
     """
+    if not wanted:
+        raise InputError('`reach`: found no parameter, expected NAME=STD of one at least.')
     parameters = {p.name: p for p in listed(setup)}
     read = dict(_wanted(name, value, parameters) for name, value in wanted.items())
     one = partial(shortest_dwells, setup, truth)

@@ -14,13 +14,13 @@ from ..earth import LUOYANG
 from ..errors import InputError
 from ..metadata import describe, mount_description, shared_description, unit_description
 from ..methods import check_plan
-from ..mounted import TRUTHS, MountedUnit, load_units, spread_seeds
+from ..mounted import TRUTHS, MountedUnit, spread_seeds
 from ..plan import Plan
 from ..simulation import SeveralOnTable, SimulatedUnit
 from ..turntable import Table
 from ..units import counted
 from .keywords import AtSite, with_keywords
-from .named import Named, as_imu, as_plan, as_table, load_truth
+from .named import Named, as_imu, as_plan, as_table, as_units, load_truth
 from .outputs import new_folder, removed_on_failure
 from .progress import Progress, silent
 from .simulating import options_of, save_true_table, write_blocks
@@ -102,7 +102,7 @@ def simulate_units(
     if seed < 0:
         raise InputError(f'`seed`: found {seed}, expected 0 or more.')
     target = new_folder(output)
-    listed = load_units(imus) if isinstance(imus, str | Path) else tuple(imus)
+    listed = as_units(imus)
     place = Stated(**site).site(LUOYANG)
     steps = as_plan(plan)
     check_plan(steps.method, steps, place)
