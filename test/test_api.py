@@ -1,6 +1,7 @@
 """The suite from Python: the same results, and the same sentences, as the commands."""
 
 import argparse
+import enum
 import inspect
 import json
 import re
@@ -263,6 +264,44 @@ def test_every_result_is_shown_in_one_line(
     assert repr(prediction) == (
         '<Prediction of plan twelve_position with IMU fog_medium: 24 parameters by joint>'
     )
+
+
+def test_every_class_is_shown_in_one_line(result: imu_calib.Result) -> None:
+    known, here = result.calibration, Path('there')
+    plan = load_plan('six_position')
+    warm = {**known.provenance, 'temperature': {'mean': 20.0, 'lowest': 19.0, 'highest': 21.0}}
+    failed = imu_calib.UnitResult('A1', '/imu', '', None, InputError('Why.'))
+    shown: dict[object, str] = {
+        imu_calib.ThermalCalibration((replace(known, provenance=warm),)): (
+            'ThermalCalibration of fog_medium: at 20.0 degC'
+        ),
+        imu_calib.Optimum(plan, (), 0.0, 90.0): 'Optimum: 6 positions in 1.5 min',
+        imu_calib.Simulated(here, plan, known, 60.0, None): (
+            'Simulated: 60 s of plan six_position in there'
+        ),
+        imu_calib.SimulatedUnits(here, plan, {'A1': known}, 60.0, None): (
+            'SimulatedUnits: 60 s of 1 unit in there'
+        ),
+        imu_calib.StandRun(here, here, known, known, None): f'StandRun: {known} in there',
+        imu_calib.Certificate(None, known, None, ()): f'Certificate of {known}: 0 results',
+        imu_calib.History(None, None, (), {}, None): 'History of 0 units of 0 types',
+        imu_calib.Batch(here, 4, 1, 2, 1, 0, 3.0): (
+            'Batch: 4 recordings, 1 calibrated, 2 failed, 1 known, in there'
+        ),
+        failed: 'UnitResult of A1 on /imu: Why.',
+        imu_calib.UnitResults((failed,)): 'UnitResults of 1 unit, 1 failed',
+        imu_calib.MountedUnit('A1', 'si', '/imu'): 'MountedUnit A1 of type si on /imu',
+    }
+    for one, line in shown.items():
+        assert repr(one) == f'<{line}>'
+    # Converted holds a mapping, by which no dictionary can have it as a key.
+    assert repr(imu_calib.Converted(here, {'/imu': 2}, ('Why.',))) == (
+        '<Converted: 2 messages in there, 1 finding>'
+    )
+    for name in imu_calib.__all__:
+        one = getattr(imu_calib, name)
+        if inspect.isclass(one) and not issubclass(one, Exception | enum.Enum):
+            assert str(one.__repr__.__doc__).startswith('Return one line'), name
 
 
 def test_results_are_shown_in_a_line(folder: Path, result: imu_calib.Result) -> None:

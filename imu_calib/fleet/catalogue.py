@@ -117,6 +117,10 @@ class Catalogue:
             other = other_format(self.folder, meant) if self.folder.is_file() else None
             raise InputError(other or sentence)
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f'<Catalogue in {self.folder}>'
+
     def keys(self, *, failed: bool = True) -> frozenset[str]:
         """Return the keys of all rows; without failed ones if these are to be retried."""
         self._look()
