@@ -22,7 +22,7 @@ from ..observation.information import (
     nominal_information,
     segments_in_words,
 )
-from ..observation.modulation import check_temperature, courses, shapes
+from ..observation.modulation import check_temperature, courses, outermost, shapes
 from ..stream import Floats
 from .converge import least_squares
 
@@ -177,6 +177,8 @@ def _by_shape(equations: Equations, state: Floats, course: Course) -> tuple[Floa
         return start + step, float(remains @ remains)
 
     tried = shapes(equations.evidence, course)
+    if course is Course.STEP:
+        tried = np.union1d(tried, outermost(equations.evidence))
     found = [stepped(shape) for shape in tried.tolist()]
     states = np.array([state for state, _ in found])
     squares = np.array([square for _, square in found])

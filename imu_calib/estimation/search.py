@@ -26,7 +26,7 @@ from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.information import determined, nominal_information
 from ..stream import Floats
 from .changing import with_changes, with_shape
-from .converge import NotConverged
+from .converge import NotConverged, linear_step
 from .estimate import Estimate, estimate
 from .fit import fit
 from .score import (
@@ -49,6 +49,8 @@ CHANCE = 1e-3
 _APART = 9.0
 """Difference of chi-square below which two families explain a session equally well: a factor of 90
 in the likelihood, as `excess` requires for scatter."""
+
+_STEP = Family(Course.STEP.value, course=Course.STEP)
 
 _AT_ONCE = 3
 """Families that are tried before one of them is accepted; the others wait until it is on."""
@@ -195,7 +197,23 @@ def search_terms(
         NotObservable: Names what the session cannot observe.
     """
     start = _Model(evidence, parameters, changes)
-    first = start.estimate()
+    try:
+        search = _searched(start, start.estimate(), look=look)
+    except NotConverged:
+        stepped = _with_a_step(start) if look else None
+        if stepped is None:
+            raise
+        return stepped
+    contradictory = search.estimate.downweighted_outputs or search.broken_off
+    if look and contradictory and not any(one.family == _STEP for one in search.found):
+        stepped = _with_a_step(start)
+        if stepped is not None and _size_of(stepped) < _size_of(search):
+            return replace(stepped, before_search=search.before_search)
+    return search
+
+
+def _searched(start: _Model, first: Estimate, *, look: bool) -> Search:
+    """Search as `search_terms` does, from the estimate by the model alone."""
     noisy = first.equations.own_variances.max() > SMALLEST_VARIANCE
     rejected = set[Family]()
     broken_off = False
@@ -218,6 +236,46 @@ def search_terms(
         rejected |= {one.family for one in found} - {one.family for one in kept}
     search = _concluded(first, (), first, weigh=find_terms and noisy)
     return replace(search, broken_off=True) if broken_off else search
+
+
+def _with_a_step(start: _Model) -> Search | None:
+    """Search with a step on from the beginning; None where it is not significant.
+
+    Biases that step by hundreds of deviations leave residuals for which nothing converges without
+    the step, and a smaller step sets outputs next to it aside, without which it is not seen.
+    """
+    if _STEP not in families(Equations(start.evidence, start.parameters, start.changes)):
+        return None
+    step = Found(_STEP, 0.0)
+    stepping = start.with_found([step])
+    try:
+        first = stepping.estimate()
+        if not _confirmed(start, first, first, [step]):
+            return None
+        search = _searched(stepping, first, look=True)
+    except NotObservable:
+        return None
+    others = [replace(one, spares=0) for one in search.found]
+    kept = _confirmed(start, search.estimate, search.estimate, [step, *others])
+    if not kept or kept[0].family != _STEP:
+        return None
+    return _concluded(search.estimate, (kept[0], *search.found), first, weigh=True)
+
+
+def _size_of(search: Search) -> float:
+    """Return chi-square plus twice the number of coefficients, by the noise known beforehand.
+
+    Each output that is set aside has a coefficient of its own, and a step one for its instant.
+
+    Source: Akaike 1974, IEEE Trans. Automat. Contr. 19, 716.
+    """
+    current = search.estimate
+    plain = current.without_scatter
+    jacobian, residuals = plain.whitened(current.state)
+    remains = residuals - jacobian @ linear_step(jacobian, residuals)
+    coefficients = len(plain.parameters) + len(plain.changes) + current.downweighted_outputs
+    stepping = any(change.course is Course.STEP for change in plain.changes)
+    return float(remains @ remains) + 2 * (coefficients + stepping)
 
 
 def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found, ...]:

@@ -48,6 +48,16 @@ def shapes(evidence: Evidence, course: Course) -> Floats:
     return np.asarray(tried[(tried >= first) & (tried <= last)] / ends.max())
 
 
+def outermost(evidence: Evidence) -> Floats:
+    """Return the first and last instant of a step that is on, (2,) of the session.
+
+    With one dwell or turn before it: the next, in which it may be, shows its instant.
+    """
+    starts, ends = spans(evidence)
+    count = len(evidence.segments) + len(evidence.turns)
+    return np.array([ends[:count].min(), starts[:count].max()]) / ends.max()
+
+
 def spans(evidence: Evidence) -> tuple[Floats, Floats]:
     """Return start and end of each dwell, turn and move, (s + t + m,) s since the first began."""
     starts, ends = _instants(evidence)
