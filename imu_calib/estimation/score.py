@@ -34,7 +34,7 @@ from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..observation.equations import Equations
 from ..observation.information import Information, useful_limit, with_nominal_attitudes
 from ..observation.modulation import columns as modulated
-from ..observation.modulation import shapes, warms
+from ..observation.modulation import interrupted, shapes, warms
 from ..stream import Floats
 from ..table_errors import TableErrors
 from ..units import ARCMIN, ARCSEC, DEG, MICRO_G
@@ -352,7 +352,7 @@ class WhitenedResiduals:
 
     def score(self, family: Family, patterns: Sequence[Pattern]) -> Score:
         """Test a family by its `columns_of`: the most significant, as one of so many."""
-        return most_significant(self.scores(family, patterns))
+        return most_significant(self.scores(family, patterns), tries_of(family, self.equations))
 
     def scores(self, family: Family, patterns: Sequence[Pattern]) -> list[Score]:
         """Test a family by each of its `columns_of`."""
@@ -386,10 +386,34 @@ class WhitenedResiduals:
         )
 
 
-def most_significant(scores: Sequence[Score]) -> Score:
-    """Return the most significant of the tests of a family, as one of so many."""
-    best = min(range(len(scores)), key=lambda k: scores[k].log_p)
-    return replace(scores[best], tries=len(scores), chosen=best)
+def most_significant(scores: Sequence[Score], tries: Sequence[int] = ()) -> Score:
+    """Return the most significant of the tests of a family, as one of so many.
+
+    Args:
+        scores: One or more.
+        tries: Of each (`tries_of`); the number of all by default.
+    """
+    each = [
+        replace(score, tries=n) for score, n in zip(scores, tries or [1] * len(scores), strict=True)
+    ]
+    best = min(range(len(each)), key=lambda k: each[k].log_p)
+    return replace(each[best], tries=tries[best] if tries else len(scores), chosen=best)
+
+
+def tries_of(family: Family, equations: Equations) -> list[int]:
+    """Return among how many patterns each of a family is one; empty for the number of all.
+
+    Of a step, where the stream was interrupted, half of the chance of a false detection is that of
+    the instants within interruptions, and half that of all others (weighted Bonferroni: Genovese et
+    al. 2006, Biometrika 93, 509).
+    """
+    if family.course is not Course.STEP:
+        return []
+    within = interrupted(equations.evidence)
+    if not within.any() or within.all():
+        return []
+    inside, outside = int(within.sum()), int((~within).sum())
+    return [2 * inside if yes else 2 * outside for yes in within]
 
 
 _WHOLE = 1e-3

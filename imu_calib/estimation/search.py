@@ -24,6 +24,7 @@ from ..model.session_terms import Change, Course
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.information import determined, nominal_information
+from ..observation.modulation import interrupted
 from ..stream import Floats
 from .changing import with_changes, with_shape
 from .converge import NotConverged, linear_step
@@ -39,6 +40,7 @@ from .score import (
     most_significant,
     scores_of,
     shapes_of,
+    tries_of,
     values_of,
 )
 from .undecided_drifts import UndecidedDrifts, undecided
@@ -453,7 +455,7 @@ def _concluded(
     drifting = {f: with_drift.scores(f, columns[f]) for f in of_session}
     others = {f: columns[f] for f in off if f not in of_session}
     scores = scores_of(others, equations, state)
-    scores |= {f: most_significant(its) for f, its in drifting.items()}
+    scores |= {f: most_significant(its, tries_of(f, equations)) for f, its in drifting.items()}
     scores = {f: scores[f] for f in off}
     m, n = len(equations.outputs), equations.sensors
     gain = current.gain[:n, :m]
@@ -470,9 +472,8 @@ def _concluded(
         undecided_covariance += _by_alternatives(current, one)
     drifts = UndecidedDrifts({}, np.zeros((n, n)))
     if weigh:
-        drifts = undecided(
-            {f: list(zip(drifting[f], map(slopes, columns[f]), strict=True)) for f in of_session}, n
-        )
+        every = {f: list(zip(drifting[f], map(slopes, columns[f]), strict=True)) for f in drifting}
+        drifts = undecided(every, n, interrupted(equations.evidence))
     return Search(
         current,
         found,

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from ..model.session_terms import Course
 from ..stream import Floats
@@ -31,6 +32,11 @@ _ODDS_OF_A_STEP = 1 / 1000
 notice. Where scale factors are known by pairs of dwells alone a step that is not seen could move
 them by tens of standard deviations: with odds of 1/20 it widens those of a sound session 2.4 times,
 with these by 5 %."""
+
+_ODDS_IF_INTERRUPTED = 1 / 2
+"""The same of a step in one of a session's interruptions, a judgement: of three interruptions of a
+second or more two are of the line or of the program that reads it, and one is of the unit's
+power."""
 
 _LEAST = 1e-9
 """Chi-square below which the integrals are evaluated at this value: they are smooth there."""
@@ -54,12 +60,17 @@ Possible = tuple[Score, Floats]
 (k,), (n, k) in SI units."""
 
 
-def undecided(courses: Mapping[Family, Sequence[Possible]], count: int) -> UndecidedDrifts:
+def undecided(
+    courses: Mapping[Family, Sequence[Possible]],
+    count: int,
+    interrupted: NDArray[np.bool_] | None = None,
+) -> UndecidedDrifts:
     """Weight courses against each other and against none.
 
     Args:
         courses: With their time constants, each equally likely beforehand.
         count: n of the parameters.
+        interrupted: Which instants of a step lie in an interruption, where it is likelier.
     """
     logs: dict[Family, float] = {}
     covariances: dict[Family, Floats] = {}
@@ -68,8 +79,11 @@ def undecided(courses: Mapping[Family, Sequence[Possible]], count: int) -> Undec
         if not tested:
             continue
         each = np.array([log_bayes_factor(*_square(score)) for score, _ in tested])
+        odds = _ODDS
+        if family.course is Course.STEP:
+            odds = _ODDS_OF_A_STEP
+            each += np.log(_times(interrupted, [score.tested for score, _ in every]))
         total = float(np.logaddexp.reduce(each))
-        odds = _ODDS_OF_A_STEP if family.course is Course.STEP else _ODDS
         logs[family] = float(np.log(odds / len(every))) + total
         covariances[family] = sum(
             (
@@ -84,6 +98,20 @@ def undecided(courses: Mapping[Family, Sequence[Possible]], count: int) -> Undec
     for family, share in probability.items():
         covariance += share * covariances[family]
     return UndecidedDrifts(probability, covariance)
+
+
+def _times(interrupted: NDArray[np.bool_] | None, tested: Sequence[bool]) -> Floats:
+    """Return how many times likelier a step is at each tested instant than without interruptions.
+
+    Args:
+        interrupted: As in `undecided`.
+        tested: Whether each instant is.
+    """
+    times = np.ones(len(tested))
+    if interrupted is not None and interrupted.any():
+        within = _ODDS_IF_INTERRUPTED / interrupted.sum()
+        times[interrupted] = within / (_ODDS_OF_A_STEP / len(tested))
+    return np.asarray(times[np.array(tested, dtype=bool)])
 
 
 def _square(score: Score) -> tuple[float, int]:

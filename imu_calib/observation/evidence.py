@@ -79,6 +79,7 @@ class Evidence:
         free: Whether the attitudes are unknown: they are then estimated, and moves join them.
         coarse: Whether to use velocities of moves with little information beside the dwells: for
             parameters that only motion determines.
+        interruptions: As in `Segmented`: the unit may have been switched off and on there.
     """
 
     segments: tuple[Segment, ...]
@@ -98,6 +99,7 @@ class Evidence:
     thermal: Floats = field(default_factory=lambda: np.zeros((2, 2)))
     free: bool = False
     coarse: bool = False
+    interruptions: tuple[tuple[int, int], ...] = ()
 
     @classmethod
     def of(
@@ -131,6 +133,7 @@ class Evidence:
             imu.units,
             session.temperature,
             thermal_of(imu),
+            interruptions=session.interruptions,
         )
 
     def with_moves(self, moves: tuple[Move, ...]) -> Evidence:

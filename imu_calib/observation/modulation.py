@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import NotObservable
 from ..model import Parameter, ParameterKind
@@ -34,18 +35,32 @@ def shapes(evidence: Evidence, course: Course) -> Floats:
     """Return the grid of what shapes a course: time constant or instant, (k,) of the session.
 
     A step is tried where each part of the session begins and in its middle, with at least two
-    dwells or turns before it and two after: at a single one it could not be told from an outlier. 1
-    for a course without a shape.
+    dwells or turns before it and two after: at a single one it could not be told from an outlier;
+    and in the middle of each interruption of the stream. 1 for a course without a shape.
     """
     if course is Course.WARM_UP:
         return TIME_CONSTANTS
     if course is not Course.STEP:
         return np.ones(1)
     starts, ends = spans(evidence)
-    tried = np.unique(np.concatenate([starts, (starts + ends) / 2]))
+    silent = _interruptions(evidence).mean(axis=1)
+    tried = np.unique(np.concatenate([starts, (starts + ends) / 2, silent]))
     count = len(evidence.segments) + len(evidence.turns)
     first, last = np.sort(ends[:count])[:2].max(), np.sort(starts[:count])[-2:].min()
     return np.asarray(tried[(tried >= first) & (tried <= last)] / ends.max())
+
+
+def interrupted(evidence: Evidence) -> NDArray[np.bool_]:
+    """Return which instants of a step in `shapes` lie in an interruption of the stream, (k,)."""
+    tried = shapes(evidence, Course.STEP) * spans(evidence)[1].max()
+    last, begins = _interruptions(evidence).T[..., None]
+    return np.asarray(((last <= tried) & (tried <= begins)).any(axis=0))
+
+
+def _interruptions(evidence: Evidence) -> Floats:
+    """Return last and first instant of each interruption, (k, 2) s since the first part began."""
+    stamps = np.array(evidence.interruptions, dtype=np.int64).reshape(-1, 2)
+    return np.asarray((stamps - _instants(evidence)[0].min()) * 1e-9)
 
 
 def outermost(evidence: Evidence) -> Floats:
@@ -55,7 +70,7 @@ def outermost(evidence: Evidence) -> Floats:
     """
     starts, ends = spans(evidence)
     count = len(evidence.segments) + len(evidence.turns)
-    return np.array([ends[:count].min(), starts[:count].max()]) / ends.max()
+    return np.asarray(np.array([ends[:count].min(), starts[:count].max()]) / ends.max())
 
 
 def spans(evidence: Evidence) -> tuple[Floats, Floats]:
