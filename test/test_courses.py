@@ -17,6 +17,8 @@ from imu_calib.observation.modulation import (
     columns,
     courses,
     instant_of,
+    interrupted,
+    outermost,
     rates,
     reference,
     seconds_of,
@@ -54,6 +56,7 @@ def session(temperature: Temperature | None = None) -> Any:
         links=SimpleNamespace(links=[SimpleNamespace(move=move)]),
         layout=SimpleNamespace(segment=np.array([0, 1, 1, 2, 3])),
         temperature=temperature,
+        interruptions=(),
     )
 
 
@@ -127,6 +130,17 @@ def test_a_step_is_tried_where_parts_begin_and_in_their_middle() -> None:
     assert not len(shapes(held, Course.STEP))
     held.turns.append(SimpleNamespace(start=EPOCH + 120 * NS, end=EPOCH + 132 * NS))
     assert (shapes(held, Course.STEP) * 132.0).tolist() == pytest.approx([100.0])
+    assert not interrupted(held).any()
+    # A stream that was silent from the 91st second to the 99th, and one before the session.
+    held.interruptions = tuple(
+        (EPOCH + a * NS, EPOCH + b * NS) for a, b in ((-20, -10), (91, 99), (99, 103))
+    )
+    assert (shapes(held, Course.STEP) * 132.0).tolist() == pytest.approx([95.0, 100.0])
+    assert interrupted(held).tolist() == [True, True]
+    held.interruptions = held.interruptions[:2]
+    assert interrupted(held).tolist() == [True, False]
+    # One that is on may be in the second part, or in the last but one.
+    assert (outermost(held) * 132.0).tolist() == pytest.approx([40.0, 120.0])
     assert shapes(held, Course.TREND).tolist() == [1.0]
     assert instant_of(held, 0.5) == EPOCH + 66 * NS
     assert seconds_of(held, 0.5) == 66.0

@@ -26,6 +26,7 @@ from imu_calib.estimation.score import (
     log_f,
     most_significant,
     shapes_of,
+    tries_of,
     with_parameters,
 )
 from imu_calib.estimation.search import (
@@ -37,8 +38,10 @@ from imu_calib.estimation.search import (
     _limit,
     _Model,
     _restored,
+    _searched,
     _shown,
     _size,
+    _size_of,
     _under_own_scatter,
     search_terms,
 )
@@ -504,13 +507,100 @@ def test_what_is_not_confirmed_is_rejected_and_the_search_begins_again(
     monkeypatch.setattr(
         module, '_concluded', lambda last, kept, plain, weigh: (last, kept, plain, weigh)
     )
-    found: Any = search_terms(first.equations.evidence)
+    start = _Model(first.equations.evidence, PARAMETERS)
+    found: Any = _searched(start, first, look=True)
     # The last of three leaves the session open; of the other two one is not significant.
     assert tried == [set(), {'accel_cubic'}, {'accel_cubic', 'gyro_asymmetry'}]
     assert found == (trial, (Found(CUBIC, -9.0),), first, True)
-    assert search_terms(first.equations.evidence, find_terms=False) == (first, (), first, False)
+    assert _searched(start, first, look=False) == (first, (), first, False)
     monkeypatch.setattr(module, '_shown', lambda *_: ())
-    assert search_terms(first.equations.evidence) == (first, (), first, True)
+    assert _searched(start, first, look=True) == (first, (), first, True)
+
+
+def test_a_step_is_tried_where_nothing_else_converges_or_outputs_are_set_aside(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def ended(down: int = 0, **more: Any) -> Search:
+        one = estimated(down=down)
+        return Search(
+            one, (), {}, 1e-4, np.zeros((24, 24)), {}, {}, one, np.zeros((24, 24)), **more
+        )
+
+    sizes: dict[int, float] = {}
+    monkeypatch.setattr(module, '_size_of', lambda search: sizes[id(search.estimate)])
+    monkeypatch.setattr(_Model, 'estimate', lambda _: estimated())
+    evidence, stepped = stated().evidence, ended()
+    tried: list[bool] = []
+
+    def with_a_step(_: Any) -> Any:
+        tried.append(True)
+        return stepped
+
+    monkeypatch.setattr(module, '_with_a_step', with_a_step)
+
+    def searched(answer: Search | None, *, look: bool = True) -> Any:
+        def search(*_: Any, **__: Any) -> Search:
+            if answer is None:
+                raise NotConverged('no end')
+            return answer
+
+        monkeypatch.setattr(module, '_searched', search)
+        return search_terms(evidence, look=look)
+
+    assert searched(None) is stepped
+    with pytest.raises(NotConverged):
+        searched(None, look=False)
+    tried.clear()
+    sound = ended()
+    assert searched(sound) is sound
+    named = replace(ended(down=3), found=(Found(STEP, -9.0),))
+    assert searched(named) is named
+    assert searched(aside := ended(down=3), look=False) is aside
+    assert not tried
+    for other in (ended(down=3), ended(broken_off=True)):
+        sizes = {id(other.estimate): 200.0, id(stepped.estimate): 199.9}
+        found = searched(other)
+        assert (found.estimate, found.before_search) == (stepped.estimate, other.estimate)
+        sizes[id(stepped.estimate)] = 200.1
+        assert searched(other) is other
+    stepped = None  # type: ignore[assignment]
+    assert searched(other) is other
+    with pytest.raises(NotConverged):
+        searched(None)
+
+
+def test_an_explanation_is_as_large_as_its_chi_square_and_its_coefficients() -> None:
+    equations = stated()
+    state = equations.nominal()
+    jacobian, residuals = equations.whitened(state)
+    remains = residuals - jacobian @ np.linalg.lstsq(jacobian, residuals, rcond=None)[0]
+    of: Any = SimpleNamespace
+    one = of(state=state, without_scatter=equations, downweighted_outputs=3)
+    size = float(remains @ remains) + 2 * (24 + 3)
+    assert _size_of(of(estimate=one)) == pytest.approx(size, abs=1e-6)
+    held = replace(equations, changes=session_term('step'), shape=1e-9)
+    stepping = of(state=np.append(state, np.zeros(6)), without_scatter=held, downweighted_outputs=0)
+    # At its very beginning a step has no effect, but six coefficients and an instant.
+    size = float(remains @ remains) + 2 * (24 + 6 + 1)
+    assert _size_of(of(estimate=stepping)) == pytest.approx(size, rel=1e-3)
+
+
+def test_a_step_in_an_interruption_is_one_of_few() -> None:
+    equations = stated()
+    instants = shapes_of(STEP, equations)
+    assert tries_of(STEP, equations) == tries_of(TREND, equations) == []
+    parts = [*equations.evidence.segments, *equations.evidence.turns]
+    whole = (min(p.start for p in parts), max(p.end for p in parts))
+    middle = whole[0] + round((whole[1] - whole[0]) * float(instants[5] + instants[6]) / 2)
+    gap = ((middle - 1000, middle + 1000),)
+    cut = replace(equations, evidence=replace(equations.evidence, interruptions=gap))
+    tries = tries_of(STEP, cut)
+    assert len(tries) == len(shapes_of(STEP, cut)) == len(instants) + 1
+    # Half of the chance is for the one, half for all others.
+    assert tries == [*[2 * len(instants)] * 6, 2, *[2 * len(instants)] * (len(instants) - 6)]
+    scores = [score(20.0), score(19.0), score(10.0)]
+    found = most_significant(scores, [100, 2, 2])
+    assert (found.statistic, found.tries, found.chosen) == (19.0, 2, 1)
 
 
 def test_a_search_that_comes_to_no_end_is_said_to_be_broken_off(
