@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from other_world import DEG, World
 from sessions import SITE, gathered, quick_plan, session, stand, truth
 from sessions import fed as fed_blocks
@@ -20,7 +21,9 @@ from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.cdr import Kind
 from imu_calib.cli.main import main
 from imu_calib.compensation.thermal import ThermalCalibration, by_temperature, load_calibration
+from imu_calib.config import Section
 from imu_calib.errors import InputError, NotObservable
+from imu_calib.estimation.converge import NotConverged
 from imu_calib.estimation.estimate import Estimate, estimate
 from imu_calib.estimation.score import families
 from imu_calib.estimation.term_tests import TermState, summary
@@ -31,12 +34,13 @@ from imu_calib.model import PARAMETER_NAMES, PARAMETERS, named_terms
 from imu_calib.model.session_terms import Course, split_terms
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.modulation import rates, spans
+from imu_calib.observation.modulation import instant_of, rates, spans
 from imu_calib.segmentation.thermometer import Temperature
 from imu_calib.share import named_file
-from imu_calib.simulation import WarmUp
-from imu_calib.stream import Floats, TemperatureBlock
-from imu_calib.turntable import load_table
+from imu_calib.simulation import BiasStep, SimulatedStand, StandOptions, WarmUp
+from imu_calib.stream import Floats, ImuBlock, TemperatureBlock
+from imu_calib.table_errors import ASSUMED
+from imu_calib.turntable import load_table, read_table
 
 DEG_H, MICRO_G, PPM = DEG / 3600, 9.80665e-6, 1e-6
 RISE = 10 / 3600
@@ -482,3 +486,96 @@ def test_a_drift_is_asked_of_no_plan_as_what_it_tells_of_it_is_shown_anyway(
     asked = ['plans', 'twelve_position', '--imu', 'fog_navigation', '--terms', 'trend']
     assert main(asked) == 2
     assert 'trend, warm_up and step are predicted without being named' in capsys.readouterr().err
+
+
+def stepped_session(
+    grade: str, step: BiasStep, seed: int, silent: tuple[float, float] | None = None
+) -> tuple[Evidence, Floats]:
+    """Twelve positions on a table of which nothing is stated, and the mean unit of the session.
+
+    No samples are recorded in the `silent` seconds, as of a unit that is switched off and on.
+    """
+    known = yaml.safe_load(named_file('tables', 'three_axis').read_text(encoding='utf-8'))
+    left = {key: value for key, value in known.items() if key not in ASSUMED}
+    table, spec = read_table(Section(left, 'three_axis')), load_imu(grade)
+    plan, unit = quick_plan('twelve_position', 40.0), truth().model
+    options = StandOptions(positioning_error=0.0, bias_step=step)
+    run = SimulatedStand(plan, table, spec, unit, SITE, options, seed)
+    calibrator = Calibrator(Setup(spec, plan, table, SITE))
+    begin = options.start_time
+    for _, block in run.blocks():
+        if isinstance(block, ImuBlock) and silent is not None:
+            seconds = (block.stamp - begin) * 1e-9
+            for kept in (seconds < silent[0], seconds > silent[1]):
+                parts = (block.stamp[kept], block.gyro[kept], block.accel[kept])
+                calibrator.feed(ImuBlock(*parts, block.frame_id))
+        else:
+            calibrator.feed(block)
+    evidence = gathered(calibrator)
+    starts, stops = spans(evidence)
+    last = (instant_of(evidence, 1.0) - begin) * 1e-9
+    after = (last - step.time) / (stops.max() - starts.min())
+    wanted = unit.vector().copy()
+    wanted[9:12] += after * np.asarray(step.gyro_bias)
+    wanted[21:24] += after * np.asarray(step.accel_bias)
+    return evidence, wanted
+
+
+@pytest.mark.parametrize(
+    ('time', 'gyro', 'accel', 'seed'), [(497.0, 3.0, 500.0, 1), (840.0, 10.0, 1000.0, 2)]
+)
+def test_a_large_step_is_found_though_nothing_converges_without_it(
+    time: float, gyro: float, accel: float, seed: int
+) -> None:
+    signs = np.array([1.0, -0.7, 1.2])
+    step = BiasStep(time, tuple(gyro * DEG_H * signs), tuple(accel * MICRO_G * signs))
+    evidence, wanted = stepped_session('fog_navigation', step, seed)
+    with pytest.raises(NotConverged):
+        estimate(evidence)
+    found = solve(evidence, look=True)
+    assert found.changes is not None
+    assert {c.course for c in found.changes.changes} == {Course.STEP}
+    assert [f for f in found.findings if 'biases that step at one instant (step,' in f]
+    std = np.sqrt(np.diag(found.covariance)[:24])
+    wrong = (found.model.values(PARAMETERS) - wanted) / std
+    assert np.abs(wrong).max() < FAR, np.round(wrong, 1)
+
+
+def test_a_step_is_found_though_a_dwell_beside_it_looks_like_an_outlier() -> None:
+    """Six coefficients and an instant explain more than an accelerometer triad that is left out."""
+    gyro = tuple(v * DEG_H for v in (-0.030, -0.333, -0.280))
+    accel = tuple(v * MICRO_G for v in (46.3, 4.2, -52.9))
+    evidence, wanted = stepped_session('fog_medium', BiasStep(347.7, gyro, accel), 1546476769)
+    assert [one.name for one in estimate(evidence).outliers] == ['the accelerometers at position 3']
+    found = solve(evidence, look=True)
+    assert found.search is not None
+    assert [one.family.name for one in found.search.found] == ['step']
+    assert not found.search.estimate.outliers
+    std = np.sqrt(np.diag(found.covariance)[:24])
+    wrong = (found.model.values(PARAMETERS) - wanted) / std
+    assert np.abs(wrong).max() < FAR, np.round(wrong, 1)
+
+
+def test_a_step_is_likelier_where_the_stream_was_interrupted() -> None:
+    gyro = tuple(0.1 * v * DEG_H for v in (1.0, -0.7, 1.2))
+    accel = tuple(20 * v * MICRO_G for v in (1.0, -0.7, 1.2))
+
+    def searched(step: BiasStep, *, told: bool) -> tuple[list[str], float]:
+        evidence, _ = stepped_session('fog_medium', step, 5, (600.0, 606.0))
+        ((last, begins),) = evidence.interruptions
+        assert (begins - last) * 1e-9 == pytest.approx(6.0, abs=0.1)
+        found = solve(evidence if told else replace(evidence, interruptions=()), look=True).search
+        assert found is not None
+        likely = {family.course: p for family, p in found.probability.items()}
+        return [one.family.name for one in found.found], likely.get(Course.STEP, 1.0)
+
+    stepping = BiasStep(603.0, gyro, accel)
+    assert searched(stepping, told=True)[0] == ['step']
+    # Among all instants it is not significant, and one in a thousand beforehand.
+    names, likely = searched(stepping, told=False)
+    assert names == []
+    assert likely < 0.5
+    # Nothing is said of a unit that went on as it was.
+    names, likely = searched(BiasStep(), told=True)
+    assert names == []
+    assert likely < 0.5
