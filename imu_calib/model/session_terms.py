@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 
 from ..errors import InputError
 from ..units import significant
@@ -120,6 +121,7 @@ SESSION_TERMS = tuple(course.value for course in Course)
 """Names of all terms of a session."""
 
 
+@cache
 def session_term(text: str) -> tuple[Change, ...]:
     """Return the coefficients of a term: 'trend', or with the parameters, as 'trend:D_a+K_ax'.
 
