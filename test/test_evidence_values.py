@@ -251,12 +251,15 @@ def test_without_data_the_data_sheet_is_all() -> None:
 def test_a_session_is_gathered_with_what_its_files_state() -> None:
     spec = load_imu('fog_medium')
     labelled: Any = SimpleNamespace(segments=CLEAN.segments, turns=CLEAN.turns)
-    session: Any = SimpleNamespace(clock=CLEAN.clock, moves=(), temperature=None)
+    session: Any = SimpleNamespace(
+        clock=CLEAN.clock, moves=(), temperature=None, interruptions=((1, 2),)
+    )
     table = replace(TABLE, azimuth=0.3, positioning=5e-6)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, 'known_noise', lambda *_: (WALK, np.full(6, 7.0)))
         found = Evidence.of(labelled, session, CLEAN.plan, spec, SITE, table)
         bare = Evidence.of(labelled, session, CLEAN.plan, spec, SITE, None)
+        assert found.interruptions == bare.interruptions == ((1, 2),)
     assert (found.azimuth, found.positioning, found.table) == (0.3, 5e-6, table)
     assert (bare.azimuth, bare.positioning, bare.table) == (None, 0.0, None)
     drift = [spec.gyro.bias_instability, spec.accel.bias_instability]
