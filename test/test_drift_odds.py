@@ -80,13 +80,13 @@ def test_what_cannot_be_tested_counts_for_nothing() -> None:
     ((score, slopes),) = coefficients_seen(np.full(3, 9.0))
     none = undecided({DRIFT: [(replace(score, rank=0), slopes)]}, 2)
     assert none.probability == {}
-    assert not none.doubt.any()
+    assert not none.covariance.any()
 
 
 def test_a_step_is_likely_where_the_stream_was_interrupted() -> None:
     """One in a thousand elsewhere, a half there, however many instants are tried."""
     step = Family('step', course=Course.STEP)
-    (one,) = seen(np.array([2.0, -1.0, 1.5]))
+    (one,) = coefficients_seen(np.array([2.0, -1.0, 1.5]))
     factor = np.exp(log_bayes_factor(one[0].statistic, 3))
     for within, odds in (
         ([False] * 4, 1 / 1000),
@@ -99,12 +99,12 @@ def test_a_step_is_likely_where_the_stream_was_interrupted() -> None:
     plain = undecided({step: [one] * 4}, 2)
     none = undecided({step: [one] * 4}, 2, np.zeros(4, dtype=bool))
     assert none.probability == plain.probability
-    assert (none.doubt == plain.doubt).all()
+    assert (none.covariance == plain.covariance).all()
     # Of two instants that differ, the one in the interruption decides what it does.
     other = (replace(one[0], estimate=-2 * one[0].estimate), SLOPES)
     found = undecided({step: [other, one]}, 2, np.array([False, True]))
     alone = undecided({step: [one]}, 2, np.array([True]))
-    assert found.doubt == pytest.approx(alone.doubt, rel=0.02)
+    assert found.covariance == pytest.approx(alone.covariance, rel=0.02)
     # One that cannot be tested has no share, and takes none from the others.
     untested = (replace(one[0], rank=0), SLOPES)
     found = undecided({step: [untested, one]}, 2, np.array([False, True]))

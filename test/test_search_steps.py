@@ -508,13 +508,13 @@ def test_what_is_not_confirmed_is_rejected_and_the_search_begins_again(
         module, '_concluded', lambda last, kept, plain, weigh: (last, kept, plain, weigh)
     )
     start = _Model(first.equations.evidence, PARAMETERS)
-    found: Any = _searched(start, first, look=True)
+    found: Any = _searched(start, first, find_terms=True)
     # The last of three leaves the session open; of the other two one is not significant.
     assert tried == [set(), {'accel_cubic'}, {'accel_cubic', 'gyro_asymmetry'}]
     assert found == (trial, (Found(CUBIC, -9.0),), first, True)
-    assert _searched(start, first, look=False) == (first, (), first, False)
+    assert _searched(start, first, find_terms=False) == (first, (), first, False)
     monkeypatch.setattr(module, '_shown', lambda *_: ())
-    assert _searched(start, first, look=True) == (first, (), first, True)
+    assert _searched(start, first, find_terms=True) == (first, (), first, True)
 
 
 def test_a_step_is_tried_where_nothing_else_converges_or_outputs_are_set_aside(
@@ -538,24 +538,24 @@ def test_a_step_is_tried_where_nothing_else_converges_or_outputs_are_set_aside(
 
     monkeypatch.setattr(module, '_with_a_step', with_a_step)
 
-    def searched(answer: Search | None, *, look: bool = True) -> Any:
+    def searched(answer: Search | None, *, find_terms: bool = True) -> Any:
         def search(*_: Any, **__: Any) -> Search:
             if answer is None:
                 raise NotConverged('no end')
             return answer
 
         monkeypatch.setattr(module, '_searched', search)
-        return search_terms(evidence, look=look)
+        return search_terms(evidence, find_terms=find_terms)
 
     assert searched(None) is stepped
     with pytest.raises(NotConverged):
-        searched(None, look=False)
+        searched(None, find_terms=False)
     tried.clear()
     sound = ended()
     assert searched(sound) is sound
     named = replace(ended(down=3), found=(Found(STEP, -9.0),))
     assert searched(named) is named
-    assert searched(aside := ended(down=3), look=False) is aside
+    assert searched(aside := ended(down=3), find_terms=False) is aside
     assert not tried
     for other in (ended(down=3), ended(broken_off=True)):
         sizes = {id(other.estimate): 200.0, id(stepped.estimate): 199.9}

@@ -532,7 +532,7 @@ def test_a_large_step_is_found_though_nothing_converges_without_it(
     evidence, wanted = stepped_session('fog_navigation', step, seed)
     with pytest.raises(NotConverged):
         estimate(evidence)
-    found = solve(evidence, look=True)
+    found = solve(evidence, find_terms=True)
     assert found.changes is not None
     assert {c.course for c in found.changes.changes} == {Course.STEP}
     assert [f for f in found.findings if 'biases that step at one instant (step,' in f]
@@ -547,7 +547,7 @@ def test_a_step_is_found_though_a_dwell_beside_it_looks_like_an_outlier() -> Non
     accel = tuple(v * MICRO_G for v in (46.3, 4.2, -52.9))
     evidence, wanted = stepped_session('fog_medium', BiasStep(347.7, gyro, accel), 1546476769)
     assert [one.name for one in estimate(evidence).outliers] == ['the accelerometers at position 3']
-    found = solve(evidence, look=True)
+    found = solve(evidence, find_terms=True)
     assert found.search is not None
     assert [one.family.name for one in found.search.found] == ['step']
     assert not found.search.estimate.outliers
@@ -564,7 +564,9 @@ def test_a_step_is_likelier_where_the_stream_was_interrupted() -> None:
         evidence, _ = stepped_session('fog_medium', step, 5, (600.0, 606.0))
         ((last, begins),) = evidence.interruptions
         assert (begins - last) * 1e-9 == pytest.approx(6.0, abs=0.1)
-        found = solve(evidence if told else replace(evidence, interruptions=()), look=True).search
+        found = solve(
+            evidence if told else replace(evidence, interruptions=()), find_terms=True
+        ).search
         assert found is not None
         likely = {family.course: p for family, p in found.probability.items()}
         return [one.family.name for one in found.found], likely.get(Course.STEP, 1.0)

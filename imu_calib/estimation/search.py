@@ -200,21 +200,21 @@ def search_terms(
     """
     start = _Model(evidence, parameters, changes)
     try:
-        search = _searched(start, start.estimate(), look=look)
+        search = _searched(start, start.estimate(), find_terms=find_terms)
     except NotConverged:
-        stepped = _with_a_step(start) if look else None
+        stepped = _with_a_step(start) if find_terms else None
         if stepped is None:
             raise
         return stepped
     contradictory = search.estimate.downweighted_outputs or search.broken_off
-    if look and contradictory and not any(one.family == _STEP for one in search.found):
+    if find_terms and contradictory and not any(one.family == _STEP for one in search.found):
         stepped = _with_a_step(start)
         if stepped is not None and _size_of(stepped) < _size_of(search):
             return replace(stepped, before_search=search.before_search)
     return search
 
 
-def _searched(start: _Model, first: Estimate, *, look: bool) -> Search:
+def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> Search:
     """Search as `search_terms` does, from the estimate by the model alone."""
     noisy = first.equations.own_variances.max() > SMALLEST_VARIANCE
     rejected = set[Family]()
@@ -254,10 +254,10 @@ def _with_a_step(start: _Model) -> Search | None:
         first = stepping.estimate()
         if not _confirmed(start, first, first, [step]):
             return None
-        search = _searched(stepping, first, look=True)
+        search = _searched(stepping, first, find_terms=True)
     except NotObservable:
         return None
-    others = [replace(one, spares=0) for one in search.found]
+    others = [replace(one, min_saved_outputs=0) for one in search.found]
     kept = _confirmed(start, search.estimate, search.estimate, [step, *others])
     if not kept or kept[0].family != _STEP:
         return None
