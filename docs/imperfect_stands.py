@@ -284,9 +284,13 @@ def blocks(condition: str, simulated: SimulatedStand) -> Iterator[Block]:
             yield block
 
 
-def truth(unit: SensorModel, options: StandOptions, duration: float) -> Floats:
-    """Return the 24 parameters that a session should find: in the mean, by the table's clock."""
-    times = np.linspace(0.0, duration, 1000)
+def truth(unit: SensorModel, simulated: SimulatedStand) -> Floats:
+    """Return the 24 parameters that a session should find, by the table's clock.
+
+    They are means from the first static dwell to the last.
+    """
+    options = simulated.options
+    times = np.linspace(simulated.visits[0].rest, simulated.visits[-1].end, 1000)
     kelvin = float(options.warming.excess(times).mean())
     stepped = float((times >= options.bias_step.time).mean())
     faded = float(np.exp(-times / options.warm_up.time_constant).mean())

@@ -85,7 +85,7 @@ def session(grade: str, seed: int, condition: str) -> dict[str, Any]:
         return {**row, 'refused': str(error), 'code': version()}
     found = result.calibration
     unit = unit_of(grade, one.term)
-    wanted = truth(unit, simulated.options, simulated.duration)
+    wanted = truth(unit, simulated)
     off = (found.values[:24] - wanted) / found.std[:24]
     assert setup.table is not None
     # What is said of a coefficient that the session does not show, and of what it would move.
