@@ -63,6 +63,7 @@ def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Non
     assert main(['montecarlo', 'six_position', '--method', 'six_position', '--runs', '1']) == 1
     assert main(['montecarlo', 'six_position_by_hand', '--runs', '1']) == 2
     assert main(['montecarlo', 'twelve_position', '--runs', '0']) == 2
+    assert main(['montecarlo', 'twelve_position', '--runs', f'{10**30}']) == 2
 
 
 @pytest.mark.parametrize(

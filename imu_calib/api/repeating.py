@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from typing_extensions import Unpack
 
+_MOST_RUNS = 1_000_000
+"""Errors and deviations of so many runs take half a gigabyte; a day of 64 processors gives them."""
+
 
 @dataclass(frozen=True, eq=False)
 class MonteCarloResult:
@@ -116,6 +119,8 @@ def montecarlo(
     for name, value, least in (('runs', runs, 1), ('jobs', jobs, 1), ('seed', seed, 0)):
         if value < least:
             raise InputError(f'`{name}`: found {value}, expected a whole number from {least} on.')
+    if runs > _MOST_RUNS:
+        raise InputError(f'`runs`: found {runs}, expected at most {_MOST_RUNS}.')
     study = _study(Stated(**stated), as_plan(plan), as_imu(imu), truth, drifting=bias_instability)
     with progress('simulating and calibrating') as show:
         outcome = repeat(study, runs, seed, jobs, show, scheduler)
