@@ -11,11 +11,17 @@ from .arguments import checked
 from .config import Section
 from .specification import Specification, read_specification
 from .stream import Units
-from .units import PPM, Dimension
+from .units import DEG, PPM, Dimension
 from .yaml_text import dump
 
 FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
 """Largest counts of 16, 24 and 32 bits, of either sign."""
+_LEAST_RANGES = (10 * DEG, 9.0)
+"""rad/s and m/s^2, of gyros and accelerometers: below it a full scale is no end of a range. Rate
+tests turn at 10 deg/s or faster, and an accelerometer without 9 m/s^2 does not show gravity."""
+_LEAST_SHARE = 0.1
+"""Of a stated range, likewise: a description of a unit that is set to less is rarely off by more. A
+judgement."""
 NEARLY = 0.999
 """Share of the range above which a reading counts as saturated: ranges are stated to three digits,
 and ADCs clip slightly early. A judgement."""
@@ -71,6 +77,19 @@ class ImuSpec:
     def __repr__(self) -> str:
         """Return one line."""
         return f'<ImuSpec {self.id}: {self.units.value}>'
+
+    @property
+    def least_ends(self) -> tuple[float, float]:
+        """Rate and specific force below which a full scale is no end of a range, rad/s and m/s^2.
+
+        A word of 32 bits passes the largest counts of 16 and 24 bits in the middle of its range.
+        """
+        ends = [
+            max(least, _LEAST_SHARE * triad.range if math.isfinite(triad.range) else 0.0)
+            for least, triad in zip(_LEAST_RANGES, (self.gyro, self.accel), strict=True)
+        ]
+        return ends[0], ends[1]
+
 
 
 @checked

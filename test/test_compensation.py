@@ -11,7 +11,7 @@ from imu_calib.calibration import Calibration
 from imu_calib.compensation.apply import Compensation, noise_gains
 from imu_calib.compensation.samples import Mark, concatenated
 from imu_calib.errors import NotObservable
-from imu_calib.imu import ImuSpec, TriadSpec
+from imu_calib.imu import ImuSpec, TriadSpec, load_imu
 from imu_calib.model import G_SENSITIVITY, SensorModel, Skewed, Triad, named_terms, parameters_of
 from imu_calib.stream import Units
 from imu_calib.units import DEG, MICRO_G
@@ -279,6 +279,17 @@ def test_an_adc_at_the_end_of_its_codes_is_marked_without_any_range():
     gyro = np.array([[-32768.0, 0, 0], [32766.0, 0, 0]])
     result = Compensation(known(spec, SensorModel())).apply(gyro, np.zeros((2, 3)), np.ones(2))
     assert result.marks.tolist() == [Mark.GYRO_RANGE, 0]
+
+
+def test_a_word_of_32_bits_passes_the_largest_codes_of_shorter_ones_without_a_mark():
+    spec = replace(load_imu('adis16470'), sample_rate=None)
+    gyro = np.array([[-32768.0, 8388607.0, 0], [2.0**31, 0, 0]])
+    accel = np.array([[32767.0, 8388608.0, 5e5], [0, 0, 2.0**31]])
+    compensation = Compensation(known(spec, SensorModel()))
+    marks = [Mark(0), Mark.GYRO_RANGE | Mark.ACCEL_RANGE]
+    assert compensation.apply(gyro, accel, np.ones(2)).marks.tolist() == marks
+    alone = [compensation.apply(gyro[k:][:1], accel[k:][:1], np.ones(1)) for k in (0, 1)]
+    assert [one.marks.item() for one in alone] == marks
 
 
 def test_accelerometers_that_were_not_calibrated_are_no_estimate():

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imu_calib.imu import ImuSpec, TriadSpec
+from imu_calib.imu import ImuSpec, TriadSpec, load_imu
 from imu_calib.segmentation.buffer import RowBuffer
 from imu_calib.segmentation.intake import StreamBuffer
 from imu_calib.segmentation.order import StampOrder
@@ -348,6 +348,23 @@ def test_the_largest_count_is_the_end_of_a_range() -> None:
     found = Sensor.of(spec(Units.COUNTS)).saturated(values, held(values))
     assert found.tolist() == [True, True, False, True, True, False, True, False]
     assert not Sensor.of(spec(Units.SI)).saturated(values, held(values)).any()
+
+
+@pytest.mark.parametrize('name', ['adis16470', 'epson_g370', 'stim300'])
+def test_a_word_of_32_bits_passes_the_largest_counts_of_shorter_ones(name: str) -> None:
+    """They are rates that any motion passes: turns and moves were left out as saturated."""
+    sensor = Sensor.of(load_imu(name))
+    stamp = np.arange(1, 401) * 5_000_000
+    values = np.ones((400, 6))
+    values[::7] = 32767.0
+    values[3::7] = -32768.0
+    slow = sensor.samples(stamp, values)
+    assert np.abs(slow.increments / slow.period)[:, :3].max() < 4 * DEG
+    assert np.abs(slow.increments / slow.period)[:, 3:].max() < 2.0
+    assert not sensor.saturated(values, slow).any()
+    # The end of its own word, where the range is not stated.
+    own = 2.0**31 * np.resize([1, 0], (400, 1)) * np.eye(6)[1]
+    assert sensor.saturated(own, sensor.samples(stamp, own)).sum() == 200
 
 
 def test_few_pulses_at_the_end_of_a_range_are_added_up() -> None:

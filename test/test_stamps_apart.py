@@ -229,6 +229,22 @@ def test_cuts_and_interleaving_do_not_change_a_bit(of: object) -> None:
         assert calibrate(recut(blocks, seed), plan()).calibration.to_yaml() == whole
 
 
+@pytest.mark.parametrize('name', ['optimised_twelve', 'full_model'])
+@pytest.mark.parametrize('ahead', [-1.7, 20.0])
+def test_sessions_that_begin_with_turns_of_minutes_tell_how_far_clocks_are_apart(
+    name: str, ahead: float
+) -> None:
+    """Turns are as alike seconds apart, and their rate was taken for the gyros' offset."""
+    whole = quick_plan(name, 8.0)
+    first = replace(whole, positions=whole.positions[:3])
+    reader = Segmenter(paper_imu(), load_table('three_axis'))
+    for _, block in session(first, stand(clock_offset=ahead), seed=1):
+        reader.feed(block)
+    found = reader.finish()
+    assert len(found.segments) == 3
+    assert found.clock.offset == pytest.approx(ahead, abs=0.01)
+
+
 def test_counts_that_freeze_within_a_motion_leave_it_out_and_are_named() -> None:
     blocks = list(session(plan(), seed=1))
     joints = [b for _, b in blocks if isinstance(b, JointBlock)]

@@ -113,10 +113,11 @@ class Compensation:
         self._unmarked = np.full(_AT_ONCE, mark, np.uint8)
         self._unmarked.flags.writeable = False
         self._plain = channels is None and model.linear and len(self._levers) == len(_LINEAR)
-        full = np.inf if self._units is Units.SI else FULL_SCALES[0]
         self._channels = [
-            (*map(float, one), full)
-            for one in zip(self._scale, self._bias, self._limit, strict=True)
+            (float(scale), float(offset), float(limit), float(full))
+            for scale, offset, limit, full in zip(
+                self._scale, self._bias, self._limit, self._full, strict=True
+            )
         ]
         self._outputs = self._to_both.T.tolist()
         self._products = self._factors.T.tolist()
@@ -244,9 +245,23 @@ class Compensation:
     def _set_channels(self, specs: list[TriadSpec], bias: Floats) -> None:
         self._scale = np.array([spec.scale_factor for spec in specs])
         self._limit = NEARLY * np.array([spec.range for spec in specs])
+        rate, force = self.calibration.imu.least_ends
+        self._least_ends = np.repeat([rate, force], [self._gyros, _AXES])
+        self._full = np.array(
+            [self._smallest_full(*of) for of in zip(self._scale, self._least_ends, strict=True)]
+        )
         self._bias = bias
         steps = {Units.PULSES: 1 / 6, Units.COUNTS: 1 / 12, Units.SI: 0.0}
         self._quantisation_variance = self._scale**2 * steps[self._units]
+
+    def _smallest_full(self, scale: float, least: float) -> float:
+        """Return the smallest full scale that may be the end of a channel's range."""
+        if self._units is Units.SI:
+            return np.inf
+        if self._units is Units.PULSES:
+            # What a pulse is in rate follows from the interval.
+            return FULL_SCALES[0]
+        return min((full for full in FULL_SCALES if full * scale >= least), default=np.inf)
 
     def _weights(self, specs: list[TriadSpec]) -> Floats:
         """Return the weights of the gyros: by their random walk if known, else equal."""
@@ -307,8 +322,7 @@ class Compensation:
         size = np.abs(outputs)
         # Comparisons with NaN are false.
         sound = size < self._limit
-        if self._units is not Units.SI:
-            sound &= np.abs(raw) < FULL_SCALES[0]
+        sound &= np.abs(raw) < self._full
         if np.count_nonzero(sound) == sound.size and (
             self._highest == np.inf or np.count_nonzero(np.abs(rate) <= self._highest) == rate.size
         ):
@@ -321,7 +335,7 @@ class Compensation:
             far &= np.abs(raw) > 1
             highest = highest + self._scale[: self._gyros].max() / tau
         if self._units is not Units.SI:
-            far |= np.isin(np.abs(raw), FULL_SCALES)
+            far |= np.isin(np.abs(raw), FULL_SCALES) & (size >= self._least_ends)
         marks = marks | far[:, : self._gyros].any(axis=1) * _BITS[Mark.GYRO_RANGE]
         marks |= far[:, self._gyros :].any(axis=1) * _BITS[Mark.ACCEL_RANGE]
         marks |= (np.abs(rate) > highest).any(axis=1) * _BITS[Mark.RATE]

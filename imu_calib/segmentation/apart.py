@@ -27,7 +27,12 @@ _ALIKE = 0.75
 each ramp falls to the next. A judgement."""
 
 _CLEARLY = 0.9
-"""Of the highest likeness: another offset that reaches more of it is as good."""
+"""Of the highest likeness: another offset that reaches more of it may be as good."""
+
+_TIMES_LESS = 3.0
+"""By which the share that is unlike is smaller there nevertheless: turns of minutes are alike at
+offsets of seconds, too, and at the right one nothing is left but the cells at their ends. A
+judgement."""
 
 _APART = 1.0
 """s between offsets that belong to different peaks."""
@@ -66,11 +71,14 @@ def offset_by_pattern(
     at = (stamp - origin) * 1e-9
     angle = np.column_stack([np.interp(around, at, column) for column in turned.T])
     rates = np.diff(angle, axis=0)
-    rates -= np.median(rates, axis=0)
-    by_gyros = np.linalg.norm(rates, axis=1)
-    # Beyond the samples the IMU's pattern is zero; motions of the table there lower the likeness.
-    by_gyros[(around[:-1] < at[0]) | (around[1:] > at[-1])] = 0.0
+    inside = (around[:-1] >= at[0]) & (around[1:] <= at[-1])
     least = _MOVING * _CELL
+    # Their offset where the unit is at rest: turns of minutes may take most of the time.
+    slowest = np.argsort(np.linalg.norm(rates[inside], axis=1))
+    resting = slowest[: max(1, np.count_nonzero(by_table < least))]
+    rates -= np.median(rates[inside][resting], axis=0)
+    # Beyond the samples the IMU's pattern is zero; motions of the table there lower the likeness.
+    by_gyros = np.where(inside, np.linalg.norm(rates, axis=1), 0.0)
     by_table[by_table < least] = by_gyros[by_gyros < least] = 0.0
     windows = np.lib.stride_tricks.sliding_window_view(by_gyros, cells)
     common = np.array([np.minimum(by_table, window).sum() for window in windows])
@@ -84,6 +92,7 @@ def offset_by_pattern(
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * near + 1).max(axis=1)
     other = (alike >= highest) & (np.abs(offsets - offsets[best]) > _APART)
     others = float(alike[other].max(initial=0.0))
-    if alike[best] < _ALIKE or others > _CLEARLY * alike[best]:
+    as_good = others > _CLEARLY * alike[best] and 1 - others < _TIMES_LESS * (1 - alike[best])
+    if alike[best] < _ALIKE or as_good:
         return None
     return float(offsets[best])

@@ -89,6 +89,7 @@ class Sensor:
             samples: The same in SI units.
         """
         limits = np.repeat([self.spec.gyro.range, self.spec.accel.range], 3) * samples.period
+        ends = np.repeat(self.spec.least_ends, 3) * samples.period
         clipped = np.zeros(len(values), dtype=bool)
         # Channel by channel: the absolute values of a million samples of all six are 48 MB.
         for c, limit in enumerate((NEARLY * limits).tolist()):
@@ -97,7 +98,8 @@ class Sensor:
                 sizes = np.abs(values[:, c])
                 # NaN, of lost samples, compares false.
                 if not sizes.max(initial=0.0) < FULL_SCALES[0]:
-                    clipped |= np.isin(sizes, FULL_SCALES)
+                    full = np.isin(sizes, FULL_SCALES)
+                    clipped |= full & (np.abs(samples.increments[:, c]) >= ends[c])
         return clipped
 
 
