@@ -8,7 +8,7 @@ from test_information import evidence_of
 
 from imu_calib.errors import NotObservable
 from imu_calib.estimation import fit
-from imu_calib.estimation.converge import least_squares
+from imu_calib.estimation.converge import NotConverged, least_squares
 from imu_calib.methods import joint
 from imu_calib.stream import Floats
 
@@ -213,3 +213,14 @@ def test_rounding_ends_it_where_columns_are_long() -> None:
 
         assert least_squares(0, system, moved, 9) == 1
         assert len(states) == end
+
+
+def test_steps_that_lead_beyond_all_numbers_are_refused() -> None:
+    """They ended in an error of the linear algebra."""
+
+    def system(x: Floats) -> tuple[Floats, Floats]:
+        # Each step leads away, and the farther the longer.
+        return np.eye(1), x**3
+
+    with np.errstate(over='ignore', invalid='ignore'), pytest.raises(NotConverged):
+        least_squares(np.ones(1), system, np.add, 100)

@@ -391,6 +391,24 @@ def test_a_program_without_a_plan_is_no_further_off_than_stated(
     assert calibration.provenance['turns'] == 12
 
 
+@pytest.mark.parametrize('offset', [-0.5, -0.3, 0.3])
+def test_what_is_read_before_the_offset_of_clocks_is_known_is_read_again(offset: float) -> None:
+    """The first dwell had a part of the first move, which ended elsewhere than by the encoders."""
+    program = tuple(stop(*angles) for angles in ((0, 90, 0), (90, 90, 90), (0, 0, 0)))
+    world = World(dwell=10.0, program=program, offset=offset)
+    there, here = (segmented(w, NAVIGATION) for w in (world, replace(world, offset=0.0)))
+    first, same = there.segments[0], here.segments[0]
+    ahead = round(offset * 1e9)
+    assert abs(first.start - same.start - ahead) < 2e7
+    assert abs(first.end - same.end - ahead) < 2e7
+    # The force at rest to a part of its noise, a pulse within ten seconds.
+    near = NAVIGATION.accel_pulse / 10
+    assert first.statistics.mean[3:] == pytest.approx(same.statistics.mean[3:], abs=near)
+    moves = [segmented(w, NAVIGATION).moves[0] for w in (world, replace(world, offset=0.0))]
+    turned = [np.linalg.norm(move.turned.sum(axis=0)) for move in moves]
+    assert turned[0] == pytest.approx(turned[1], abs=1 * ARCSEC)
+
+
 def test_turns_about_a_level_axis_are_left_out_and_said(
     unplanned: tuple[Calibration, World],
 ) -> None:

@@ -133,6 +133,9 @@ def least_squares(
     state = begin
     for _ in range(rounds):
         jacobian, residuals = system(state)
+        if not np.isfinite(jacobian.sum() + residuals.sum()):
+            # Steps that nothing holds back have led beyond all numbers.
+            break
         step = linear_step(jacobian, residuals)
         change = float(np.linalg.norm(jacobian @ step))
         if change < _ARRIVED:

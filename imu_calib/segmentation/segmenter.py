@@ -69,6 +69,9 @@ _SURELY_SEEN = 3
 motion matches another by chance, but not three in a row."""
 _NEAR = 0.5
 """s: clocks this close are compared motion by motion, in a second of rest on either side."""
+_MOVED = 10_000_000
+"""ns: by so much the first offset that is found moves the ends of dwells; what was read before it is
+then read again. A sample of 100 Hz."""
 _SIGNIFICANT = 10 * DEG
 """rad: longer motions determine the offset of the clocks."""
 
@@ -101,6 +104,7 @@ class Segmenter:
         self._compared: list[bool] = []
         self._trial: list[Rest | Motion] | None = [] if table is not None else None
         self._clock: list[ClockSample] = []
+        self._offset_seen = False
         self._interruptions = Interruptions()
         self._seen_motions: list[tuple[float, MeasuredShare]] = []
         self._repetitions: list[Repetition] = []
@@ -223,10 +227,16 @@ class Segmenter:
             interval = self._pending.popleft()
             if self._trial is not None:
                 self._trial.append(interval)
+            assumed = self._offset_ns
             if isinstance(interval, Rest):
                 self._rest(interval)
             else:
                 self._motion(interval)
+            if self._clock and not self._offset_seen:
+                self._offset_seen = True
+                if self._trial is not None and abs(self._offset_ns - assumed) > _MOVED:
+                    self._begin_anew(self._offset_ns)
+                    continue
             if self._trial is None:
                 self._intake.drop_until(interval.end + self._offset_ns - 2 * MARGIN_NS)
 
@@ -271,7 +281,10 @@ class Segmenter:
     def _begin_anew(self, offset_ns: int) -> None:
         """Discard what was found so far, and read it again with this offset of the clocks."""
         self._pending.extendleft(reversed(self._trial or ()))
-        self._offset_ns = self._reference_ns = self._apart_ns = offset_ns
+        self._trial = []
+        self._offset_ns = self._reference_ns = offset_ns
+        if abs(offset_ns) > _NEAR * 1e9:
+            self._apart_ns = offset_ns
         self._clock, self._compared = [], []
         self._seen_motions, self._repetitions = [], []
         self._segments, self._turns, self._rejected, self._slips = [], [], [], []
