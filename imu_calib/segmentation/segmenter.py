@@ -70,8 +70,8 @@ motion matches another by chance, but not three in a row."""
 _NEAR = 0.5
 """s: clocks this close are compared motion by motion, in a second of rest on either side."""
 _MOVED = 10_000_000
-"""ns: by so much the first offset that is found moves the ends of dwells; what was read before it is
-then read again. A sample of 100 Hz."""
+"""ns, a sample of 100 Hz: where the first offset that is found moves the ends of dwells by more,
+what was read before it is read again."""
 _SIGNIFICANT = 10 * DEG
 """rad: longer motions determine the offset of the clocks."""
 
