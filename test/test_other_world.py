@@ -13,6 +13,7 @@ import pytest
 import yaml
 from extent import ALL
 from other_world import (
+    COMPASS,
     DEG,
     Damage,
     Flaw,
@@ -23,6 +24,7 @@ from other_world import (
     Unit,
     Vector,
     World,
+    joints_of,
     record,
     schedule,
 )
@@ -415,3 +417,30 @@ def test_turns_about_a_level_axis_are_left_out_and_said(
     findings = [f for f in unplanned[0].findings if 'a turn is left out' in f]
     assert len(findings) == 1
     assert 'its axis is 90 deg off the vertical' in findings[0]
+    told = [f for f in unplanned[0].findings if 'a turn is left out' in f]
+    assert len(told) == 1
+    assert 'its axis is 90 deg off the vertical' in told[0]
+
+
+@pytest.mark.parametrize('clock', [-50e-6, 50e-6])
+def test_where_no_turn_is_timed_clocks_are_compared_by_moves(clock: float) -> None:
+    """K of accelerometers that count were stated in seconds of the stamps: off by the ratio."""
+    plan = load_plan('nineteen_position')
+    ways = [p.attitude for p in plan.positions]
+    letters = {tuple(v): name for name, v in COMPASS.items()}
+    program = tuple(
+        Stop(
+            joints_of(
+                ''.join(letters[tuple(np.rint(w[:, k]).astype(int).tolist())] for k in range(3))
+            )
+        )
+        for w in ways
+    )
+    world = World(dwell=12.0, program=program, clock=clock)
+    found = calibrated(world, MEDIUM, plan=plan)
+    off = errors(found, MEDIUM)
+    assert np.abs(off).max() < 4.5, np.round(off, 1)
+    # The ratio is seen: off by it, an accelerometer would be so by five deviations at least.
+    assert np.abs(found.std[12:15]).max() < 1e-5
+    assert found.clock is not None
+    assert found.clock.faster == pytest.approx(clock, abs=1e-6)

@@ -340,21 +340,19 @@ class Evidence:
     def clock_rate(self) -> tuple[float, float]:
         """Return the relative rate of the IMU's clock against the table's, and its deviation.
 
-        The estimate from the motions is combined with the tolerance of two quartz clocks. Where no
-        turn was timed by a table, neither has an effect.
+        The estimate from the motions is combined with the tolerance of two quartz clocks. Where
+        they are not compared and no turn was timed by a table, seconds are those of the stamps.
         """
-        if all(turn.seconds is None for turn in self.turns):
-            return 0.0, 0.0
-        if not np.isfinite(self.clock.rate_std):
-            return 0.0, _QUARTZ
+        if not self.clocks_compared:
+            timed = any(turn.seconds is not None for turn in self.turns)
+            return 0.0, _QUARTZ if timed else 0.0
         share = _QUARTZ**2 / (_QUARTZ**2 + self.clock.rate_std**2)
         return share * self.clock.rate, float(np.sqrt(share)) * self.clock.rate_std
 
     @property
     def clocks_compared(self) -> bool:
         """Whether motions of a table determine the rate of the clock of the stamps."""
-        timed = any(turn.seconds is not None for turn in self.turns)
-        return timed and bool(np.isfinite(self.clock.rate_std))
+        return bool(np.isfinite(self.clock.rate_std))
 
     @property
     def turns_clock_std(self) -> float:
@@ -368,7 +366,7 @@ class Evidence:
     @property
     def clock_freedom(self) -> float:
         """Degrees of freedom of the deviation of `clock_rate`; infinite if from quartz alone."""
-        if not np.isfinite(self.clock.rate_std):
+        if not self.clocks_compared:
             return np.inf
         # A rate, and an offset for each piece between jumps.
         return max(1.0, float(self.clock.motions - 2 - len(self.clock.jumps)))
