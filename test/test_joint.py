@@ -15,6 +15,7 @@ from sessions import (
     SITE,
     at_one_rate,
     beside_exactness,
+    calibrate,
     fed,
     gathered,
     in_parallel,
@@ -27,6 +28,7 @@ from sessions import (
 from test_information import SECOND, evidence_of
 
 from imu_calib.calibrator import Setup
+from imu_calib.earth import Site
 from imu_calib.errors import NotObservable
 from imu_calib.estimation.estimate import estimate
 from imu_calib.estimation.fit import fit, start
@@ -532,3 +534,23 @@ def test_without_a_rate_test_the_earth_rate_is_input_enough() -> None:
     found = joint.solve(evidence_of(plan, truth().model, azimuth=0.4, noise=rng))
     assert np.abs(normalised(found)).max() < 4.5
     assert 0.002 < found.std[:9].max() < 0.03
+
+
+def test_biases_that_drift_by_as_much_as_the_earth_turns_contradict_no_latitude() -> None:
+    """Sound sessions of such gyros, of no stated drift, were refused."""
+    unit = paper_imu()
+    gyro = replace(unit.gyro, random_walk=0.2 * DEG / 60, bias_instability=10 * DEG / 3600)
+    north = replace(load_table('three_axis'), azimuth=0.0)
+    plan = at_one_rate(quick_plan('rate_24', 20.0))
+    options = stand(bias_instability=True)
+    blocks = list(session(plan, options, 5, table=north, spec=replace(unit, gyro=gyro)))
+    stated = replace(unit, gyro=replace(gyro, bias_instability=0.0))
+    found = calibrate(blocks, plan, spec=stated, table=north).calibration
+    assert any('biases of the gyros drift by' in finding for finding in found.findings)
+    # But for the biases, of which the session has its own.
+    fixed = [k for k, name in enumerate(PARAMETER_NAMES) if not name.startswith('D')]
+    off = (found.values - truth().model.vector())[fixed] / found.std[fixed]
+    assert np.abs(off).max() < 4.5, np.round(off, 1)
+    # A latitude that is wrong by more than they drift is told.
+    with pytest.raises(NotObservable, match='The data contradicts the latitude'):
+        calibrate(blocks, plan, spec=stated, table=north, site=Site.at(-60 * DEG))

@@ -19,6 +19,8 @@ from ..errors import Contradiction, NotObservable
 from ..estimation.converge import NotConverged
 from ..estimation.estimate import Estimate, estimate
 from ..estimation.exact_table import as_the_best, contradicted, exactness_findings
+from ..estimation.excess_scatter import excess
+from ..estimation.fit import fit
 from ..estimation.search import Search, search_terms
 from ..estimation.term_tests import confounded_errors, findings, tested
 from ..model import Term, parameters_of
@@ -40,6 +42,8 @@ from .conclusion import LeastSquares
 from .joint_findings import estimate_findings
 from .solution import Residual, Solution
 
+_ANYWHERE = math.radians(30)
+"""Standard deviation of an unknown latitude, rad: no higher or lower one is far off."""
 _NEAR = 2.0
 """Standard deviations within which the rate seen by the gyros at rest has the Earth's size: 19 of
 20 sessions at a wrong latitude."""
@@ -162,7 +166,11 @@ def _concluded(found: Estimate, confounded: Sequence[str] = ()) -> Solution:
     check_axes(model.accel.response, 'accelerometers', 'gravity')
     earth, earth_covariance = observed_earth_rate(found)
     if not evidence.plan.by_hand:
-        check_latitude(evidence, earth, earth_covariance)
+        try:
+            check_latitude(evidence, earth, earth_covariance)
+        except Contradiction:
+            earth, earth_covariance = _free_earth(_with_scatter_at_any_latitude(found), found.state)
+            check_latitude(evidence, earth, earth_covariance)
     # By hand each hold has a separate heading.
     azimuth, azimuth_std = float('nan'), float('inf')
     if not evidence.plan.by_hand:
@@ -227,6 +235,20 @@ def observed_earth_rate(found: Estimate) -> tuple[Floats, Floats]:
         (3,) rad/s, level but at the heading of the attitudes, and (3, 3).
     """
     return _free_earth(found.without_scatter, found.state)
+
+
+def _with_scatter_at_any_latitude(found: Estimate) -> Equations:
+    """Return the equations with the scatter that no latitude explains.
+
+    Biases that drift by as much as the Earth turns, as those of cheap gyros whose description
+    states no drift, contradict every latitude by the noise alone. At an unknown one the session
+    shows how much they drift, and a wrong one does not seem to be drift.
+    """
+    evidence = found.equations.evidence
+    anywhere = replace(evidence.site, latitude_std=_ANYWHERE)
+    equations = replace(found.without_scatter, evidence=replace(evidence, site=anywhere))
+    scatter = excess(equations, fit(equations, found.state))
+    return replace(found.without_scatter, extra=scatter.extra)
 
 
 def _free_earth(plain: Equations, state: Floats) -> tuple[Floats, Floats]:
