@@ -554,3 +554,14 @@ def test_biases_that_drift_by_as_much_as_the_earth_turns_contradict_no_latitude(
     # A latitude that is wrong by more than they drift is told.
     with pytest.raises(NotObservable, match='The data contradicts the latitude'):
         calibrate(blocks, plan, spec=stated, table=north, site=Site.at(-60 * DEG))
+
+
+def test_moves_that_alone_determine_cheap_gyros_are_no_contradiction() -> None:
+    """By the Earth they answered 0.5 times what they should, and moves ended elsewhere."""
+    spec, table = load_imu('mems_counts'), load_table('two_axis_level')
+    plan = quick_plan('nineteen_position', 10.0)
+    blocks = list(session(plan, stand(), 8, table=table, spec=spec))
+    found = calibrate(blocks, plan, spec=spec, table=table).calibration
+    assert not beside_exactness(found.findings)
+    off = (found.values - truth().model.vector()) / found.std
+    assert np.abs(off).max() < 4.5, np.round(off, 1)

@@ -33,6 +33,7 @@ from .outliers import (
     candidates,
     downweighted,
     find_outlier,
+    led_by_moves,
     moves_that_fit,
     turns_disagree,
     turns_downweighted,
@@ -150,7 +151,7 @@ def estimate(
     resting, state = with_shape(resting, start(resting))
     state = fit(resting, state)
     resting = headed(levelled(resting, state), state)
-    state = fit(resting, state)
+    state = led_by_moves(resting, fit(resting, state), evidence.moves)
     kept, astray = moves_that_fit(resting, state, evidence.moves)
     equations = replace(resting, evidence=kept)
     if moving:

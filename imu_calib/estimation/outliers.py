@@ -14,12 +14,14 @@ import scipy
 from numpy.typing import NDArray
 
 from ..budget import Source, effective_freedom
+from ..model import ParameterKind
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.information import Information
 from ..segmentation.segmented import Move
 from ..stream import Floats
 from ..units import DEG
+from .converge import least_squares
 from .excess_scatter import excess
 from .fit import fit, with_scatter
 
@@ -43,6 +45,15 @@ in one session of a thousand."""
 _ASTRAY = 1e-9
 """Chance by which a sound move is left out, by noise and the uncertainty of the rest. Far smaller
 than that of an outlier: positioning errors common to both are counted twice."""
+
+_LOOSE = 0.1
+"""Standard deviation, a ratio, beyond which dwells and turns do not determine the response of the
+gyros: that of the cheapest units is 3 % off the nominal one."""
+
+_RESPONSE = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
+
+_ITERATIONS = 100
+"""As in `fit`."""
 
 MOST_OUTLIERS = 1 / 3
 """Share of a session's dwells, or of the turns about an axis, that may get less weight. A
@@ -119,16 +130,54 @@ def moves_that_fit(
         scatter = replace(scatter, positioning=excess(moved, state).positioning)
 
 
+def led_by_moves(resting: Equations, state: Floats, moves: tuple[Move, ...]) -> Floats:
+    """Return a state to start from where only moves determine the response of the gyros.
+
+    By the Earth's rotation alone that of cheap gyros is off by more than itself, too far for moves,
+    whose rotations are not linear in it. It is then taken to be near the nominal one, and
+    determined by the rotations that agree with that.
+
+    Args:
+        resting: The session without moves.
+        state: (n,) their solution.
+        moves: All moves of the session.
+    """
+    parameters = resting.parameters
+    own = np.array([k for k, p in enumerate(parameters) if p.triad == 'g' and p.kind in _RESPONSE])
+    turned = tuple(replace(move, velocity_steps=None) for move in moves)
+    evidence = resting.evidence.with_moves(turned)
+    variances = np.diag(Information.of(resting.whitened(state)[0]).covariance)[own]
+    if not len(evidence.links) or (variances < _LOOSE**2).all():
+        return state
+    rows = np.zeros((len(own), len(state)))
+    rows[np.arange(len(own)), own] = 1 / _LOOSE
+
+    def near_nominal(at: Floats) -> tuple[Floats, Floats]:
+        jacobian, residuals = resting.whitened(at)
+        return np.vstack([jacobian, rows]), np.append(residuals, -at[own] / _LOOSE)
+
+    begin = state.copy()
+    begin[own] = 0.0
+    state = least_squares(begin, near_nominal, np.add, _ITERATIONS)
+    known = Information.of(near_nominal(state)[0]).covariance
+    fitting, _ = _judged(resting, state, evidence, known)
+    return fit(replace(resting, evidence=evidence.with_moves(fitting)), state)
+
+
 def _count(moves: Sequence[Move]) -> int:
     """Return the number of rotations and velocities."""
     return sum(1 if move.velocity_steps is None else 2 for move in moves)
 
 
 def _judged(
-    resting: Equations, state: Floats, evidence: Evidence
+    resting: Equations, state: Floats, evidence: Evidence, known: Floats | None = None
 ) -> tuple[tuple[Move, ...], tuple[RejectedMove, ...]]:
-    """Compare each move with dwells and turns, with their stated scatter."""
-    known = Information.of(resting.whitened(state)[0]).covariance
+    """Compare each move with dwells and turns, with their stated scatter.
+
+    `known` is the covariance (n, n) of the state, by dwells and turns if not given.
+    """
+    if known is None:
+        known = Information.of(resting.whitened(state)[0]).covariance
     moving = replace(resting, evidence=evidence, extra=())
     predicted, jacobian = moving.predict(state), np.nan_to_num(moving.jacobian(state))
     covariance, known = moving.covariance(state), np.nan_to_num(known)
