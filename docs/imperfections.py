@@ -95,6 +95,13 @@ def session(grade: str, seed: int, condition: str) -> dict[str, Any]:
         for least, moved in zip(t.smallest, t.moved, strict=False)
         if moved is not None and not np.isfinite(least)
     ]
+    # The same of one that is too small to be found though the session would show a larger one.
+    held += [
+        [t.name, moved[0].name]
+        for t in result.solution.tests
+        for moved in t.hidden
+        if moved is not None
+    ]
     angles = [
         free_of_frame(model, np.eye(24) if square is None else square, PARAMETERS)
         for model, square in ((found.model, found.covariance[:24, :24]), (unit, None))

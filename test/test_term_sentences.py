@@ -233,6 +233,7 @@ def test_the_screen_says_what_is_on_what_is_off_and_what_is_not_seen() -> None:
             TermState.OFF,
             parameters=GYRO_ASYMMETRY.parameters,
             smallest=(1.2e-5, 3.4e-5, np.inf),
+            hidden=((BY_NAME['K_gx'], 0.8), (BY_NAME['K_gy'], -0.9), None),
         ),
         TermTest(
             'accel_cubic',
@@ -249,6 +250,8 @@ def test_the_screen_says_what_is_on_what_is_off_and_what_is_not_seen() -> None:
         'terms: g_sensitivity, gyro_cubic, trend',
         'not significant; detectable above: gyro_asymmetry 34 ppm',
         'not observable in this session: accel_cubic',
+        # 3.4e-5 by 0.9 is more than 1.2e-5 by 0.8.
+        'K_gx, K_gy hold for gyro_asymmetry = 0: 34 ppm below detection; would bias K_gy by 31 ppm',
         'K_ax, K_ay hold for accel_cubic = 0, which this session does not show: 10 ug/g^3 would '
         'move K_ax by 10 ppm; to determine it takes ' + ACCEL_CUBIC.needs,
     ]

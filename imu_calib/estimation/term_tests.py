@@ -24,9 +24,9 @@ _MATTERS = 0.1
 """Standard deviations by which `_AMOUNT` must move a parameter to be named."""
 
 _HIDDEN = 4.5
-"""Standard deviations by which an undetected term of the session, just below detection, moves a
-parameter for the parameter to be reported as valid only without the term: exceeded by chance in one
-of 6000 sessions."""
+"""Standard deviations by which an undetected term, just below detection, moves a parameter for the
+parameter to be reported as valid only without the term: exceeded by chance in one of 6000
+sessions."""
 
 _SAID = PROBABILITY
 """Probability beyond which an undetected drift is reported: that of expanded uncertainties. Of 20
@@ -92,6 +92,8 @@ class TermTest:
             those that the session does not show. Empty for families that are on.
         moved: For each coefficient that is off, the parameter it would move most, and by how much
             per SI unit of it; None where it would move none.
+        hidden: Likewise of a term of the sensors, for coefficients just below detection that would
+            move it by `_HIDDEN` deviations; None for others.
         probability: Of an undetected drift, for which the standard deviations allow; None where
             they do not.
     """
@@ -103,6 +105,7 @@ class TermTest:
     changes: tuple[Change, ...] = ()
     smallest: tuple[float, ...] = ()
     moved: tuple[tuple[Parameter, float] | None, ...] = ()
+    hidden: tuple[tuple[Parameter, float] | None, ...] = ()
     probability: float | None = None
 
     def document(self) -> dict[str, object]:
@@ -150,6 +153,10 @@ def tested(
         amounts = [_AMOUNT * p.unit.scale for p in family.parameters] or smallest
         least = _MATTERS if family.parameters else _HIDDEN
         moved = tuple(_moved(search, a, s, least) for a, s in zip(amounts, slopes, strict=False))
+        hidden = tuple(
+            _moved(search, a, s, _HIDDEN) if family.parameters else None
+            for a, s in zip(smallest, slopes, strict=False)
+        )
         state = TermState.OFF if score.tested else TermState.NOT_TESTED
         log10_p = score.log_p / _LN10 if score.tested else None
         result.append(
@@ -161,6 +168,7 @@ def tested(
                 family.changes,
                 smallest,
                 moved,
+                hidden,
                 search.probability.get(family),
             )
         )
@@ -326,9 +334,31 @@ def summary(tests: tuple[TermTest, ...]) -> list[str]:
         ]
         if held:
             lines.append(_held(one, held))
+        below = [
+            (p, least, moved)
+            for p, least, moved in zip(one.parameters, one.smallest, one.hidden, strict=False)
+            if moved is not None
+        ]
+        if below:
+            lines.append(_below_detection(one, below))
         if hidden := _hidden(one):
             lines.append(hidden)
     return lines
+
+
+def _below_detection(
+    one: TermTest, below: list[tuple[Parameter, float, tuple[Parameter, float]]]
+) -> str:
+    """Report parameters that hold only without a term that the session shows too badly."""
+    names = list(dict.fromkeys(moved.name for *_, (moved, _) in below))
+    # The largest effect, in the parameter's deviations or not: the coefficients are of one kind.
+    coefficient, least, (moved, slope) = max(below, key=lambda part: abs(part[2][1]) * part[1])
+    size = f'{significant(least / coefficient.unit.scale)} {coefficient.unit.shown}'
+    by = f'{significant(abs(slope) * least / moved.unit.scale)} {moved.unit.shown}'
+    return (
+        f'{", ".join(names)} {"holds" if len(names) == 1 else "hold"} for {one.name} = 0: {size} '
+        f'below detection; would bias {moved.name} by {by}'
+    )
 
 
 def _hidden(one: TermTest) -> str:
