@@ -135,10 +135,10 @@ def test_rests_turns_and_moves_are_found_however_they_come_in(cut: int) -> None:
     assert (session.temperature, session.foreign_joints) == (None, '')
 
 
-def test_a_clock_that_is_ahead_shifts_all_that_follows_its_first_motion() -> None:
+def test_a_clock_that_is_ahead_shifts_all_and_what_came_before_its_first_motion() -> None:
     session = found(unit(ahead=0.03), joint())
     assert session.clock.offset == pytest.approx(0.03, abs=1e-5)
-    assert rests(session)[0] == (0.04, 4.76)
+    assert rests(session)[0] == (0.04, 4.79)
     assert rests(session)[1:] == [(20.22, 24.79), (28.21, 32.78), (36.21, 40.02)]
     (turn,) = session.turns
     assert since(turn.start) == pytest.approx(6.53, abs=1e-3)
