@@ -369,6 +369,13 @@ drift as the data sheets state.
 
 {total}
 
+Each condition is tried alone here, on one plan. In 450 sessions of eleven plans and eleven units at
+50 to 400 Hz, with two to four conditions at once and wrong figures in the files, three things are
+not right yet. A step of the biases may be taken for an outlier, and K_a be off with the outlier
+alone named. Late stamps that jitter too may be said to be clocks that were set and samples that are
+missing, though the parameters hold. Sessions of gyros that drift by as much as the Earth turns,
+which their description does not state, may be refused as of another latitude.
+
 The truth is the mean over the session, in seconds of the table's clock.
 
 | condition | unit | worst | K widened | D widened | verdict | findings |
