@@ -91,7 +91,6 @@ class ImuSpec:
         return ends[0], ends[1]
 
 
-
 @checked
 def load_imu(name: str | Path) -> ImuSpec:
     """Read an IMU's YAML file, shipped (by name) or the user's (by path).
