@@ -1,10 +1,13 @@
-"""Format stamps as dates: ns since 1970 as in ROS, if they count from then."""
+"""Stamps, in ns, and their dates: since 1970 as in ROS, if they count from then."""
 
 from __future__ import annotations
 
 from datetime import datetime, timezone
 
-_YEAR_2000, _YEAR_2200 = 946_684_800 * 10**9, 7_258_118_400 * 10**9
+NS = 1_000_000_000
+"""ns per second."""
+
+_YEAR_2000, _YEAR_2200 = 946_684_800 * NS, 7_258_118_400 * NS
 """Stamps outside have another epoch, usually the time when a device was switched on."""
 
 
@@ -19,8 +22,8 @@ def utc(stamp: int | None) -> datetime | None:
     """
     if stamp is None or not _YEAR_2000 < stamp < _YEAR_2200:
         return None
-    whole = datetime.fromtimestamp(stamp // 10**9, timezone.utc)
-    return whole.replace(microsecond=stamp % 10**9 // 1000)
+    whole = datetime.fromtimestamp(stamp // NS, timezone.utc)
+    return whole.replace(microsecond=stamp % NS // 1000)
 
 
 def iso(stamp: int | None) -> str | None:

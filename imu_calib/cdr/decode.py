@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from ..instants import NS
 from ..stream import (
     Block,
     ImuBlock,
@@ -20,7 +21,7 @@ from ..stream import (
     SkewBlock,
     TemperatureBlock,
 )
-from .layout import ENCAPSULATION, NS, ORDERS, Layout, LayoutReader
+from .layout import ENCAPSULATION, ORDERS, Layout, LayoutReader
 from .messages import CdrError, Malformed, Messages
 
 if TYPE_CHECKING:

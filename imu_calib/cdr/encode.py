@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .layout import ENCAPSULATION, NS
+from ..instants import NS
+from .layout import ENCAPSULATION
 from .messages import CdrError, Messages
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..instants import NS
 from .messages import CdrError
 
 if TYPE_CHECKING:
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 ENCAPSULATION = 4
 """Bytes of the header that states the byte order (RTPS 2.5, section 10.2)."""
 ORDERS = {b'\x00\x00': '>', b'\x00\x01': '<'}
-NS = 1_000_000_000
-"""Nanoseconds per second."""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import yaml
 
 from ..bags import FINISHED, Recording, RecordingError, open_recording
 from ..errors import InputError
+from ..instants import NS
 from ..paths import user_path
 from ..share import named_file
 from ..simulation import StandOptions
@@ -144,7 +145,7 @@ def switched_on_at(folder: Path) -> float:
             end = max((int(log.max()) for log in logged if len(log)), default=None)
     if end is None:
         return 0.0
-    return float((end - StandOptions.start_time) // 1_000_000_000 + _OUTAGE)
+    return float((end - StandOptions.start_time) // NS + _OUTAGE)
 
 
 def command(folder: str) -> str:

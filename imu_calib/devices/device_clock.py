@@ -7,22 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
+from ..instants import NS
 from ..stream import Stamps
 from .delays import Delays, Drift
 from .fields import DeviceTime, FrameCounter
 from .host_clock import HostClock
 from .steps import Indices, Stepper
 
-_NS = 1_000_000_000
-"""ns per second."""
-_SETTLING = _NS // 2
+_SETTLING = NS // 2
 """ns of samples after which the offset is fixed at the least delay: thirty bunches of a USB adapter
 (16 ms)."""
-_LONGEST_SETTLING = 2 * _NS
+_LONGEST_SETTLING = 2 * NS
 """The same by the host's time, for slow samples."""
-_CATCH_UP = _NS // 10
+_CATCH_UP = NS // 10
 """ns after which a busy host has read all waiting data, which it reads faster than it arrived."""
-_LONG_CATCH_UP = _NS
+_LONG_CATCH_UP = NS
 """The same without other evidence of lost time: a late read is then more probable."""
 _READS = 3
 """Late reads required: a single one proves nothing."""
@@ -39,7 +38,7 @@ _UNCLEAR = (
     'Frames are missing, or a clock was set: the counter does not show by how much. Stamps restart '
     'from the time of arrival.'
 )
-_HOST_STEP = 10.0 * _NS
+_HOST_STEP = 10.0 * NS
 """ns: least delay of arrivals that shows a suspended host. A judgement: no driver holds bytes back
 for so long."""
 
@@ -131,9 +130,9 @@ class DeviceClock:
             )
         self._time = time
         self._counter = counter
-        self._tolerance = None if tolerance is None else tolerance * _NS
+        self._tolerance = None if tolerance is None else tolerance * NS
         self._live = live
-        self._stepper = Stepper(time, counter, None if period is None else period * _NS, live=live)
+        self._stepper = Stepper(time, counter, None if period is None else period * NS, live=live)
         self._elapsed = 0.0
         self._arrival = 0
         self._first_arrival: int | None = None
@@ -170,7 +169,7 @@ class DeviceClock:
         """By how much the newest stamps are ahead of their arrival, s; None while not settled."""
         if self.offset is None or self._line.recent is None or not self._live:
             return None
-        return (self.offset - self._host.first - self._line.recent) / _NS
+        return (self.offset - self._host.first - self._line.recent) / NS
 
     def feed(
         self,
@@ -214,7 +213,7 @@ class DeviceClock:
         known = self._compare(elapsed, arrival, steady is not None)
         self._line.add(elapsed[:known], arrival[:known])
         for index, by in settings:
-            self._note(int(elapsed[index]), by / _NS, "The host's clock was set; stamps follow it.")
+            self._note(int(elapsed[index]), by / NS, "The host's clock was set; stamps follow it.")
         # The fraction of a nanosecond is kept: a thousand roundings a second would add up.
         self._elapsed = float(exact[-1]) + int(elapsed[-1]) - uncorrected
         self._arrival = int(arrival[-1])
@@ -296,7 +295,7 @@ class DeviceClock:
         else:
             reason = self._contradiction(shift)
         elapsed[index:] += shift
-        self._note(int(elapsed[index]), -shift / _NS, reason)
+        self._note(int(elapsed[index]), -shift / NS, reason)
 
     def _contradiction(self, shift: int) -> str:
         """Return the meaning of a delay, negative if early, in words."""

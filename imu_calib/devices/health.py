@@ -10,6 +10,7 @@ from enum import IntEnum
 import numpy as np
 
 from ..imu import ImuSpec
+from ..instants import NS
 from ..stream import Stamps
 from .decoder import Counts, Samples
 from .device_clock import DeviceClock
@@ -34,8 +35,6 @@ output of a boot loader."""
 
 _PATIENCE = 0.25
 """s: a longer gap is not a delay of the host."""
-_NS = 1_000_000_000
-"""ns per second."""
 
 
 class Severity(IntEnum):
@@ -122,7 +121,7 @@ class Health:
         self._measure_rate(elapsed, now)
         before = elapsed[0] if self._last_elapsed is None else self._last_elapsed
         self._last_elapsed = int(elapsed[-1])
-        longest = float(np.diff(elapsed, prepend=before).max()) / _NS
+        longest = float(np.diff(elapsed, prepend=before).max()) / NS
         if longest > self._gap_timeout:
             self._gap = longest
 
@@ -144,8 +143,8 @@ class Health:
         begin, count = self._rate_from
         count += len(elapsed)
         self._rate_from = begin, count
-        if time - begin >= _RATE_SPAN * _NS:
-            self._rate = count * _NS / (time - begin)
+        if time - begin >= _RATE_SPAN * NS:
+            self._rate = count * NS / (time - begin)
             self._rate_from = time, 0
 
     @property
@@ -170,7 +169,7 @@ class Health:
         if now < self._received_at:
             # The host's clock was set back.
             return passed > self._gap_timeout
-        late = now - self._received_at > self._gap_timeout * _NS
+        late = now - self._received_at > self._gap_timeout * NS
         return late and passed > min(self._gap_timeout, _PATIENCE)
 
     def statuses(
@@ -246,7 +245,7 @@ class Health:
         if self._received_at is None:
             return self._before_the_first(now)
         if self.silent(now, steady) and not state.ended:
-            last = datetime.fromtimestamp(self._received_at / _NS)
+            last = datetime.fromtimestamp(self._received_at / NS)
             return Severity.ERROR, f'No frame has come since {last:%H:%M:%S}.'
         order = ('gap', 'bad', 'skipped', 'unusable', 'lost', 'repeated')
         texts = [self._events[name][0] for name in order if name in self._events]
@@ -260,7 +259,7 @@ class Health:
     def _before_the_first(self, now: int) -> tuple[Severity, str]:
         # A port that does not open yet reports that itself.
         begun = now if self._begun is None else self._begun
-        late = (now - begun) / _NS - self._gap_timeout
+        late = (now - begun) / NS - self._gap_timeout
         if self._bytes and late > _GREETING:
             return Severity.ERROR, 'Bytes are received, but no frame yet.'
         if not self._bytes and late > 0:
@@ -301,7 +300,7 @@ class Health:
         drift = clock.drift
         figures = {'jumps': str(clock.jumps)}
         if clock.offset is not None:
-            figures['stamp of the first sample'] = f'{clock.offset / _NS:.6f} s'
+            figures['stamp of the first sample'] = f'{clock.offset / NS:.6f} s'
         if clock.ahead is not None:
             figures['stamps ahead of arrival'] = f'{clock.ahead:.6f} s'
         if drift is not None:
@@ -312,7 +311,7 @@ class Health:
             self._events['jump'] = '', steady
         if last is not None:
             by = '' if last.seconds is None else f' By {last.seconds:.3g} s.'
-            when = f' {last.elapsed / _NS:.3f} s after the first sample.'
+            when = f' {last.elapsed / NS:.3f} s after the first sample.'
             severity = Severity.ERROR if 'jump' in self._events else Severity.WARN
             return PartStatus('clock', severity, f'{last.reason}{by}{when}', figures)
         certain = 0.0 if drift is None else abs(drift.ppm) - 3 * drift.std

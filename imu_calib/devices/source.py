@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 from ..address import host_and_port
 from ..errors import InputError
+from ..instants import NS
 from ..paths import user_path
 from .baud import DEFAULT
 from .commands import NOTHING, Command, Commands
@@ -30,8 +31,6 @@ _CAPACITY = 1 << 18
 """Bytes held for a slow node: more than 2 s at 921600 baud."""
 _TRIES = 5
 """Attempts to read both clocks together: one of them is not interrupted."""
-_NS = 1_000_000_000
-"""ns per second."""
 _AT_ONCE = 1_000_000
 """ns: if reading both clocks takes longer, it was interrupted and is repeated."""
 _SOCKETS = ('socket', 'tcp', 'udp')
@@ -237,7 +236,7 @@ class Source:
 
     def _is_overdue(self, received_at: int) -> bool:
         again = self.commands.again
-        return again is not None and steady_time() - received_at > again * _NS
+        return again is not None and steady_time() - received_at > again * NS
 
     def _moment(self) -> tuple[int, int]:
         """Read the host's clock and the steady one together, without interruption if possible."""

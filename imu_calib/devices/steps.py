@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ..instants import NS
 from ..stream import Floats
 from .fields import DeviceTime, FrameCounter, differences
 
@@ -27,9 +28,6 @@ rate of the device's clock may change afterwards. A judgement: quartzes keep to 
 _PLAUSIBLE = 2e9
 """ns by which a step may exceed the host's elapsed time: data may wait in buffers before it is
 read. A judgement."""
-
-_NS = 1e9
-"""ns per second."""
 
 
 @dataclass
@@ -178,7 +176,7 @@ class Stepper:
     ) -> Finding:
         by_counter = counts[k] * period
         if 0 < by_counter <= past[k] + _PLAUSIBLE or (by_counter > 0 and not self._live):
-            seconds = float(ticks[k] - by_counter) / _NS
+            seconds = float(ticks[k] - by_counter) / NS
             ticks[k] = by_counter
             return Finding(k, seconds, "The device's clock jumped.")
         reason = 'The frame counter went back: the device was restarted.'

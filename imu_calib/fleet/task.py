@@ -25,6 +25,7 @@ from ..bags.storage import Losses
 from ..calibrator import Result
 from ..errors import ImuCalibError, InputError
 from ..imu import load_imu
+from ..instants import NS
 from ..model import PARAMETER_NAMES, PARAMETERS, indices_of
 from ..mounted import MountedUnit, load_units
 from ..paths import user_path
@@ -333,7 +334,7 @@ def _when(job: Job, start_ns: int | None) -> dict[str, Any]:
     if job.labels.date is not None or start_ns is None:
         return {'date': job.labels.date}
     # In integer microseconds: a float of seconds is exact only to a tenth of one.
-    seconds, rest = divmod(start_ns, 1_000_000_000)
+    seconds, rest = divmod(start_ns, NS)
     whole = datetime.fromtimestamp(seconds, timezone.utc)
     return {'date': whole.replace(microsecond=rest // 1000)}
 

@@ -6,11 +6,9 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from ..instants import NS
 from ..sequencing import Sequencer
 from .diagnostics import Diagnostics, Level
-
-_NS = 1_000_000_000
-"""Of a second."""
 
 
 class CalibratorProgress:
@@ -76,7 +74,7 @@ class CalibratorProgress:
         if not self._is_alone(now):
             return
         # rclpy's Time refuses times before 1970, where simulated time may begin.
-        stamp = progress.header.stamp.sec * _NS + progress.header.stamp.nanosec
+        stamp = progress.header.stamp.sec * NS + progress.header.stamp.nanosec
         repeat_steps = [int(step) for step in progress.repeat_steps]
         self._sequencer.review(stamp, repeat_steps)
         if stamp:

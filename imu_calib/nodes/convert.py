@@ -11,6 +11,7 @@ from ..calibration import Calibration
 from ..changes import Changes
 from ..errors import InputError
 from ..imu import ImuSpec, TriadSpec
+from ..instants import NS
 from ..middleware import Time, messages
 from ..model import (
     G_SENSITIVITIES,
@@ -31,8 +32,6 @@ from ..sequencing.trajectory import Piece
 from ..stamping import StampingClock, check_clock
 from ..stream import Units
 
-_NS = 1_000_000_000
-"""Of a second."""
 _UNITS = {
     Units.PULSES: messages.ImuCalibration.UNIT_PULSES,
     Units.COUNTS: messages.ImuCalibration.UNIT_COUNTS,
@@ -342,7 +341,7 @@ def trajectory_message(piece: Piece, names: tuple[str, ...]) -> Any:
         point = messages.JointTrajectoryPoint(
             positions=[float(a) for a in angles], velocities=[float(r) for r in rates]
         )
-        sec, nanosec = divmod(round(float(time) * _NS), _NS)
+        sec, nanosec = divmod(round(float(time) * NS), NS)
         point.time_from_start.sec, point.time_from_start.nanosec = sec, nanosec
         message.points.append(point)
     return message

@@ -17,6 +17,7 @@ from ..calibrator.guidance import direction
 from ..earth import LUOYANG, Site
 from ..errors import ImuCalibError
 from ..imu import load_imu
+from ..instants import NS
 from ..middleware import messages
 from ..share import named_file
 from ..simulation import StandOptions, load_imperfections, switched_on
@@ -142,7 +143,7 @@ class HandNode(ros.Node):
         self._line.send(self._hardware.advance(_STEP))
         clock = messages.Clock()
         now = self._epoch + round(self._hardware.time * 1e9)
-        clock.clock.sec, clock.clock.nanosec = divmod(now, 1_000_000_000)
+        clock.clock.sec, clock.clock.nanosec = divmod(now, NS)
         self._clock_publisher.publish(clock)
 
     def _report(self) -> None:

@@ -19,6 +19,7 @@ from ..devices import (
     load_format,
 )
 from ..imu import load_imu
+from ..instants import NS
 from ..middleware import Clock, ClockType, ManagedNode, messages, publish_all
 from ..stream import ImuBlock, Stamps, TemperatureBlock, Units
 from . import qos
@@ -34,8 +35,6 @@ _MOST_WAITING = 64
 """Chunks held while the time of the first is unknown; further bytes stay in the line's buffer."""
 _REPORT_PERIOD = 0.25
 """s: diagnostics are published at most four times a second."""
-_NS = 1_000_000_000
-"""Of a second."""
 
 
 class ImuNode(ManagedNode):
@@ -157,7 +156,7 @@ class ImuNode(ManagedNode):
         return int(self.get_clock().now().nanoseconds)
 
     def _seconds(self) -> float:
-        return float(self._steady.now().nanoseconds / _NS)
+        return float(self._steady.now().nanoseconds / NS)
 
     def _is_silent(self, now: int, steady: float) -> bool:
         return (
@@ -248,7 +247,7 @@ class ImuNode(ManagedNode):
 
     def _publish_temperature(self, stamp: Stamps, celsius: Any) -> None:
         """Publish the first temperature of every second."""
-        second = stamp // _NS
+        second = stamp // NS
         first = np.diff(second, prepend=self._second) != 0
         first &= np.isfinite(celsius)
         self._second = int(second[-1])

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-_NS = 1_000_000_000
-"""Of a second."""
+from ..instants import NS
 
 
 class Pacing:
@@ -19,7 +18,7 @@ class Pacing:
     """
 
     def __init__(self, rate: float) -> None:
-        self._period = round(_NS / rate)
+        self._period = round(NS / rate)
         self.seconds = self._period * 1e-9
         self._revision = -1
         self._due_stamp = 0

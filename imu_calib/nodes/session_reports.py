@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ..calibrator import Review
 from ..cdr import Kind
+from ..instants import NS
 from ..middleware import messages
 from ..model import Parameter
 from ..reports.parameter_table import engineering
@@ -55,9 +56,7 @@ def progress_message(
         file: File of the result.
     """
     review = session.review
-    stamp = messages.TimeMsg(
-        sec=session.worked_until // 1_000_000_000, nanosec=session.worked_until % 1_000_000_000
-    )
+    stamp = messages.TimeMsg(sec=session.worked_until // NS, nanosec=session.worked_until % NS)
     names = [parameter.name for parameter in session.parameters]
     guidance = session.guidance
     message = messages.CalibrationProgress(

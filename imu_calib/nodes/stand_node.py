@@ -22,6 +22,7 @@ from ..cdr import encode_joints
 from ..earth import LUOYANG, Site
 from ..errors import ImuCalibError, InputError
 from ..imu import load_imu
+from ..instants import NS
 from ..middleware import messages
 from ..model import SensorModel
 from ..mounted import MountedUnit, load_units, remaining, spread_seeds
@@ -218,7 +219,7 @@ class StandNode(ros.Node):
         self._lines.send(output.lines)
         now = self._epoch + round(self._hardware.time * 1e9)
         clock = messages.Clock()
-        clock.clock.sec, clock.clock.nanosec = divmod(now, 1_000_000_000)
+        clock.clock.sec, clock.clock.nanosec = divmod(now, NS)
         self._clock_publisher.publish(clock)
         ros.publish_all(self._joint_publisher, encode_joints(output.joints).payloads())
 

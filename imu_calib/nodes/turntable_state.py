@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from ..instants import NS
 from ..middleware import Node, messages
 from ..plan import Plan
 from .diagnostics import Diagnostics, Level
@@ -81,7 +82,7 @@ class TurntableStateIntake:
         if not refusal and self._done.is_repeated:
             stamp = state.header.stamp
             for session in sessions.all:
-                session.table_done(stamp.sec * 1_000_000_000 + stamp.nanosec)
+                session.table_done(stamp.sec * NS + stamp.nanosec)
         text = f'{self.topic} reports DONE, which is ignored: {refusal}.'
         self._diagnostics.report(
             'turntable state',

@@ -17,6 +17,7 @@ from typing import Any
 from .. import middleware as ros
 from ..cdr import Kind, Malformed, Messages
 from ..extras import require
+from ..instants import NS
 from ..middleware import messages
 from ..mounted import load_units, remaining
 from ..paths import user_path
@@ -179,7 +180,7 @@ class WebNode(ros.Node):
 
     def _on_state(self, message: Any) -> None:
         self._board.take_state(message, time.monotonic())
-        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        stamp = message.header.stamp.sec * NS + message.header.stamp.nanosec
         for dwells in self._dwells.values():
             if message.phase == Phase.DWELLING:
                 dwells.add(stamp)

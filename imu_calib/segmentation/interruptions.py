@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..instants import at
+from ..instants import NS, at
 from ..stream import Stamps
 from .bunches import LAG, SHORT
 
-INTERRUPTION = 1_000_000_000
+INTERRUPTION = NS
 """A stream that is silent for so long, ns, may come from a program that was started again. A
 judgement: nodes take longer to start, and a line rarely fails for longer."""
 

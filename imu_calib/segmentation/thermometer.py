@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..instants import NS
 from ..stream import Floats, Stamps, TemperatureBlock
 
 _STEP = 1e-6
 """K: less is rounding."""
 _COLDEST, _HOTTEST = -273.15, 1000.0
 """Range of a thermometer, degrees Celsius: absolute zero, and more than electronics survives."""
-_CELL = 10 * 10**9
+_CELL = 10 * NS
 """Readings within 10 s are stored as one, ns: a session of a day has 8640 of them, and units warm
 by only a small part of their range in that time."""
 

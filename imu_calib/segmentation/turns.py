@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..instants import NS
 from ..stream import Floats, Stamps
 from ..turntable import TURN, Table
 from ..units import ARCSEC, DEG
@@ -21,7 +22,7 @@ from .segmented import FreeMotion, Rejected
 from .sensor import Sensor
 from .statistics import Samples, gap_free, statistics_between
 
-MARGIN_NS = 1_000_000_000
+MARGIN_NS = NS
 """Time read before and after a motion, ns."""
 
 _VERTICAL = 1e-4

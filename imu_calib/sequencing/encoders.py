@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ..errors import InputError
+from ..instants import NS
 from ..stream import JointBlock
 from ..turntable import FARTHEST, TURN, Table
 from ..units import DEG
@@ -15,10 +16,10 @@ from ..units import DEG
 WINDOW = 0.1
 """s without motion after which a table is at rest; derived rates are means over this time."""
 
-_WINDOW = round(WINDOW * 1e9)
-"""ns."""
+_WINDOW = round(WINDOW * NS)
+"""ns: `WINDOW`."""
 
-_LATEST = 2**31 * 10**9 - 1
+_LATEST = 2**31 * NS - 1
 """ns: the largest stamp of a header. A message may exceed it with more than 1e9 ns in a second."""
 
 _JITTER = 5 * DEG

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..devices.health import Severity
+from ..instants import NS
 from ..reports.convergence import Courses
 from ..reports.remaining import Pace, in_words
 from ..sequencing import Phase
@@ -16,8 +17,6 @@ from .snapshot import Expected, Outcome, Sentence, Snapshot, TableState
 
 _SILENT = 5.0
 """s: a node publishes once or twice a second."""
-_NS = 1e-9
-"""s per ns."""
 
 
 @dataclass
@@ -229,4 +228,4 @@ def _node(source: str) -> str:
 
 
 def _seconds(stamp: Any) -> float:
-    return float(stamp.sec + stamp.nanosec * _NS)
+    return float(stamp.sec + stamp.nanosec / NS)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..channel_noise import ChannelNoise
 from ..imu import ImuSpec
+from ..instants import NS
 from ..noise import session_noise
 from ..segmentation.segment import Statistics
 from ..segmentation.sensor import Sensor
@@ -23,7 +24,7 @@ from ..segmentation.statistics import (
 )
 from ..stream import Floats, ImuBlock, Stamps, Units
 
-_SETTLED = 1_000_000_000
+_SETTLED = NS
 """ns excluded at either end of a dwell: the table's state and the samples have different delays."""
 _SHORTEST = 64
 """Samples: five octaves of averaging times."""

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+from ...instants import NS
 from .messages import message_class
-
-NS = 1_000_000_000
-"""Of a second."""
 
 
 class ClockType(IntEnum):

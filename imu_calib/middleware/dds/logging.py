@@ -8,6 +8,8 @@ from contextlib import suppress
 from enum import IntEnum
 from functools import partialmethod
 
+from ...instants import NS
+
 
 class LoggingSeverity(IntEnum):
     """Levels of a log line."""
@@ -43,7 +45,7 @@ class Logger:
     def _write(self, severity: LoggingSeverity, message: str) -> None:
         if severity < self._level():
             return
-        sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
+        sec, nanosec = divmod(time.time_ns(), NS)
         line = f'[{severity.name}] [{sec}.{nanosec:09d}] [{self.name}]: {message}\n'
         # A closed terminal or pipe must not end a node that leads a table.
         with suppress(OSError):

@@ -6,8 +6,9 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from ...errors import ImuCalibError
+from ...instants import NS
 from . import names
-from .clock import NS, Clock, ClockType
+from .clock import Clock, ClockType
 from .context import CONTEXT
 from .endpoints import Publisher, Subscription
 from .logging import Logger
