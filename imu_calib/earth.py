@@ -36,6 +36,10 @@ LATITUDE_STD = math.radians(0.01)
 1.1 km: two decimals of a degree, and a laboratory anywhere in the town of that latitude. Rounding
 alone is 0.0029 deg (GUM F.2.2.1)."""
 
+LEAST_GRAVITY, MOST_GRAVITY = 9.7, 9.9
+"""Range of a stated gravity, m/s^2: normal gravity is 9.780 to 9.832 at sea level, and 10 km of
+height, above any laboratory, take off 0.031."""
+
 _SEMI_MAJOR_AXIS = 6378137.0
 """m. This and the next of WGS 84 (NIMA TR8350.2, third edition, chapter 3)."""
 _FLATTENING = 1 / 298.257223563
@@ -147,8 +151,9 @@ class Site:
             std = math.hypot(normal if gravity_std is None else gravity_std, by_height)
             here = normal_gravity(latitude, level)
             return cls(latitude, here, NORMAL_GRAVITY, std, height, latitude_std)
-        if not 9.7 <= gravity <= 9.9:
-            raise InputError(f'gravity: found {gravity:g} m/s^2, expected 9.7 to 9.9.')
+        if not LEAST_GRAVITY <= gravity <= MOST_GRAVITY:
+            limits = f'{LEAST_GRAVITY:g} to {MOST_GRAVITY:g}'
+            raise InputError(f'gravity: found {gravity:g} m/s^2, expected {limits}.')
         return cls(latitude, gravity, MEASURED, gravity_std or 0.0, height, latitude_std)
 
     @property

@@ -18,6 +18,10 @@ _DOMAIN = 'ROS_DOMAIN_ID'
 _URI = 'CYCLONEDDS_URI'
 _STAYS = frozenset({'LOCALHOST', 'OFF'})
 
+LONGEST_LEASE = 25.0
+"""s after which a killed process is no longer listed: leases are 10 s with Cyclone DDS and 20 s
+with Fast DDS; the rest is for a busy machine."""
+
 _DOMAINS = range(1, 102)
 """Domains whose ports are below those that Linux gives to other programs."""
 _claims: deque[socket.socket] = deque()

@@ -10,6 +10,7 @@ from typing import Any
 
 from .channel_noise import COEFFICIENTS, CURVE
 from .config import Section, as_number
+from .earth import LEAST_GRAVITY, MOST_GRAVITY
 from .errors import InputError
 
 _CHANNELS = 6
@@ -44,7 +45,7 @@ def read_origin(section: Section) -> dict[str, Any]:
         (_NUMBERS, mine.number),
         (_NOT_NEGATIVE, lambda name: _number(mine, name, 0.0)),
         (('latitude_deg',), lambda name: _number(mine, name, -90.0, 90.0)),
-        (('gravity',), lambda name: _number(mine, name, 9.7, 9.9)),
+        (('gravity',), lambda name: _number(mine, name, LEAST_GRAVITY, MOST_GRAVITY)),
         (_SIX, lambda name: _numbers(mine, name, _CHANNELS)),
         (('temperature',), lambda name: _each(mine.section(name), ('mean', 'lowest', 'highest'))),
         (('clock',), lambda name: _clock(mine.section(name))),

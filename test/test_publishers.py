@@ -8,7 +8,7 @@ import pytest
 from loopback import environment, until
 
 from imu_calib.errors import ImuCalibError, InputError
-from imu_calib.nodes.publishers import GHOST, OnePublisher
+from imu_calib.nodes.publishers import LONGEST_LEASE, OnePublisher
 from imu_calib.nodes.stop import state_folder
 
 UNKNOWN = '_NODE_NAME_UNKNOWN_'
@@ -56,12 +56,12 @@ def test_two_that_live_are_named_at_once(second, name):
 def test_a_node_that_was_killed_and_started_anew_is_let_be_until_the_lease_is_over():
     topic, graph = watched(publisher('plc', 1), publisher('plc', 2))
     assert topic.fault(0.0) == ''
-    assert topic.fault(GHOST) == ''
-    assert '/plc, /plc' in topic.fault(math.nextafter(GHOST, math.inf))
+    assert topic.fault(LONGEST_LEASE) == ''
+    assert '/plc, /plc' in topic.fault(math.nextafter(LONGEST_LEASE, math.inf))
     graph.listed.pop()
-    assert topic.fault(GHOST + 1) == ''
+    assert topic.fault(LONGEST_LEASE + 1) == ''
     graph.listed.append(publisher('plc', 3))
-    assert topic.fault(GHOST + 2) == '', 'the next one has a time of its own'
+    assert topic.fault(LONGEST_LEASE + 2) == '', 'the next one has a time of its own'
 
 
 def test_two_that_are_heard_live_whatever_they_are_called():
@@ -91,7 +91,7 @@ def test_two_devices_end_a_session_whatever_their_topic_is_called(monkeypatch, t
         from imu_calib.nodes import calibrator_node, qos, subscriptions
     except ImuCalibError as error:
         pytest.skip(str(error))
-    monkeypatch.setattr(subscriptions, '_GHOST', 0.2)
+    monkeypatch.setattr(subscriptions, 'LONGEST_LEASE', 0.2)
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
     given = {

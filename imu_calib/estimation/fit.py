@@ -14,8 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import NotObservable
+from ..gaussian import FIVE_SIGMA
 from ..model import PARAMETERS, terms_of
-from ..observation.equations import Equations
+from ..observation.equations import LEAST_AZIMUTH, Equations
 from ..observation.information import (
     Information,
     determined,
@@ -26,7 +27,6 @@ from ..observation.information import (
 from ..observation.lacking import advice, undetermined_parameters
 from ..observation.session_model import Nuisance
 from ..stream import Floats
-from ..units import DEG
 from .converge import least_squares, linear_step
 from .excess_scatter import ExcessScatter, excess
 
@@ -40,13 +40,6 @@ _ITERATIONS = 100
 _TILTED = 4.0
 """Standard deviations of the levelling beyond which a tilt is significant: exceeded by normal noise
 once in 16 000."""
-
-_CONTRADICTION = 5.0
-"""Standard deviations by which gyros must contradict a stated azimuth for it to be dropped:
-exceeded by normal noise once in 1.7 million."""
-
-_LEAST_AZIMUTH = 0.05 * DEG
-"""Least contradiction of a stated azimuth, rad: rounding to a tenth of a degree has this error."""
 
 
 def check_observable(equations: Equations) -> None:
@@ -145,5 +138,5 @@ def headed(equations: Equations, state: Floats) -> Equations:
     drifting = with_scatter(free, excess(free, state))
     state = fit(drifting, state)
     covariance = Information.of(drifting.whitened(state)[0]).covariance
-    far = max(_CONTRADICTION * float(np.sqrt(covariance[azimuth, azimuth])), _LEAST_AZIMUTH)
+    far = max(FIVE_SIGMA * float(np.sqrt(covariance[azimuth, azimuth])), LEAST_AZIMUTH)
     return free if abs(state[azimuth]) > far else equations

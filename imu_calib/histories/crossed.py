@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..gaussian import MAD_TO_STD
 from ..stream import Floats
 
 _TUNING = 2.0
@@ -21,8 +22,6 @@ _ROUNDS = 30
 """Largest number of reweighting iterations; they end when no weight changes."""
 _SETTLED = 1e-4
 """Change of a weight below which iterations end."""
-_MAD = 1.4826
-"""Standard deviation over the median absolute deviation of a normal distribution."""
 _RANK = 1e-9
 """Singular values, of columns scaled to one, that count as zero: far above rounding (1e-14 with
 some hundred sessions), far below any design that separates stands (1 / sessions)."""
@@ -90,7 +89,7 @@ def crossed(
         coefficients, _ = _solved(less[:, :-1], weight * trust, less[:, -1])
         deviations = (less[:, -1] - less[:, :-1] @ coefficients) * np.sqrt(weight)
         z = np.divide(deviations, share, out=np.zeros_like(deviations), where=share > 0)
-        scale = _MAD * float(np.median(np.abs(z[share > 0])))
+        scale = MAD_TO_STD * float(np.median(np.abs(z[share > 0])))
         bound = np.maximum(_TUNING * scale, np.finfo(float).tiny)
         before = trust
         trust = np.minimum(1.0, bound / np.maximum(np.abs(z), np.finfo(float).tiny))

@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..gaussian import MAD_TO_STD
 from ..stream import Floats
 
 FEWEST = 15
@@ -21,8 +22,6 @@ _SHARE, _MOST = 10, 100
 """At most one unit in ten, and at most a hundred, may be outliers."""
 _OF_A_LOT = 2
 """Smallest number of units in a lot, and of all others, for a test of the lot."""
-MAD = 1.4826
-"""Of a normal distribution: standard deviation over median absolute deviation."""
 
 
 def robust(values: Floats) -> tuple[Floats, Floats]:
@@ -30,7 +29,7 @@ def robust(values: Floats) -> tuple[Floats, Floats]:
     some = np.isfinite(values).any(axis=0)
     safe = np.where(some, values, 0.0)
     median = np.nanmedian(safe, axis=0)
-    deviation = MAD * np.nanmedian(np.abs(safe - median), axis=0)
+    deviation = MAD_TO_STD * np.nanmedian(np.abs(safe - median), axis=0)
     return np.where(some, median, np.nan), np.where(some, deviation, np.nan)
 
 

@@ -7,13 +7,12 @@ import scipy
 
 from ..earth import EARTH_RATE
 from ..errors import Contradiction, InputError, NotObservable
+from ..gaussian import FIVE_SIGMA
 from ..model import AXES, SensorModel
 from ..observation.evidence import Evidence
 from ..stream import Floats
 from ..units import DEG, DEG_H, PPM, STANDARD_GRAVITY
 
-CONTRADICTION = 5.0
-"""Standard deviations: exceeded in 6e-7 of Gaussian cases."""
 TIMES = ' A wrong rate of the samples, or unit of their times, does the same.'
 """For gyros: their rates times time are compared with turned angles."""
 _RANGES = {
@@ -192,7 +191,7 @@ def check_latitude(
     up_std = float(np.sqrt(covariance[2, 2]))
     level = float(np.hypot(earth[0], earth[1]))
     level_std = float(np.sqrt(max(covariance[0, 0], covariance[1, 1])))
-    limit = -float(scipy.special.stdtrit(freedom, scipy.special.ndtr(-CONTRADICTION)))
+    limit = -float(scipy.special.stdtrit(freedom, scipy.special.ndtr(-FIVE_SIGMA)))
     far_up = abs(earth[2] - site.up_rate) > max(limit * up_std, _LEAST_EARTH_RATE)
     far_level = abs(level - site.north_rate) > max(limit * level_std, _LEAST_EARTH_RATE)
     if not (far_up or far_level):

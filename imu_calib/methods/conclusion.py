@@ -9,8 +9,9 @@ import numpy as np
 import scipy
 
 from ..budget import Share, Shares, Source, total
+from ..gaussian import FIVE_SIGMA, MAD_TO_STD
 from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel
-from ..observation.equations import Equations
+from ..observation.equations import LEAST_AZIMUTH, Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.level import Accelerometers, Tilt, widened_for_tilt
 from ..observation.session_model import Nuisance
@@ -18,7 +19,6 @@ from ..rotations import angle_between
 from ..stream import Floats
 from ..units import DEG, DEG_H
 from .checks import (
-    CONTRADICTION,
     check_axes,
     check_latitude,
     clock_finding,
@@ -38,8 +38,6 @@ _OFF_POSITION = 0.02 * DEG
 _OUTSTANDING = 5.0
 """Times 1.5 of the usual worst channel of a position: for Gaussian residuals in six channels some
 12 standard deviations."""
-_LEAST_AZIMUTH = 0.05 * DEG
-"""rad: error of a table's zero that is set to north without measurement; a judgement."""
 SAME_UP = 0.99
 """Cosine: 8 degrees, far less than the differences between positions of a plan."""
 _ON_TURNS = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
@@ -191,7 +189,7 @@ def conclude(
         check_latitude(evidence, rate, earth, gyro.scatter.freedom)
     azimuth = float(np.arctan2(rate[0], rate[1]))
     azimuth_std = _azimuth_std(rate, earth)
-    if north_known and abs(azimuth) > max(CONTRADICTION * azimuth_std, _LEAST_AZIMUTH):
+    if north_known and abs(azimuth) > max(FIVE_SIGMA * azimuth_std, LEAST_AZIMUTH):
         notes.append(
             f'The gyros see north {azimuth / DEG:.1f} +- {azimuth_std / DEG:.1f} deg off the '
             'azimuth given: the gyro biases are wrong by up to '
@@ -316,7 +314,7 @@ def _outstanding(residuals: Sequence[Residual]) -> list[str]:
         [np.abs(r.value) / np.maximum(r.std, np.sqrt(SMALLEST_VARIANCE)) for r in residuals]
     )
     worst = np.nanmax(normalised, axis=1)
-    limit = _OUTSTANDING * max(1.0, 1.4826 * float(np.median(worst)))
+    limit = _OUTSTANDING * max(1.0, MAD_TO_STD * float(np.median(worst)))
     names = [
         f'{r.position} ({w:.0f} sigma)' for r, w in zip(residuals, worst, strict=True) if w > limit
     ]

@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..errors import NotObservable
+from ..gaussian import FIVE_SIGMA
 from ..model import SensorModel, Skewed, Triad, indices_of, parameters_of, skewed_parameters
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..stream import Floats
@@ -34,8 +35,6 @@ ESTIMATES = tuple(p for p in _PARAMETERS if p.triad == 'g')
 
 _SAME_RATE = 0.05
 """Share: rates closer than that count as one rate of the plan."""
-_PARITY = 5.0
-"""Standard deviations: exceeded in 6e-7 of Gaussian cases."""
 _SLIGHT = 0.01
 """Of the logarithm of a variance: a step of the numerical derivative."""
 
@@ -265,7 +264,7 @@ def _parity(points: RatePoints, unknowns: Floats, variances: Floats) -> list[str
         f'{np.sqrt(np.mean(residuals**2)) / DEG_H:.3g} deg/h, where their noise explains '
         f'{np.sqrt(np.mean(deviation**2)) / DEG_H:.3g} deg/h.'
     )
-    far = np.abs(residuals) > _PARITY * deviation
+    far = np.abs(residuals) > FIVE_SIGMA * deviation
     if not far.any():
         return [sentence]
     rates = ', '.join(f'{rate / DEG:+.0f} deg/s' for rate in points.turned[far])

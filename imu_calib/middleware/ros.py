@@ -49,6 +49,7 @@ from rclpy.time import Time
 from std_srvs.srv import Trigger
 
 from ..errors import InputError
+from ..network import LONGEST_LEASE
 from . import ros_action_types as actions
 from . import ros_messages as messages
 from . import ros_sources
@@ -105,9 +106,6 @@ _AT_ONCE = 4096
 
 RCLError = rclpy_implementation.RCLError
 UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
-
-_LONGEST_LEASE = 30.0
-"""s after which a reader that takes nothing is given up: longer than any middleware's lease."""
 
 
 def init(**options: Any) -> None:
@@ -200,13 +198,14 @@ def drain_sources(subscription: Any) -> list[tuple[bytes, bytes]]:
 def publish_all(publisher: Any, payloads: Iterable[bytes]) -> None:
     """Publish serialised messages without losses; see `dds.drains.publish_all`."""
     for payload in payloads:
-        until = time.monotonic() + _LONGEST_LEASE
+        until = time.monotonic() + LONGEST_LEASE
         while True:
             try:
                 publisher.publish(payload)
                 break
             except RCLError:
-                # Fast DDS waits a tenth of a second for room in the history, then refuses.
+                # Fast DDS waits a tenth of a second for room in the history, then refuses: a killed
+                # reader takes nothing until its lease ends.
                 if time.monotonic() > until or not ok():
                     raise
 

@@ -11,6 +11,7 @@ from .. import middleware as ros
 from ..cdr import ImuDecoder, Messages, decode_skew, decode_temperatures, rates_payloads
 from ..compensation.compensator import Compensator, Reading
 from ..middleware import messages
+from ..network import LONGEST_LEASE
 from ..paths import user_path
 from ..stream import ImuBlock
 from . import qos
@@ -22,8 +23,6 @@ from .entry import entry_point
 
 _SECOND = 1.0
 """s between checks of what changes slowly."""
-_GHOST = 15.0
-"""s: a killed publisher is listed until its lease ends, ten seconds with Cyclone DDS."""
 
 
 class CompensatorNode(ros.ManagedNode):
@@ -200,7 +199,7 @@ class CompensatorNode(ros.ManagedNode):
             self._two_since, self._mixed = None, False
         elif self._two_since is None:
             self._two_since = time.monotonic()
-        elif time.monotonic() - self._two_since > _GHOST:
+        elif time.monotonic() - self._two_since > LONGEST_LEASE:
             self._mixed = True
 
     def _subscribe_anew(self) -> None:

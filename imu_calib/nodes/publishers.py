@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-GHOST = 25.0
-"""How long a killed publisher may be listed, s: until its lease ends, 10 s with Cyclone DDS, 20 s
-with Fast DDS, plus a margin for a busy machine."""
+from ..network import LONGEST_LEASE
 
 _NAMELESS = 2.0
 """s by which a node's name may appear later than its publishers."""
@@ -78,7 +76,7 @@ class OnePublisher:
             len(participants) < len(listed)
             or len(known) > 1
             or (nameless and seconds > _NAMELESS)
-            or seconds > GHOST
+            or seconds > LONGEST_LEASE
         )
 
 

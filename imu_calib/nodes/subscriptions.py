@@ -13,12 +13,11 @@ from .. import middleware as ros
 from ..calibrator import Setup
 from ..cdr import Kind
 from ..middleware import messages
+from ..network import LONGEST_LEASE
 from . import qos
 
 _MOST = 4096
 """Messages taken per call: one second at 4 kHz, so that other callbacks can run."""
-_GHOST = 15.0
-"""s: a killed publisher is listed until its lease ends, ten seconds with Cyclone DDS."""
 _TOPICS = {
     Kind.SETPOINTS: ('turntable/setpoint', messages.TurntableSetpoint),
     Kind.JOINTS: ('turntable/joint_states', messages.JointState),
@@ -86,14 +85,14 @@ class Subscriptions:
         return bool(self._node.count_publishers(self.topics[Kind.IMU]) > 1)
 
     def two_devices_persist(self) -> bool:
-        """Return whether there are two for long: a killed one stays listed for ten seconds."""
+        """Return whether there are two for long: a killed one stays listed until its lease ends."""
         if not self.two_devices:
             self._two_since = None
             return False
         now = time.monotonic()
         if self._two_since is None:
             self._two_since = now
-        return now - self._two_since > _GHOST
+        return now - self._two_since > LONGEST_LEASE
 
     def subscribe_anew(self) -> list[str]:
         """Subscribe best effort to best-effort publishers; return their topics."""

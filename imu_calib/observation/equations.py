@@ -38,6 +38,10 @@ Accuracy and Stability of Numerical Algorithms, theorem 10.7)."""
 GIVEN_AZIMUTH = 1 * ARCMIN
 """Standard deviation of a table's azimuth where its configuration states it."""
 
+LEAST_AZIMUTH = 0.05 * DEG
+"""Least reported difference between north by the gyros and a table's stated azimuth, rad: rounding
+to a tenth of a degree has this error."""
+
 
 def cached_by_weights(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Floats], Value]:
     """Cache results that depend on the weights alone, at the last states (n,).

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..gaussian import FIVE_SIGMA
 from ..model import PARAMETERS, Triad
 from ..rotations import shortest
 from ..stream import Floats
@@ -20,9 +21,6 @@ from .evidence import UP, Evidence
 
 Accelerometers = Callable[[Evidence], Triad]
 """A closed form for the accelerometers of a session."""
-
-_SURE = 5.0
-"""Standard deviations of a significant tilt: exceeded in two axes once in 270 000 sessions."""
 
 _SIGNIFICANT = 0.5
 """An error of so many standard deviations gets a sentence and widens them, by 12 %; smaller ones
@@ -48,8 +46,8 @@ class Tilt:
 
     @property
     def is_significant(self) -> bool:
-        """Whether it is more than the noise explains."""
-        return self.size > _SURE * self.std
+        """Whether it is more than the noise of two axes explains: not so once in 270 000."""
+        return self.size > FIVE_SIGMA * self.std
 
     def levelled(self, vector: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Return a (3,) vector of the frame of the attitudes against the plumb line.

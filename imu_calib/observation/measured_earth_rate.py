@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..earth import EARTH_RATE
+from ..gaussian import FIVE_SIGMA
 from ..segmentation.segment import Segment
 
 _NOMINAL = 0.03
@@ -14,8 +15,6 @@ _NOMINAL = 0.03
 (MPU-9150: sensitivity tolerance of 3 %)."""
 _FEWEST = 3
 """Static dwells: three in two attitudes determine six unknowns by nine readings."""
-_CONTRADICTION = 5.0
-"""Standard deviations: exceeded by chance in one of 1.7 million sessions."""
 _DETERMINED = np.radians(10.0)
 """rad: a latitude with a larger uncertainty is not reported, as in `methods.checks`."""
 
@@ -62,4 +61,4 @@ def measured_latitude(up: float, std: float) -> tuple[float, float] | None:
 
 def contradicts(up: float, std: float, stated: float) -> bool:
     """Return whether an Earth rate about up contradicts a stated latitude (rad)."""
-    return bool(abs(up - EARTH_RATE * np.sin(stated)) > _CONTRADICTION * std)
+    return bool(abs(up - EARTH_RATE * np.sin(stated)) > FIVE_SIGMA * std)

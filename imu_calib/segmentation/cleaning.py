@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..gaussian import FIVE_SIGMA, MAD_TO_STD
 from ..stream import Floats
 from ..units import DEG, significant
 from .segment import CHANNELS, Statistics
@@ -16,12 +17,10 @@ _WINDOW_SECONDS = 0.5
 """s: long enough to average noise, short compared with a dwell."""
 _OUTLIER = 7.0
 """Times the scatter of the windows' means: exceeded by 3e-12 of Gaussian ones."""
-_SHIFT = 5.0
-"""Standard deviations of the angle of a turned mount: exceeded by 6e-7 of Gaussian ones."""
 _LEAST_SHIFT = 0.005 * DEG
 """rad: 18 arcsec, three times the assumed positioning error of a table (table_errors)."""
-_ONE_SIDED = _SHIFT**2
-"""Samples of one sign whose sum exceeds the root of the sum of their squares by `_SHIFT`: with
+_ONE_SIDED = FIVE_SIGMA**2
+"""Samples of one sign whose sum exceeds the root of the sum of their squares by `FIVE_SIGMA`: with
 fewer no test distinguishes a turn from vibration."""
 _HALF = 0.5
 """Of the tilt that a turn must cause: accelerometers confirm the turn if they see more."""
@@ -140,7 +139,7 @@ class _Means:
     def of(cls, sums: Floats, expected: Floats) -> _Means:
         """Take the sums (w, 6) of windows, and the noise (6,) expected of one."""
         residuals = sums - _robust_line(sums)
-        scatter = np.maximum(1.4826 * np.median(np.abs(residuals), axis=0), expected)
+        scatter = np.maximum(MAD_TO_STD * np.median(np.abs(residuals), axis=0), expected)
         # Values that are not pulses and have no noise still need a tolerance.
         return cls(sums, residuals, scatter, 1e-9 * np.abs(sums).max(axis=0) + 1e-15)
 
@@ -179,7 +178,7 @@ class _Means:
                 pulses[:3],
             )
             turned = np.where(one_way, turned, 0.0)
-            limit = _SHIFT * np.sqrt(stop - start) * self.scatter[:3] + floor[:3]
+            limit = FIVE_SIGMA * np.sqrt(stop - start) * self.scatter[:3] + floor[:3]
             if np.any(np.abs(turned) > np.maximum(limit, _LEAST_SHIFT)):
                 return ShiftingDisturbance(
                     start * length, stop * length, float(np.linalg.norm(turned))
@@ -204,7 +203,7 @@ class _Means:
             sum(1 / len(e) for e in ends)
         )
         seen = float(along @ (ends[1].mean(axis=0) - mean))
-        return None if wanted < _SHIFT * std else seen > _HALF * wanted
+        return None if wanted < FIVE_SIGMA * std else seen > _HALF * wanted
 
     def _about_up(self, turned: Floats) -> Floats:
         """Return the part of a turn that no accelerometer sees."""
@@ -224,7 +223,7 @@ def _one_way(samples: Floats, total: Floats, turned: Floats, pulses: Floats) -> 
     flips = len(samples) * (_FLIPPING * pulses) ** 2
     squares = np.maximum(np.sum(free**2, axis=0) - flips, 0.0)
     many = np.sum(np.abs(free), axis=0) ** 2 > _ONE_SIDED * np.sum(free**2, axis=0)
-    return np.asarray(~many | (np.abs(turned) >= _SHIFT * np.sqrt(squares)))
+    return np.asarray(~many | (np.abs(turned) >= FIVE_SIGMA * np.sqrt(squares)))
 
 
 def _robust_line(sums: Floats) -> Floats:

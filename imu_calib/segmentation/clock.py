@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..gaussian import MAD_TO_STD
 from ..rotations import angle_between
 from ..stream import Floats, Stamps
 from ..units import DEG
@@ -272,5 +273,5 @@ def _pieces(time: Floats, offset: Floats) -> NDArray[np.intp]:
         return np.zeros(len(time), dtype=np.intp)
     far = elapsed >= np.median(elapsed)
     residuals = change - np.median(change[far] / elapsed[far]) * elapsed
-    limit = _OUTLIER * 1.4826 * float(np.median(np.abs(residuals))) + _LEAST_JUMP
+    limit = _OUTLIER * MAD_TO_STD * float(np.median(np.abs(residuals))) + _LEAST_JUMP
     return np.append(0, np.cumsum(np.abs(residuals) > limit)).astype(np.intp)

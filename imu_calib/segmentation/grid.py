@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..gaussian import MAD_TO_STD
 from ..stream import Floats, Stamps
 from .bunches import sampling_times
 
@@ -186,7 +187,7 @@ def clock_steps(stamp: Stamps, hint: float = 0.0) -> list[int]:
     off = np.abs(steps / period - 1)
     if float(off.max()) <= _OFF_GRID:
         return []
-    scatter = 1.4826 * float(np.median(off))
+    scatter = MAD_TO_STD * float(np.median(off))
     regular = np.append(True, off <= max(_OFF_GRID, _SURELY * scatter))
     if regular.all():
         return []
@@ -310,7 +311,7 @@ def _near(residuals: Floats) -> NDArray[np.bool_]:
     if float(np.ptp(residuals)) <= 2 * _ROUNDING:
         return np.ones(len(residuals), dtype=bool)
     off = np.abs(residuals - np.median(residuals))
-    return np.asarray(off <= _OUTLYING * 1.4826 * float(np.median(off)) + 2 * _ROUNDING)
+    return np.asarray(off <= _OUTLYING * MAD_TO_STD * float(np.median(off)) + 2 * _ROUNDING)
 
 
 def _in_common(residuals: Floats) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..earth import EARTH_RATE
+from ..gaussian import MAD_TO_STD
 from ..stream import Floats
 from ..units import DEG, STANDARD_GRAVITY
 
@@ -40,7 +41,7 @@ _ATTITUDES = 5
 """Attitudes from which on the median of the output's change with attitude is used. A judgement: two
 slow turns about the vertical among them do not move it."""
 
-_USUAL_TO_MOST = 3 * 1.4826
+_USUAL_TO_MOST = 3 * MAD_TO_STD
 """Ratio of three standard deviations of normal scatter to the median of its absolute value."""
 
 

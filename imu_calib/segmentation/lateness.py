@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..gaussian import MAD_TO_STD
 from ..instants import at
 from ..stream import Stamps
 
-JITTER = 6 * 1.4826
-"""Times the median absolute deviation: six standard deviations of a Gaussian one (1.4826)."""
+JITTER = 6 * MAD_TO_STD
+"""Times the median absolute deviation: six standard deviations of Gaussian jitter."""
 
 _FEW = 1e-3
 """Share of late samples up to which none is reported: a judgement. A host that was busy for a

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..gaussian import MAD_TO_STD
 from ..stream import Floats, Stamps
 from ..units import DEG
 from .buffer import RowBuffer
@@ -37,7 +38,7 @@ _NOISE = 10.0 * np.sqrt(2)
 """Standard deviations of a reading by which two may differ at rest: from 32 readings the scatter is
 known to a fifth, and six are then exceeded once in 10^9."""
 
-_SECOND_DIFFERENCE = 1.4826 / np.sqrt(6)
+_SECOND_DIFFERENCE = MAD_TO_STD / np.sqrt(6)
 """Standard deviation of readings over the median size of their second differences."""
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..allan import allan_sums
+from ..gaussian import MAD_TO_STD
 from ..imu import ImuSpec
 from ..stream import Floats, Stamps, Units
 from .counter import END_POINT_VARIANCE, MeanRate, block_edges, block_rates, mean_rate, rate_between
@@ -131,7 +132,7 @@ def gap_free(stamp: Stamps, period: float) -> list[tuple[int, int]]:
     steps = np.diff(stamp) * 1e-9
     if float(steps.max(initial=0.0)) <= 1.5 * period:
         return [(0, len(stamp))]
-    jitter = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
+    jitter = MAD_TO_STD * float(np.median(np.abs(steps - np.median(steps))))
     # Half of a few steps may be gaps: stamps with jitter beyond an interval have no order.
     cuts = np.flatnonzero(steps > 1.5 * period + 6 * min(jitter, period)) + 1
     edges = [0, *cuts.tolist(), len(stamp)]

@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from ..errors import NotObservable
+from ..gaussian import FIVE_SIGMA
 from ..model import TERMS, Parameter, ParameterKind, Term
 from ..stream import Floats
 from ..units import ARCMIN, DEG, PPM
@@ -28,8 +29,6 @@ _EXCESS = 1e-3
 """Chi-square probability below which residuals show excess scatter."""
 _ENOUGH = 8.0
 """Fewest degrees of freedom left by new parameters: with fewer, any fit succeeds."""
-_MOVED = 5.0
-"""Standard deviations: a false alarm in 1e-5 of sessions with 24 parameters."""
 _HALF = 0.5
 """Share of the determined parameters that must have changed to name another unit."""
 _FAR = 0.05
@@ -329,7 +328,7 @@ def _far(
     moved = [
         ShiftedParameter(parameters[k], float(fit.delta[k]), float(fit.std[k])) for k in columns
     ]
-    return tuple(m for m in moved if abs(m.difference) > _MOVED * m.std)
+    return tuple(m for m in moved if abs(m.difference) > FIVE_SIGMA * m.std)
 
 
 def _with_another(system: TriadSystem) -> Iterator[tuple[Term, TriadSystem]]:
