@@ -27,12 +27,14 @@ PPM = 1e-6
 """A ratio."""
 
 _ANGLES: dict[str, float] = {'rad': 1.0, 'deg': DEG, 'arcmin': ARCMIN, 'arcsec': ARCSEC}
+"""rad per unit."""
 _ACCELERATIONS: dict[str, float] = {
     'm/s^2': 1.0,
     'g': STANDARD_GRAVITY,
     'mg': STANDARD_GRAVITY * 1e-3,
     'ug': MICRO_G,
 }
+"""m/s^2 per unit."""
 _RATES: dict[str, float] = {
     f'{angle}/{time}': value / seconds
     for angle, value in _ANGLES.items()

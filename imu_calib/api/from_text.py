@@ -23,6 +23,7 @@ _GYRO = {**Dimension.RATE.value, **RAW_UNITS}
 _ACCEL = {**Dimension.ACCELERATION.value, **RAW_UNITS}
 _ANGLE: Mapping[str, float] = Dimension.ANGLE.value
 _STAMP = {'s': 1e9, 'ms': 1e6, 'us': 1e3, 'ns': 1.0}
+"""ns per unit of a time."""
 _CELSIUS = {'degC': 1.0}
 _LAST_SECOND = 2**31 - 1
 """Upper limit of builtin_interfaces/Time."""

@@ -12,7 +12,8 @@ _ENOUGH = 0.5
 """Share of a dwell that must be usable: less increases its noise by more than a factor 1.4."""
 
 _SAME_RATE = 0.2
-"""Relative tolerance on the commanded rate."""
+"""Relative tolerance on the commanded rate. A judgement: scale factors are percents off, and the
+rates of a supplied plan differ by a quarter or more."""
 
 
 def unsupported_steps(

@@ -16,11 +16,9 @@ from ..errors import InputError
 from ..plain_table import plain_table
 from ..units import ARCMIN, PPM, significant
 from .node_reports import NodeReports
-from .processes import Outcome, Processes
+from .processes import START, Outcome, Processes
 from .terminal import ERRORS, OUTPUT
 
-_START = 30.0
-"""s for the nodes to start."""
 _SHOWN = 6
 """Attitudes shown at once: as many as fit above the bars of a small terminal."""
 _BAR = 24
@@ -40,7 +38,7 @@ def follow(processes: Processes, reports: NodeReports) -> Outcome:
         watching(processes, reports) as monitor,
         Live(console=ERRORS, refresh_per_second=8, transient=True) as display,
     ):
-        deadline = time.monotonic() + _START
+        deadline = time.monotonic() + START
         shown = ''
         while monitor.outcome is None:
             monitor.spin(0.1)

@@ -33,14 +33,12 @@ from ..web.expectation import expectation, units_board
 from ..web.units import UnitsBoard
 from . import by_hand, options, resume, several, web_page
 from .node_reports import NodeReports, NothingComes
-from .processes import Outcome, Processes, free_ports, network_of_hardware, private_network
+from .processes import START, Outcome, Processes, free_ports, network_of_hardware, private_network
 from .stand import complete
 from .table_view import view
 from .terminal import ERRORS, OUTPUT, sentence_list
 
 _ORDER = ('stand_node', 'hand_node', 'imu_node', 'calibrator_node', 'turntable_node')
-_START = 30.0
-"""Longest wait for the nodes to discover each other, s."""
 _START_OF_EACH = 5.0
 """s more for each of several units: a node takes some 2 s of a core to load."""
 
@@ -366,7 +364,7 @@ def _follow(
         Live(console=ERRORS, refresh_per_second=4, transient=True) as display,
     ):
         several_units = len(board.names) if isinstance(board, UnitsBoard) else 0
-        deadline = time.monotonic() + _START + _START_OF_EACH * several_units
+        deadline = time.monotonic() + START + _START_OF_EACH * several_units
         shown = ''
         while True:
             monitor.spin(0.1)

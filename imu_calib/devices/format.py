@@ -21,7 +21,9 @@ TYPES = {
     'f64': ('f', 8),
     'fp16.32': ('q', 6),
 }
+"""Kind and bytes of the numbers of a frame, by their names in its file."""
 TICKS_NS = {'ns': 1.0, 'us': 1e3, 'ms': 1e6, 's': 1e9}
+"""ns per unit of a device's time."""
 LONGEST = 4096
 """Bytes of a frame: more is taken for a typing error."""
 _BITS_OF_A_BYTE = 10

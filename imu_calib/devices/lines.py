@@ -98,6 +98,7 @@ class Udp(_Socket):
     KIND = socket.SOCK_DGRAM
     # Two seconds of 4 kHz in datagrams of 100 bytes; no datagram is longer than 64 KiB.
     BUFFER = 1 << 20
+    # Bytes of the longest datagram: its length is a number of 16 bits (RFC 768).
     MOST = 1 << 16
 
     def _open(self, host: str, port: int) -> None:

@@ -18,6 +18,7 @@ _LONGEST = 4096
 judgement."""
 
 LENGTH_TYPES = {'u8': 1, 'u16': 2}
+"""Bytes of the numbers that state a message's length."""
 
 
 @dataclass(frozen=True)

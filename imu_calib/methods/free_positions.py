@@ -37,6 +37,7 @@ NAME = 'free_positions'
 """The method's name in plans."""
 
 _KEPT = {('a', 0, 1), ('a', 0, 2), ('a', 1, 2)}
+"""Misalignments that are zero by definition of the body axes: triad, row, column."""
 
 FREE = np.array([(p.triad, p.row, p.column) not in _KEPT for p in PARAMETERS])
 """(24,) mask of the 24 that exist in the frame of the accelerometers: 21."""
@@ -62,6 +63,9 @@ the stated deviation with 1e-3, and by up to 2.4 with this."""
 _DETERMINED = 0.5
 """Degrees of freedom from which on a group shows its scatter: below, its residuals are rounding of
 the fit. A judgement."""
+_SETTLED = 0.02
+"""Relative change at which the noise has settled. A judgement: a session of twenty holds knows it
+to some ten percent."""
 _OUTLYING = 6.0
 """Times the usual size of a turn's residual: exceeded in 2e-8 (Rayleigh)."""
 _UNTESTED = 1e-3
@@ -332,7 +336,7 @@ def _weighed(state: _State) -> _State:
             continue
         scatter, freedom, chances = _scatter(state)
         state = replace(state, scatter_chances=chances)
-        if np.allclose(scatter, state.scatter, rtol=0.02):
+        if np.allclose(scatter, state.scatter, rtol=_SETTLED):
             if (doubt := _scatter_limit(freedom)).max() > 1:
                 state = state.scattering(scatter * doubt).settled()
             break

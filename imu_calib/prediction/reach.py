@@ -27,10 +27,10 @@ from ..units import PPM
 from .forecast import Forecast, forecast, gravity_variances, information, listed, state_at
 
 SHORTEST = 5.0
-"""Shortest dwell proposed, s."""
+"""Shortest dwell proposed, s. A choice: a table takes as long to move and to settle."""
 
 LONGEST = 24 * 3600.0
-"""Longest dwell proposed, s."""
+"""Longest dwell proposed, s: a day. A choice: nobody waits longer for one position."""
 
 _LOOKS = 20
 """Most rounds of the iteration."""

@@ -11,9 +11,8 @@ from ..stream import Floats
 from .parameter_table import engineering
 from .svg import COLOURS, Axis, Panel, drawing, label, tag
 
-# In px, the margins around the plot included.
-_WIDTH, _HEIGHT, _LEFT, _TOP = 182.0, 74.0, 44.0, 22.0
-_RIGHT = 12.0
+_WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP = 182.0, 74.0, 44.0, 12.0, 22.0
+"""px, the margins around the plot included; layout."""
 
 Line = Sequence[tuple[float, float]]
 

@@ -41,7 +41,9 @@ _PHASE = 0.2
 the square of their number (simulated: 0.17, 0.04 for two, 0.006 for five)."""
 
 _RESONANT = 1.5
-"""By how much readings of a counter at a rational rate may scatter more than independent ones."""
+"""By how much readings of a counter at a rational rate may scatter more than independent ones: for
+99 in 100 rates p/q, q up to 40, read from 8 to 1024 samples on either side. Near half a pulse a
+sample it is up to 3.5 (simulated)."""
 
 _SWEEPS = 4
 """Most times that each gap is read, each time beside others that are filled better."""
@@ -56,7 +58,8 @@ _SURE = 0.01
 is five standard deviations."""
 
 _WIDE = 2.0
-"""Standard deviation of a gap's count, pulses, from which on whole numbers are as good as any."""
+"""Standard deviation of a gap's count, pulses, from which on whole numbers are as good as any:
+their sum is then the integral, and the seventeen that are tried would hold only four deviations."""
 
 _NEVER = 1e-9
 """Least weight of any whole number: rates may change."""

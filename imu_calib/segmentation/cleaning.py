@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..gaussian import FIVE_SIGMA, MAD_TO_STD
 from ..stream import Floats
-from ..units import DEG, significant
+from ..units import DEG, MICRO_G, significant
 from .segment import CHANNELS, Statistics
 from .statistics import Samples
 
@@ -324,4 +324,4 @@ def _largest_step(blocks: Floats, walk: float) -> _Step | None:
 def _amount(step: float, channel: int) -> str:
     if channel < 3:
         return f'{significant(np.degrees(step) * 3600, 3)} deg/h'
-    return f'{significant(step / 9.80665e-6, 3)} ug'
+    return f'{significant(step / MICRO_G, 3)} ug'

@@ -36,6 +36,7 @@ _DRIFT_SIGNIFICANCE = 6.0
 _HARMONICS = 64
 """Of the sawtooth of a counter: the remaining ones hold one percent of its variance."""
 _ORDERS = np.arange(1, _HARMONICS + 1)
+"""Of the harmonics."""
 _POWERS = 1 / (2 * np.pi**2 * _ORDERS**2)
 """Of the harmonics, pulses squared."""
 _FADED_OUT = 37.0

@@ -35,6 +35,8 @@ _ARRIVAL_TOLERANCE = 0.2 * DEG
 off."""
 _ATTITUDE_TOLERANCE = 1.0 * DEG
 """rad: positions of plans are further apart."""
+_SAME_UP = 1e-3
+"""One less the cosine: axes within 2.6 deg are one. A judgement: rate tests are 90 deg apart."""
 _OUTAGE = 10_000_000_000
 """ns: a shorter interruption of the IMU's stream may be a cable. A stand that is started anew takes
 longer, and the simulated one at least as long (cli/resume)."""
@@ -368,6 +370,6 @@ def _by_attitude(segments: Sequence[Segment], plan: Plan) -> list[Segment]:
 def _named_turn(turn: Turn, setpoints: _Setpoints, plan: Plan) -> Turn:
     name = setpoints.position((turn.start + turn.end) / 2)
     if name is None:
-        tests = [p for p in plan.positions if p.rate_test and p.up @ turn.up > 1 - 1e-3]
+        tests = [p for p in plan.positions if p.rate_test and p.up @ turn.up > 1 - _SAME_UP]
         name = tests[0].id if tests else None
     return replace(turn, position=name)

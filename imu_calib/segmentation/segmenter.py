@@ -72,6 +72,9 @@ _NEAR = 0.5
 _MOVED = 10_000_000
 """ns, a sample of 100 Hz: where the first offset that is found moves the ends of dwells by more,
 what was read before it is read again."""
+_ALONE = 0.01
+"""Of the largest travel of a joint: where another turns by more, the clocks are not compared, since
+the gyros' measured angle is compared with that of one joint. A judgement."""
 _SIGNIFICANT = 10 * DEG
 """rad: longer motions determine the offset of the clocks."""
 
@@ -405,7 +408,7 @@ class Segmenter:
     def _compare_clocks(self, motion: Motion, samples: Samples, table: Table) -> None:
         travel = motion.travel
         joint = int(np.argmax(travel))
-        if np.any(np.delete(travel, joint) > 0.01 * travel[joint]):
+        if np.any(np.delete(travel, joint) > _ALONE * travel[joint]):
             return
         axis = table.joint_axis(joint, motion.position[0])
         turned = np.cumsum(samples.increments[:, :3] @ axis)

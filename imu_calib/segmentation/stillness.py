@@ -20,7 +20,8 @@ from .rest_tolerance import RestTolerance
 WINDOW_SECONDS = 0.1
 """s: shorter than any hold, and about one period of a tremor."""
 _WINDOWS_TO_SETTLE = 3
-"""In a row."""
+"""Windows in a row that begin a dwell: the first may hold the end of the motion, and a single one
+between two swings of a hand may agree by chance."""
 _WINDOWS_AHEAD = 300
 """Half a minute: holds of some seconds with turns between show offset and noise in several
 attitudes, and the samples of this time are stored."""

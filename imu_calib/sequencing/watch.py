@@ -14,13 +14,16 @@ from .encoders import WINDOW, Feedback
 from .rules import Rules
 
 _LAG = 1.0
-"""Longest time from a setpoint to the first motion, s."""
+"""Longest time from a setpoint to the first motion, s. A judgement: ten setpoints are sent in
+it."""
 
 _SLACK = 2.0
-"""Longest duration of a motion, relative to that at the table's limits."""
+"""Longest duration of a motion, relative to that at the table's limits. A judgement: ramps limited
+in jerk that just reach the largest acceleration take twice as long."""
 
 _PROGRESS = 0.1
-"""Share of the expected motion below which a joint counts as stalled."""
+"""Share of the motion at the table's limits below which a joint counts as stalled. A judgement: far
+slower than any table, far more than the noise of an encoder."""
 
 _RATE_SPAN = 0.3
 """s over which the rate of a turn is measured: jitter of two stamps must not matter."""
@@ -36,7 +39,8 @@ _RATE_ASTRAY = 0.5
 """The same for a single time: a joint state would have to be late by half a span. A judgement."""
 
 _STRAY = 5.0
-"""Largest motion of a joint commanded to hold, in arrival tolerances."""
+"""Largest motion of a joint commanded to hold, in arrival tolerances. A judgement: a joint
+that has arrived is within one. At most `Rules.overshoot`."""
 
 SETS_OUT = 2 * WINDOW
 """s after a stop in which joint states may show rest although a motion had just been commanded:

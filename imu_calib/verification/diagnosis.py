@@ -43,6 +43,7 @@ _WIDE = {ParameterKind.SCALE_FACTOR_ERROR: 0.2, ParameterKind.MISALIGNMENT: 0.2}
 """Prior standard deviations, ratios and rad, of an unknown unit: for kinds without a largest
 plausible amount."""
 _WIDE_BIAS = {'g': 0.05, 'a': 0.5}
+"""The same of biases, rad/s and m/s^2: 3 deg/s and 50 mg. A choice."""
 _WIDE_G = 1e-3
 """s/m: prior standard deviation of g-sensitivity of an unknown unit."""
 _OF_TERMS = {term.kind for term in TERMS}

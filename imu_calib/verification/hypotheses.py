@@ -18,8 +18,13 @@ _BIAS_UNITS = {
     True: {'deg/s': DEG, 'deg/h': DEG_H, 'rad/h': 1 / 3600},
     False: {'g': STANDARD_GRAVITY, 'mg': MICRO_G * 1e3, 'micro-g': MICRO_G},
 }
+"""Units that biases of gyros and accelerometers are written in by mistake, rad/s and m/s^2."""
 _ANGLE_UNITS = {'degrees': DEG, 'arc minutes': ARCMIN, 'arc seconds': ARCSEC}
 _RATIO_UNITS = {'ppm': PPM, 'per cent': 0.01}
+"""The same for ratios."""
+_ALIKE = 0.01
+"""Relative difference from a known factor below. A judgement: scale factors change by less, and the
+factors differ by more."""
 _SHARES = {
     True: {180 / np.pi: 'degrees taken for radians', np.pi / 180: 'radians taken for degrees'},
     False: {
@@ -222,6 +227,6 @@ def _channel_words(signed: Floats) -> str:
 def share_in_words(share: float, *, gyros: bool) -> str:
     """Return what may cause a factor on the outputs."""
     for known, words in _SHARES[gyros].items():
-        if abs(share / known - 1) < 0.01:
+        if abs(share / known - 1) < _ALIKE:
             return words
     return 'the nominal scale factor or the units are not those of the recording'

@@ -31,6 +31,7 @@ _THICK = 0.06
 """m, of arms and bars."""
 _X, _UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 _AXES = (('#d92626', 0), ('#2e9e41', 1), ('#2f6fde', 2))
+"""Colours of x, y and z, and their indices."""
 
 
 @dataclass(frozen=True, eq=False)
