@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from ..bags import AnyPath, Recording, open_recording
+from ..bags import AnyPath, Recording, located, open_recording
 from ..calibrator.setup import Setup
 from ..errors import InputError
 from ..plan import UNPLANNED
@@ -45,6 +45,15 @@ class Opened:
         with progress('reading') as show:
             for _, block in self.recording.read(self.streams.kinds(), show):
                 yield block
+
+
+def recording_path(bag: str | AnyPath) -> AnyPath:
+    """Return the path of a recording: a remote one is fetched once for all that take it.
+
+    Raises:
+        InputError: It is a URL that cannot be read.
+    """
+    return located(bag)
 
 
 def open_session(bag: str | AnyPath, stated: Stated) -> Opened:

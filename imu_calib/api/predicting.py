@@ -9,14 +9,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..calibration import Calibration
 from ..calibrator import Setup
 from ..earth import LUOYANG
 from ..engine import run_all
 from ..errors import InputError
 from ..imu import ImuSpec
-from ..methods import check_plan, closed_form_of
-from ..model import Parameter, SensorModel
+from ..methods import check_plan, closed_form_of, free_positions
+from ..model import Parameter, SensorModel, parameters_of, terms_of
 from ..observation.modulation import LEAST_RISE
 from ..paths import write_whole
 from ..plan import Plan
@@ -30,11 +32,13 @@ from ..prediction import (
     forecast_changes,
     forecast_terms,
     listed,
+    resting_on_the_table,
 )
 from ..prediction import reach as shortest_dwells
 from ..prediction.optimise import Optimum
 from ..prediction.optimise import optimise as best_plan
 from ..threads import by_one_thread
+from ..turntable import Table
 from ..units import DEG, counted, parse
 from ..views import predicted_frame
 from .keywords import Optimised, Planned, with_keywords
@@ -65,6 +69,7 @@ class Prediction:
         terms: Information of the session on each term of the sensors, added alone.
         changes: Information on biases and scale factors that trend, warm up or follow a stated
             temperature, each kind alone.
+        notes: Sentences on parameters that rely on a table that is stated exact.
     """
 
     setup: Setup
@@ -72,6 +77,7 @@ class Prediction:
     closed_form: Forecast | None
     terms: tuple[TermForecast, ...]
     changes: tuple[ChangeForecast, ...]
+    notes: tuple[str, ...]
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -93,7 +99,7 @@ class Prediction:
         table = self.setup.table
         if table is None:
             return math.nan
-        return duration(self.setup.plan.steps(table), table)
+        return times_on(self.setup.plan, table)[0]
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return std, the smallest that the session allows (best) and unit, by parameter.
@@ -266,7 +272,34 @@ def predicted(
         own = forecast(plain, truth, drifting=drifting, rise=rise or 0.0)
     of_terms = tuple(forecast_terms(found, setup, truth, drifting=drifting))
     changes = forecast_changes(found, setup, truth, drifting=drifting)
-    return Prediction(setup, found, own, of_terms, changes)
+    notes = tuple(resting_on_the_table(found, truth))
+    return Prediction(setup, found, own, of_terms, changes, notes)
+
+
+def side_by_side(own: Forecast, joint: Forecast) -> Forecast:
+    """Combine the deviations of a closed form with those of a joint estimate, as the best.
+
+    Either may estimate terms that the other does not.
+    """
+    parameters = parameters_of(terms_of((*own.parameters, *joint.parameters)))
+    columns = [dict(zip(f.parameters, f.std.tolist(), strict=True)) for f in (own, joint)]
+    std, best = (np.array([c.get(p, np.nan) for p in parameters]) for c in columns)
+    return replace(own, parameters=parameters, std=std, best=best)
+
+
+def is_changed_by_leaning(found: Forecast) -> bool:
+    """Return whether holds that lean add to the deviations: in the hand, by named attitudes."""
+    return found.evidence.plan.by_hand and found.method != free_positions.NAME
+
+
+def times_on(plan: Plan, table: Table) -> tuple[float, float]:
+    """Return the duration of a plan on a table, and of its dwells alone, s.
+
+    Raises:
+        InputError: The table cannot run it.
+    """
+    steps = plan.steps(table)
+    return duration(steps, table), sum(step.dwell for step in steps)
 
 
 @by_one_thread

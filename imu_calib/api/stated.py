@@ -22,8 +22,8 @@ from ..metadata import (
     serial_key,
     states_site,
 )
-from ..model import AUTO_TERMS, Term, asks_for_search, named_terms
-from ..model.session_terms import Change, split_terms
+from ..model import AUTO_TERMS, NO_TERMS, TERMS, Term, asks_for_search, named_terms
+from ..model.session_terms import SESSION_TERMS, Change, split_terms
 from ..plan import UNPLANNED, Plan, read_plan
 from ..stream import Floats
 from ..turntable import Table, read_table
@@ -40,6 +40,15 @@ NO_PLAN = 'none'
 
 TRUE_TABLE = 'true_table.yaml'
 """File in a simulated recording: the true table, if it differs from its description."""
+
+DEFAULT_TERMS = AUTO_TERMS
+"""Of `terms`: those that the session shows."""
+
+TERM_CHOICES = (
+    f'{AUTO_TERMS}, those that the session shows; {NO_TERMS}; or of '
+    f'{", ".join([*(term.name for term in TERMS), *SESSION_TERMS])} (default: {DEFAULT_TERMS})'
+)
+"""Values of `terms`, in words."""
 
 _TABLE = 'three_axis'
 _ANYWHERE = 0.0
@@ -94,7 +103,7 @@ class Stated:
 
     @property
     def _terms(self) -> str:
-        return AUTO_TERMS if self.terms is None else self.terms
+        return DEFAULT_TERMS if self.terms is None else self.terms
 
     @property
     def sensor_terms(self) -> tuple[Term, ...]:

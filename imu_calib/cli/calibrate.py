@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..api.calibrating import calibrated
 from ..api.conforming import conformity
+from ..api.opening import recording_path
 from ..api.outputs import output_or_default, output_path
-from ..bags import located
 from ..calibration import Calibration
-from ..calibrator import Result
 from ..earth import MEASURED
 from ..gravity import VAGUE
-from ..methods import METHODS
+from ..plan import METHOD_NAMES
 from ..reports.assessment import summary
 from ..reports.budget import budget_tables
 from ..reports.noise import noise_lines
@@ -24,6 +23,9 @@ from . import options
 from .calibrate_units import FOLDER, of_several, run_several
 from .outcome import EXIT_CODES, Outcome, add_json_option, judged_outcome
 from .terminal import OUTPUT, progress_bar, sentence_list
+
+if TYPE_CHECKING:
+    from ..calibrator import Result
 
 _FILE = 'calibration.yaml'
 
@@ -61,14 +63,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'parameter is outside, its uncertainty considered',
     )
     add_json_option(parser)
-    parser.epilog = f'{EXIT_CODES} Methods: {", ".join(sorted(METHODS))}.'
+    parser.epilog = f'{EXIT_CODES} Methods: {", ".join(sorted(METHOD_NAMES))}.'
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Calibrate and print."""
     # Examined before it is read: a remote recording is fetched once for both.
-    arguments.bag = located(arguments.bag)
+    arguments.bag = recording_path(arguments.bag)
     if of_several(arguments):
         return run_several(arguments)
     path = output_path(output_or_default(arguments.output, _FILE))

@@ -13,9 +13,8 @@ from rich.table import Table as Rows
 from ..api.outputs import output_path
 from ..api.repeating import montecarlo
 from ..errors import InputError
-from ..methods import METHODS
 from ..plain_table import plain_table
-from ..repetition import Outcome
+from ..plan import METHOD_NAMES
 from ..reports.parameter_table import decimals, engineering
 from ..views import empty_figure
 from . import options
@@ -23,6 +22,8 @@ from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from ..repetition import Outcome
 
 _HEADINGS = (
     'parameter',
@@ -74,7 +75,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='plot of the normalised errors (needs matplotlib, the extra plot)',
     )
     options.add_site_options(parser)
-    parser.epilog = f'Methods: {", ".join(sorted(METHODS))}.'
+    parser.epilog = f'Methods: {", ".join(sorted(METHOD_NAMES))}.'
     parser.set_defaults(run=run)
 
 

@@ -8,11 +8,9 @@ from dataclasses import fields
 from inspect import Parameter, signature
 from typing import Any
 
-from ..api.stated import NO_PLAN, TRUE_TABLE, Stated
+from ..api.stated import NO_PLAN, TERM_CHOICES, TRUE_TABLE, Stated
 from ..earth import HEIGHT_STD, LATITUDE_STD, NORMAL_GRAVITY_STD
 from ..errors import InputError
-from ..model import AUTO_TERMS, NO_TERMS, TERMS
-from ..model.session_terms import SESSION_TERMS
 from ..share import shipped
 from ..units import DEG
 
@@ -181,12 +179,10 @@ def add_method_option(parser: argparse.ArgumentParser) -> None:
         metavar='NAME',
         help="the estimator (default: joint where it applies, else the plan's own)",
     )
-    names = ', '.join([*(term.name for term in TERMS), *SESSION_TERMS])
     parser.add_argument(
         '--terms',
         metavar='NAME,NAME',
-        help=f'what the joint estimate adds to the 24 parameters: {AUTO_TERMS}, those that the '
-        f'session shows; {NO_TERMS}; or of {names} (default: {AUTO_TERMS})',
+        help=f'what the joint estimate adds to the 24 parameters: {TERM_CHOICES}',
     )
 
 

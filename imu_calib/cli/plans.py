@@ -6,12 +6,10 @@ import argparse
 
 from rich.table import Table as Rows
 
-from ..api.predicting import optimise, plan_file
+from ..api.predicting import optimise, plan_file, times_on
 from ..errors import InputError
-from ..methods import METHODS
 from ..plain_table import plain_table
-from ..plan import Plan, Position, Step, load_plan
-from ..prediction import duration
+from ..plan import METHOD_NAMES, Plan, Position, Step, load_plan
 from ..share import share_folder
 from ..stream import Mode
 from ..turntable import Table, load_table
@@ -94,7 +92,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='of the unit over the session, evenly and recorded: predict what follows it, too',
     )
     options.add_site_options(parser)
-    parser.epilog = f'Methods: {", ".join(sorted(METHODS))}.'
+    parser.epilog = f'Methods: {", ".join(sorted(METHOD_NAMES))}.'
     parser.set_defaults(run=run)
 
 
@@ -176,7 +174,7 @@ def _minutes(plan: Plan, table: Table) -> str:
     if plan.by_hand:
         return 'by hand'
     try:
-        return f'{duration(plan.steps(table), table) / 60:.1f}'
+        return f'{times_on(plan, table)[0] / 60:.1f}'
     except InputError:
         return 'not on this table'
 

@@ -4,25 +4,32 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..api.named import as_truth
-from ..api.predicting import predicted, setup_of, shortest
-from ..calibrator import Setup
+from ..api.predicting import (
+    is_changed_by_leaning,
+    predicted,
+    setup_of,
+    shortest,
+    side_by_side,
+    times_on,
+)
 from ..errors import NotObservable
-from ..methods import free_positions
-from ..model import Parameter, SensorModel, parameters_of, terms_of
-from ..model.session_terms import Course
 from ..plain_table import plain_table
 from ..plan import Plan
-from ..prediction import ChangeForecast, Forecast, TermForecast, duration, resting_on_the_table
 from ..reports.parameter_table import decimals, engineering
 from ..turntable import Table
 from ..units import DEG, PPM
 from . import options
 from .terminal import OUTPUT
+
+if TYPE_CHECKING:
+    from ..calibrator import Setup
+    from ..model import Parameter, SensorModel
+    from ..prediction import ChangeForecast, Forecast, TermForecast
 
 _ON_A_TABLE = (
     'Predicted standard deviations: those of the method named, and the smallest possible in this '
@@ -65,30 +72,19 @@ def show_prediction(arguments: argparse.Namespace) -> None:
         _show_forecast(found)
         OUTPUT.print(f'closed form {own.method}: {own.refusal}', markup=False)
     else:
-        _show_forecast(_side_by_side(own, found), best=found.method)
+        _show_forecast(side_by_side(own, found), best=found.method)
     if not drifting and imu.gyro.bias_instability + imu.accel.bias_instability:
         OUTPUT.print(
             'Biases are constant here; with --bias-instability they drift by the data sheet'
             f'{"." if plan.by_hand else ", as the joint estimate allows for."}'
         )
-    for sentence in resting_on_the_table(found, truth):
+    for sentence in prediction.notes:
         OUTPUT.print(sentence, markup=False)
     _show_terms(prediction.terms, prediction.changes)
     if held is not None:
         show_time(plan, held)
     if found.refusal:
         raise NotObservable(f'Plan {plan.name}, method {found.method}: {found.refusal}')
-
-
-def _side_by_side(own: Forecast, joint: Forecast) -> Forecast:
-    """Combine the deviations of a joint estimate and of a closed form, by parameter.
-
-    Either may estimate terms that the other does not.
-    """
-    parameters = parameters_of(terms_of((*own.parameters, *joint.parameters)))
-    columns = [dict(zip(f.parameters, f.std.tolist(), strict=True)) for f in (own, joint)]
-    std, best = (np.array([c.get(p, np.nan) for p in parameters]) for c in columns)
-    return replace(own, parameters=parameters, std=std, best=best)
 
 
 def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel) -> None:
@@ -133,7 +129,7 @@ def _show_forecast(
         rows.add_row(parameter.name, *cells, shown.unit)
     OUTPUT.print(rows)
     OUTPUT.print(f'\n{_ON_A_TABLE if on_a_table else _IN_THE_HAND}')
-    if not on_a_table and found.method != free_positions.NAME:
+    if is_changed_by_leaning(found):
         OUTPUT.print(_LEANING)
     relative_std = found.evidence.site.gravity_relative_std
     if relative_std:
@@ -167,7 +163,7 @@ def _show_terms(found: Sequence[TermForecast], changes: Sequence[ChangeForecast]
     OUTPUT.print(rows)
     if changes:
         thermal = 'thermal is predicted for a temperature that changes: --temperature-rise K.'
-        if any(each.changes[0].course is Course.THERMAL for each in changes):
+        if any(each.changes[0].course.value == 'thermal' for each in changes):
             thermal = 'thermal is that of a temperature that rises evenly.'
         OUTPUT.print(f'warm_up is that of a time constant of a quarter of the session. {thermal}')
     OUTPUT.print()
@@ -190,9 +186,7 @@ def show_time(plan: Plan, table: Table) -> None:
     """Print the duration of a plan on a table."""
     if plan.by_hand:
         return
-    steps = plan.steps(table)
-    standing = sum(step.dwell for step in steps)
-    total = duration(steps, table)
+    total, standing = times_on(plan, table)
     OUTPUT.print(
         f'{total / 60:.1f} min on table {table.name}: {standing / 60:.1f} min of dwells, the rest '
         'moves, turns with their run-ups, and settling'

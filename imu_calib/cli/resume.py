@@ -14,12 +14,10 @@ from typing import Any
 
 import yaml
 
-from ..bags import FINISHED, Recording, RecordingError, open_recording
+from ..api.journals import end_of_journal, is_finished
 from ..errors import InputError
-from ..instants import NS
 from ..paths import user_path
 from ..share import named_file
-from ..simulation import StandOptions
 from . import several
 from .terminal import ERRORS
 
@@ -129,23 +127,13 @@ def unfinished(folder: Path) -> bool:
     """Return whether a folder has a session that can be resumed."""
     if not (folder / _SETTINGS / _OPTIONS).is_file():
         return False
-    recording = _recorded(folder)
-    return recording is None or FINISHED not in recording.custom_data
+    return not is_finished(folder / JOURNAL)
 
 
 def switched_on_at(folder: Path) -> float:
     """Return when simulated hardware is switched on again, s after its epoch."""
-    recording = _recorded(folder)
-    if recording is None:
-        return 0.0
-    with recording:
-        end = recording.end_ns
-        if end is None:
-            logged = (times.log for _, _, times in recording.messages())
-            end = max((int(log.max()) for log in logged if len(log)), default=None)
-    if end is None:
-        return 0.0
-    return float((end - StandOptions.start_time) // NS + _OUTAGE)
+    end = end_of_journal(folder / JOURNAL)
+    return 0.0 if end is None else end + _OUTAGE
 
 
 def command(folder: str) -> str:
@@ -226,14 +214,6 @@ def _refuse_other_settings(arguments: argparse.Namespace, folder: Path) -> None:
             f'--resume {folder}: found {named} too, expected at most --port, --baud, --speed and '
             '--without: the session goes on with the settings it began with.'
         )
-
-
-def _recorded(folder: Path) -> Recording | None:
-    """Open the journal; None if it is unreadable."""
-    try:
-        return open_recording(folder / JOURNAL)
-    except RecordingError:
-        return None
 
 
 def _complete(folder: Path) -> str:

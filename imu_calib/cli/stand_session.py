@@ -8,25 +8,20 @@ import signal
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from rich.live import Live
 
-from ..api.stated import TRUE_TABLE
+from ..api.stand_checks import check_stand, has_simulated_hands, setup_of_stand, true_table_of
+from ..api.stated import DEFAULT_TERMS, TRUE_TABLE
 from ..calibration import Calibration
-from ..calibrator import Setup
 from ..earth import LUOYANG, Site
 from ..errors import InputError, NotObservable
 from ..imu import ImuSpec, load_imu
-from ..methods import free_positions
-from ..model import AUTO_TERMS
 from ..plan import Plan, load_plan
-from ..prediction import check_session
 from ..reports.parameter_table import parameter_tables
-from ..simulation import StandOptions, load_imperfections
 from ..turntable import Table, load_table
 from ..web.board import Board
 from ..web.expectation import expectation, units_board
@@ -56,47 +51,15 @@ def check(
     # The runtime is checked only here: the other commands need none.
     from . import monitor  # noqa: F401
 
-    setup = _setup(arguments, imu, plan, table, site)
-    _check_session(setup)
-    if plan.by_hand and not arguments.port and setup.method_name != free_positions.NAME:
+    setup = setup_of_stand(options.stated(arguments), imu, plan, table, site)
+    check_stand(setup)
+    if plan.by_hand and not arguments.port and not has_simulated_hands(setup):
         raise InputError(
             f'Plan {plan.name} is for a hand: give --port, where the IMU is. Simulated hands hold '
-            f'free positions alone (plan {free_positions.NAME}).'
+            'free positions alone (plan free_positions).'
         )
     if arguments.imperfections:
-        load_imperfections(arguments.imperfections, StandOptions(), table, arguments.seed)
-
-
-def _setup(
-    arguments: argparse.Namespace, imu: ImuSpec, plan: Plan, table: Table | None, site: Site
-) -> Setup:
-    stated = options.stated(arguments)
-    terms, changes, find_terms = stated.sensor_terms, stated.changes, stated.search_terms
-    return Setup(
-        imu,
-        plan,
-        table,
-        site,
-        arguments.method,
-        terms=terms,
-        changes=changes,
-        search_terms=find_terms,
-    )
-
-
-def _check_session(setup: Setup) -> None:
-    """Refuse what the method could not solve; if north is unknown, name what would determine it."""
-    try:
-        check_session(setup)
-    except NotObservable as error:
-        table = setup.table
-        if table is None or table.azimuth is not None:
-            raise
-        check_session(replace(setup, table=replace(table, azimuth=0.0)))
-        raise NotObservable(
-            f'{error} Here the file of the table says where north is (azimuth: 12.3 deg); that of '
-            f'{table.name} does not.'
-        ) from None
+        true_table_of(arguments.imperfections, table, arguments.seed)
 
 
 @contextmanager
@@ -216,9 +179,9 @@ def _save_true_table(arguments: argparse.Namespace, folder: Path) -> None:
     if not arguments.imperfections or load_plan(arguments.plan).by_hand:
         return
     table = load_table(arguments.table)
-    read = load_imperfections(arguments.imperfections, StandOptions(), table, arguments.seed)
-    if read.true is not None:
-        read.true.save(folder / TRUE_TABLE, table)
+    true = true_table_of(arguments.imperfections, table, arguments.seed)
+    if true is not None:
+        true.save(folder / TRUE_TABLE, table)
 
 
 def _session(
@@ -240,7 +203,7 @@ def _session(
     site = options.stated(arguments).site(LUOYANG)
     plan, table = load_plan(arguments.plan), load_table(arguments.table)
     imu = load_imu(arguments.imu or several.units_of(arguments)[0].imu)
-    setup = _setup(arguments, imu, plan, table, site)
+    setup = setup_of_stand(options.stated(arguments), imu, plan, table, site)
     board: Board | UnitsBoard
     if arguments.imus:
         board = units_board(setup, several.units_of(arguments))
@@ -293,7 +256,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
             **stated_site,
             'plan': arguments.plan,
             'method': arguments.method or '',
-            'terms': arguments.terms or AUTO_TERMS,
+            'terms': arguments.terms or DEFAULT_TERMS,
             'serial_number': arguments.serial or '',
             'journal': str(folder / resume.JOURNAL),
             'output': str(folder / result),
