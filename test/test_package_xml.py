@@ -28,6 +28,11 @@ UNDECLARED = {
     'the runtime without ROS needs it, and who converts a ROS 1 recording',
     'allantools': 'rosdep has no key; an oracle, its tests are skipped without it',
     'fastcrc': 'rosdep has no key; an oracle, its tests are skipped without it',
+    'dsi_unit': 'rosdep has no key; an oracle, its tests are skipped without it',
+    'imucal': 'rosdep has no key; an oracle, its tests are skipped without it',
+    'moto': 'rosdep has no key; a server of S3 for the tests of remote recordings',
+    'playwright': 'rosdep has no key; the browser in which pages are measured',
+    'pypdfium2': 'rosdep has no key; reads the PDF of a certificate',
     'nbclient': 'rosdep has no key; runs the notebooks of the documentation',
     'ipykernel': 'rosdep has no key; runs the notebooks of the documentation',
     **dict.fromkeys(
@@ -60,6 +65,8 @@ def _imported(folder: str) -> Iterator[str]:
                 names = [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 names = [str(node.module)]
+            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith('importorskip'):
+                names = [''.join(re.findall(r"^f?'([\w.]+)", ast.unparse(node.args[0])))]
             else:
                 continue
             for name in names:
