@@ -187,7 +187,7 @@ class Calibration:
             'free_of_frame': self._free_document(),
             'covariance': {
                 'parameters': [p.name for p, k in zip(self.parameters, known, strict=True) if k],
-                'matrix': _rows(self.covariance[np.ix_(known, known)]),
+                'matrix': _nested_lists(self.covariance[np.ix_(known, known)]),
             },
             **self._budget_document(known),
             **({} if self.changes is None else {CHANGES: self.changes.document()}),
@@ -239,11 +239,11 @@ class Calibration:
         terms = [term for term in terms_of(self.parameters) if term.triad == letter]
         return {
             **_spec_document(spec),
-            'error_matrix': _rows(triad.error_matrix),
+            'error_matrix': _nested_lists(triad.error_matrix),
             'bias': _row(triad.bias),
             **{term.name: _shaped(self.model.values(term.parameters)) for term in terms},
             'std': {
-                'error_matrix': _rows(std.error_matrix),
+                'error_matrix': _nested_lists(std.error_matrix),
                 'bias': _row(std.bias),
                 **{
                     term.name: _shaped(self.std[indices_of(term.parameters, self.parameters)])
@@ -262,9 +262,9 @@ class Calibration:
         return {
             'skewed_gyro': {
                 **_spec_document(spec),
-                'response': _rows(skewed.response),
+                'response': _nested_lists(skewed.response),
                 'bias': _row(skewed.bias),
-                'std': {'response': _rows(std[:, :3]), 'bias': _row(std[:, 3])},
+                'std': {'response': _nested_lists(std[:, :3]), 'bias': _row(std[:, 3])},
             }
         }
 
@@ -416,7 +416,7 @@ def _row(values: Floats) -> list[float]:
     return [float(v) for v in values]
 
 
-def _rows(matrix: Floats) -> list[list[float]]:
+def _nested_lists(matrix: Floats) -> list[list[float]]:
     return [_row(row) for row in matrix]
 
 
@@ -440,7 +440,9 @@ def _shaped(values: Floats) -> list[Any] | float:
     """Return coefficients in the shape of a file."""
     if len(values) == 1:
         return float(values[0])
-    return _row(values) if len(values) == len(AXES) else _rows(values.reshape(len(AXES), -1))
+    return (
+        _row(values) if len(values) == len(AXES) else _nested_lists(values.reshape(len(AXES), -1))
+    )
 
 
 def _residual_document(row: ResidualRow) -> dict[str, Any]:

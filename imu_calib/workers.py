@@ -213,7 +213,7 @@ def outcomes(
             except CancelledError:
                 # Data sent to the workers was lost with the scheduler.
                 _wait_for_scheduler(client)
-                sent, held = partial(_given, function, shared), False
+                sent, held = partial(_run_with_shared, function, shared), False
                 submit(number, task)
                 continue
             future.release()
@@ -249,7 +249,9 @@ def _at_worker(function: Callable[..., Result], name: str, task: Task) -> Result
     return function(task, *get_worker().plugins[name].shared)
 
 
-def _given(function: Callable[..., Result], shared: tuple[object, ...], task: Task) -> Result:
+def _run_with_shared(
+    function: Callable[..., Result], shared: tuple[object, ...], task: Task
+) -> Result:
     """Run a task with arguments sent along."""
     return function(task, *shared)
 

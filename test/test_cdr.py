@@ -317,7 +317,7 @@ def test_messages_in_a_row_are_not_copied_and_others_are(order):
     size, before = 6, 5
     buffer = np.arange(4 * size + 9, dtype=np.uint8)
     offset = before + size * np.array(order)
-    rows = Messages(buffer, offset, np.full(len(order), size)).rows(size)
+    rows = Messages(buffer, offset, np.full(len(order), size)).leading_bytes(size)
     assert rows.tolist() == [list(range(at, at + size)) for at in offset.tolist()]
     assert np.shares_memory(rows, buffer) == (order in {(0, 1, 2, 3), (2,)})
 
@@ -325,9 +325,9 @@ def test_messages_in_a_row_are_not_copied_and_others_are(order):
 def test_messages_with_gaps_between_them_are_gathered():
     buffer = np.arange(40, dtype=np.uint8)
     for offset in ([5, 12], [5, 10], [0, 7, 14]):
-        rows = Messages(buffer, np.array(offset), np.full(len(offset), 6)).rows(6)
+        rows = Messages(buffer, np.array(offset), np.full(len(offset), 6)).leading_bytes(6)
         assert rows.tolist() == [list(range(at, at + 6)) for at in offset]
-    assert Messages.join([]).rows(8).shape == (0, 8)
+    assert Messages.join([]).leading_bytes(8).shape == (0, 8)
 
 
 @pytest.mark.parametrize(

@@ -118,13 +118,15 @@ def test_parameters_are_weights_times_outputs_whatever_the_weights(unknowns: int
         assert value == pytest.approx(wanted - (p.name[0] == 'K'), rel=1e-9), p.name
     # Rows of derivatives times all outputs are the same numbers.
     ones = np.array([p.name[0] == 'K' for p in gains.parameters])
-    assert gains.rows(evidence) @ outputs_of(evidence) - ones == pytest.approx(found, rel=1e-9)
+    assert gains.derivatives(evidence) @ outputs_of(evidence) - ones == pytest.approx(
+        found, rel=1e-9
+    )
 
 
 def test_without_accelerometers_their_rows_are_no_numbers() -> None:
     evidence = evidence_of()
     gains = Gains(np.ones((4, len(evidence.segments) + len(evidence.turns))), None, 1.0)
-    rows = gains.rows(evidence)
+    rows = gains.derivatives(evidence)
     assert np.isnan(rows[12:]).all()
     assert np.isfinite(rows[:12]).all()
     assert not gains.model(evidence).accel.error_matrix.any()

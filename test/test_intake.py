@@ -45,7 +45,7 @@ def test_rows_are_first_in_first_out() -> None:
     assert len(buffer) == 0
     for k in range(0, 5000, 7):
         buffer.append(*rows(*range(k, k + 7)))
-        buffer.drop_until(k - 10)
+        buffer.remove_until(k - 10)
         first = max(0, k - 9)
         assert len(buffer) == k + 7 - first
         assert buffer.stamp.tolist() == list(range(first, k + 7))
@@ -62,17 +62,17 @@ def test_rows_between_are_after_the_first_and_up_to_the_last() -> None:
         with pytest.raises(ValueError, match='read-only'):
             part[0] = 0
     assert buffer.between(0, 0)[0].tolist() == []
-    assert buffer.drop(-3) == 0
-    assert buffer.drop(2) == 2
+    assert buffer.remove_first(-3) == 0
+    assert buffer.remove_first(2) == 2
     assert buffer.stamp.tolist() == [5, 7]
-    buffer.drop_until(5)
+    buffer.remove_until(5)
     assert buffer.stamp.tolist() == [7]
 
 
 def test_a_copy_goes_on_by_itself() -> None:
     buffer = RowBuffer(1)
     buffer.append(*rows(*range(3000)))
-    buffer.drop(2990)
+    buffer.remove_first(2990)
     other = copy.deepcopy(buffer)
     assert other.stamp.tolist() == list(range(2990, 3000))
     assert len(other._stamp) == 10 + 1024
@@ -89,14 +89,14 @@ def test_memory_is_twice_what_is_needed() -> None:
     assert len(buffer._stamp) == 1024
     buffer.append(*rows(1024))
     assert len(buffer._stamp) == 2 * 1025
-    buffer.drop(1020)
+    buffer.remove_first(1020)
     buffer.append(*rows(*range(1025, 2060)))
     # 1040 rows are in it: they fit behind no others.
     assert len(buffer._stamp) == 2 * 1040
     assert buffer.stamp.tolist() == list(range(1020, 2060))
     few = RowBuffer(1)
     few.append(*rows(*range(1024)))
-    few.drop(1020)
+    few.remove_first(1020)
     few.append(*rows(*range(1024, 1030)))
     assert len(few._stamp) == 1024
 
@@ -151,7 +151,7 @@ def test_samples_wait_until_they_are_dropped() -> None:
     intake.take_imu(imu(4))
     intake.finish()
     assert (intake.samples, intake.last_stamp, intake.duration) == (4, 4 * NS, 3.0)
-    intake.drop_until(2 * NS)
+    intake.remove_until(2 * NS)
     assert intake.imu.stamp.tolist() == [3 * NS, 4 * NS]
     assert intake.losses() == []
 
@@ -169,7 +169,7 @@ def test_a_skewed_gyro_is_awaited() -> None:
     intake.take_skew(SkewBlock(stamp[:1], np.array([7.0])))
     intake.finish()
     assert intake.skew.stamp.tolist() == [NS, 3 * NS]
-    intake.drop_until(NS)
+    intake.remove_until(NS)
     assert intake.skew.stamp.tolist() == [3 * NS]
     assert intake.losses() == [
         '1 sample left out for values of the skewed gyro that are not numbers, the first at 2.000 '

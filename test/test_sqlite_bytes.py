@@ -90,7 +90,7 @@ Table = Callable[..., TablePages]
 def rows(pages: TablePages, *topics: int) -> list[tuple[int, int, bytes]]:
     found = []
     for window in pages.windows:
-        some = pages.rows(window, np.array(topics or (1, 2)))
+        some = pages.read_rows(window, np.array(topics or (1, 2)))
         found += zip(some.topic.tolist(), some.log.tolist(), some.messages.payloads(), strict=True)
     return found
 
@@ -104,7 +104,7 @@ def test_rows_of_one_page_are_read(table: Table) -> None:
     assert rows(pages) == [(1, 10**18, b'abc'), (2, -3, b''), (1, 2**62, b'z' * 100)]
     assert rows(pages, 2) == [(2, -3, b'')]
     assert rows(pages, 3) == []
-    some = pages.rows(pages.windows[0], np.array([1]))
+    some = pages.read_rows(pages.windows[0], np.array([1]))
     assert some.nbytes == SIZE + 4 * 2 * 8
 
 
@@ -173,10 +173,10 @@ def test_a_row_belongs_to_the_ids_of_its_window(table: Table) -> None:
     for first, last, sound in [(5, 300, True), (6, 300, False), (5, 299, False), (1, 999, True)]:
         window = Window(first, last, np.array([2]))
         if sound:
-            assert len(pages.rows(window, np.array([1])).log) == 2
+            assert len(pages.read_rows(window, np.array([1])).log) == 2
         else:
             with pytest.raises(OddPagesError):
-                pages.rows(window, np.array([1]))
+                pages.read_rows(window, np.array([1]))
 
 
 @pytest.mark.parametrize('reserved', [0, 24])

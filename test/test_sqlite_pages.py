@@ -55,7 +55,7 @@ def taken(pages, *topics):
     """Return topic, time and data of the rows of some topics, by their pages."""
     found = []
     for window in pages.windows:
-        rows = pages.rows(window, np.array(topics))
+        rows = pages.read_rows(window, np.array(topics))
         found += zip(rows.topic.tolist(), rows.log.tolist(), rows.messages.payloads(), strict=True)
     return found
 

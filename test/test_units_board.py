@@ -52,7 +52,7 @@ def board(mounted):
 
 
 def test_each_unit_has_a_line_with_its_own_figures(board):
-    first, second, third = board.rows(2.0)
+    first, second, third = board.unit_rows(2.0)
     assert (first.serial_number, first.place) == ('A1', 'left')
     assert (first.level, first.words, first.rate) == (Severity.OK, 'Samples come in', '1000.00 Hz')
     assert (second.level, second.words) == (Severity.WARN, 'Frames are lost on the way.')
@@ -62,7 +62,7 @@ def test_each_unit_has_a_line_with_its_own_figures(board):
 
 
 def test_the_worst_parameter_is_the_furthest_from_what_the_plan_gives(board):
-    row = board.rows(2.0)[0]
+    row = board.unit_rows(2.0)[0]
     ratios = {r.parameter.name: r.std / r.predicted for r in board.snapshot(2.0, 'unit_A1').rows}
     assert row.worst.parameter.name == max(ratios, key=ratios.__getitem__)
     assert row.ratio == max(ratios.values())
@@ -93,7 +93,7 @@ def test_the_session_has_ended_when_all_that_take_part_have(board):
     last = progress(200.0, 1e-6, serial_numbers=['A1', '<B>'], state=3, text='2 of 2 units.')
     board.take_progress(last, 3.0)
     assert board.snapshot(3.0).outcome is Outcome.DONE
-    assert board.rows(3.0)[0].words == 'Calibrated'
+    assert board.unit_rows(3.0)[0].words == 'Calibrated'
 
 
 def test_a_unit_without_a_result_is_not_passed_over(board):
@@ -101,11 +101,11 @@ def test_a_unit_without_a_result_is_not_passed_over(board):
     board.each['unit__B_'].take_calibration(calibration('REFUSED', 'It was never still.'))
     board.take_progress(progress(200.0, 1e-6, serial_numbers=['A1', '<B>'], state=3), 3.0)
     assert board.snapshot(3.0).outcome is Outcome.INCOMPLETE
-    assert board.rows(3.0)[1].words == 'No calibration: It was never still.'
+    assert board.unit_rows(3.0)[1].words == 'No calibration: It was never still.'
 
 
 def test_the_terminal_has_a_line_for_each(board):
-    text = printed(view(board.snapshot(2.0), NOON, 100, board.rows(2.0)), 100)
+    text = printed(view(board.snapshot(2.0), NOON, 100, board.unit_rows(2.0)), 100)
     lines = text.splitlines()
     assert [sum(serial in line for line in lines) for serial in ('A1', '<B>', 'C3')] == [1, 1, 1]
     (second,) = (line for line in lines if '<B>' in line)
@@ -113,7 +113,7 @@ def test_the_terminal_has_a_line_for_each(board):
 
 
 def test_the_page_has_a_line_for_each_and_no_markup_of_theirs(board):
-    text = drawing.units(board.rows(2.0), 'unit__B_')
+    text = drawing.units(board.unit_rows(2.0), 'unit__B_')
     table = ElementTree.fromstring(text)
     rows = table.findall('tbody/tr')
     assert [row.get('data-unit') for row in rows] == list(board.names)

@@ -38,7 +38,7 @@ def shown(mounted, tmp_path):
         imus,
         table_shape(SETUP.table, ''),
         lambda name: board.snapshot(board.clock[0], name),
-        lambda: board.rows(board.clock[0]),
+        lambda: board.unit_rows(board.clock[0]),
         dict,
         lambda _: None,
         Token(''),

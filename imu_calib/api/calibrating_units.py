@@ -158,8 +158,8 @@ def units_of_recording(
     Raises:
         InputError: As `calibrate_units`.
     """
-    parts = [_part(recording, stated, unit) for unit in _listed(recording, imus)]
-    _read(recording, parts, progress)
+    parts = [_started(recording, stated, unit) for unit in _units_of_session(recording, imus)]
+    _feed_units(recording, parts, progress)
     alone = [part.finished() for part in parts]
     found = (
         SharedResults(tuple(alone), None, (), {})
@@ -207,7 +207,7 @@ def serials_in(recording: Recording, imus: Named | None) -> tuple[str, ...]:
     Raises:
         InputError: The file of the units is unreadable, or the units are not stated.
     """
-    return tuple(unit.serial_number for unit in _listed(recording, imus))
+    return tuple(unit.serial_number for unit in _units_of_session(recording, imus))
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +221,9 @@ class _Unit:
     mount: Floats | None = None
 
 
-def _listed(recording: Recording, imus: Named | Sequence[MountedUnit] | None) -> tuple[_Unit, ...]:
+def _units_of_session(
+    recording: Recording, imus: Named | Sequence[MountedUnit] | None
+) -> tuple[_Unit, ...]:
     if imus is not None:
         return tuple(
             _Unit(u.serial_number, u.topic, u.place, u.imu, u.mount if u.turned else None)
@@ -256,7 +258,7 @@ class _Part:
             return None
 
 
-def _part(recording: Recording, stated: Stated, unit: _Unit) -> _Part:
+def _started(recording: Recording, stated: Stated, unit: _Unit) -> _Part:
     """Create a unit's calibrator; its errors do not affect other units."""
     mine = replace(
         stated,
@@ -272,7 +274,7 @@ def _part(recording: Recording, stated: Stated, unit: _Unit) -> _Part:
         return _Part(unit, error=error)
 
 
-def _read(recording: Recording, parts: Sequence[_Part], progress: Progress) -> None:
+def _feed_units(recording: Recording, parts: Sequence[_Part], progress: Progress) -> None:
     """Feed each unit its own data, and all of them the table's, in one pass."""
     kinds: dict[str, Any] = {}
     takers: defaultdict[str, list[_Part]] = defaultdict(list)

@@ -63,7 +63,7 @@ class Optimised(AtSite, OnTable, total=False):
     """A session whose plan is optimised."""
 
 
-class StandRun(AtSite, Solved, total=False):
+class OnStand(AtSite, Solved, total=False):
     """A session that is run live."""
 
 

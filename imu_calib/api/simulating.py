@@ -183,7 +183,7 @@ def options_of(
     )
     if imperfections is not None:
         options = load_imperfections(imperfections, options, table, seed)
-    return _at(options, start, temperature)
+    return _with_date_and_temperature(options, start, temperature)
 
 
 def write_blocks(
@@ -211,7 +211,7 @@ def save_true_table(folder: Path, options: StandOptions, table: Table | None) ->
     return path
 
 
-def _at(
+def _with_date_and_temperature(
     options: StandOptions, start: str | datetime | None, temperature: float | None
 ) -> StandOptions:
     """Return options with the stated date and temperature."""

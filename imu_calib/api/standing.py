@@ -16,8 +16,7 @@ from ..calibration import Calibration
 from ..errors import ImuCalibError, InputError, NotObservable
 from ..lifetime import ENDS_WITH
 from ..paths import user_path
-from . import keywords
-from .keywords import with_keywords
+from .keywords import OnStand, with_keywords
 from .named import Named
 from .stated import TRUE_TABLE
 
@@ -51,7 +50,7 @@ class StandRun:
         return f'<StandRun: {self.calibration} in {self.path}>'
 
 
-@with_keywords(keywords.StandRun)
+@with_keywords(OnStand)
 def stand(
     plan: Named,
     output: Named = 'stand',
@@ -65,7 +64,7 @@ def stand(
     imperfections: Named | None = None,
     seed: int = 0,
     speed: float | None = None,
-    **stated: Unpack[keywords.StandRun],
+    **stated: Unpack[OnStand],
 ) -> StandRun:
     """Run a plan live on a simulated stand: nodes in separate processes, connected by DDS.
 

@@ -104,7 +104,7 @@ def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
     """
     setup = opened.setup
     free = setup.method_name == _FREE
-    session, refusal = (_held if free else _on_table)(setup, opened.blocks(progress))
+    session, refusal = (_contents_by_hand if free else _on_table)(setup, opened.blocks(progress))
     if session.foreign_joints:
         raise InputError(session.foreign_joints)
     labelled = (
@@ -135,7 +135,7 @@ def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
     )
 
 
-def _held(setup: Setup, blocks: Iterable[Block]) -> tuple[Segmented, str]:
+def _contents_by_hand(setup: Setup, blocks: Iterable[Block]) -> tuple[Segmented, str]:
     """Return the contents, and why no calibration is possible; else empty."""
     # Load a calibrator only for its own kind of session.
     from ..calibrator import HandCalibrator

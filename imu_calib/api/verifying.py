@@ -111,7 +111,7 @@ def _verify(
         for _, block in recording.read(kinds, show):
             segmenter.feed(block)
     session = segmenter.finish()
-    calibration, notes = _at(loaded, session.temperature)
+    calibration, notes = _at_temperature(loaded, session.temperature)
     observed = observe(session, imu, site, plan, table, calibration.clock)
     found = judge(calibration, replace(observed, notes=(*notes, *observed.notes)))
     if calibration.provenance.get('sha256') != recording.sha256():
@@ -143,7 +143,9 @@ def _described(calibration: Calibration) -> ImuSpec:
     )
 
 
-def _at(loaded: AnyCalibration, seen: Temperature | None) -> tuple[Calibration, list[str]]:
+def _at_temperature(
+    loaded: AnyCalibration, seen: Temperature | None
+) -> tuple[Calibration, list[str]]:
     """Return the calibration at the recording's temperature, and messages about it."""
     if isinstance(loaded, ThermalCalibration):
         if seen is None:

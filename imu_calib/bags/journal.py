@@ -78,7 +78,7 @@ class Journal:
             filled = {t.name for t in recording.topics if t.count != 0}
             topics = {name: kind for name, kind in self._topics.items() if name in filled}
             if topics:
-                yield from _whole(recording, topics)
+                yield from _readable_blocks(recording, topics)
             self.losses = recording.losses
 
     def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
@@ -131,7 +131,9 @@ class Journal:
         self._writer.close()
 
 
-def _whole(recording: Recording, topics: Mapping[str, Kind]) -> Iterator[tuple[str, Block]]:
+def _readable_blocks(
+    recording: Recording, topics: Mapping[str, Kind]
+) -> Iterator[tuple[str, Block]]:
     """Yield the readable blocks; none if the file is cut off in its first messages."""
     empty = True
     try:

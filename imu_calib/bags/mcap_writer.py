@@ -271,5 +271,5 @@ def _records(
     table['channel'] = channel
     table['sequence'] = np.arange(sequence, sequence + len(messages)) % 2**32
     table['log_time'], table['publish_time'] = log_time, publish_time
-    table['data'] = messages.rows(size).view(f'V{size}')[:, 0]
+    table['data'] = messages.leading_bytes(size).view(f'V{size}')[:, 0]
     return table.tobytes()

@@ -310,10 +310,10 @@ def _topics(storages: Sequence[Storage], counts: Mapping[str, int]) -> tuple[Top
 
 
 def _decoded(
-    kind: Kind, stretches: Sequence[tuple[int, Iterator[MessageBatch]]], malformed: Malformed
+    kind: Kind, parts: Sequence[tuple[int, Iterator[MessageBatch]]], malformed: Malformed
 ) -> Iterator[Piece]:
     """Decode one topic, file after file."""
-    for base, cursor in stretches:
+    for base, cursor in parts:
         for batch in cursor:
             log_ns, position = batch.log_ns, base + batch.position
             blocks = kind.decode(_unpacked(batch.messages, malformed), malformed)

@@ -239,7 +239,7 @@ def _extreme(database: sqlite3.Connection, what: str) -> int | None:
 
 def _loaded(pages: TablePages, window: Window, topics: Indices) -> _Loaded:
     try:
-        return _Loaded(pages.rows(window, topics))
+        return _Loaded(pages.read_rows(window, topics))
     except (OddPagesError, OSError):
         return _Loaded(None)
 

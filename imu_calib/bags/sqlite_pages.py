@@ -118,7 +118,7 @@ class TablePages:
             yield Window(first, end, pages[start : start + count])
             first = end + 1
 
-    def rows(self, window: Window, topics: Indices) -> Rows:
+    def read_rows(self, window: Window, topics: Indices) -> Rows:
         """Read the rows of some topics.
 
         Args:
@@ -135,12 +135,12 @@ class TablePages:
         with self._path.open('rb', buffering=0) as file:
             buffer, base = self._load(file, window.pages)
         try:
-            return self._rows(buffer, base, window, topics)
+            return self._decode_rows(buffer, base, window, topics)
         except IndexError:
             # An offset beyond the last page.
             raise OddPagesError from None
 
-    def _rows(self, buffer: Bytes, base: Indices, window: Window, topics: Indices) -> Rows:
+    def _decode_rows(self, buffer: Bytes, base: Indices, window: Window, topics: Indices) -> Rows:
         cell, count = self._cells(buffer, base, _LEAF)
         payload, at = _varints(buffer, cell)
         row, body = _varints(buffer, at)

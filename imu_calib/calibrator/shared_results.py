@@ -60,7 +60,7 @@ def estimate_together(alone: Sequence[Result | None], names: Sequence[str]) -> S
         names: Name of each, for messages and for the provenance of the others.
     """
     results = list(alone)
-    parts = {k: part for k, one in enumerate(alone) if one and (part := _part(one))}
+    parts = {k: part for k, one in enumerate(alone) if one and (part := _basis_and_search(one))}
     places = list(parts)
     if len(places) < 2:
         return SharedResults(tuple(results), None, (), {})
@@ -104,7 +104,7 @@ def _with_others(result: Result | None, others: Sequence[str]) -> Result | None:
     return replace(result, calibration=replace(calibration, provenance=provenance))
 
 
-def _part(result: Result) -> tuple[Basis, Search] | None:
+def _basis_and_search(result: Result) -> tuple[Basis, Search] | None:
     basis, search = result.basis, result.solution.search
     if basis is None or search is None or not shares_a_table(search.estimate.equations):
         return None

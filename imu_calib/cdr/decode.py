@@ -169,7 +169,7 @@ def _decode(
             pending = pending[1:]
             continue
         candidates = pending[messages.size[pending] == layout.size]
-        rows = messages.select(candidates).rows(layout.head)
+        rows = messages.select(candidates).leading_bytes(layout.head)
         same = layout.holds(rows)
         if not same.all():
             candidates, rows = candidates[same], rows[same]
@@ -194,7 +194,7 @@ def _decode_alike(
             layout = _LAST[parse] = parse(first)
         except CdrError:
             return None
-    rows = messages.rows(layout.head)
+    rows = messages.leading_bytes(layout.head)
     return build(layout, messages, rows) if layout.holds(rows).all() else None
 
 

@@ -81,7 +81,7 @@ class Messages:
         ends = (self.offset + self.size).tolist()
         return [bytes(whole[a:b]) for a, b in zip(self.offset.tolist(), ends, strict=True)]
 
-    def rows(self, size: int) -> Bytes:
+    def leading_bytes(self, size: int) -> Bytes:
         """Gather the first bytes of every message.
 
         Args:

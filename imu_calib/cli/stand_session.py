@@ -333,7 +333,7 @@ def _follow(
             monitor.spin(0.1)
             processes.check()
             now = time.monotonic()
-            units = board.rows(now) if isinstance(board, UnitsBoard) else ()
+            units = board.unit_rows(now) if isinstance(board, UnitsBoard) else ()
             display.update(view(board.snapshot(now), datetime.now(), ERRORS.width, units))
             if monitor.outcome is not None:
                 return Outcome(*monitor.outcome, monitor.duration)

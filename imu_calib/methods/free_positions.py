@@ -142,7 +142,7 @@ class _State:
         rows = self.equations.layout
         return rows.dwell[:, 3:].ravel(), rows.dwell[:, :3].ravel(), rows.move.ravel()
 
-    def rows(self) -> tuple[Floats, Floats]:
+    def whitened(self) -> tuple[Floats, Floats]:
         """Return derivatives and residuals in standard deviations."""
         return self.equations.whitened(self.values)
 
@@ -152,7 +152,7 @@ class _State:
 
     def settled(self) -> _State:
         """Return the least squares."""
-        return least_squares(self, _State.rows, _State.moved, _ITERATIONS)
+        return least_squares(self, _State.whitened, _State.moved, _ITERATIONS)
 
     def scattering(self, scatter: Floats) -> _State:
         """Return the state with the noise of each group (3,) times as large."""
@@ -212,7 +212,7 @@ def solve(evidence: Evidence) -> FreeFit:
     _check_observable(state)
     equations, values = state.equations, state.values
     check_axes(equations.model(values).gyro.response, 'gyros', 'the turns between holds')
-    information = Information.of(state.rows()[0])
+    information = Information.of(state.whitened()[0])
     parameters = tuple(dict.fromkeys((*PARAMETERS, *equations.parameters)))
     own = [parameters.index(p) for p in equations.parameters]
 
@@ -254,7 +254,7 @@ def _check_latitude(state: _State) -> None:
 
 def _square(state: _State) -> float:
     """Return the chi-square of the residuals."""
-    residuals = state.rows()[1]
+    residuals = state.whitened()[1]
     return float(residuals @ residuals)
 
 
@@ -355,7 +355,7 @@ def _chance(state: _State, term: Term) -> float:
         _check_observable(found)
     except NotObservable:
         return 1.0
-    jacobian, residuals = found.rows()
+    jacobian, residuals = found.whitened()
     before, after = _square(state), float(residuals @ residuals)
     count, freedom = len(term.parameters), len(residuals) - jacobian.shape[1]
     if freedom < 1 or after >= before:
@@ -367,7 +367,7 @@ def _chance(state: _State, term: Term) -> float:
 def _check_observable(state: _State) -> None:
     """Raise if attitudes and turns do not determine all parameters."""
     parameters, evidence = state.equations.parameters, state.equations.evidence
-    covariance = Information.of(state.rows()[0]).covariance
+    covariance = Information.of(state.whitened()[0]).covariance
     std = np.sqrt(np.diag(covariance)[: len(parameters)])
     ratio = np.array([p.kind is not ParameterKind.BIAS for p in parameters])
     lost = ~np.isfinite(std) | (ratio & (std > _USELESS))
@@ -485,7 +485,7 @@ def _scatter(state: _State) -> tuple[Floats, Floats, Floats]:
 
 def _square_and_freedom(state: _State, group: int) -> tuple[float, float]:
     """Return the sum of squared residuals of a group, and its degrees of freedom."""
-    jacobian, residuals = state.rows()
+    jacobian, residuals = state.whitened()
     basis = np.linalg.qr(jacobian)[0]
     rows = state.groups[group]
     own = residuals[rows] - basis[rows] @ (basis.T @ residuals)
@@ -506,7 +506,7 @@ def _scatter_limit(freedom: Floats) -> Floats:
 
 def _wild_turn(state: _State) -> int | None:
     """Find the turn that is an outlier, if any."""
-    jacobian, residuals = state.rows()
+    jacobian, residuals = state.whitened()
     return _outstanding_turn(state, np.linalg.qr(jacobian)[0], residuals, _OUTLYING)
 
 

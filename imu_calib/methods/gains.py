@@ -82,7 +82,7 @@ class Gains:
         further = self.parameters[len(PARAMETERS) :]
         return model.with_values(further, gyro[:, BIAS + 1 :].ravel())
 
-    def rows(self, evidence: Evidence) -> Floats:
+    def derivatives(self, evidence: Evidence) -> Floats:
         """Return the derivatives of the parameters by the outputs without moves, (n, m)."""
         s = len(evidence.segments)
         parameters = self.parameters
@@ -104,7 +104,7 @@ class Gains:
 
     def shares(self, evidence: Evidence, model: SensorModel) -> dict[Source, Share]:
         """Return the covariance (n, n) by source, NaN for parameters that are not estimated."""
-        return shares_of(evidence, model, self.rows(evidence))
+        return shares_of(evidence, model, self.derivatives(evidence))
 
     def conclude(
         self, evidence: Evidence, *, findings: Sequence[str] = (), north_known: bool
@@ -120,7 +120,7 @@ class Gains:
             model,
             self.shares(evidence, model),
             self.condition,
-            gain=self.rows(evidence),
+            gain=self.derivatives(evidence),
             parameters=self.parameters,
             findings=findings,
             north_known=north_known,

@@ -139,7 +139,7 @@ def finish(
         model,
         gains.shares(evidence, model),
         gains.condition,
-        gain=gains.rows(evidence),
+        gain=gains.derivatives(evidence),
         findings=findings,
         north_known=north_known,
         accelerometers=lambda other: solve_accelerometers(other).triad,

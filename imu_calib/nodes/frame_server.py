@@ -54,11 +54,11 @@ class FrameServer:
             with contextlib.suppress(BlockingIOError):
                 reader, _ = self._server.accept()
                 reader.setblocking(False)
-                self._drop()
+                self._close_reader()
                 self._reader = reader
         self._push()
         if self._unsent and now - self._moved > _STUCK:
-            self._drop()
+            self._close_reader()
 
     def send(self, line: bytes) -> None:
         """Send bytes; they are lost without a client."""
@@ -70,7 +70,7 @@ class FrameServer:
 
     def close(self) -> None:
         """Close the connection."""
-        self._drop()
+        self._close_reader()
         self._server.close()
 
     def _push(self) -> None:
@@ -80,12 +80,12 @@ class FrameServer:
             except BlockingIOError:
                 return
             except OSError:
-                self._drop()
+                self._close_reader()
                 return
             self._unsent = self._unsent[sent:]
             self._moved = time.monotonic()
 
-    def _drop(self) -> None:
+    def _close_reader(self) -> None:
         self.dropped += len(self._unsent)
         self._unsent = memoryview(b'')
         if self._reader is not None:

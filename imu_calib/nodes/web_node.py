@@ -227,7 +227,7 @@ class WebNode(ros.Node):
         if isinstance(board, UnitsBoard):
             if board.common.snapshot(now).outcome in _RESULTS:
                 board.common.take_report('', _REPORTS)
-            self._rows = board.rows(now)
+            self._rows = board.unit_rows(now)
             self._shown = {name: board.snapshot(now, name) for name in ('', *board.names)}
         else:
             self._shown = {'': board.snapshot(now)}

@@ -115,7 +115,7 @@ def courses(evidence: Evidence, course: Course, shape: float) -> Floats:
         lasting = np.maximum(ends - starts, 1e-9) / tau
         return np.asarray(np.exp(-starts / tau) * -np.expm1(-lasting) / lasting - mean)
     if course is Course.STEP:
-        return np.asarray(shape - _before(starts, ends, shape * whole))
+        return np.asarray(shape - _share_before(starts, ends, shape * whole))
     return temperatures(evidence) - reference(evidence)
 
 
@@ -136,7 +136,7 @@ def rates(evidence: Evidence, course: Course, shape: float) -> Floats:
         return np.asarray(np.exp(-starts / tau) * np.expm1(-lasting / tau) / lasting)
     if course is Course.STEP:
         # The line through a step by least squares.
-        share = _before(starts, ends, seconds_of(evidence, shape))
+        share = _share_before(starts, ends, seconds_of(evidence, shape))
         return np.asarray(6 * share * (1 - share) / lasting)
     assert evidence.temperature is not None
     first, last = _instants(evidence)
@@ -146,7 +146,7 @@ def rates(evidence: Evidence, course: Course, shape: float) -> Floats:
     return np.asarray((late - early) / (lasting / 2))
 
 
-def _before(starts: Floats, ends: Floats, instant: float) -> Floats:
+def _share_before(starts: Floats, ends: Floats, instant: float) -> Floats:
     """Return the share of each part of a session (n,) that lies before an instant, s."""
     return np.clip((instant - starts) / np.maximum(ends - starts, 1e-9), 0.0, 1.0)
 

@@ -302,9 +302,9 @@ class SessionModel:
         _, rate, force, turning, turning_force = self._inputs(state)
         model, moves = self.model(state), self.evidence.links
         to_body = np.transpose(self.evidence.dwell_attitudes, (0, 2, 1))
-        at_rest = model.slopes(rate, force) @ _both(to_body)
+        at_rest = model.slopes(rate, force) @ _for_rates_and_forces(to_body)
         turned = mean_over_turn(
-            model.slopes(turning, turning_force) @ _both(self.evidence.headings)
+            model.slopes(turning, turning_force) @ _for_rates_and_forces(self.evidence.headings)
         )
         in_moves = np.concatenate([moves.by_rate(), moves.by_force()], axis=2)
         result = self.layout.joined(at_rest, turned, in_moves)
@@ -402,7 +402,7 @@ class SessionModel:
         return np.asarray(slopes @ np.concatenate(crossed, axis=1))
 
 
-def _both(rotations: Floats) -> Floats:
+def _for_rates_and_forces(rotations: Floats) -> Floats:
     """Return rotations (..., 3, 3) of rates and forces alike: (..., 6, 6)."""
     result = np.zeros((*rotations.shape[:-2], 6, 6))
     result[..., :3, :3] = result[..., 3:, 3:] = rotations

@@ -169,7 +169,7 @@ def by_delay(thrusts: Sequence[VelocityIncrement]) -> Floats:
     Args:
         thrusts: m of one model.
     """
-    rates, axes, seconds, starts = _joined(thrusts)
+    rates, axes, seconds, starts = _all_steps(thrusts)
     crossed = cross(rates, np.concatenate([t.specific_force for t in thrusts])) * seconds[:, None]
     return -np.asarray(np.add.reduceat(np.einsum('nij,nj->ni', axes, crossed), starts))
 
@@ -184,12 +184,14 @@ def by_places(thrusts: Sequence[VelocityIncrement]) -> Floats:
     Args:
         thrusts: m of one model.
     """
-    matrix = np.reshape(_kept(thrusts[0].model).reshape(3, 9) @ _by_kept(), (3, 18, 3))
+    matrix = np.reshape(
+        _responses_alone(thrusts[0].model).reshape(3, 9) @ _by_responses(), (3, 18, 3)
+    )
     return np.asarray(_moments(thrusts) @ np.swapaxes(matrix, 0, 1).reshape(18, 9))
 
 
 @lru_cache(maxsize=1)
-def _by_kept() -> Floats:
+def _by_responses() -> Floats:
     """Return P [w] - [w] P, times [w], as a matrix of P and products of w, (9, 18 * 3)."""
     apart = np.einsum('mjp,klq->jkmpql', _CROSS, _CROSS)
     apart -= np.einsum('kap,alq,jm->jkmpql', _CROSS, _CROSS, np.eye(3))
@@ -203,7 +205,7 @@ def _moments(thrusts: Sequence[VelocityIncrement]) -> Floats:
 
     A rate that changes by d within a step has a mean square of w^2 + d^2 / 12.
     """
-    rates, axes, seconds, starts = _joined(thrusts)
+    rates, axes, seconds, starts = _all_steps(thrusts)
     change = _change(rates, seconds, starts) * seconds[:, None] / np.sqrt(12)
     first, second = np.array(_SQUARES).T
     squares = rates[:, first] * rates[:, second]
@@ -213,7 +215,7 @@ def _moments(thrusts: Sequence[VelocityIncrement]) -> Floats:
     return np.array([summed(axis, square) for axis, square in parts]).reshape(len(starts), 3, -1)
 
 
-def _joined(
+def _all_steps(
     thrusts: Sequence[VelocityIncrement],
 ) -> tuple[Floats, Floats, Floats, NDArray[np.intp]]:
     """Return rates, axes and seconds of all steps, and the start of each motion."""
@@ -224,7 +226,7 @@ def _joined(
     return rates, axes, seconds, np.cumsum([0, *(len(t.path.seconds) for t in thrusts[:-1])])
 
 
-def _kept(model: SensorModel) -> Floats:
+def _responses_alone(model: SensorModel) -> Floats:
     """Return P_i = (I + M)^-1 e_i e_i' (I + M): the response of accelerometer i alone."""
     response = model.accel.response
     return np.asarray(np.linalg.inv(response) @ _EACH @ response)

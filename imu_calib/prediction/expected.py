@@ -135,7 +135,8 @@ def expected(
         for dwell, mean in zip(times.dwells, at_rest, strict=True)
     ]
     turns = [
-        _read(turn, mean, setup, truth) for turn, mean in zip(times.turns, turned, strict=True)
+        _with_readings(turn, mean, setup, truth)
+        for turn, mean in zip(times.turns, turned, strict=True)
     ]
     if bare.free:
         segments = ideal_holds(segments)
@@ -161,7 +162,7 @@ def _rising(times: _Times, rise: float) -> Temperature:
     return Temperature(_WARMTH, lowest, highest, course)
 
 
-def _read(turn: Turn, mean: Floats, setup: Setup, truth: SensorModel) -> Turn:
+def _with_readings(turn: Turn, mean: Floats, setup: Setup, truth: SensorModel) -> Turn:
     """Return a turn with the readings of the six channels, and of a skewed gyro if there is one."""
     seconds, spare = turn.statistics.duration, 0.0 if setup.plan.by_hand else SPARE
     statistics, askew = reading(setup.imu, mean, seconds, spare), None

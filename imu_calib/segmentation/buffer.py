@@ -70,12 +70,12 @@ class RowBuffer:
         stamp.flags.writeable = values.flags.writeable = False
         return stamp, values
 
-    def drop_until(self, stamp: int) -> None:
-        """Drop the rows with stamps up to `stamp`."""
-        self.drop(int(np.searchsorted(self.stamp, stamp, side='right')))
+    def remove_until(self, stamp: int) -> None:
+        """Remove the rows with stamps up to `stamp`."""
+        self.remove_first(int(np.searchsorted(self.stamp, stamp, side='right')))
 
-    def drop(self, count: int) -> int:
-        """Drop so many of the first rows, none if below zero; return how many."""
-        dropped = max(0, count)
-        self._first += dropped
-        return dropped
+    def remove_first(self, count: int) -> int:
+        """Remove so many of the first rows, none if below zero; return how many."""
+        removed = max(0, count)
+        self._first += removed
+        return removed

@@ -132,11 +132,11 @@ class StreamBuffer:
             return False
         return self.skew is None or (len(self.skew) > 0 and bool(self.skew.stamp[-1] >= until))
 
-    def drop_until(self, stamp: int) -> None:
-        """Drop the samples with stamps up to `stamp`."""
-        self.imu.drop_until(stamp)
+    def remove_until(self, stamp: int) -> None:
+        """Remove the samples with stamps up to `stamp`."""
+        self.imu.remove_until(stamp)
         if self.skew is not None:
-            self.skew.drop_until(stamp)
+            self.skew.remove_until(stamp)
 
     def losses(self, ahead: int = 0) -> list[str]:
         """Return sentences on losses; the IMU's clock is `ahead` (ns) of the table's."""

@@ -233,7 +233,7 @@ class JointTracker:
             self._angles = self._mean(start, start + _ANGLES_NS)
         recent = int(np.searchsorted(stamp, stamp[-1] - 2 * _WINDOW_NS))
         unread = recent if self._angles is not None else int(np.searchsorted(stamp, start))
-        self._judged -= self._rows.drop(min(unread, recent, len(stamp) - _RECENT - 2))
+        self._judged -= self._rows.remove_first(min(unread, recent, len(stamp) - _RECENT - 2))
 
 
 def averaged(readings: Floats) -> tuple[Floats, float]:

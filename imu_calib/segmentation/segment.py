@@ -1,4 +1,4 @@
-"""A segment: a part of a session in which the unit stood still, or turned whole turns."""
+"""Segments, the parts of a session in use: static dwells, `Segment`, and whole turns, `Turn`."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Statistics:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A static dwell.
+    """A segment at rest: a static dwell.
 
     Attributes:
         start: First instant used, ns, IMU clock.

@@ -241,7 +241,7 @@ class Segmenter:
                     self._begin_anew(self._offset_ns)
                     continue
             if self._trial is None:
-                self._intake.drop_until(interval.end + self._offset_ns - 2 * MARGIN_NS)
+                self._intake.remove_until(interval.end + self._offset_ns - 2 * MARGIN_NS)
 
     def _awaits_offset(self, *, last: bool) -> bool:
         """Return whether processing has to wait until the offset of the clocks is known.
@@ -334,7 +334,7 @@ class Segmenter:
                 return
             self._rest(rest)
             self._trial = None
-            self._intake.imu.drop_until(end + self._offset_ns - 2 * MARGIN_NS)
+            self._intake.imu.remove_until(end + self._offset_ns - 2 * MARGIN_NS)
 
     def _rest(self, rest: Rest) -> None:
         start, end = rest.start + self._offset_ns, rest.end + self._offset_ns

@@ -134,7 +134,7 @@ class StillnessTracker:
             self._count += 1
             if len(self._ahead) > _WINDOWS_AHEAD:
                 done += self._judge_next()
-        self._means.drop(len(self._means) - 4 * _WINDOWS_AHEAD)
+        self._means.remove_first(len(self._means) - 4 * _WINDOWS_AHEAD)
         return done
 
     def finish(self) -> list[Rest | Motion]:

@@ -125,7 +125,7 @@ def _read_turn(
     *,
     alone: bool,
 ) -> Turn | Rejected:
-    angles, up_error = _held(motion, turns)
+    angles, up_error = _mean_angles(motion, turns)
     up = table.attitude(angles).T @ np.array([0.0, 0.0, 1.0])
     sense = float(table.joint_axis(turns.joint, angles) @ up)
     start = turns.start + offset_ns
@@ -229,7 +229,7 @@ def _compare_whole_way(
     )
 
 
-def _held(motion: Motion, turns: WholeTurns) -> tuple[Floats, float]:
+def _mean_angles(motion: Motion, turns: WholeTurns) -> tuple[Floats, float]:
     """Return the mean angles (k,) during whole turns, rad, and the noise of the axis.
 
     A single reading of the other joints would add their full noise to the axis.

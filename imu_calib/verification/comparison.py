@@ -120,11 +120,11 @@ def _forces(
     for place, f, c, attitude in zip(_at_rest(system), forces, covariances, attitudes, strict=True):
         length = float(np.linalg.norm(f))
         std = float(np.sqrt(f @ c @ f)) / length
-        yield _one(*place, Quantity.GRAVITY, length - g, std)
+        yield _of_one_component(*place, Quantity.GRAVITY, length - g, std)
         if len(attitude):
             off = ((attitude @ f)[:2] - level) / g
             across = (attitude @ c @ attitude.T)[:2, :2] / g**2
-            yield _two(*place, 0.0, Quantity.DIRECTION, off, across)
+            yield _of_two_components(*place, 0.0, Quantity.DIRECTION, off, across)
 
 
 def _rates(system: TriadSystem, rates: Floats, covariances: Floats) -> Iterator[ComparedQuantity]:
@@ -134,8 +134,10 @@ def _rates(system: TriadSystem, rates: Floats, covariances: Floats) -> Iterator[
     deviations = np.sqrt(spread) / (lengths + EARTH_RATE)
     every = zip(rates, covariances, ups, lengths.tolist(), deviations.tolist(), strict=True)
     for place, (w, c, up, length, std) in zip(_at_rest(system), every, strict=True):
-        yield _one(*place, Quantity.EARTH_RATE, length - EARTH_RATE, std)
-        yield _one(*place, Quantity.UP_RATE, float(w @ up) - up_rate, float(np.sqrt(up @ c @ up)))
+        yield _of_one_component(*place, Quantity.EARTH_RATE, length - EARTH_RATE, std)
+        yield _of_one_component(
+            *place, Quantity.UP_RATE, float(w @ up) - up_rate, float(np.sqrt(up @ c @ up))
+        )
 
 
 def _turns(
@@ -156,16 +158,18 @@ def _turns(
         std = float(np.sqrt(turn.up @ c @ turn.up)) * seconds
         yield ComparedQuantity(place, np.nan, rate, Quantity.TURN, off, std, off / std)
         level = np.linalg.svd(turn.up[None])[2][1:] / (rate + site.up_rate)
-        yield _two(place, np.nan, rate, Quantity.TURN_AXIS, level @ w, level @ c @ level.T)
+        yield _of_two_components(
+            place, np.nan, rate, Quantity.TURN_AXIS, level @ w, level @ c @ level.T
+        )
 
 
-def _one(
+def _of_one_component(
     name: str, at: float, quantity: Quantity, deviation: float, std: float
 ) -> ComparedQuantity:
     return ComparedQuantity(name, at, 0.0, quantity, deviation, std, deviation / std)
 
 
-def _two(
+def _of_two_components(
     name: str, at: float, rate: float, quantity: Quantity, vector: Floats, spread: Floats
 ) -> ComparedQuantity:
     """Compare an angle of two components: chi-square with two degrees of freedom."""

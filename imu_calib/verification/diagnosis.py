@@ -318,11 +318,11 @@ def _without(
     freed = np.hstack([np.pad(factor, ((0, more), (0, 0))), _wide(system)[:, columns]])
     # Lengths are nonlinear in freed parameters: their minimum is always searched for.
     if fit := _fit(system, np.pad(values, (0, more)), freed, 0.0 if system.up else _EXPLAINED):
-        far = _far(system.sensors.parameters, fit, columns)
+        far = _shifted_parameters(system.sensors.parameters, fit, columns)
         yield _Tried(Diagnosis(why, far), when, fit, len(columns))
 
 
-def _far(
+def _shifted_parameters(
     parameters: Sequence[Parameter], fit: Fit, columns: Sequence[int]
 ) -> tuple[ShiftedParameter, ...]:
     """Return the parameters whose fitted values differ significantly."""
@@ -356,7 +356,7 @@ def _another_unit(system: TriadSystem, values: Floats, factor: Floats, name: str
         )
     determined = np.flatnonzero(fit.std < _DETERMINED * np.diag(_wide(system)))
     changed = replace(fit, delta=apart, std=np.hypot(fit.std, np.linalg.norm(factor, axis=1)))
-    far = _far(system.sensors.parameters, changed, determined.tolist())
+    far = _shifted_parameters(system.sensors.parameters, changed, determined.tolist())
     if len(far) >= _HALF * len(determined):
         return Diagnosis(
             f'No single mistake explains the {name}, other parameters do: {len(far)} of the '

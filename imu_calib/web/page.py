@@ -237,7 +237,7 @@ class _Control:
         with ui.dialog() as self._dialog, ui.card():
             ui.label('The table will move. Is everybody clear of it?')
             with ui.element('div').classes('controls'):
-                ui.button('Yes, move', on_click=self._go).props('no-caps unelevated')
+                ui.button('Yes, move', on_click=self._start_confirmed).props('no-caps unelevated')
                 ui.button('No', on_click=self._dialog.close).props('no-caps flat')
 
     def _button(self, text: str, action: Callable[[], None], colour: str = 'primary') -> ui.button:
@@ -256,7 +256,7 @@ class _Control:
         if self._may:
             self._dialog.open()
 
-    def _go(self) -> None:
+    def _start_confirmed(self) -> None:
         self._dialog.close()
         self._command('start')
 
@@ -294,11 +294,11 @@ class _Scene:
                     body.rotate_R(link.pose(0.0).tolist())
                     self._moving[link.joint] = link, body, 0.0
                 for solid in link.solids:
-                    self._put(solid)
+                    self._add_solid(solid)
                 for hung in link.links:
                     self._hang(hung)
 
-    def _put(self, solid: Solid) -> None:
+    def _add_solid(self, solid: Solid) -> None:
         turned = solid.turned
         body: Any
         if solid.kind == 'box':

@@ -135,7 +135,7 @@ class UnitsBoard:
         """Return the state of a unit at a moment; without a name of all."""
         return (self.each[name] if name else self.common).snapshot(now)
 
-    def rows(self, now: float) -> tuple[UnitRow, ...]:
+    def unit_rows(self, now: float) -> tuple[UnitRow, ...]:
         """Return the state of each unit at a moment."""
         return tuple(self._row(name, self.each[name].snapshot(now)) for name in self._units)
 
