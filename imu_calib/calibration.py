@@ -81,7 +81,7 @@ class Calibration:
         residuals: One per static dwell.
         findings: What the user must know, in sentences.
         provenance: Origin: recording, hash, plan, method, site, versions.
-        serial_number: Unit of the type `imu.id`; empty if not stated.
+        serial_number: Unit of the type `ImuSpec.id`; empty if not stated.
         parameters: Of the rows of the covariance: the 24, those of terms, those of skewed gyros,
             in the order of `model.parameters_of`.
         budget: The variances by source; None if the method does not give them.

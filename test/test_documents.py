@@ -1,5 +1,6 @@
 """Pages, their links and their sections, and what the code cites of them."""
 
+import ast
 import re
 import sys
 from collections.abc import Iterator
@@ -35,6 +36,7 @@ NUMBERED = re.compile(r'(\d+)\. +(.+)')
 LINK = re.compile(r'\]\(([^()\s]+)\)|<(?:img|a)[^>]+(?:src|href)="([^"]+)"')
 INLINE_CODE = re.compile(r'`[^`\n]+`')
 INDENTED = re.compile(r'(?:(?<=\n\n)|^)(?: {4}.*\n?)+')
+DOTTED = re.compile(r'(?<!`)`([a-z]\w*(?:\.\w+)+)`')
 CITATION = re.compile(
     r'(?P<page>[\w/.-]*\w\.md)'
     r"""(?:,? section (?P<number>\d+)\b|"""
@@ -130,6 +132,33 @@ def test_every_citation_names_a_page_and_a_section_that_exist() -> None:
     texts.update({path: INLINE_CODE.sub('', prose(path)) for path in PAGES})
     wrong = {str(path.relative_to(CHECKOUT)): miscited(text, path) for path, text in texts.items()}
     assert not {name: sentences for name, sentences in wrong.items() if sentences}
+
+
+@cache
+def names_of_modules() -> dict[str, set[str | None]]:
+    """Return what modules define or import, and packages hold, by their last names."""
+    found: dict[str, set[str | None]] = {}
+    for path in (CHECKOUT / 'imu_calib').rglob('*.py'):
+        package = path.name == '__init__.py'
+        names: set[str | None] = {p.stem for p in path.parent.iterdir()} if package else set()
+        for node in ast.walk(ast.parse(path.read_text('utf-8'))):
+            names |= {getattr(node, part, None) for part in ('name', 'asname', 'id')}
+        found.setdefault(path.parent.name if package else path.stem, set()).update(names)
+    return found
+
+
+def unknown_names(text: str) -> list[str]:
+    """Return the citations `module.name` of modules of the package that lack the name."""
+    cited = {tuple(c.split('.')[:2]) for c in DOTTED.findall(text)}
+    modules = names_of_modules()
+    return sorted('.'.join(c) for c in cited if c[0] in modules and c[-1] not in modules[c[0]])
+
+
+def test_a_name_that_the_code_cites_of_a_module_exists() -> None:
+    files = (CHECKOUT / 'imu_calib').rglob('*.py')
+    wrong = {str(path): unknown_names(path.read_text('utf-8')) for path in files}
+    assert not {name: names for name, names in wrong.items() if names}
+    assert unknown_names('As `modulation.shapes`, not `modulation.forms`.') == ['modulation.forms']
 
 
 def test_the_sections_of_the_mathematics_are_numbered_in_order() -> None:

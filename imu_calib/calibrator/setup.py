@@ -25,7 +25,7 @@ class Setup:
         site: Gravity and Earth rate.
         method: Name of the solver; None takes the joint estimate where it applies, else the plan's
             own method.
-        serial_number: Unit of the type `imu.id`; empty if not stated.
+        serial_number: Unit of the type `ImuSpec.id`; empty if not stated.
         terms: Terms to estimate beyond the method's parameters.
         changes: Coefficients of the session's terms, likewise.
         search_terms: Whether to search for terms that the session shows.

@@ -158,7 +158,7 @@ def estimate(
         equations, state = with_parameters(equations, state, moving)
     observed = Information.of(equations.whitened(state)[0]).observed
     if not (moving or np.delete(observed, np.r_[equations.arms]).all()):
-        # See `information.before`. Lever arms are determined in turns as far as the 24 need them.
+        # See `information.nominal_information`. Turns determine lever arms as far as the 24 need.
         equations = resting
     found = _without_outliers(equations, state, turns=True)
     if turns_disagree(evidence, found.outliers):

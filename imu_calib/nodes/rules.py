@@ -13,7 +13,7 @@ def declare_rules(declare: Callable[..., Any]) -> Rules:
     """Declare tolerances and times, and return them.
 
     Args:
-        declare: `parameters.declare` of the node.
+        declare: `declared.declare` of the node.
 
     Raises:
         InputError: A value has another type or lies outside its range.
