@@ -39,7 +39,7 @@ CHECKED = 2 * FEWEST
 hold or excess noise is detected."""
 
 HOLD_SECONDS = 3.0
-"""Duration of a hold, s."""
+"""Duration of a hold, s. A choice: a second more than the shortest hold accepted (`stillness`)."""
 
 _SCALE_TARGET, _ANGLE_TARGET = 300 * PPM, 1 * ARCMIN
 """Standard deviations of scale factors and of misalignments, rad, that are enough: a choice."""

@@ -22,7 +22,7 @@ from .terminal import ERRORS, OUTPUT
 _SHOWN = 6
 """Attitudes shown at once: as many as fit above the bars of a small terminal."""
 _BAR = 24
-"""Characters of the longest bar."""
+"""Characters of the longest bar. A choice; layout."""
 _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result.'
 
 

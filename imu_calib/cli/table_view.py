@@ -19,7 +19,7 @@ from ..web.units import UnitRow
 
 _STYLES = {Severity.OK: 'bold', Severity.WARN: 'bold yellow', Severity.ERROR: 'bold red'}
 _BAR = 30
-"""Characters of the bar."""
+"""Characters of the bar. A choice; layout."""
 _COLUMNS = ('', 'std now', 'plan', 'limit', 'unit')
 _UNIT_COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ('unit', 'left'),

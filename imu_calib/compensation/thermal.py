@@ -31,7 +31,8 @@ _MARGIN = 5.0
 MOST = 4
 """Highest order of polynomials: higher ones oscillate between the points (Runge)."""
 _WRITTEN = 1e-9
-"""Relative tolerance for numbers that were written as text."""
+"""Relative tolerance for numbers that were written as text. A judgement, between the rounding of a
+double and any difference that matters."""
 
 
 @dataclass(frozen=True, eq=False)

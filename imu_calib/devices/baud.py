@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from .format import FrameFormat
 
 DEFAULT = 115200
-"""bit/s, if neither the user nor the device's file states a rate."""
+"""bit/s, if neither the user nor the device's file states a rate. A choice: the lowest of the
+recommended ones."""
 _COMMON = (115200, 230400, 460800, 921600, 1843200, 3000000)
 """Recommended rates, bit/s: those of USB adapters for serial ports, from 115200 on."""
 

@@ -20,7 +20,8 @@ _SETTLING = NS // 2
 _LONGEST_SETTLING = 2 * NS
 """The same by the host's time, for slow samples."""
 _CATCH_UP = NS // 10
-"""ns after which a busy host has read all waiting data, which it reads faster than it arrived."""
+"""ns after which a busy host has read all waiting data, which it reads faster than it arrived. A
+judgement."""
 _LONG_CATCH_UP = NS
 """The same without other evidence of lost time: a late read is then more probable."""
 _READS = 3

@@ -19,7 +19,7 @@ from .gravity import Gravity
 from .source import SourceState
 
 _KEPT = 10.0
-"""s for which an event is reported."""
+"""s for which an event is reported. A choice: long enough to be read."""
 _RATE_SPAN = 2.0
 """s: a rate counted over it is accurate to one sample in it."""
 _RATE_TOLERANCE = 0.02

@@ -7,7 +7,8 @@ import numpy as np
 from ..stream import Stamps
 
 _LEAST_STEP = 10_000_000
-"""A smaller difference, ns, can result from an interruption between the readings of both clocks."""
+"""A smaller difference, ns, can result from an interruption between the readings of both clocks. A
+judgement."""
 
 
 class HostClock:

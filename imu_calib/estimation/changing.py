@@ -31,7 +31,8 @@ USEFUL_CHANGE = 1e-3
 see `information`."""
 
 _QUARTER = 0.25
-"""Time constant or instant for which a plan is evaluated, as a fraction of the session."""
+"""Time constant or instant for which a plan is evaluated, as a fraction of the session. A choice: a
+course that is over within the session."""
 
 _FINE = 17
 """Instants that are tried between the neighbours of the best: eight times as dense as before. It is

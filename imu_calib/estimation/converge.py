@@ -15,7 +15,8 @@ from ..errors import NotObservable
 from ..stream import Floats
 
 _CONVERGED = 1e-9
-"""Standard deviations, root mean square, of a negligible last step of the prediction."""
+"""Standard deviations, root mean square, of a negligible last step of the prediction. A judgement:
+far below any effect, and above rounding."""
 
 _SETTLED = 0.02
 """Standard deviations by which steps may go on moving the prediction, all outputs together, where

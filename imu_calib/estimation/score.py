@@ -56,7 +56,8 @@ _FREE = 300 * ARCSEC
 accelerometers and dwells resolve, and small enough for the covariance to be inverted."""
 
 _SHARE = 0.5
-"""Largest share of the degrees of freedom of its outputs that a family may take."""
+"""Largest share of the degrees of freedom of its outputs that a family may take. A judgement: at
+least as many remain to show their scatter."""
 
 _NINE_IN_TEN = 1.2816
 """Standard normal quantile of 90 %."""
@@ -417,7 +418,8 @@ def tries_of(family: Family, equations: Equations) -> list[int]:
 
 
 _WHOLE = 1e-3
-"""Share of a coefficient that may lie along unobserved directions."""
+"""Share of a coefficient that may lie along unobserved directions. A judgement: the coefficient is
+then found to half a part in a thousand."""
 
 
 def _without(columns: Floats, basis: Floats) -> Floats:

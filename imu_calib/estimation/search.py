@@ -46,7 +46,8 @@ from .score import (
 from .undecided_drifts import UndecidedDrifts, undecided
 
 CHANCE = 1e-3
-"""Chance of finding a family in a session without any, all families together."""
+"""Chance of finding a family in a session without any, all families together. A choice: one session
+in a thousand gets one that it has not."""
 
 _APART = 9.0
 """Difference of chi-square below which two families explain a session equally well: a factor of 90

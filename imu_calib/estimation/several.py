@@ -33,7 +33,8 @@ from .estimate import Estimate
 _ROUNDS = 30
 """Most steps: the estimate of each single unit is within its deviations of the solution."""
 _CONVERGED = 1e-6
-"""Standard deviations by which a last step may move any unknown."""
+"""Standard deviations by which a last step may move any unknown. A judgement: nothing beside a
+standard deviation."""
 _INFORMATIVE = 1e-3
 """Of the information of the other units and the priors on a direction: with less, a unit cannot
 contradict them in it. A tenth of a percent of information is 0.05 % of a deviation."""

@@ -21,7 +21,8 @@ _AMOUNT = 10.0
 """Amounts of a coefficient for which the effect is reported."""
 
 _MATTERS = 0.1
-"""Standard deviations by which `_AMOUNT` must move a parameter to be named."""
+"""Standard deviations by which `_AMOUNT` must move a parameter to be named. A judgement: a tenth
+adds half a percent to the deviation."""
 
 _HIDDEN = 4.5
 """Standard deviations by which an undetected term, just below detection, moves a parameter for the
@@ -34,10 +35,11 @@ such reports one is of a unit that does not drift; less likely drifts still wide
 and are listed with their probability among the terms (`summary`)."""
 
 _WORTH_NAMING = 0.1
-"""Share of that for one of several courses to be named."""
+"""Share of that for one of several courses to be named. A judgement, as `_MATTERS`."""
 
 _WIDER = 0.1
-"""Share by which a standard deviation must grow to be named."""
+"""Share by which a standard deviation must grow to be named. A judgement: with fifty degrees of
+freedom it is known to a tenth."""
 
 _RECORD = (
     'record the temperature (imu/temperature), or let the unit run for an hour before the session'

@@ -18,7 +18,8 @@ from .results import Chart, ChartLimits, Rules, Signal
 from .run_length import ewma_limit, ewma_std
 
 _CLIPPED = 3.0
-"""Normal scores beyond which a session is clipped in the estimate of correlations."""
+"""Normal scores beyond which a session is clipped in the estimate of correlations. One normal score
+in 370 is beyond."""
 _PER_PARAMETER = 2
 """Sessions of other units per parameter for the estimate of correlations: with fewer, T^2 has
 hardly any power (its F distribution has too few degrees of freedom)."""

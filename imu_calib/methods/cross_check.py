@@ -12,7 +12,7 @@ from ..stream import Floats
 from .solution import Solution
 
 _ONE_IN = 1e-3
-"""Share of sessions in which the two contradict each other by chance."""
+"""Share of sessions in which the two contradict each other by chance. A choice."""
 
 
 @dataclass(frozen=True, eq=False)

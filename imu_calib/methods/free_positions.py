@@ -55,7 +55,8 @@ _ITERATIONS = 100
 _ROUNDS = 10
 """Rounds in which contradicting turns are left out and noise is estimated again; a cap."""
 _SIGNIFICANT = 1e-3
-"""Probability of chance below which the scatter of a group is reported."""
+"""Probability of chance below which the scatter of a group is reported. A choice: in one sound
+session of a thousand."""
 _WIDENED = 0.01
 """Probability of chance below which a group's noise is enlarged: three sound sessions in a hundred
 are widened. Held-out lengths of the Xsens of docs/real_recordings.md were off by up to 3.5 times

@@ -28,10 +28,9 @@ from ..observation.evidence import Evidence
 from ..stream import Floats
 from .checks import no_turn_about
 from .conclusion import SAME_UP, conclude
+from .linear import BIAS
 from .solution import Solution
 
-BIAS = 3
-"""Index of the bias among the unknowns of a channel, after three responses."""
 ILL_CONDITIONED = 100.0
 """Where two digits are lost, only errors of the attitudes separate the parameters."""
 _INVOLVED = 0.1

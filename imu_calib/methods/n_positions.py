@@ -16,7 +16,6 @@ from ..observation.evidence import Evidence
 from ..plan import Plan
 from ..stream import Floats
 from .gains import (
-    BIAS,
     Gains,
     bias_names,
     inverse,
@@ -24,6 +23,7 @@ from .gains import (
     rate_test_weights,
     response_names,
 )
+from .linear import BIAS
 from .solution import Solution
 
 ESTIMATES = parameters_of([G_SENSITIVITY])

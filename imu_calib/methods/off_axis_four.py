@@ -15,7 +15,8 @@ from ..observation.evidence import Evidence
 from ..plan import Plan
 from ..stream import Floats
 from ..units import DEG_H
-from .gains import BIAS, bias_names, response_names
+from .gains import bias_names, response_names
+from .linear import BIAS
 from .solution import Solution
 from .static_six import gyros_only, require_north
 

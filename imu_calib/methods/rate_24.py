@@ -13,7 +13,8 @@ import numpy as np
 from ..errors import NotObservable
 from ..model import PARAMETERS
 from ..observation.evidence import Evidence
-from .gains import BIAS, Gains, bias_names, position_weights, rate_test_weights
+from .gains import Gains, bias_names, position_weights, rate_test_weights
+from .linear import BIAS
 from .n_positions import force_weights
 from .solution import Solution
 

@@ -22,7 +22,8 @@ from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..stream import Floats
 from ..units import DEG, DEG_H
 from .checks import check_axes, clock_finding, far_scales
-from .gains import BIAS, bias_names, inverse, response_names
+from .gains import bias_names, inverse, response_names
+from .linear import BIAS
 from .solution import Solution
 
 NAME = 'skewed'

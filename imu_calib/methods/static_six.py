@@ -17,13 +17,15 @@ from ..model import PARAMETERS, ParameterKind
 from ..observation.evidence import Evidence
 from ..plan import Plan
 from ..stream import Floats
-from .gains import BIAS, Gains, bias_names, inverse, position_weights, response_names
+from .gains import Gains, bias_names, inverse, position_weights, response_names
+from .linear import BIAS
 from .solution import Solution
 
 ESTIMATES = tuple(p for p in PARAMETERS if p.triad == 'g')
 
 _MEANINGLESS = 0.1
-"""Standard deviation of a ratio from which on it is not worth stating."""
+"""Standard deviation of a ratio from which on it is not worth stating. A judgement: data sheets
+know it better."""
 
 
 def solve(evidence: Evidence) -> Solution:

@@ -22,7 +22,7 @@ from .diagnostics import Diagnostics, Level
 from .entry import entry_point
 
 _SECOND = 1.0
-"""s between checks of what changes slowly."""
+"""s between checks of what changes slowly. A choice, as in calibrator_node."""
 
 
 class CompensatorNode(ros.ManagedNode):

@@ -30,7 +30,7 @@ from .entry import entry_point
 from .frame_server import FrameServer
 
 _STEP = 0.1
-"""s of simulated time per step."""
+"""s of simulated time per step. A choice, as in stand_node."""
 _REST = 0.0005
 """s of sleep while a reader is slow: short compared with the computation of a step."""
 _LONGEST_REST = 0.005

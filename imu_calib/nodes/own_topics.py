@@ -12,7 +12,7 @@ from . import qos
 from .publishers import OnePublisher
 
 _KEPT = 256
-"""Most messages that may be on their way back to the node that sent them."""
+"""Most messages that may be on their way back to the node that sent them. A judgement."""
 
 
 class OwnTopics:

@@ -8,7 +8,7 @@ from typing import Any
 from ..network import LONGEST_LEASE
 
 _NAMELESS = 2.0
-"""s by which a node's name may appear later than its publishers."""
+"""s by which a node's name may appear later than its publishers. A judgement."""
 
 _FRESH = 3.0
 """s for which a second publisher counts after it left: its messages may still arrive."""

@@ -40,16 +40,17 @@ from .entry import entry_point
 from .frame_server import FrameServer, Lines
 
 _STEP = 0.1
-"""s of simulated time per step."""
+"""s of simulated time per step. A choice: the period of setpoints."""
 _STEP_AT_REST = 0.2
 """s per step while the table is at rest under setpoints: longer, to halve the cost of steps for all
 nodes. With `_AHEAD` it is less than the age at which the table refuses a setpoint."""
 _AHEAD = 0.25
 """s that the simulation may be ahead of the last setpoint."""
 _ALIVE = 2.0
-"""s without a setpoint after which time follows the wall clock."""
+"""s without a setpoint after which time follows the wall clock. A choice: twenty setpoints."""
 _SILENCE = 0.5
-"""s of the wall clock without a setpoint after which another source may command the table."""
+"""s of the wall clock without a setpoint after which another source may command the table. A
+choice: five setpoints."""
 _REST = 0.0005
 """s of sleep while waiting for the next setpoint: short compared with the computation of a step."""
 _LONGEST_REST = 0.02

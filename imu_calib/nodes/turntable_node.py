@@ -41,7 +41,7 @@ from .stop import EmergencyStop, state_folder
 _PERIOD = 0.01
 """s between checks of the clocks without joint states: a tenth of a setpoint's period."""
 _STATE_PERIOD = 0.5
-"""s between two equal states."""
+"""s between two equal states. A choice: readers need no more to know that it lives."""
 _CHECK_PERIOD = 0.1
 """s between checks of the publishers: at 90 deg/s a table turns by 9 deg meanwhile. A judgement;
 the answer to a foreign setpoint does not wait for the check."""

@@ -25,7 +25,7 @@ from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 from .session_model import Nuisance, SessionModel, Value
 
 ANY_AZIMUTH = 180 * DEG / np.sqrt(3)
-"""Standard deviation of an unknown heading."""
+"""Standard deviation of an unknown heading, rad: uniform over a whole turn (GUM 4.3.7)."""
 
 _FEW = 32
 """Outputs of five dwells, which determine nothing: numpy solves so few in 0.1 ms, and loading scipy
@@ -36,7 +36,8 @@ _ROUNDING = 4 * float(np.finfo(float).eps)
 Accuracy and Stability of Numerical Algorithms, theorem 10.7)."""
 
 GIVEN_AZIMUTH = 1 * ARCMIN
-"""Standard deviation of a table's azimuth where its configuration states it."""
+"""Standard deviation of a table's azimuth where its configuration states it, rad. A
+judgement."""
 
 LEAST_AZIMUTH = 0.05 * DEG
 """Least reported difference between north by the gyros and a table's stated azimuth, rad: rounding

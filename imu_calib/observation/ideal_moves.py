@@ -19,7 +19,8 @@ from ..turntable import Table
 from .evidence import UP
 
 BY_HAND_MOVE = 2.0
-"""Duration of a move from one dwell to the next, s."""
+"""Duration of a move from one dwell to the next, s. A choice: that of simulated hands
+(`simulation/hand`)."""
 
 _STEP = 0.01
 """Length of the steps of a move, s: no step turns by more than a degree at 100 deg/s."""

@@ -28,7 +28,7 @@ _MIXED = 1e-4
 1e-14 turns those just above the limit (`_SINGULAR`) by as much."""
 _MEANINGLESS = {ParameterKind.SCALE_FACTOR_ERROR: 0.01, ParameterKind.MISALIGNMENT: 0.01}
 """Standard deviations, of ratios and in rad, from which on a parameter without a largest plausible
-value is not useful."""
+value is not useful. A judgement: data sheets know them better."""
 
 _USEFUL = 0.02
 """Share of the largest plausible coefficient of a term: for ratios it leaves 0.1 %."""

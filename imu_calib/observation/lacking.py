@@ -29,7 +29,8 @@ _MOST = 9
 determine the 24 parameters of any unit."""
 
 _UNSEEN = 1e-6
-"""Information of an unobserved direction, where directions are compared by logarithms."""
+"""Information of an unobserved direction, where directions are compared by logarithms. A judgement:
+a finite number for none."""
 
 Addition = tuple[str, Segment | Turn]
 

@@ -37,7 +37,8 @@ _EVEN = 0.5
 """Largest standard deviation of a count, pulses, for which six are enough: beyond it phases cover
 more than a turn, which thirty-two sample evenly."""
 _MANY = 32
-"""Equal parts of a normal distribution whose medians represent it beyond that."""
+"""Equal parts of a normal distribution whose medians represent it beyond that. A choice between
+accuracy and work."""
 
 _RANK = 1e-3
 """Least singular value of the inputs of a triad, of the largest: dwells and turns are nearly at

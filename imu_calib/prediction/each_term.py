@@ -63,7 +63,7 @@ class ChangeForecast:
 
 
 _DEARER = 1.1
-"""Growth of standard deviations below which no other plan would be chosen."""
+"""Growth of standard deviations below which no other plan would be chosen. A judgement."""
 
 
 def forecast_terms(

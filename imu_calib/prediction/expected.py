@@ -54,9 +54,10 @@ _UNSEEN = 0.5
 """s not used at each end of a dwell by the segmentation: a window of the joint states."""
 
 _BY_HAND_TURN = 2.0
-"""s for a whole turn by hand."""
+"""s for a whole turn by hand. A choice: that of simulated hands (`simulation/hand`)."""
 _BY_HAND_STILL = 2.0
-"""s at rest before and after a turn by hand, which separate it from the moves around it."""
+"""s at rest before and after a turn by hand, which separate it from the moves around it. A choice,
+likewise."""
 
 _BY_HAND_LEVEL = 0.25
 """Share of a level rate that such a turn does not average out: its rate rises and falls for a third

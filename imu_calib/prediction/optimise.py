@@ -40,7 +40,7 @@ _SHORTEST_DWELL = 20.0
 _LONGEST = 24 * 3600.0
 """s: a longer session is taken for a typing error."""
 _SWEEPS = 20
-"""Most rounds of exchanges."""
+"""Most rounds of exchanges. A cap."""
 _GAINED = 1e-9
 """Least gain in the logarithm of the determinant that counts: smaller ones are rounding."""
 

@@ -33,7 +33,7 @@ LONGEST = 24 * 3600.0
 """Longest dwell proposed, s: a day. A choice: nobody waits longer for one position."""
 
 _LOOKS = 20
-"""Most rounds of the iteration."""
+"""Most rounds of the iteration. A cap."""
 _LONGER = 4.0
 """Factor by which dwells grow where turns contribute more than the wanted variance; a choice."""
 _CLOSE = 2e-3

@@ -18,10 +18,10 @@ from ..stream import Floats, Units
 from ..turntable import TURN
 
 SPARE = 1.0
-"""Time before and after the measured turns in which a table surely keeps its rate, s."""
+"""Time before and after the measured turns in which a table surely keeps its rate, s. A choice."""
 
 _SAMPLE_RATE = 100.0
-"""Hz, if the IMU's file states none."""
+"""Hz, if the IMU's file states none. A choice."""
 _PHASE = 0.5
 """Pulses: a counter starts at any phase, on average in the middle of a pulse."""
 

@@ -35,7 +35,7 @@ offsets of seconds, too, and at the right one nothing is left but the cells at t
 judgement."""
 
 _APART = 1.0
-"""s between offsets that belong to different peaks."""
+"""s between offsets that belong to different peaks. A judgement: ten cells of the pattern."""
 
 
 def offset_by_pattern(

@@ -34,7 +34,8 @@ _PLAIN = 8
 the cost of a lost sample."""
 
 _UNKNOWN = 0.25
-"""Largest variance of a count between two readings of a counter of unknown phase."""
+"""Largest variance of a count between two readings of a counter of unknown phase. It is p (1 - p)
+of one pulse more or less."""
 
 _PHASE = 0.2
 """Variance of a gap's count where the counter passes one pulse on either side of it; it falls with
@@ -46,10 +47,11 @@ _RESONANT = 1.5
 sample it is up to 3.5 (simulated)."""
 
 _SWEEPS = 4
-"""Most times that each gap is read, each time beside others that are filled better."""
+"""Most times that each gap is read, each time beside others that are filled better. A cap."""
 
 _SETTLED = 0.05
-"""Change of a gap's count, pulses, below which reading it again is useless."""
+"""Change of a gap's count, pulses, below which reading it again is useless. A judgement: a tenth of
+half a pulse, at which it is rounded."""
 
 _LEAST_VARIANCE = 1e-4
 """Pulses squared: less is rounding."""

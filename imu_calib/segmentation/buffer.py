@@ -7,7 +7,7 @@ import numpy as np
 from ..stream import Floats, Stamps
 
 _FIRST_CAPACITY = 1024
-"""Rows."""
+"""Rows. A choice: it doubles when it is full."""
 
 
 class RowBuffer:

@@ -25,9 +25,11 @@ fewer no test distinguishes a turn from vibration."""
 _HALF = 0.5
 """Of the tilt that a turn must cause: accelerometers confirm the turn if they see more."""
 _PULSES = 2.5
-"""Pulses by which a window's sum may be off by its edges alone."""
+"""Pulses by which a window's sum may be off by its edges alone. A judgement: either edge moves it
+by one at most."""
 _SPREAD_RATIO = 3.0
-"""Times the usual spread within a window."""
+"""Times the usual spread within a window. A judgement: windows of fifty samples know theirs to a
+tenth."""
 _FLIPPING = 0.5
 """Pulses: spread of a counter that flips at every sample."""
 _STEP_SIGNIFICANCE = 8.0

@@ -22,9 +22,9 @@ _LEAST_TRAVEL = 0.1
 _LARGEST_OFFSET = 1.0
 """s: clocks further apart do not belong to one session."""
 _LONGEST_STEP = 0.25
-"""Longest step of the iteration, s, to keep it from diverging."""
+"""Longest step of the iteration, s, to keep it from diverging. A judgement."""
 _CONVERGED = 1e-9
-"""s."""
+"""s. The resolution of stamps."""
 _NEAR = 1e-6
 """s of the last step where noise keeps the iteration from a nanosecond: a thousandth of the
 uncertainty of a motion. A longer one has not converged."""
@@ -35,11 +35,11 @@ _FEWEST_STATES = 4
 _END_SECONDS = 2.0
 """s of each end of a long motion: acceleration determines the offset."""
 _MARGIN_SECONDS = 0.8
-"""s at rest on either side."""
+"""s at rest on either side. A judgement: within the second that is read (`turns`, `MARGIN_NS`)."""
 _MOTIONS_FOR_RATE = 3
 """A line and one to check it."""
 _SAMPLES_NEEDED = 20
-"""Fewer do not show the shape of a motion."""
+"""Fewer do not show the shape of a motion. A judgement."""
 _CELLS = 4000
 """Samples of a motion that are used: more do not resolve milliseconds better."""
 _OUTLIER = 12.0
@@ -50,9 +50,10 @@ _NO_JUMP = 1e-3
 """Chance of a false jump by scatter, at which a jump is still reported."""
 
 _CELL_SECONDS = 0.1
-"""s in which the angle of a joint is compared with the gyros'."""
+"""s in which the angle of a joint is compared with the gyros'. A judgement, as `_CELL` of
+`apart`."""
 _MOVING = 0.25
-"""Of the largest angle in a cell."""
+"""Of the largest angle in a cell. A judgement."""
 _SURELY_MOVING = 1.0 * DEG
 """rad/s: more than any table at rest shows."""
 

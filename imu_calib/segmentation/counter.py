@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from ..stream import Floats
 
 END_POINT_VARIANCE = 1 / 6
-"""Variance of the difference of two readings of a counter, pulses squared, mean over phases."""
+"""Variance of the difference of two readings of a counter, pulses squared, the mean of p (1 - p)
+over phases."""
 
 READING_VARIANCE = 1 / 12
 """Variance of a reading in whole pulses, pulses squared: uniform over one."""

@@ -20,7 +20,7 @@ from .statistics import Samples, gap_free, statistics_at_rest
 _SHORTEST_DWELL = 1.0
 """s: the settling of a shorter dwell costs more than the dwell gives."""
 _MOSTLY = 0.5
-"""Share of saturated samples."""
+"""Share of saturated samples. A judgement: of a shock few samples are."""
 _NOTHING: Stamps = np.empty(0, dtype=np.int64)
 
 _Found: TypeAlias = Segment | Rejected | MountShift

@@ -18,7 +18,8 @@ from ..stream import Floats, Stamps
 from .bunches import sampling_times
 
 _LATE = 1.5
-"""Intervals between two stamps from which on a sample between them may be missing."""
+"""Intervals between two stamps from which on a sample between them may be missing. Half way between
+none and one."""
 
 _OFF_GRID = 0.03
 """Of an interval: smaller steps are not set clocks, or have no effect: missing samples shift the
@@ -66,7 +67,8 @@ _HASTE = 0.5
 """Of the interval: where a quarter of the steps are shorter, samples come in bunches."""
 
 _QUEUED = 0.5
-"""Share of short steps up to the end from which on they belong to a queue."""
+"""Share of short steps up to the end from which on they belong to a queue. A judgement: more than
+are short by jitter."""
 
 _LAG = 240
 """Most samples over which the interval is then taken, in whole bunches: short enough that some of
@@ -86,7 +88,7 @@ _NARROW = 16
 """The same in the first round of bunches, whose interval is known to a percent."""
 
 _LAYINGS = 3
-"""Most rounds of fitting a line and counting the missing samples by it."""
+"""Most rounds of fitting a line and counting the missing samples by it. A cap."""
 
 _TAIL = 32
 """Samples at the end of a segment in bunches: the last bunch is cut off, and late samples cannot be
@@ -96,7 +98,8 @@ _FEWEST = 3
 """Fewest stamps of a line whose scatter is known."""
 
 _OUTLYING = 4.0
-"""Robust standard deviations off the line beyond which a stamp gets zero weight."""
+"""Robust standard deviations off the line beyond which a stamp gets zero weight. Normal ones exceed
+them once in 16 000."""
 
 _ROUNDS = 5
 """A cap."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..gaussian import MAD_TO_STD
 from ..stream import Floats, Stamps
+from ..turntable import TURN
 from ..units import DEG
 from .buffer import RowBuffer
 from .rows import any_in_row
@@ -22,8 +23,6 @@ _LONGEST_LOOK = 1.0
 """Time over which a table at rest may drift at `_STILL_RATE`, s. A judgement: a joint that is 0.05
 deg off after a silence of the joint states has moved, for any length of it."""
 
-_TURN = 2 * np.pi
-"""rad."""
 _SAMPLES_FOR_ANGLES = 4096
 """Readings of a dwell that are averaged, at most: at 100 Hz they leave 0.1 arcsec of noise of 7."""
 
@@ -127,9 +126,9 @@ class JointTracker:
         steps = np.empty_like(position)
         steps[0] = position[0] - self._delivered
         np.subtract(position[1:], position[:-1], out=steps[1:])
-        turns = self._turns - np.cumsum(np.rint(steps / _TURN), axis=0)
+        turns = self._turns - np.cumsum(np.rint(steps / TURN), axis=0)
         self._delivered, self._turns = position[-1], turns[-1]
-        return np.asarray(position + _TURN * turns)
+        return np.asarray(position + TURN * turns)
 
     def finish(self) -> list[Rest | Motion]:
         """End the stream: return the current rest or motion."""

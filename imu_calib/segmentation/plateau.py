@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats
+from ..turntable import TURN
 from ..units import DEG
 from .encoder_line import FEWEST, Line, encoder_step, hidden_by_steps
 from .motion import Motion
 
-_TURN = 2 * np.pi
-"""rad."""
 _SEED = np.pi
 """Angle of a seed, rad. A judgement: it fits twice into the shortest useful plateau, a whole turn,
 and is long enough for a ramp to bend it visibly."""
@@ -288,10 +287,10 @@ def _whole_turns(plateau: Plateau, joint: int, origin: float) -> WholeTurns | No
     """
     sure = plateau.end - plateau.start
     rate = abs(plateau.rate)
-    count = np.floor(rate * sure / _TURN) or np.floor(plateau.turned / _TURN)
+    count = np.floor(rate * sure / TURN) or np.floor(plateau.turned / TURN)
     if count < 1:
         return None
-    seconds = float(count * _TURN / rate)
+    seconds = float(count * TURN / rate)
     begin, hidden = plateau.start + (sure - seconds) / 2, 0.0
     if seconds > sure:
         share = (seconds - sure) / (plateau.before + plateau.after)
@@ -300,8 +299,8 @@ def _whole_turns(plateau: Plateau, joint: int, origin: float) -> WholeTurns | No
         joint,
         origin + begin * 1e9,
         seconds,
-        float(np.copysign(count * _TURN, plateau.rate)),
-        float(np.hypot(plateau.rate_std / rate, hidden / (count * _TURN))),
+        float(np.copysign(count * TURN, plateau.rate)),
+        float(np.hypot(plateau.rate_std / rate, hidden / (count * TURN))),
         max(0.0, _SURE * (sure - seconds) / 2 - _CLOCKS_APART),
         plateau.step,
     )

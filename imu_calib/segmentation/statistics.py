@@ -26,13 +26,13 @@ Source: docs/mathematics.md, 'Noise of a mean'.
 """
 
 _MINIMUM_BLOCKS = 4
-"""For a variance between blocks."""
+"""For a variance between blocks. It then has three degrees of freedom."""
 _SCORING_STEPS = 20
 """A cap."""
 _SMALLEST_VARIANCE = 1e-100
 """Prevents division by zero for noise-free blocks."""
 _SAMPLES_FOR_GRID = 4096
-"""Samples whose values are searched for the smallest difference."""
+"""Samples whose values are searched for the smallest difference. A choice."""
 
 
 @dataclass(frozen=True, eq=False)

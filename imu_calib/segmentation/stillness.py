@@ -36,7 +36,7 @@ _NO_STAMPS: Stamps = np.empty(0, dtype=np.int64)
 """Their stamps."""
 
 _WINDOWS_OF_SPAN = 20
-"""Two seconds, the shortest hold accepted."""
+"""Two seconds, the shortest hold accepted. A choice."""
 
 _Window: TypeAlias = tuple[int, int, list[float]]
 """First and last stamp, ns, and the mean of each channel: for so few, lists are faster than

@@ -15,7 +15,7 @@ from .segment import Segment, Turn
 from .segmented import FreeMotion, Rejected
 
 SHORT_DWELL = 0.25
-"""Share of a dwell below which it is not one of the plan's."""
+"""Share of a dwell below which it is not one of the plan's. A judgement."""
 
 UP_TOLERANCE = 20 * DEG
 """Largest angle of up by raw accelerometers from its expected direction: biases and misalignments

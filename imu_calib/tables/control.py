@@ -28,13 +28,14 @@ from .follower import Follower
 from .line import Line
 
 _RETRY = 0.5
-"""s before a lost controller is contacted again."""
+"""s before a lost controller is contacted again. A choice: two attempts a second cost nothing."""
 _BAD_IN_A_ROW = 3
 """Bad replies: noise on the line can cause one; three in a row mean another device."""
 _WAITING = 2000
 """Readings held for the node: 20 s at 100 Hz."""
 _WATCHDOG = 1.0
-"""s without a line after which the controller stops by itself, if a driver is killed."""
+"""s without a line after which the controller stops by itself, if a driver is killed. A choice, of
+this protocol."""
 
 
 @dataclass(frozen=True)

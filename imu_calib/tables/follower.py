@@ -17,7 +17,8 @@ _STANDS = 0.1 * DEG
 """rad/s: a slower joint is at rest."""
 
 _NEAR = 0.5 * DEG
-"""Largest distance of a joint from its angle at the start of a turn, rad."""
+"""Largest distance of a joint from its angle at the start of a turn, rad. A judgement: as
+`Rules.overshoot`, beyond which a run ends."""
 
 
 class Follower:

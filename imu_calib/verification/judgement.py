@@ -31,7 +31,8 @@ from .observed import Observed
 from .system import Fit, TriadSystem, factor_of
 
 DOUBT, REJECTION = 1e-2, 1e-6
-"""Probabilities of a false alarm in a session of sound data."""
+"""Probabilities of a false alarm in a session of sound data. A choice: a doubt in one check of a
+hundred, and practically no false rejection."""
 
 
 _Considered = tuple[tuple[Parameter, float], ...]

@@ -22,7 +22,7 @@ from .units import UnitRow
 _GLANCE = 0.5
 """s between two checks of the state: reports change once or twice a second."""
 _MOTION = 0.1
-"""s between two poses of the table."""
+"""s between two poses of the table. A choice, as `_FPS`."""
 _LEAST_ANGLE = 1e-4
 """rad: smaller differences of a pose give the same picture."""
 _KEY = (

@@ -31,9 +31,10 @@ _SHORTEST = 64
 _MOST = 1 << 19
 """Samples summed together: 130 s at 4 kHz, 25 MB. A longer dwell is divided."""
 _GROWTH = 1.5
-"""Growth of the number of samples of a dwell after which its curve is drawn again."""
+"""Growth of the number of samples of a dwell after which its curve is drawn again. A choice: a
+curve changes visibly no sooner."""
 _RATE_SPAN = 2_000_000_000
-"""ns over which the rates of the channels are counted."""
+"""ns over which the rates of the channels are counted. A choice, as in `devices/health`."""
 
 
 @dataclass(frozen=True, eq=False)

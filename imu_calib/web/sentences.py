@@ -13,7 +13,8 @@ from ..units import DEG
 from .snapshot import Outcome, Snapshot, TableState
 
 _WHOLE = 2.0
-"""Ratio to real time from which a session is called faster."""
+"""Ratio to real time from which a session is called faster. A choice: it is said in whole
+numbers."""
 
 
 _ENDS = {

@@ -18,7 +18,7 @@ from .guard import Guard
 REPORT = '/report'
 """Address of the report."""
 _GRACE = 1
-"""s for viewers to be disconnected."""
+"""s for viewers to be disconnected. A choice."""
 _PATIENCE = 5.0
 """s for the thread to end; after that it ends with the process."""
 
