@@ -29,7 +29,7 @@ _FAR = 4
 """Octaves: the covariance of variances further apart is negligible."""
 _REACH = 4
 """Cluster lengths: the covariance of second differences further apart is negligible."""
-_HARMONICS = 64
+HARMONICS = 64
 """Harmonics of a counter's sawtooth: the others hold one percent of its variance."""
 
 
@@ -233,7 +233,7 @@ def counter_share(pulses: float, growth: float, factors: Floats) -> Floats:
         growth: Variance that the walk adds per sample, pulses^2.
         factors: (k,) cluster sizes, samples.
     """
-    h = np.arange(1, _HARMONICS + 1)[:, None]
+    h = np.arange(1, HARMONICS + 1)[:, None]
 
     def covariance(apart: Floats) -> Floats:
         phase = np.cos(2 * np.pi * h * np.mod(pulses * apart, 1.0))

@@ -40,6 +40,14 @@ LEAST_GRAVITY, MOST_GRAVITY = 9.7, 9.9
 """Range of a stated gravity, m/s^2: normal gravity is 9.780 to 9.832 at sea level, and 10 km of
 height, above any laboratory, take off 0.031."""
 
+_LOWEST, _HIGHEST = -500.0, 10_000.0
+"""Range of a stated height, m: from below the shore of the Dead Sea, -430 m, to above the summit of
+Mount Everest, 8849 m."""
+
+_LARGEST_STDS = {'height_std': 1e4, 'gravity_std': 0.1}
+"""Largest standard deviations that may be stated, m and m/s^2. A judgement: larger ones say
+nothing."""
+
 _SEMI_MAJOR_AXIS = 6378137.0
 """m. This and the next of WGS 84 (NIMA TR8350.2, third edition, chapter 3)."""
 _FLATTENING = 1 / 298.257223563
@@ -129,11 +137,13 @@ class Site:
         if not abs(latitude) <= math.pi / 2:
             raise InputError(f'latitude: found {math.degrees(latitude):g} deg, expected -90 to 90.')
         level = 0.0 if height is None else height
-        if not -500.0 <= level <= 10000.0:
-            raise InputError(f'height: found {height:g} m, expected -500 to 10000.')
+        if not _LOWEST <= level <= _HIGHEST:
+            expected = f'{_LOWEST:g} to {_HIGHEST:g}'
+            raise InputError(f'height: found {height:g} m, expected {expected}.')
         if height is None and height_std is not None:
             raise InputError('height_std: says how well a height is known; state the height.')
-        for name, std, most in (('height_std', height_std, 1e4), ('gravity_std', gravity_std, 0.1)):
+        for name, std in (('height_std', height_std), ('gravity_std', gravity_std)):
+            most = _LARGEST_STDS[name]
             if std is not None and not 0 <= std <= most:
                 raise InputError(f'{name}: found {std:g}, expected 0 to {most:g}.')
         if latitude_std is None:

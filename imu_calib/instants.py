@@ -7,7 +7,13 @@ from datetime import datetime, timezone
 NS = 1_000_000_000
 """ns per second."""
 
-_YEAR_2000, _YEAR_2200 = 946_684_800 * NS, 7_258_118_400 * NS
+LAST_SECOND = 2**31 - 1
+"""The last of builtin_interfaces/Time, signed 32 bits, s."""
+
+YEAR_2200 = 7_258_118_400
+"""s since 1970. Stamps of 64 bits end in 2262."""
+
+_YEAR_2000, _YEAR_2200 = 946_684_800 * NS, YEAR_2200 * NS
 """Stamps outside have another epoch, usually the time when a device was switched on."""
 
 

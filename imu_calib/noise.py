@@ -30,6 +30,10 @@ _STEPS = 12
 _MOSTLY = 0.5
 """Share of a variance: with more of it from the counter, a point does not determine the sensor's
 noise."""
+_SETTLED = 1e-4
+"""Relative change of variances at which the reweighting ends: far below what they are known to."""
+_TINY = 1e-300
+"""Prevents division by zero for values without noise."""
 _FEWEST_POINTS = 2
 """A slope needs two."""
 _ALIKE = 0.2
@@ -163,7 +167,7 @@ def _fit(points: _Points) -> ChannelNoise:
         own[Term.QUANTISATION] = points.pulse**2 / 12
     unexplained = np.maximum(points.variance - points.known, 0.0)
     squares, variances = np.zeros(len(Term)), np.full(len(Term), np.inf)
-    spread_all = np.diag((points.variance + 1e-300) ** 2)
+    spread_all = np.diag((points.variance + _TINY) ** 2)
     for _ in range(_STEPS if rows.any() else 0):
         inside = np.ix_(rows, rows)
         before = squares
@@ -173,7 +177,7 @@ def _fit(points: _Points) -> ChannelNoise:
         if not (squares + own).any():
             break
         spread_all = spread(len(units), points.lengths, points.period, squares + own)
-        if np.allclose(squares, before, rtol=1e-4, atol=0.0):
+        if np.allclose(squares, before, rtol=_SETTLED, atol=0.0):
             break
     found = {t: Coefficient.of(float(squares[t]), math.sqrt(variances[t])) for t in Term}
     if points.pulse:
@@ -183,7 +187,7 @@ def _fit(points: _Points) -> ChannelNoise:
     return ChannelNoise(
         points.factors * points.period,
         deviation,
-        np.sqrt(np.diag(spread_all)) / (2 * np.maximum(deviation, 1e-300)),
+        np.sqrt(np.diag(spread_all)) / (2 * np.maximum(deviation, _TINY)),
         found[Term.RANDOM_WALK],
         found[Term.BIAS_INSTABILITY],
         found[Term.QUANTISATION],

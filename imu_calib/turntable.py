@@ -35,6 +35,11 @@ _REACH_TOLERANCE = 1e-6
 FARTHEST = 1e6 * TURN
 """rad: larger encoder angles are refused, of continuous joints too. Beyond, two neighbouring
 doubles are further apart than 1e-9 rad, the rounding of `Table.check`."""
+_PARALLEL = 1e-7
+"""rad between two axes that count as one: the other joint's angle then has the rounding of
+matrices, 1e-16, over this."""
+_NO_AMPLITUDE = 1e-12
+"""Of an equation a cos x + b sin x = c: below, x has no effect but rounding."""
 _WORST_CLOCK = 1e-3
 """Ten times the largest error of plain quartz: a larger number is in another unit."""
 _LETTERS = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
@@ -311,11 +316,13 @@ def _inverse(axes: list[Floats], target: Floats) -> list[Floats]:
     wanted = first_axis @ target @ last - (first_axis @ middle) * (middle @ last)
     amplitude = math.hypot(cosine, sine)
     phase = math.atan2(sine, cosine)
-    spread = math.acos(float(np.clip(wanted / amplitude, -1, 1))) if amplitude > 1e-12 else 0.0
+    spread = (
+        math.acos(float(np.clip(wanted / amplitude, -1, 1))) if amplitude > _NO_AMPLITUDE else 0.0
+    )
     solutions = []
     for second in (phase + spread, phase - spread):
         turned = rotation(middle, second) @ last
-        if np.linalg.norm(np.cross(first_axis, turned)) < 1e-7:
+        if np.linalg.norm(np.cross(first_axis, turned)) < _PARALLEL:
             # Outer and inner axis coincide: the inner stays at zero, the outer makes the rotation.
             first = angle_about(first_axis, target @ rotation(middle, second).T)
             solutions.append(np.array([first, second, 0.0]))

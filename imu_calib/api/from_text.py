@@ -10,6 +10,7 @@ import numpy as np
 from ..bags import RecordingWriter
 from ..cdr import Kind, Messages, encode_joints, encode_temperatures
 from ..errors import InputError
+from ..instants import LAST_SECOND
 from ..metadata import interpolation_description
 from ..stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock
 from ..units import Dimension, counted, parse
@@ -25,8 +26,6 @@ _ANGLE: Mapping[str, float] = Dimension.ANGLE.value
 _STAMP = {'s': 1e9, 'ms': 1e6, 'us': 1e3, 'ns': 1.0}
 """ns per unit of a time."""
 _CELSIUS = {'degC': 1.0}
-_LAST_SECOND = 2**31 - 1
-"""Upper limit of builtin_interfaces/Time."""
 _BACKWARDS = 0.01
 """Largest share of intervals between rows that may be zero or negative: a logger may write a row
 twice or set its clock; a column that is not a time, or has lost digits, shows this throughout."""
@@ -172,7 +171,7 @@ def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
     assert stamp is not None
     times, _ = _columns(text, stamp, '`stamp`', _STAMP, 1)
     latest = float(np.nanmax(np.abs(times), initial=0.0)) * 1e-9
-    if latest > _LAST_SECOND:
+    if latest > LAST_SECOND:
         raise InputError(
             f'`stamp` {stamp}: a row is {latest:.3g} s from 1970, more than a message can hold: '
             f'is it in another unit of {", ".join(_STAMP)}?'

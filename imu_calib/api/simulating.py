@@ -17,6 +17,7 @@ from ..cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints, e
 from ..earth import LUOYANG
 from ..errors import InputError
 from ..imu import ImuSpec
+from ..instants import YEAR_2200
 from ..metadata import describe
 from ..methods import check_plan
 from ..plan import Plan
@@ -48,8 +49,6 @@ TRUTH = 'truth.yaml'
 _TABLE = 'three_axis'
 _COLDEST, _HOTTEST = -100.0, 200.0
 """degC, beyond the range of any unit (automotive parts: -40 to 125)."""
-_LAST_SECOND = 7_258_118_400
-"""s: 2200, as in `calibrator.provenance`; nanoseconds of 64 bits end in 2262."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +237,7 @@ def _stamp_of(start: str | datetime) -> int:
     if date.tzinfo is None:
         date = date.replace(tzinfo=timezone.utc)
     seconds = (date - datetime(1970, 1, 1, tzinfo=timezone.utc)).total_seconds()
-    if not 0 <= seconds < _LAST_SECOND:
+    if not 0 <= seconds < YEAR_2200:
         raise InputError(f'`start`: found {start}, expected a date from 1970 to 2200.')
     return round(seconds * 1e6) * 1000
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..instants import NS
+from ..instants import LAST_SECOND, NS
 from .layout import ENCAPSULATION
 from .messages import CdrError, Messages
 
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     )
     from .messages import Bytes
 
-_FIRST_SECOND, _LAST_SECOND = -(1 << 31), (1 << 31) - 1
-"""Range of seconds in builtin_interfaces/Time: signed 32 bits."""
+_FIRST_SECOND = -LAST_SECOND - 1
+"""The first of builtin_interfaces/Time, signed 32 bits, s."""
 
 PULSES = (-1.0, -1.0, -1.0)
 """First elements of the three covariances of a message of pulse counts: filters reject them."""
@@ -92,7 +92,7 @@ class _Template:
     def stamped(self, stamp: int) -> bytearray:
         """Return a copy of the message with a stamp, ns."""
         sec, nanosec = divmod(stamp, NS)
-        if not _FIRST_SECOND <= sec <= _LAST_SECOND:
+        if not _FIRST_SECOND <= sec <= LAST_SECOND:
             _seconds(np.array([sec]))
         content = bytearray(self.content)
         struct.pack_into('<iI', content, ENCAPSULATION, sec, nanosec)
@@ -100,10 +100,10 @@ class _Template:
 
 
 def _seconds(sec: Stamps) -> Stamps:
-    if len(sec) and (sec.min() < _FIRST_SECOND or sec.max() > _LAST_SECOND):
+    if len(sec) and (sec.min() < _FIRST_SECOND or sec.max() > LAST_SECOND):
         raise CdrError(
             f'Stamps from {sec.min()} s to {sec.max()} s do not fit a ROS header '
-            f'({_FIRST_SECOND} s to {_LAST_SECOND} s).'
+            f'({_FIRST_SECOND} s to {LAST_SECOND} s).'
         )
     return sec
 

@@ -64,6 +64,9 @@ the stated deviation with 1e-3, and by up to 2.4 with this."""
 _DETERMINED = 0.5
 """Degrees of freedom from which on a group shows its scatter: below, its residuals are rounding of
 the fit. A judgement."""
+_FLAT = 1e-10
+"""Of the largest singular value of an ellipsoid's equations: with a smaller one they determine
+none. A judgement: rounding leaves 1e-15, and noise far more."""
 _SETTLED = 0.02
 """Relative change at which the noise has settled. A judgement: a session of twenty holds knows it
 to some ten percent."""
@@ -448,7 +451,7 @@ def ellipsoid(outputs: Floats, gravity: float) -> Triad:
     """
     x, y, z = (outputs / gravity).T
     columns = [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, x, y, z]
-    q, _, rank, _ = np.linalg.lstsq(np.column_stack(columns), np.ones(len(x)), rcond=1e-10)
+    q, _, rank, _ = np.linalg.lstsq(np.column_stack(columns), np.ones(len(x)), rcond=_FLAT)
     quadric = np.array([[q[0], q[3], q[4]], [q[3], q[1], q[5]], [q[4], q[5], q[2]]])
     if rank == len(columns) and np.linalg.eigvalsh(quadric).min() > 0:
         centre = -np.linalg.solve(quadric, q[6:]) / 2

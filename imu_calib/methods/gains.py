@@ -33,6 +33,8 @@ from .solution import Solution
 
 ILL_CONDITIONED = 100.0
 """Where two digits are lost, only errors of the attitudes separate the parameters."""
+_SINGULAR = 1e-12
+"""Of the largest singular value: a smaller one is zero but for rounding (1e-16)."""
 _INVOLVED = 0.1
 """Of a unit vector: parameters with this share in undetermined directions are named."""
 
@@ -162,7 +164,7 @@ def inverse(design: Floats, names: Sequence[str], what: str) -> tuple[Floats, fl
     if weak.any():
         involved = np.linalg.norm(vectors[weak], axis=0) > _INVOLVED
         lost = ', '.join(n for n, k in zip(names, involved, strict=True) if k)
-        ratio = values[0] / values[-1] if values[-1] > 1e-12 * values[0] else np.inf
+        ratio = values[0] / values[-1] if values[-1] > _SINGULAR * values[0] else np.inf
         number = 'infinite' if np.isinf(ratio) else f'{ratio:.2g}'
         raise NotObservable(
             f'{what} cannot tell apart {lost} (condition number {number}, at most '

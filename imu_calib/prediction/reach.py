@@ -32,6 +32,12 @@ SHORTEST = 5.0
 LONGEST = 24 * 3600.0
 """Longest dwell proposed, s: a day. A choice: nobody waits longer for one position."""
 
+_GROWTH = 0.2
+"""Logarithm by which the first dwells grow until they are long enough: a choice."""
+_STEPS = 200
+"""Most steps of the minimisation. A cap."""
+_ALIKE = 1e-9
+"""Relative change of the total at which it ends: a choice, since seconds are rounded."""
 _LOOKS = 20
 """Most rounds of the iteration. A cap."""
 _LONGER = 4.0
@@ -169,7 +175,7 @@ def _shorter(
 
     start = np.log(np.maximum(dwells, SHORTEST))
     while (excess(start) > 0).any() and start.max() < np.log(LONGEST):
-        start = np.minimum(start + 0.2, np.log(LONGEST))
+        start = np.minimum(start + _GROWTH, np.log(LONGEST))
     total = float(np.exp(start).sum())
     solved = scipy.optimize.minimize(  # type: ignore[call-overload, unused-ignore]
         lambda logs: float(np.exp(logs).sum()) / total,
@@ -182,7 +188,7 @@ def _shorter(
             'jac': lambda logs: -slopes(logs),
         },
         method='SLSQP',
-        options={'maxiter': 200, 'ftol': 1e-9},
+        options={'maxiter': _STEPS, 'ftol': _ALIKE},
     )
     return _with_dwells(plan, dict(zip(names, np.exp(solved.x), strict=True)))
 

@@ -18,6 +18,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ..allan import HARMONICS
 from ..stream import Floats
 
 END_POINT_VARIANCE = 1 / 6
@@ -34,9 +35,7 @@ _FAR = 5.0
 """Standard deviations of the walk before the first and after the last passage."""
 _DRIFT_SIGNIFICANCE = 6.0
 """Standard deviations: slower drifts are reversed by the walk and have no passages."""
-_HARMONICS = 64
-"""Of the sawtooth of a counter: the remaining ones hold one percent of its variance."""
-_ORDERS = np.arange(1, _HARMONICS + 1)
+_ORDERS = np.arange(1, HARMONICS + 1)
 """Of the harmonics."""
 _POWERS = 1 / (2 * np.pi**2 * _ORDERS**2)
 """Of the harmonics, pulses squared."""

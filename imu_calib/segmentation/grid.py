@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gaussian import MAD_TO_STD
+from ..gaussian import MAD_TO_STD, MEDIAN_ERROR
 from ..stream import Floats, Stamps
 from .bunches import sampling_times
 
@@ -196,12 +196,12 @@ def clock_steps(stamp: Stamps, hint: float = 0.0) -> list[int]:
         return []
     # The error of a median of n. Where the number of intervals between stamps is certain, the error
     # of the interval is so many times smaller.
-    unknown = 1.25 * scatter / math.sqrt(len(steps))
+    unknown = MEDIAN_ERROR * scatter / math.sqrt(len(steps))
     lag = int(min(len(steps) / _ACROSS, _SURE / (_SURELY * unknown))) if unknown else 0
     if lag > 1:
         spans = (stamp[lag:] - stamp[:-lag]) * 1e-9 / period
         period *= float(np.median(spans / np.maximum(np.rint(spans), 1.0)))
-        unknown = 1.25 * scatter / (math.sqrt(len(spans)) * lag)
+        unknown = MEDIAN_ERROR * scatter / (math.sqrt(len(spans)) * lag)
     phase = np.exp(2j * np.pi * (stamp - stamp[0]) * 1e-9 / period)
     on_grid, found = np.flatnonzero(regular), []
     # Where stamps in a row are off (a queue is read out), use the first regular one.

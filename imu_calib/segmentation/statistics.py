@@ -25,6 +25,13 @@ BLOCK_SECONDS = 10.0
 Source: docs/mathematics.md, 'Noise of a mean'.
 """
 
+_GAP = 1.5
+"""Sample intervals: a longer step lacks a sample, half way between none and one."""
+_JITTERS = 6
+"""Standard deviations of jitter by which a step without a gap may be longer besides: normal ones
+exceed them twice in 10^9."""
+_TOGGLES = 1.5
+"""Steps of a grid: values within fewer are of two codes."""
 _MINIMUM_BLOCKS = 4
 """For a variance between blocks. It then has three degrees of freedom."""
 _SCORING_STEPS = 20
@@ -130,11 +137,11 @@ def gap_free(stamp: Stamps, period: float) -> list[tuple[int, int]]:
         Half-open index ranges.
     """
     steps = np.diff(stamp) * 1e-9
-    if float(steps.max(initial=0.0)) <= 1.5 * period:
+    if float(steps.max(initial=0.0)) <= _GAP * period:
         return [(0, len(stamp))]
     jitter = MAD_TO_STD * float(np.median(np.abs(steps - np.median(steps))))
     # Half of a few steps may be gaps: stamps with jitter beyond an interval have no order.
-    cuts = np.flatnonzero(steps > 1.5 * period + 6 * min(jitter, period)) + 1
+    cuts = np.flatnonzero(steps > _GAP * period + _JITTERS * min(jitter, period)) + 1
     edges = [0, *cuts.tolist(), len(stamp)]
     return list(pairwise(edges))
 
@@ -238,7 +245,7 @@ def _rounding(increments: Floats, grid: float) -> float:
     if grid == 0.0:
         return 0.0
     noise = max(0.0, float(np.var(increments)) / grid**2 - 1 / 12)
-    if np.ptp(increments) < 1.5 * grid:
+    if np.ptp(increments) < _TOGGLES * grid:
         # A value at the edge between two codes toggles with next to no noise.
         noise = 0.0
     return grid**2 / 12 * math.exp(-4 * math.pi**2 * noise)

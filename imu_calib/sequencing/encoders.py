@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ..errors import InputError
-from ..instants import NS
+from ..instants import LAST_SECOND, NS
 from ..stream import JointBlock
 from ..turntable import FARTHEST, TURN, Table
 from ..units import DEG
@@ -19,7 +19,7 @@ WINDOW = 0.1
 _WINDOW = round(WINDOW * NS)
 """ns: `WINDOW`."""
 
-_LATEST = 2**31 * NS - 1
+_LATEST = (LAST_SECOND + 1) * NS - 1
 """ns: the largest stamp of a header. A message may exceed it with more than 1e9 ns in a second."""
 
 _JITTER = 5 * DEG
