@@ -18,9 +18,11 @@ _DOMAIN = 'ROS_DOMAIN_ID'
 _URI = 'CYCLONEDDS_URI'
 _STAYS = frozenset({'LOCALHOST', 'OFF'})
 
-LONGEST_LEASE = 25.0
-"""s after which a killed process is no longer listed: leases are 10 s with Cyclone DDS and 20 s
-with Fast DDS; the rest is for a busy machine."""
+LEASES = {'rmw_cyclonedds_cpp': 15.0, 'rmw_fastrtps_cpp': 25.0}
+"""s after which a killed process is no longer listed, by the middleware: its lease, 10 s and 20 s,
+and 5 s for a busy machine."""
+LONGEST_LEASE = max(LEASES.values())
+"""s: of any middleware."""
 
 _DOMAINS = range(1, 102)
 """Domains whose ports are below those that Linux gives to other programs."""

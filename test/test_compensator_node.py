@@ -336,7 +336,7 @@ def test_a_combined_calibration_waits_for_the_temperature_and_says_where_it_ends
 
 @pytest.mark.parametrize('topic', ['imu/pulses', 'driver/raw'])
 def test_two_devices_on_one_topic_are_an_error_and_give_nothing(monkeypatch, file, topic):
-    monkeypatch.setattr('imu_calib.nodes.compensator_node.LONGEST_LEASE', 0.5)
+    monkeypatch.setattr('imu_calib.middleware.LEASE', 0.5)
     with Bench(monkeypatch, topic=topic, calibration=file) as bench:
         second = bench.peer.create_publisher(M.Imu, topic, qos.stream())
         assert bench.until(lambda: bench.has_status('stream', f'Two publishers on /{topic}'))

@@ -91,7 +91,7 @@ def test_two_devices_end_a_session_whatever_their_topic_is_called(monkeypatch, t
         from imu_calib.nodes import calibrator_node, qos, subscriptions
     except ImuCalibError as error:
         pytest.skip(str(error))
-    monkeypatch.setattr(subscriptions, 'LONGEST_LEASE', 0.2)
+    monkeypatch.setattr(subscriptions.ros, 'LEASE', 0.2)
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
     given = {

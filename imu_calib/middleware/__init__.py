@@ -13,7 +13,8 @@
 names there are `open_drain` and `drain` (all that has arrived as serialised bytes, in bulk),
 `open_stream` (the same as soon as it arrives), `publish_all`, `acknowledged`, `GoalServer` (an
 action whose goals the node ends), `ManagedNode` (a lifecycle node that can start by itself) and
-`run`. `dds.node.Node` lists what the subset lacks; services over DDS do not reach peers on
+`run`; `LEASE` is the time, s, for which a process that was killed is still listed.
+`dds.node.Node` lists what the subset lacks; services over DDS do not reach peers on
 rmw_fastrtps.
 """
 

@@ -46,10 +46,11 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
+from rclpy.utilities import get_rmw_implementation_identifier
 from std_srvs.srv import Trigger
 
 from ..errors import InputError
-from ..network import LONGEST_LEASE
+from ..network import LEASES, LONGEST_LEASE
 from . import ros_action_types as actions
 from . import ros_messages as messages
 from . import ros_sources
@@ -58,6 +59,7 @@ from .ros_actions import GoalServer
 from .ros_lifecycle import ManagedNode
 
 __all__ = [
+    'LEASE',
     'ActionClient',
     'Clock',
     'ClockType',
@@ -103,6 +105,8 @@ __all__ = [
 
 _AT_ONCE = 4096
 """Messages taken per call, so that other callbacks can run."""
+
+LEASE = LEASES.get(get_rmw_implementation_identifier(), LONGEST_LEASE)
 
 RCLError = rclpy_implementation.RCLError
 UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError

@@ -11,7 +11,6 @@ from .. import middleware as ros
 from ..cdr import ImuDecoder, Messages, decode_skew, decode_temperatures, rates_payloads
 from ..compensation.compensator import Compensator, Reading
 from ..middleware import messages
-from ..network import LONGEST_LEASE
 from ..paths import user_path
 from ..stream import ImuBlock
 from . import qos
@@ -199,7 +198,7 @@ class CompensatorNode(ros.ManagedNode):
             self._two_since, self._mixed = None, False
         elif self._two_since is None:
             self._two_since = time.monotonic()
-        elif time.monotonic() - self._two_since > LONGEST_LEASE:
+        elif time.monotonic() - self._two_since > ros.LEASE:
             self._mixed = True
 
     def _subscribe_anew(self) -> None:

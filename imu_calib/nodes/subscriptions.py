@@ -13,7 +13,6 @@ from .. import middleware as ros
 from ..calibrator import Setup
 from ..cdr import Kind
 from ..middleware import messages
-from ..network import LONGEST_LEASE
 from . import qos
 
 _MOST = 4096
@@ -92,7 +91,7 @@ class Subscriptions:
         now = time.monotonic()
         if self._two_since is None:
             self._two_since = now
-        return now - self._two_since > LONGEST_LEASE
+        return now - self._two_since > ros.LEASE
 
     def subscribe_anew(self) -> list[str]:
         """Subscribe best effort to best-effort publishers; return their topics."""

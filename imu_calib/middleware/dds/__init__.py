@@ -1,5 +1,6 @@
 """The subset of rclpy over the wheel `cyclonedds`; see `imu_calib.middleware`."""
 
+from ...network import LEASES
 from . import standard as messages
 from . import standard_actions as actions
 from .action import ActionClient, GoalServer
@@ -36,7 +37,10 @@ from .qos import (
 )
 from .services import Trigger
 
+LEASE = LEASES['rmw_cyclonedds_cpp']
+
 __all__ = [
+    'LEASE',
     'ActionClient',
     'Clock',
     'ClockType',
