@@ -127,17 +127,19 @@ def test_what_motions_show_of_clocks_is_weighed_with_quartz() -> None:
     assert clocked(40e-6, 0.0).clock_rate() == (40e-6, 0.0)
     assert clocked(40e-6, np.nan).clock_rate() == (0.0, 50e-6)
     untimed = tuple(replace(t, seconds=None) for t in CLEAN.turns)
-    assert replace(clocked(40e-6, 1e-6), turns=untimed).clock_rate() == (0.0, 0.0)
+    # Moves alone compare the clocks, too; where nothing does, no turn is timed by either.
+    assert replace(clocked(40e-6, 50e-6), turns=untimed).clock_rate()[0] == pytest.approx(20e-6)
+    assert replace(clocked(40e-6, np.nan), turns=untimed).clock_rate() == (0.0, 0.0)
     some = (CLEAN.turns[0], *untimed[1:])
     assert replace(clocked(40e-6, 0.0), turns=some).clock_rate() == (40e-6, 0.0)
 
 
-def test_clocks_are_compared_where_turns_are_timed_and_told() -> None:
+def test_clocks_are_compared_where_motions_determine_their_rate() -> None:
     assert clocked(0.0, 1e-6).clocks_compared
     assert not clocked(0.0, np.nan).clocks_compared
     untimed = tuple(replace(t, seconds=None) for t in CLEAN.turns)
-    assert not replace(CLEAN, turns=untimed).clocks_compared
-    assert replace(CLEAN, turns=(CLEAN.turns[0], *untimed)).clocks_compared
+    assert replace(clocked(0.0, 1e-6), turns=untimed).clocks_compared
+    assert not replace(clocked(0.0, np.nan), turns=untimed).clocks_compared
 
 
 def test_pulses_alone_feel_clocks_in_turns() -> None:

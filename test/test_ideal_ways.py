@@ -266,7 +266,7 @@ def test_what_two_tell_together_is_said_together() -> None:
         return Having(had=[*equations.had, thing], evidence=equations.evidence)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lacking, 'lacking_parameters', open_now)
+        patch.setattr(lacking, 'undetermined_parameters', open_now)
         patch.setattr(lacking, '_additions', lambda _: [(f'one {n}', n) for n in 'abc'])
         patch.setattr(lacking, '_with', added)
         order = iter(['b', 'a', 'c'])

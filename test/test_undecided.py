@@ -31,7 +31,7 @@ def ramp() -> tuple[Result, Result, Floats]:
     for block in blocks(condition, simulated):
         one.feed(block)
         other.feed(block)
-    wanted = truth(unit_of(grade, ''), simulated.options, simulated.duration)
+    wanted = truth(unit_of(grade, ''), simulated)
     return one.finish(), other.finish(), wanted
 
 

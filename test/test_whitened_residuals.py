@@ -21,6 +21,7 @@ from imu_calib.estimation.outliers import (
     turns_downweighted,
 )
 from imu_calib.estimation.score import WhitenedResiduals
+from imu_calib.model.session_terms import Course
 from imu_calib.observation.layout import OutputLayout
 from imu_calib.stream import Floats
 
@@ -80,7 +81,7 @@ def residuals(system: Any) -> WhitenedResiduals:
 
 def family(judged: Any = None) -> Any:
     judged = np.ones(ROWS, bool) if judged is None else judged
-    return SimpleNamespace(judged=lambda _: judged)
+    return SimpleNamespace(course=Course.TREND, judged=lambda _: judged)
 
 
 @pytest.mark.parametrize('scatter', [0.5, 1.0, 3.0])
