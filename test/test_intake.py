@@ -136,6 +136,18 @@ def joints(seconds: list[float], names: tuple[str, ...] = ('a', 'b')) -> JointBl
     return JointBlock(stamp, names, angles, np.zeros_like(angles))
 
 
+@pytest.mark.parametrize(
+    ('first', 'ahead', 'apart'),
+    [(7, 0, True), (7, -1, True), (7, -3, False), (-7, 0, True), (-7, 1, True), (-7, 3, False)],
+)
+def test_streams_that_do_not_overlap_are_of_two_clocks(first: int, ahead: int, apart: bool) -> None:
+    """The IMU's clock is known to be ahead by some seconds: by these the streams may meet."""
+    intake = StreamBuffer(TABLE, skewed=False)
+    intake.take_imu(imu(10, 11, 12, 13, 14, 15))
+    intake.take_joints(joints([10 + first + k for k in range(6)]))
+    assert any('two clocks' in said for said in intake.losses(ahead * NS)) is apart
+
+
 def test_samples_wait_until_they_are_dropped() -> None:
     intake = StreamBuffer(TABLE, skewed=False)
     assert (intake.duration, intake.first_stamp, intake.last_stamp) == (0.0, None, None)
