@@ -101,14 +101,6 @@ def test_what_comes_late_is_no_interruption(jitter: float) -> None:
     assert silences(missing=200, held=150, jitter=jitter) == [near]
 
 
-def test_a_stream_that_goes_back_is_not_interrupted() -> None:
-    stream = Interruptions()
-    stamp = START + np.arange(500) * 10_000_000
-    stream.feed(stamp)
-    stream.feed(stamp - 20 * 10**9)
-    assert stream.found == []
-
-
 def test_stamps_that_come_one_by_one_stay() -> None:
     alone, _ = queue(1, 0.01, 0.02)
     assert sampling_times(alone)[0] is alone
