@@ -455,6 +455,8 @@ def test_a_start_that_waited_for_a_node_that_hung_moves_nothing(session):
     has_report = session.watcher.has_report
     assert session.until(lambda: has_report('joint states', 0, 'are received'))
     assert session.until(client.service_is_ready)
+    # A node may see its client a moment later than it is seen: its answer would go nowhere.
+    session.until(lambda: False, 2.0)
     os.kill(process.pid, signal.SIGSTOP)
     future = client.call_async(ros.Trigger.Request())
     assert not session.until(future.done, 3.0)
