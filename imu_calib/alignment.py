@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .model import PARAMETERS, Parameter, ParameterKind, SensorModel, Triad, indices_of
+from .model import RESPONSES, Parameter, SensorModel, Triad, indices_of
 from .rotations import rotation_vector
 from .stream import Floats
 from .units import ARCMIN
@@ -21,8 +21,7 @@ from .units import ARCMIN
 SHOWN, SCALE = 'arcmin', ARCMIN
 """Unit in which engineers state these angles, as misalignments."""
 
-_RESPONSES = tuple(p for p in PARAMETERS if p.kind is not ParameterKind.BIAS)
-_OF_A_TRIAD = len(_RESPONSES) // 2
+_OF_A_TRIAD = len(RESPONSES) // 2
 """Number of responses of gyros, and of accelerometers."""
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 """Pairs of axes."""
@@ -79,14 +78,14 @@ def free_of_frame(
         covariance: (n, n) SI units; NaN for a triad that was not estimated.
         parameters: (n,) of the rows; the 24 are among them.
     """
-    mine = indices_of(_RESPONSES, parameters)
+    mine = indices_of(RESPONSES, parameters)
     square = covariance[np.ix_(mine, mine)]
     estimated = {
         triad
         for triad, own in (('g', slice(_OF_A_TRIAD)), ('a', slice(_OF_A_TRIAD, None)))
         if np.isfinite(np.diag(square)[own]).all()
     }
-    at = model.values(_RESPONSES)
+    at = model.values(RESPONSES)
     steps = _STEP * np.eye(len(at))
     slopes = np.array([_angles(at + h) - _angles(at - h) for h in steps]).T / (2 * _STEP)
     variances = np.diag(slopes @ np.nan_to_num(square) @ slopes.T)

@@ -1,4 +1,8 @@
-"""Refuse arguments of a wrong type in a sentence, by the annotations of a function."""
+"""Refuse arguments of a wrong type in a sentence, by the annotations of a function.
+
+Libraries that do this (typeguard, beartype) need the classes that annotations name; most of them
+are loaded for type checkers alone, and their errors are no sentences for a person.
+"""
 
 from __future__ import annotations
 

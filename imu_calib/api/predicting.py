@@ -276,7 +276,7 @@ def predicted(
     return Prediction(setup, found, own, of_terms, changes, notes)
 
 
-def side_by_side(own: Forecast, joint: Forecast) -> Forecast:
+def with_best_deviations(own: Forecast, joint: Forecast) -> Forecast:
     """Combine the deviations of a closed form with those of a joint estimate, as the best.
 
     Either may estimate terms that the other does not.

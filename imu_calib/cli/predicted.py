@@ -14,8 +14,8 @@ from ..api.predicting import (
     predicted,
     setup_of,
     shortest,
-    side_by_side,
     times_on,
+    with_best_deviations,
 )
 from ..errors import NotObservable
 from ..plain_table import plain_table
@@ -72,7 +72,7 @@ def show_prediction(arguments: argparse.Namespace) -> None:
         _show_forecast(found)
         OUTPUT.print(f'closed form {own.method}: {own.refusal}', markup=False)
     else:
-        _show_forecast(side_by_side(own, found), best=found.method)
+        _show_forecast(with_best_deviations(own, found), best=found.method)
     if not drifting and imu.gyro.bias_instability + imu.accel.bias_instability:
         OUTPUT.print(
             'Biases are constant here; with --bias-instability they drift by the data sheet'
@@ -163,7 +163,7 @@ def _show_terms(found: Sequence[TermForecast], changes: Sequence[ChangeForecast]
     OUTPUT.print(rows)
     if changes:
         thermal = 'thermal is predicted for a temperature that changes: --temperature-rise K.'
-        if any(each.changes[0].course.value == 'thermal' for each in changes):
+        if any(each.follows_temperature for each in changes):
             thermal = 'thermal is that of a temperature that rises evenly.'
         OUTPUT.print(f'warm_up is that of a time constant of a quarter of the session. {thermal}')
     OUTPUT.print()

@@ -34,7 +34,7 @@ _STARTS = 8
 """Headings from which the fit is started where north is unknown: the nearest is at most 22.5 deg
 off, an angle that equals its sine to 3 %."""
 
-_ITERATIONS = 100
+ITERATIONS = 100
 """Most steps. With very noisy gyros a step reduces the error of the heading by only a fifth."""
 
 _TILTED = 4.0
@@ -102,7 +102,7 @@ def fit(equations: Equations, state: Floats) -> Floats:
     Raises:
         NotObservable: The iteration does not converge.
     """
-    state = least_squares(state, equations.whitened, np.add, _ITERATIONS)
+    state = least_squares(state, equations.whitened, np.add, ITERATIONS)
     azimuth = equations.sensors + Nuisance.AZIMUTH
     if abs(state[azimuth]) > np.pi:
         state = state.copy()

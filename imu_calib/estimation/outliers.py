@@ -14,7 +14,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..budget import Source, effective_freedom
-from ..model import ParameterKind
+from ..model import RESPONSES
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.information import Information
@@ -23,7 +23,7 @@ from ..stream import Floats
 from ..units import DEG
 from .converge import least_squares
 from .excess_scatter import excess
-from .fit import fit, with_scatter
+from .fit import ITERATIONS, fit, with_scatter
 
 _OUTLYING = 1e-6
 """Chance by which a sound dwell or turn gets less weight: with fifty of them, one session in 20 000
@@ -49,11 +49,6 @@ than that of an outlier: positioning errors common to both are counted twice."""
 _LOOSE = 0.1
 """Standard deviation, a ratio, beyond which dwells and turns do not determine the response of the
 gyros: that of the cheapest units is 3 % off the nominal one."""
-
-_RESPONSE = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
-
-_ITERATIONS = 100
-"""As in `fit`."""
 
 MOST_OUTLIERS = 1 / 3
 """Share of a session's dwells, or of the turns about an axis, that may get less weight. A
@@ -143,7 +138,7 @@ def led_by_moves(resting: Equations, state: Floats, moves: tuple[Move, ...]) -> 
         moves: All moves of the session.
     """
     parameters = resting.parameters
-    own = np.array([k for k, p in enumerate(parameters) if p.triad == 'g' and p.kind in _RESPONSE])
+    own = np.array([k for k, p in enumerate(parameters) if p.triad == 'g' and p in RESPONSES])
     turned = tuple(replace(move, velocity_steps=None) for move in moves)
     evidence = resting.evidence.with_moves(turned)
     variances = np.diag(Information.of(resting.whitened(state)[0]).covariance)[own]
@@ -158,7 +153,7 @@ def led_by_moves(resting: Equations, state: Floats, moves: tuple[Move, ...]) -> 
 
     begin = state.copy()
     begin[own] = 0.0
-    state = least_squares(begin, near_nominal, np.add, _ITERATIONS)
+    state = least_squares(begin, near_nominal, np.add, ITERATIONS)
     known = Information.of(near_nominal(state)[0]).covariance
     fitting, _ = _judged(resting, state, evidence, known)
     return fit(replace(resting, evidence=evidence.with_moves(fitting)), state)

@@ -274,8 +274,8 @@ def _found(found: Found, search: Search, table: Table | None) -> str:
             equations = search.estimate.equations
             text += f' It is at {at(instant_of(equations.evidence, equations.shape))}. {_STEPPED}'
         if found.alternatives:
-            names = ' or '.join(rival.name for rival in found.alternatives)
-            courses = {family.course, *(rival.course for rival in found.alternatives)}
+            names = ' or '.join(other.name for other in found.alternatives)
+            courses = {family.course, *(other.course for other in found.alternatives)}
             remedy = _BY_TEMPERATURE if Course.THERMAL in courses else _RECORD
             text += (
                 f' {names} would explain it as well, and the standard deviations allow for that. '
@@ -295,7 +295,7 @@ def _found(found: Found, search: Search, table: Table | None) -> str:
     else:
         text = f'The session shows {words} ({family.name}, {chance}): it is estimated.'
     if found.alternatives:
-        names = ' or '.join(rival.name for rival in found.alternatives)
+        names = ' or '.join(other.name for other in found.alternatives)
         text += (
             f' {names} would explain it as well, and the standard deviations allow for that. To '
             f'tell them apart takes {family.term.needs}.'

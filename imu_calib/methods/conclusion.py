@@ -10,7 +10,7 @@ import scipy
 
 from ..budget import Share, Shares, Source, total
 from ..gaussian import FIVE_SIGMA, MAD_TO_STD
-from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel
+from ..model import PARAMETERS, RESPONSES, Parameter, SensorModel
 from ..observation.equations import LEAST_AZIMUTH, Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.level import Accelerometers, Tilt, widened_for_tilt
@@ -40,7 +40,6 @@ _OUTSTANDING = 5.0
 12 standard deviations."""
 SAME_UP = 0.99
 """Cosine: 8 degrees, far less than the differences between positions of a plan."""
-_ON_TURNS = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +167,7 @@ def conclude(
     of_turns = _turns_scatter(equations, state) if evidence.turns else _Scatter()
     if of_turns.significant:
         # Scale factors and misalignments of the gyros depend on the turns, their biases do not.
-        on_turns = [p.triad == 'g' and p.kind in _ON_TURNS for p in parameters]
+        on_turns = [p.triad == 'g' and p in RESPONSES for p in parameters]
         factors = np.where(on_turns, np.sqrt(of_turns.ratio), 1.0)
         widened *= np.outer(factors, factors)
         freedom = np.where(on_turns, np.minimum(freedom, of_turns.freedom), freedom)
@@ -263,7 +262,7 @@ def _turns_scatter(equations: Equations, state: Floats) -> _Scatter:
     """Compare the gyros' outputs in the turns about each axis with a line."""
     rows = equations.layout.turn.ravel()
     about = np.argmax(np.abs([turn.up for turn in equations.evidence.turns]), axis=1)
-    on_turns = [k for k, p in enumerate(equations.parameters) if p.kind in _ON_TURNS]
+    on_turns = [k for k, p in enumerate(equations.parameters) if p in RESPONSES]
     responses = np.array(on_turns, dtype=np.intp)
     offsets = np.kron(about[:, None] == np.arange(3), np.eye(3))
     columns = np.hstack([equations.jacobian(state)[np.ix_(rows, responses)], offsets])

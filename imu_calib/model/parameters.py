@@ -152,6 +152,9 @@ PARAMETERS: tuple[Parameter, ...] = (*_triad_parameters('g'), *_triad_parameters
 BIASES: tuple[Parameter, ...] = tuple(p for p in PARAMETERS if p.kind is ParameterKind.BIAS)
 """The six biases, gyros first."""
 
+RESPONSES: tuple[Parameter, ...] = tuple(p for p in PARAMETERS if p not in BIASES)
+"""Scale-factor errors and misalignments, the nine of the gyros first."""
+
 PARAMETER_NAMES: tuple[str, ...] = tuple(p.name for p in PARAMETERS)
 
 

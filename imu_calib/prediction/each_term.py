@@ -61,6 +61,11 @@ class ChangeForecast:
         """Whether the session determines all coefficients."""
         return bool(np.isfinite(self.std).all())
 
+    @property
+    def follows_temperature(self) -> bool:
+        """Whether the parameters change with the temperature of the unit."""
+        return self.changes[0].course is Course.THERMAL
+
 
 _DEARER = 1.1
 """Growth of standard deviations below which no other plan would be chosen. A judgement."""
