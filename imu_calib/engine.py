@@ -88,19 +88,26 @@ def _in_processes(
     function: Callable[[Task], Result], tasks: list[Task], jobs: int, take: Callable[[Result], None]
 ) -> None:
     others = set(active_children())
-    spawn = get_context('spawn')
+    spawn, share = get_context('spawn'), _share(len(tasks), jobs)
+    chunks = [tasks[k : k + share] for k in range(0, len(tasks), share)]
     with single_threaded(), ProcessPoolExecutor(jobs, spawn) as pool:
         try:
             # Ctrl-C reaches every process of a terminal: this one ends the others.
             with without_interrupts():
-                found = pool.map(function, tasks, chunksize=_share(len(tasks), jobs))
-            for result in found:
-                take(result)
+                submitted = [pool.submit(_one_by_one, function, chunk) for chunk in chunks]
+            for future in submitted:
+                for result in future.result():
+                    take(result)
         except BaseException:
-            # Otherwise running tasks, whose results are dropped, would be waited for.
-            pool.shutdown(wait=False, cancel_futures=True)
+            # Otherwise running tasks, whose results are dropped, would be waited for. None is
+            # cancelled, as `pool.map` does: the thread of a pool whose processes are gone fails on
+            # cancelled tasks, with a traceback.
             end_started(others)
             raise
+
+
+def _one_by_one(function: Callable[[Task], Result], tasks: list[Task]) -> list[Result]:
+    return [function(task) for task in tasks]
 
 
 def _share(tasks: int, jobs: int) -> int:

@@ -53,6 +53,25 @@ def test_what_a_task_refuses_is_said(jobs: int) -> None:
         run_all(refused, range(3), jobs=jobs)
 
 
+@pytest.mark.parametrize('after', [1, 4, 7, 10, 13, 16])
+def test_a_run_that_is_interrupted_with_tasks_waiting_ends_quietly(
+    after: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ended: list[int] = []
+    errors: list[object] = []
+    monkeypatch.setattr(threading, 'excepthook', errors.append)
+
+    def take(result: int) -> None:
+        ended.append(result)
+        if len(ended) == after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_all(abs, range(2000), jobs=2, ended=take)
+    assert ended == list(range(after))
+    assert errors == []
+
+
 def test_a_cluster_gives_what_this_machine_gives(
     scheduler: str,
     tmp_path: Path,
