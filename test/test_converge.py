@@ -64,7 +64,7 @@ def test_the_joint_estimate_refuses_what_it_has_not_finished(
 ) -> None:
     evidence = evidence_of(azimuth=1.0, noise=np.random.default_rng(1))
     joint.solve(evidence)
-    monkeypatch.setattr(fit, '_ITERATIONS', 1)
+    monkeypatch.setattr(fit, 'ITERATIONS', 1)
     with pytest.raises(NotObservable, match='did not converge in 1 steps'):
         joint.solve(evidence)
 
