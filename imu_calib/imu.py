@@ -22,6 +22,9 @@ tests turn at 10 deg/s or faster, and an accelerometer without 9 m/s^2 does not 
 _LEAST_SHARE = 0.1
 """Of a stated range, likewise: a description of a unit that is set to less is rarely off by more. A
 judgement."""
+SCALE_LIMIT = 1.9
+"""Ratio: larger differences are other units; sensors differ by percents. Twice the rate of the
+samples, and the next range of a converter, are a factor of 2, less 3 % of the cheapest units."""
 NEARLY = 0.999
 """Share of the range above which a reading counts as saturated: ranges are stated to three digits,
 and ADCs clip slightly early. A judgement."""

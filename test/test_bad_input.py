@@ -575,6 +575,20 @@ def test_a_turn_that_is_saturated(cli: CommandLine) -> None:
     cli.uses_the_rest(sentence, good().with_imu(saturate))
 
 
+def test_an_imu_in_whose_units_all_turns_are_beyond_the_range(cli: CommandLine) -> None:
+    sentence = 'the gyros state [0-9]+ times the rate of the table, beyond their range: units'
+    cli.refuses(
+        1,
+        sentence,
+        good().columns,
+        data={
+            **DATA,
+            'imu_calib.imu': 'id: other\nunits: si\n'
+            'sample_rate: 100 Hz\ngyro: {range: 2000 deg/s}\naccelerometer: {range: 10 g}\n',
+        },
+    )
+
+
 def test_turns_beyond_the_range(cli: CommandLine) -> None:
     narrow = replace(paper_imu(), gyro=replace(paper_imu().gyro, range=50 * DEG))
     columns = run_stand(slow_too(), narrow).columns

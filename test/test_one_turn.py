@@ -266,6 +266,24 @@ def test_a_motion_that_is_not_sound_is_left_out() -> None:
     assert len(free(900.0, (1.0, 1.985))) == 1
 
 
+def test_gyros_beyond_their_range_that_the_table_does_not_turn_by_are_in_other_units() -> None:
+    def times(factor: float) -> str:
+        samples = delivered()
+        rows = samples.increments.copy()
+        rows[:, :3] *= factor
+        # The range of `RATES` is 8 rad/s.
+        middle = len(rows) // 2
+        rows[middle, 0] = 8.0 * PERIOD
+        return reason(replace(samples, increments=rows))
+
+    # Sensors clip: of the rate of the table they state less than all.
+    assert times(1.8) == 'the sensor is saturated during it'
+    assert times(20.0) == (
+        'the gyros state 20 times the rate of the table, beyond their range: units, scale factor '
+        "or range of the IMU's description are not those of the recording"
+    )
+
+
 PULSE = 0.5 * ARCSEC
 COUNTERS = Sensor.of(
     ImuSpec('any', Units.PULSES, None, TriadSpec(PULSE, range=8.0), TriadSpec(1e-5))

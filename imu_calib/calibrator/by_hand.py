@@ -10,8 +10,9 @@ import numpy as np
 
 from ..errors import InputError, NotObservable
 from ..gravity import gravity_covariance
+from ..imu import SCALE_LIMIT
 from ..methods import estimated_parameters
-from ..methods.checks import SCALE_LIMIT, far_scales
+from ..methods.checks import far_scales
 from ..methods.free_positions import (
     FEWEST,
     FREE,

@@ -8,6 +8,7 @@ import scipy
 from ..earth import EARTH_RATE
 from ..errors import Contradiction, InputError, NotObservable
 from ..gaussian import FIVE_SIGMA
+from ..imu import SCALE_LIMIT
 from ..model import AXES, SensorModel
 from ..observation.evidence import Evidence
 from ..stream import Floats
@@ -34,9 +35,6 @@ _MISTAKES = {
 """Factor by which outputs are then too large."""
 _NEAR = 0.1
 """Relative: scale factors of the cheapest units are 3 % off."""
-SCALE_LIMIT = 1.9
-"""Ratio: larger differences are other units; sensors differ by percents. Twice the rate of the
-samples, and the next range of a converter, are a factor of 2, less 3 % of the cheapest units."""
 _AXIS_LIMIT = 0.5
 """Of an axis's largest response: beyond it, axes are exchanged, not misaligned."""
 _FAR_SCALE = 0.1

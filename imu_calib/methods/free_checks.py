@@ -14,12 +14,13 @@ from itertools import permutations, product
 import numpy as np
 
 from ..errors import Contradiction, InputError
+from ..imu import SCALE_LIMIT
 from ..model import AXES, SensorModel, Triad
 from ..observation.evidence import Evidence
 from ..observation.measured_earth_rate import measured_latitude, vertical_earth_rate
 from ..stream import Floats
 from ..units import DEG
-from .checks import SCALE_LIMIT, TIMES, wrong_scale_sentence
+from .checks import TIMES, wrong_scale_sentence
 
 _ASTRAY = 10 * DEG
 """rad, root mean square over the turns: gravity turned by the gyros misses the next hold by more

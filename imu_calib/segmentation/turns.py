@@ -8,10 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..imu import SCALE_LIMIT
 from ..instants import NS
 from ..stream import Floats, Stamps
 from ..turntable import TURN, Table
-from ..units import ARCSEC, DEG
+from ..units import ARCSEC, DEG, significant
 from .bridging import bridged, filled_at_steady_rate
 from .counter import END_POINT_VARIANCE
 from .motion import Motion, averaged
@@ -30,6 +31,7 @@ _VERTICAL = 1e-4
 
 _TURN_AND_RUN_UP = 1.25 * TURN
 """rad: a whole turn with its run-ups."""
+_SATURATED = 'the sensor is saturated during it'
 _STEADY = 0.05
 """Of the rate: the ends of a steady turn are as fast as its middle."""
 _ENDS = 20
@@ -103,7 +105,7 @@ def read_free_motion(readings: Around, motion: Motion) -> list[FreeMotion | Reje
     if not _sound(part):
         reason = 'IMU samples are missing within it'
     elif readings.sensor.saturated(readings.values[inside], part).any():
-        reason = 'the sensor is saturated during it'
+        reason = _SATURATED
     else:
         statistics = statistics_between(part, 0.0, float(len(part.stamp)), readings.sensor.walk)
         return [FreeMotion(motion.start, motion.end, statistics, turned, _mean_phase(part, turned))]
@@ -140,6 +142,8 @@ def _read_turn(
     inside = _around(readings.samples, start, end)
     part = readings.samples.at(inside)
     reason = _unusable(readings, inside, start, end)
+    if reason == _SATURATED:
+        reason = _other_units(part, abs(turns.angle) / turns.seconds) or reason
     if reason:
         return Rejected(int(start), int(end), reason, turn=True)
     count = max(1, round(abs(turns.angle) / TURN))
@@ -252,13 +256,29 @@ def _unusable(readings: Around, inside: slice, start: float, end: float) -> str:
     return ''
 
 
+def _other_units(samples: Samples, rate: float) -> str:
+    """Return why gyros exceed their range if a table's rate, rad/s, does not; empty if it does.
+
+    A saturated gyro states less than its rate, never more, apart from few samples.
+    """
+    lengths = np.linalg.norm(samples.increments[:, :3], axis=1)
+    shown = float(np.median(lengths)) / samples.period
+    if shown < SCALE_LIMIT * rate:
+        return ''
+    return (
+        f'the gyros state {significant(shown / rate)} times the rate of the table, beyond their '
+        "range: units, scale factor or range of the IMU's description are not those of the "
+        'recording'
+    )
+
+
 def _unreadable(readings: Around, where: slice) -> str:
     """Return why samples do not give the sensors' counts; empty where they do."""
     part = readings.samples.at(where)
     if not _sound(part):
         return 'IMU samples are missing within it'
     if readings.sensor.saturated(readings.values[where], part).any():
-        return 'the sensor is saturated during it'
+        return _SATURATED
     if repeating_samples(readings.values[where], counted=readings.sensor.counted).any():
         return 'the samples are frozen within it, repeating one'
     return ''
