@@ -62,8 +62,9 @@ def off(solution: Solution) -> Floats:
     return np.abs(solution.model.vector() - truth().model.vector()) / solution.std[:24]
 
 
+ONCE = [('all', 0), ('wobble', 0), ('zeros', 2)]
 CASES = [
-    (wrong, seed) if seed < 1 or (wrong, seed) == ('zeros', 2) else again(wrong, seed)
+    (wrong, seed) if (wrong, seed) in ONCE else again(wrong, seed)
     for wrong in WRONG
     for seed in range(8)
 ]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from extent import ALL
+from extent import ALL, again
 from other_world import (
     COMPASS,
     DEG,
@@ -248,7 +248,7 @@ def test_on_a_table_as_they_are_no_parameter_is_further_off_than_stated(
     assert not [f for f in found.findings if re.search('drift by|The session shows .*_', f)]
 
 
-@pytest.mark.parametrize('grade', ['navigation', 'medium'])
+@pytest.mark.parametrize('grade', ['navigation', again('medium')])
 def test_biases_that_fade_put_no_parameter_off(grade: str) -> None:
     unit = {'medium': MEDIUM, 'navigation': NAVIGATION}[grade]
     fade, fading = (0.1 * DEG_H, -0.07 * DEG_H, 0.12 * DEG_H), 200.0
@@ -270,7 +270,7 @@ def test_biases_that_fade_put_no_parameter_off(grade: str) -> None:
         assert [f for f in found.findings if re.search('warm_up|trend|drift', f)]
 
 
-@pytest.mark.parametrize(('grade', 'at'), [('navigation', 0.31), ('medium', 0.62)])
+@pytest.mark.parametrize(('grade', 'at'), [('navigation', 0.31), again('medium', 0.62)])
 def test_biases_that_step_are_found_with_the_instant(grade: str, at: float) -> None:
     """In the middle of a dwell or of a motion, as it comes."""
     unit, size = {'medium': (MEDIUM, 10.0), 'navigation': (NAVIGATION, 1.0)}[grade]

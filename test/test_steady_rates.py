@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extent import again
 from sessions import SITE, Named, beside_exactness, calibrate, paper_imu, quick_plan, stand, truth
 
 from imu_calib.calibration import Calibration
@@ -223,7 +224,7 @@ def slow_table(monkeypatch: pytest.MonkeyPatch) -> type[SlowTable]:
 
 
 @pytest.mark.usefixtures('slow_table')
-@pytest.mark.parametrize('name', ['medium', 'navigation'])
+@pytest.mark.parametrize('name', [again('medium'), 'navigation'])
 @pytest.mark.parametrize(
     ('rates', 'joint_state_rate', 'noise'),
     [

@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any
 
 import pytest
+from extent import again
 from loopback import CHECKOUT
 
 import imu_calib
@@ -119,7 +120,7 @@ def off_by_60_arcsec() -> tuple[Setup, list[Block]]:
     return setup, list(blocks(condition, simulated))
 
 
-@pytest.mark.parametrize('stated', [3, 10])
+@pytest.mark.parametrize('stated', [again(3), 10])
 def test_axes_further_off_than_is_stated_are_named_and_nothing_else(stated: int) -> None:
     """What was found could not be fitted, or was not looked for, and wobble was named instead."""
     setup, recorded = off_by_60_arcsec()
