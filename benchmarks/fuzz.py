@@ -200,15 +200,16 @@ def _decode_message(kind: Kind, data: bytes) -> None:
 
 def _of_messages() -> Iterator[Target]:
     # Only the runtime without ROS reads single messages itself.
-    from imu_calib.middleware.dds import codec, standard
-    from imu_calib.middleware.dds.messages import message_class
+    from imu_calib.middleware.dds import codec
+    from imu_calib.middleware.dds.message_classes import message_class
+    from imu_calib.middleware.interface_types import MESSAGES
 
     filled = {
         'ImuCalibration': {'serial_number': 'A1', 'covariance': [1.0] * 300},
         'CalibrationProgress': {'plan': 'p', 'text': 'words', 'repeat_steps': [1, 2]},
         'JointState': {'name': ['outer', 'inner'], 'position': [1.0, 2.0]},
     }
-    for short, name in standard.NAMES.items():
+    for short, name in MESSAGES.items():
         kind = message_class(name)
         known = kind.get_fields_and_field_types()
         given = {key: value for key, value in filled.get(short, {}).items() if key in known}

@@ -20,7 +20,8 @@ try:
         pytest.skip('of the dds runtime', allow_module_level=True)
     from imu_calib.middleware.dds import deserialize_message, messages, serialize_message
     from imu_calib.middleware.dds.interfaces import interface, type_hash
-    from imu_calib.middleware.dds.messages import message_class
+    from imu_calib.middleware.dds.message_classes import message_class
+    from imu_calib.middleware.interface_types import MESSAGES
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -30,7 +31,7 @@ WRITTEN = [name for name, known in ROS.items() if 'bytes' in known]
 
 
 def test_every_message_that_nodes_exchange_was_recorded():
-    assert {*messages.NAMES.values()} <= {*WRITTEN}
+    assert {*MESSAGES.values()} <= {*WRITTEN}
 
 
 @pytest.mark.parametrize('name', ROS)
@@ -49,7 +50,7 @@ def test_bytes_are_those_of_ros_both_ways(name):
     assert repr(read) == repr(message)
 
 
-@pytest.mark.parametrize('name', sorted(messages.NAMES.values()))
+@pytest.mark.parametrize('name', sorted(MESSAGES.values()))
 def test_definitions_are_those_that_rosbags_has_of_jazzy(name):
     if name.startswith('imu_calib_msgs/'):
         file = CHECKOUT / 'msg_defs' / 'msg' / f'{name.rpartition("/")[2]}.msg'

@@ -27,7 +27,7 @@ OTHERS = {
     'other_formats.py': 'a whole command',
     'fleet/history.py': 'a whole command',
     'api/standing.py': 'runs a command',
-    'middleware/ros_action_types.py': 'a command of ROS',
+    'middleware/ros.py': 'a command of ROS',
     **dict.fromkeys(
         ('reports/style.py', 'reports/fleet/style.py', 'web/style.py'), 'variables of CSS'
     ),

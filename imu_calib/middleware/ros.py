@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from importlib import import_module
 from itertools import repeat
 from typing import Any
 
@@ -51,10 +52,9 @@ from std_srvs.srv import Trigger
 
 from ..errors import InputError
 from ..network import LEASES, LONGEST_LEASE
-from . import ros_action_types as actions
-from . import ros_messages as messages
 from . import ros_sources
 from .domain import domain_id as checked_domain
+from .interface_types import ACTIONS, MESSAGES, InterfaceTypes
 from .ros_actions import GoalServer
 from .ros_lifecycle import ManagedNode
 
@@ -110,6 +110,21 @@ LEASE = LEASES.get(get_rmw_implementation_identifier(), LONGEST_LEASE)
 
 RCLError = rclpy_implementation.RCLError
 UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
+
+
+def _interface(name: str) -> Any:
+    package, kind, short = name.split('/')
+    try:
+        return getattr(import_module(f'{package}.{kind}'), short)
+    except (ImportError, AttributeError) as error:
+        raise InputError(
+            f'The interface {name} is not installed: {error}. Install the package {package} '
+            '(rosdep install --from-paths src --ignore-src), or rebuild it.'
+        ) from error
+
+
+messages = InterfaceTypes(MESSAGES, _interface)
+actions = InterfaceTypes(ACTIONS, _interface)
 
 
 def init(**options: Any) -> None:

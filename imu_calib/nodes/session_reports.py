@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
+from typing import Any
 
 from ..calibrator import Review
 from ..cdr import Kind
@@ -44,9 +45,7 @@ def session_sentence(session: LiveSession) -> str:
     return words[session.phase]
 
 
-def progress_message(
-    session: LiveSession, steps: int, seconds_left: float, file: Path
-) -> messages.CalibrationProgress:
+def progress_message(session: LiveSession, steps: int, seconds_left: float, file: Path) -> Any:
     """Return the progress of a session as a message.
 
     Args:

@@ -17,7 +17,7 @@ _ENDS = frozenset({SessionPhase.FINISHED, SessionPhase.FAILED})
 
 def progress_of_all(
     sessions: Sessions, each: Sequence[Any], imu_timeout: float, folder: Path
-) -> messages.CalibrationProgress:
+) -> Any:
     """Return the common progress of the sessions; the node that runs the plan uses it.
 
     The standard deviation of a parameter is that of the unit with the largest. Steps are repeated

@@ -1,9 +1,8 @@
 """The subset of rclpy over the wheel `cyclonedds`; see `imu_calib.middleware`."""
 
 from ...network import LEASES
-from . import standard as messages
-from . import standard_actions as actions
-from .action import ActionClient, GoalServer
+from ..interface_types import ACTIONS, MESSAGES, InterfaceTypes
+from .action import ActionClient, GoalServer, action_type
 from .clock import Clock, ClockType, Time
 from .codec import deserialize_message, serialize_message
 from .context import init, ok, shutdown, try_shutdown
@@ -16,6 +15,7 @@ from .executor import (
     spin_until_future_complete,
 )
 from .managed import ManagedNode
+from .message_classes import message_class
 from .node import Node
 from .node_parameters import (
     FloatingPointRange,
@@ -38,6 +38,8 @@ from .qos import (
 from .services import Trigger
 
 LEASE = LEASES['rmw_cyclonedds_cpp']
+messages = InterfaceTypes(MESSAGES, message_class)
+actions = InterfaceTypes(ACTIONS, action_type)
 
 __all__ = [
     'LEASE',

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..goals import ENDS, GoalStatus
 from .future import Future
-from .messages import message_class
+from .message_classes import message_class
 from .qos import DurabilityPolicy, QoSProfile
 
 if TYPE_CHECKING:

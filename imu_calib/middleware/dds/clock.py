@@ -8,7 +8,7 @@ from enum import IntEnum
 from typing import Any
 
 from ...instants import NS
-from .messages import message_class
+from .message_classes import message_class
 
 
 class ClockType(IntEnum):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from .codec import deserialize_message, serialize_message
-from .messages import Message
+from .message_classes import Message
 from .qos import QoSPolicyKind
 from .wire import Reader, Writer
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from .codec import deserialize_message, serialize_message
-from .messages import message_class
+from .message_classes import message_class
 from .participant import Participant, delete
 from .qos import DurabilityPolicy, HistoryPolicy, QoSProfile, from_dds
 from .wire import Reader, Writer

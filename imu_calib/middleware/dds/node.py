@@ -12,7 +12,7 @@ from .clock import Clock, ClockType
 from .context import CONTEXT
 from .endpoints import Publisher, Subscription
 from .logging import Logger
-from .messages import Message, message_class
+from .message_classes import Message, message_class
 from .node_parameters import Parameter, ParameterDescriptor, Parameters
 from .qos import QoSProfile, ReliabilityPolicy, overridden, profile
 from .services import Client, Service

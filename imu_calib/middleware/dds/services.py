@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from .codec import deserialize_message, serialize_message
 from .future import Future
-from .messages import message_class
+from .message_classes import message_class
 from .qos import QoSProfile
 from .wire import Reader, Writer
 

@@ -1,12 +1,11 @@
-"""The message classes of the suite by their short names, each created at first use."""
+"""Messages and actions of the suite by their short names, the same in both runtimes."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from .messages import message_class
-
-NAMES = {
+MESSAGES = {
     name.rpartition('/')[2]: name
     for name in (
         'diagnostic_msgs/msg/DiagnosticArray',
@@ -29,10 +28,24 @@ NAMES = {
         'trajectory_msgs/msg/JointTrajectoryPoint',
     )
 } | {'DurationMsg': 'builtin_interfaces/msg/Duration', 'TimeMsg': 'builtin_interfaces/msg/Time'}
-"""Full names by short names."""
+"""Full names of messages by short names."""
+ACTIONS = {
+    'FollowJointTrajectory': 'control_msgs/action/FollowJointTrajectory',
+    'RunCalibration': 'imu_calib_msgs/action/RunCalibration',
+}
+"""Full names of actions by short names."""
 
 
-def __getattr__(name: str) -> Any:
-    if name not in NAMES:
-        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    return message_class(NAMES[name])
+class InterfaceTypes:
+    """Types of messages or actions as attributes of their short names, loaded at first use."""
+
+    def __init__(self, names: Mapping[str, str], load: Callable[[str], Any]) -> None:
+        self._names = names
+        self._load = load
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self._names:
+            raise AttributeError(f'{name!r} is none of {", ".join(self._names)}.')
+        loaded = self._load(self._names[name])
+        setattr(self, name, loaded)
+        return loaded
