@@ -14,9 +14,14 @@ from __future__ import annotations
 import argparse
 import sys
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from prediction import SITE, judge
+
+sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
+
+from hand_sessions import shortest_turns
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup, calibrator_of
@@ -29,7 +34,7 @@ from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
 from imu_calib.share import named_file
 from imu_calib.simulation import ImuOptions
-from imu_calib.simulation.hand import HandSession, as_planned, shortest_turns
+from imu_calib.simulation.hand import HandSession, as_planned
 
 UNIT = 'mems_counts'
 PLANS = ('six_position_by_hand', 'free_positions')

@@ -1,10 +1,13 @@
-"""Sessions by hand whose holds are spread evenly, for the tests: yaw, pitch and roll at once."""
+"""Sessions by hand for tests and benchmarks: holds spread evenly, or by the shortest turns."""
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
-from imu_calib.simulation.hand import AXES, PAUSE, HandSession, directions
+from imu_calib.rotations import rotation
+from imu_calib.simulation.hand import AXES, PAUSE, HandSession, directions, one_turn_each
 from imu_calib.simulation.motion import Motion
 from imu_calib.simulation.tracks import Track, side_by_side, trapezoid
 from imu_calib.stream import Floats
@@ -59,3 +62,29 @@ def spread_holds(
     yaw = rng.uniform(-np.pi, np.pi, holds)
     seconds = rng.uniform(shortest, longest, holds)
     return by_hand(np.column_stack([yaw, pitch, roll]), seconds)
+
+
+def shortest_turns(ups: Floats, seconds: Floats, *, heading: float = 0.0) -> HandSession:
+    """Lay out holds with the shortest turn there is from each to the next.
+
+    Args:
+        ups: (n, 3) directions of up in body axes, unit vectors.
+        seconds: (n,) how long each hold lasts.
+        heading: Of the first hold, rad.
+    """
+    attitudes = [rotation(AXES[0], heading) @ _upright(ups[0])]
+    for up, target in pairwise(ups):
+        axis = np.cross(target, up)
+        if np.linalg.norm(axis) < 1e-6:
+            # Half a turn, in the sense of `calibrator.guidance`.
+            axis = -_upright(up)[0]
+        angle = float(np.arccos(np.clip(up @ target, -1.0, 1.0)))
+        attitudes.append(attitudes[-1] @ rotation(axis / np.linalg.norm(axis), angle))
+    return one_turn_each(np.array(attitudes), seconds)
+
+
+def _upright(up: Floats) -> Floats:
+    """Return an attitude R_nb (3, 3) with a direction (3,) of the body up, at any heading."""
+    other = np.eye(3)[int(np.argmin(np.abs(up)))]
+    east = np.cross(other, up) / np.linalg.norm(np.cross(other, up))
+    return np.array([east, np.cross(up, east), up])

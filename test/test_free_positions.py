@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hand_sessions import by_hand, spread_holds
+from hand_sessions import by_hand, shortest_turns, spread_holds
 from scipy.linalg import expm
 from scipy.stats import chi2
 from sessions import SITE
@@ -44,7 +44,7 @@ from imu_calib.segmentation.segmented import Move
 from imu_calib.segmentation.statistics import Samples
 from imu_calib.segmentation.stillness import StillnessTracker
 from imu_calib.simulation import ImuOptions
-from imu_calib.simulation.hand import HandSession, shortest_turns
+from imu_calib.simulation.hand import HandSession
 from imu_calib.stream import Floats
 from imu_calib.units import ARCMIN, DEG, PPM
 

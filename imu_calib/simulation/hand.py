@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -109,25 +108,6 @@ def one_turn_each(attitudes: Floats, seconds: Floats) -> HandSession:
     return HandSession(motion, np.array(holds), now)
 
 
-def shortest_turns(ups: Floats, seconds: Floats, *, heading: float = 0.0) -> HandSession:
-    """Lay out holds with the shortest turn there is from each to the next.
-
-    Args:
-        ups: (n, 3) directions of up in body axes, unit vectors.
-        seconds: (n,) how long each hold lasts.
-        heading: Of the first hold, rad.
-    """
-    attitudes = [rotation(AXES[0], heading) @ upright(ups[0])]
-    for up, target in pairwise(ups):
-        axis = np.cross(target, up)
-        if np.linalg.norm(axis) < _SAME:
-            # Half a turn, in the sense of `calibrator.guidance`.
-            axis = -upright(up)[0]
-        angle = float(np.arccos(np.clip(up @ target, -1.0, 1.0)))
-        attitudes.append(attitudes[-1] @ rotation(axis / np.linalg.norm(axis), angle))
-    return one_turn_each(np.array(attitudes), seconds)
-
-
 def as_planned(plan: Plan, rng: np.random.Generator) -> HandSession:
     """Plan the motion for a plan by hand, every hold at an unknown heading.
 
@@ -142,13 +122,6 @@ def as_planned(plan: Plan, rng: np.random.Generator) -> HandSession:
         attitudes += [attitude] * holds
         seconds += [position.dwell if holds == 1 else _STILL] * holds
     return one_turn_each(np.array(attitudes), np.array(seconds))
-
-
-def upright(up: Floats) -> Floats:
-    """Return an attitude R_nb (3, 3) with a direction (3,) of the body up, at any heading."""
-    other = np.eye(3)[int(np.argmin(np.abs(up)))]
-    east = np.cross(other, up) / np.linalg.norm(np.cross(other, up))
-    return np.array([east, np.cross(up, east), up])
 
 
 def directions(count: int, rng: np.random.Generator) -> Floats:
