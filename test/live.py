@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -134,8 +135,20 @@ class Stand:
         self.node.destroy_client(client)
         return future.result().success, future.result().message
 
-    def wait(self, condition, seconds=None):
-        return until(condition, seconds, lambda: ros.spin_once(self.node, timeout_sec=0.02))
+    def wait(self, condition, seconds=None, pause=0.02):
+        """Listen until a condition holds, see `until`; it is asked once in `pause` seconds.
+
+        A stand that runs at a multiple of real time sends thousands of messages a second: each by
+        itself would keep a processor busy that the nodes need.
+        """
+
+        def listen():
+            time.sleep(pause)
+            # Of rclpy one callback runs at a time.
+            for _ in range(1 if ros.RUNTIME == 'dds' else 20):
+                ros.spin_once(self.node, timeout_sec=0)
+
+        return until(condition, seconds, listen)
 
     @property
     def state(self):

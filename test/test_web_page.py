@@ -56,7 +56,7 @@ class Viewer:
         return self.page.locator('.banner').inner_text()
 
     def sees(self, condition, stand):
-        return stand.wait(lambda: condition(self), patience(30))
+        return stand.wait(lambda: condition(self), patience(30), pause=0.1)
 
     def unlock(self, token):
         self.page.get_by_label('Token').fill(token)
