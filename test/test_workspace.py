@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+import sys
 import xml.etree.ElementTree as ET
 
 import pytest
@@ -107,3 +108,10 @@ def test_a_robot_needs_no_rviz():
     needed = {e.text for e in ET.parse(CHECKOUT / 'package.xml').iter() if 'depend' in e.tag}
     assert 'robot_state_publisher' in needed
     assert 'rviz2' not in needed
+
+
+@needs('launch_testing', 'launch_testing_ros', 'launch_pytest')
+def test_the_tests_run_in_a_shell_where_ros_is_sourced():
+    words = f'{sys.executable} -m pytest test/test_rows.py'
+    ran = run(CHECKOUT, f'env -u PYTEST_DISABLE_PLUGIN_AUTOLOAD -u PYTEST_ADDOPTS {words}')
+    assert ran.returncode == 0, ran.stderr
