@@ -494,22 +494,22 @@ def test_runs_end_where_a_move_is_missing() -> None:
     assert found.runs.tolist() == [0, 0, 1, 1, 1]
     # Two components of north and, but for the first heading of a run, three angles of each rest.
     first = found.sensors + found.nuisances
-    assert found.north == slice(first, first + 4)
+    assert found.north_slice == slice(first, first + 4)
     assert found.size == first + 4 + 15 - 2
-    assert found.leaning_last == slice(found.size - 3, found.size - 1)
-    assert free(3).leaning_last == slice(free(3).size - 2, free(3).size)
+    assert found.last_tilt_slice == slice(found.size - 3, found.size - 1)
+    assert free(3).last_tilt_slice == slice(free(3).size - 2, free(3).size)
 
 
 def test_north_of_each_run_is_that_of_its_rests() -> None:
     found = free(1)
     state = found.nominal()
-    assert not state[found.north].any()
-    state[found.north] = [1.0, 2.0, 3.0, 4.0]
+    assert not state[found.north_slice].any()
+    state[found.north_slice] = [1.0, 2.0, 3.0, 4.0]
     level = SITE.north_rate / np.sqrt(2)
     wanted = [[level, 2 * level, SITE.up_rate]] * 2 + [[3 * level, 4 * level, SITE.up_rate]] * 3
     np.testing.assert_allclose(found.earth(state), wanted)
     rows = found.prior_rows(state)
-    np.testing.assert_allclose(rows[-4:, found.north], np.eye(4))
+    np.testing.assert_allclose(rows[-4:, found.north_slice], np.eye(4))
     assert rows[-4:, -1].tolist() == [-1.0, -2.0, -3.0, -4.0]
     ((_, where, _),) = found.prior_sources
     assert where == list(range(found.nuisances, found.nuisances + 4))
@@ -518,7 +518,7 @@ def test_north_of_each_run_is_that_of_its_rests() -> None:
 def test_a_step_turns_the_attitudes_and_leaves_no_rotation() -> None:
     found = free(1)
     step = np.zeros(found.size)
-    step[found.north.stop :] = np.arange(1.0, 14.0) * 1e-3
+    step[found.north_slice.stop :] = np.arange(1.0, 14.0) * 1e-3
     step[0] = 0.5
     moved, state = found.moved(found.nominal(), step)
     # Of the first rest of a run two, of the others three.
@@ -529,7 +529,7 @@ def test_a_step_turns_the_attitudes_and_leaves_no_rotation() -> None:
         turned = Rotation.from_rotvec(np.array(angle) * 1e-3).as_matrix()
         np.testing.assert_allclose(after, turned @ before, atol=1e-12)
     assert state[0] == found.nominal()[0] + 0.5
-    assert not state[found.north.stop :].any()
+    assert not state[found.north_slice.stop :].any()
 
 
 def test_rests_are_led_on_to_the_heading_where_moves_end() -> None:

@@ -53,7 +53,7 @@ class Linear:
     parameters: tuple[Parameter, ...] = ESTIMATES
     inflation: Floats | None = None
     noise: float = 1.0
-    north = slice(21, 23)
+    north_slice = slice(21, 23)
     evidence = SimpleNamespace(segments=(0,) * 12, links=(0,) * 11)
 
     def model(self, _: Floats) -> SensorModel:

@@ -235,7 +235,7 @@ def on_the_earth() -> tuple[FreeEquations, Floats]:
     equations = FreeEquations(at_headings_by_moves(evidence, ups, model), ESTIMATES)
     state = equations.nominal()
     state[: len(ESTIMATES)] = model.values(ESTIMATES)
-    state[equations.north] = 0.8, -1.1, 0.3, 0.9
+    state[equations.north_slice] = 0.8, -1.1, 0.3, 0.9
     return equations, state
 
 
@@ -259,7 +259,7 @@ def test_a_plain_loop_over_the_samples_predicts_the_same() -> None:
     equations, state = on_the_earth()
     evidence, model = equations.evidence, equations.model(state)
     predicted, moved = equations.predict(state), iter(equations.layout.move)
-    east_north = state[equations.north].reshape(2, 2) * SITE.north_rate / np.sqrt(2)
+    east_north = state[equations.north_slice].reshape(2, 2) * SITE.north_rate / np.sqrt(2)
     for k, hold in enumerate(evidence.segments):
         # The sixth turn is missing: a second run begins at the seventh hold.
         earth = np.array([*east_north[int(k > 5)], SITE.up_rate])

@@ -333,7 +333,7 @@ def test_what_a_plan_tells_of_a_trend_is_what_its_session_states() -> None:
         stated = estimate(evidence, changes=one.changes)
         own = [PARAMETERS.index(c.parameters[0]) for c in one.changes]
         # Beside its parameter's own: what the session shows of the noise, to 13 %, is in both.
-        found_std = std(stated)[stated.equations.changing] / std(alone)[own]
+        found_std = std(stated)[stated.equations.change_slice] / std(alone)[own]
         assert one.std / bare.std[own] == pytest.approx(found_std, rel=0.1)
         dearer = np.array([dict(one.worsened).get(p, 1.0) for p in PARAMETERS])
         times = std(stated)[:24] / std(alone)[:24]
@@ -356,7 +356,7 @@ def test_what_a_plan_tells_of_the_temperature_is_what_its_session_states() -> No
         assert one.changes[0].course is Course.THERMAL
         stated = estimate(evidence, changes=one.changes)
         own = [PARAMETERS.index(c.parameters[0]) for c in one.changes]
-        std = np.sqrt(np.diag(stated.covariance))[stated.equations.changing]
+        std = np.sqrt(np.diag(stated.covariance))[stated.equations.change_slice]
         # Beside its parameter's own, as above; the stand's last dwell goes on, and warms further.
         assert one.std / ahead.std[own] == pytest.approx(std / alone[own], rel=0.1)
     # What rises twice as far tells twice as much.

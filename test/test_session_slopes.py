@@ -45,7 +45,7 @@ def at(evidence: Evidence, **other: Any) -> tuple[Equations, Floats]:
     state = equations.nominal()
     state[:33] = MODEL.values(PARAMETERS)
     state[33:37] = AZIMUTH, TILT_X, TILT_Y, FASTER
-    state[equations.arms] = 0.1
+    state[equations.arm_slice] = 0.1
     return equations, state
 
 
@@ -73,7 +73,7 @@ def test_outputs_are_those_of_plain_rotations(units: Units) -> None:
     for rows, turn in zip(equations.layout.turn, evidence.turns, strict=True):
         # Of all that is level a whole turn leaves nothing but in the frame's own direction of up.
         w, f = turn.up * (turn.rate() + rate[2]), turn.up * force[2]
-        arm = state[equations.arms]
+        arm = state[equations.arm_slice]
         k = evidence.arms.turns.tolist().index(evidence.turns.index(turn))
         f = f + evidence.arms.slopes[k] @ arm
         gyro = MODEL.gyro.response @ w + MODEL.gyro.bias + MODEL.g_sensitivity @ f
@@ -96,7 +96,7 @@ def test_clocks_that_nothing_compares_count_in_timed_turns_alone() -> None:
     untold = replace(held, clock=replace(held.clock, rate_std=np.nan))
     turns = (replace(held.turns[0], seconds=None), *held.turns[1:])
     equations, state = at(replace(untold, turns=turns))
-    slope = equations.jacobian(state)[:, equations.clock]
+    slope = equations.jacobian(state)[:, equations.clock_index]
     rows = equations.layout.turn[1:].ravel()
     assert slope[rows] == pytest.approx(-equations.predict(state)[rows] / (1 + FASTER))
     assert not np.delete(slope, rows).any()
@@ -128,7 +128,7 @@ def test_the_earth_rate_and_the_latitude_enter_as_they_turn() -> None:
 def test_a_unit_that_turned_in_its_mount_reads_as_attitudes_the_other_way() -> None:
     evidence = some()
     equations, state = at(evidence)
-    state[equations.arms], state[equations.clock] = 0.0, 0.0
+    state[equations.arm_slice], state[equations.clock_index] = 0.0, 0.0
     found = equations.by_mount(state)
     rate, force = world()
     for k in range(3):
@@ -179,7 +179,7 @@ def test_priors_are_those_of_table_and_clocks() -> None:
     np.testing.assert_allclose(rows[:, 33:-1], np.diag(1 / deviation))
     assert not rows[:, :33].any()
     # A heading that may be any is pulled nowhere.
-    wanted = -state[equations.table] / deviation
+    wanted = -state[equations.nuisance_slice] / deviation
     wanted[0] = 0.0
     np.testing.assert_allclose(rows[:, -1], wanted)
     given, _ = at(replace(evidence, azimuth=0.1), levelled=1e-3)
@@ -264,7 +264,7 @@ def test_a_table_that_leaves_something_open_leans() -> None:
     columns = equations.by_table(state)
     np.testing.assert_allclose(part(equations, state, Source.TABLE), columns @ columns.T)
     # One deviation of an error turns the attitude of a rest by so much.
-    state[equations.clock] = 0.0
+    state[equations.clock_index] = 0.0
     columns = equations.by_table(state)
     lean = equations.evidence.leaning[0][0, :, 0]
     rate, force = world()

@@ -147,8 +147,8 @@ def test_a_trend_gives_the_parameters_of_the_middle_and_its_slopes(
     assert (right**2).sum() > 4.3
     equations = trend.equations
     slopes = [*UNIT.gyro_drift, *UNIT.accel_drift, UNIT.gyro_growth, UNIT.accel_growth]
-    std = np.sqrt(np.diag(trend.covariance)[equations.changing])
-    far = (trend.state[equations.changing] - slopes) / std
+    std = np.sqrt(np.diag(trend.covariance)[equations.change_slice])
+    far = (trend.state[equations.change_slice] - slopes) / std
     # Eight coefficients: chance passes 4.5 deviations once in 18 000 times.
     assert np.abs(far).max() < FAR, np.round(far, 1)
     # Those of the accelerometers are seen, not merely allowed for.
@@ -172,7 +172,7 @@ def test_a_course_of_temperature_is_a_trend_where_it_rises_evenly(
     right = off(thermal, truth_at((mean.mean - 20.0) / RISE))
     assert np.abs(right).max() < FAR, np.round(right, 1)
     slopes = np.array([*UNIT.gyro_drift, *UNIT.accel_drift, UNIT.gyro_growth, UNIT.accel_growth])
-    own = thermal.equations.changing
+    own = thermal.equations.change_slice
     std = np.sqrt(np.diag(thermal.covariance)[own])
     assert np.abs((thermal.state[own] - slopes / RISE) / std).max() < FAR
 
@@ -187,14 +187,14 @@ def test_the_outputs_change_as_parameters_of_each_stretch_would(drifting: Eviden
     half = (last - first) / 2
     # Changes of a thousandth of the parameters by the ends of the session.
     size = np.array([1e-6, 1e-6, 1e-6, 1e-6]) / half
-    state[equations.changing] = size
+    state[equations.change_slice] = size
     predicted = equations.predict(state)
     plain = Equations(drifting)
     moves = [link.move for link in drifting.links.links]
     parts = [*drifting.segments, *drifting.turns, *moves]
     for k, part in enumerate(parts):
         when = (part.start + part.end) / 2e9 - EPOCH - (first + last) / 2
-        there = state[: equations.changing.start].copy()
+        there = state[: equations.change_slice.start].copy()
         for change, slope in zip(changes, size, strict=True):
             for parameter in change.parameters:
                 there[PARAMETERS.index(parameter)] += slope * when
@@ -210,11 +210,11 @@ def test_derivatives_are_those_of_the_prediction(drifting: Evidence) -> None:
     for text in ('trend', 'warm_up', 'step', 'thermal'):
         equations = Equations(drifting, changes=split_terms(text)[1], shape=0.25)
         state = equations.nominal()
-        found = equations.jacobian(state)[:, equations.changing]
+        found = equations.jacobian(state)[:, equations.change_slice]
         for k in range(len(equations.changes)):
             step = 1e-6 / np.abs(found[:, k]).max()
             moved = state.copy()
-            moved[equations.changing.start + k] += step
+            moved[equations.change_slice.start + k] += step
             slope = (equations.predict(moved) - equations.predict(state)) / step
             assert slope == pytest.approx(found[:, k], abs=1e-6 * np.abs(found[:, k]).max())
 

@@ -174,7 +174,7 @@ def _further(equations: FreeEquations, values: Floats, up: Floats) -> Floats:
     rows = two.whitened(state)[0][6:15]
     result = np.zeros((len(rows), equations.size + 3))
     result[:, : two.sensors] = rows[:, : two.sensors]
-    result[:, equations.leaning_last] = rows[:, -5:-3]
+    result[:, equations.last_tilt_slice] = rows[:, -5:-3]
     result[:, -3:] = rows[:, -3:]
     return result
 

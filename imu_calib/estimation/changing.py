@@ -85,7 +85,7 @@ def _determined(equations: Equations) -> tuple[NDArray[np.bool_], NDArray[np.boo
     """Return which coefficients (k,) and parameters (n,) the session determines."""
     found = nominal_information(equations)
     parameters = determined(found, equations.parameters)
-    std = np.sqrt(np.diag(found.covariance)[equations.changing])
+    std = np.sqrt(np.diag(found.covariance)[equations.change_slice])
     moves = [change_of(equations, c) for c in equations.changes]
     limits = [USEFUL_CHANGE if c.of_scale_factor else np.inf for c in equations.changes]
     with np.errstate(invalid='ignore'):
@@ -162,7 +162,7 @@ def _by_shape(equations: Equations, state: Floats, course: Course) -> tuple[Floa
     they are the same for every shape. An instant is searched for ever closer about the best.
     """
     start = state.copy()
-    start[equations.changing] = 0.0
+    start[equations.change_slice] = 0.0
     jacobian, residuals = equations.whitened(start)
     jacobian = jacobian.copy()
     factor, derivatives = equations.factor(start), equations.jacobian(start)
@@ -170,7 +170,7 @@ def _by_shape(equations: Equations, state: Floats, course: Course) -> tuple[Floa
     def stepped(shape: float) -> tuple[Floats, float]:
         there = replace(equations, shape=shape)
         moved = there.columns(equations.changes, derivatives)
-        jacobian[: len(moved), equations.changing] = scipy.linalg.solve_triangular(
+        jacobian[: len(moved), equations.change_slice] = scipy.linalg.solve_triangular(
             factor, moved, lower=True, check_finite=False
         )
         step = Information.of(jacobian).gain @ residuals

@@ -157,7 +157,7 @@ def estimate(
     if moving:
         equations, state = with_parameters(equations, state, moving)
     observed = Information.of(equations.whitened(state)[0]).observed
-    if not (moving or np.delete(observed, np.r_[equations.arms]).all()):
+    if not (moving or np.delete(observed, np.r_[equations.arm_slice]).all()):
         # See `information.nominal_information`. Turns determine lever arms as far as the 24 need.
         equations = resting
     found = _without_outliers(equations, state, turns=True)

@@ -88,7 +88,7 @@ def start(equations: Equations) -> Floats:
         columns, residuals = rows[:, :-1], rows[:, -1]
         first = equations.sensors
         columns[:, [first + which for which in Nuisance if which or known]] = 0.0
-        columns[:, equations.changing] = 0.0
+        columns[:, equations.change_slice] = 0.0
         step = linear_step(columns, residuals)
         rest = residuals - columns @ step
         if (square := float(rest @ rest)) < smallest:

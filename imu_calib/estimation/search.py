@@ -171,9 +171,9 @@ class _Model:
             equations, parameters=self.parameters, considered=self.considered, evidence=evidence
         )
         courses = {change.course for change in self.changes}
-        known = dict(zip(equations.changes, state[equations.changing], strict=True))
+        known = dict(zip(equations.changes, state[equations.change_slice], strict=True))
         kept = {c: v for c, v in known.items() if c.course in courses}
-        there = np.concatenate([sensors, state[equations.table]])
+        there = np.concatenate([sensors, state[equations.nuisance_slice]])
         if kept or not self.changes:
             here = replace(here, changes=tuple(kept))
             return here, np.concatenate([there, list(kept.values())])

@@ -307,7 +307,7 @@ def is_clear(evidence: Evidence) -> bool:
 
 def _largest(step: Floats, equations: FreeEquations) -> float:
     """Return the largest of a step's changes of ratios and rotations."""
-    ratios, turned = step[: len(ESTIMATES)][_RATIOS], step[equations.north.stop :]
+    ratios, turned = step[: len(ESTIMATES)][_RATIOS], step[equations.north_slice.stop :]
     return float(np.abs(np.concatenate([ratios, turned])).max())
 
 

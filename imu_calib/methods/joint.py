@@ -200,7 +200,7 @@ def _changes(found: Estimate) -> Changes | None:
     equations = found.equations
     if not equations.changes:
         return None
-    own, sensors = equations.changing, slice(0, equations.sensors)
+    own, sensors = equations.change_slice, slice(0, equations.sensors)
     courses = {c.course for c in equations.changes}
     shaped = equations.evidence, equations.shape
     return Changes(

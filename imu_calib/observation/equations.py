@@ -111,8 +111,8 @@ class Equations(SessionModel):
         """
         mean, deviation = self.prior
         rows = np.zeros((self.nuisances, self.size + 1))
-        rows[:, self.table] = np.diag(1 / deviation)
-        rows[:, -1] = (mean - state[self.table]) / deviation
+        rows[:, self.nuisance_slice] = np.diag(1 / deviation)
+        rows[:, -1] = (mean - state[self.nuisance_slice]) / deviation
         if not self.north_known:
             rows[Nuisance.AZIMUTH, -1] = 0.0
         return rows

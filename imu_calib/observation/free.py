@@ -52,7 +52,7 @@ class FreeEquations(Equations):
         return sought.ravel()
 
     @property
-    def north(self) -> slice:
+    def north_slice(self) -> slice:
         """Slice of the components of the level Earth rate in the state."""
         start = self.sensors + self.nuisances + len(self.changes)
         return slice(start, start + 2 * (int(self.runs.max(initial=-1)) + 1))
@@ -60,10 +60,10 @@ class FreeEquations(Equations):
     @property
     def size(self) -> int:
         """Length of the state."""
-        return int(self.north.stop) + int(np.count_nonzero(self._sought))
+        return int(self.north_slice.stop) + int(np.count_nonzero(self._sought))
 
     @property
-    def leaning_last(self) -> slice:
+    def last_tilt_slice(self) -> slice:
         """Slice of the rotations of the last dwell about east and north in the state."""
         start = self.size - int(np.count_nonzero(self._sought[-3:]))
         return slice(start, start + 2)
@@ -75,7 +75,7 @@ class FreeEquations(Equations):
 
     def nominal(self) -> Floats:
         """Return the state (n,) of ideal sensors in the attitudes of the evidence."""
-        return np.append(super().nominal(), np.zeros(self.size - self.north.start))
+        return np.append(super().nominal(), np.zeros(self.size - self.north_slice.start))
 
     def surroundings(self, _: Floats) -> Surroundings:
         """Return the vertical parts of Earth rate and gravity, which no azimuth or tilt turns."""
@@ -83,7 +83,7 @@ class FreeEquations(Equations):
 
     def earth(self, state: Floats) -> Floats:
         """Return the Earth rate in the frame of each dwell's attitude, (s, 3) rad/s."""
-        level = state[self.north].reshape(-1, 2)[self.runs] * self._level_rate
+        level = state[self.north_slice].reshape(-1, 2)[self.runs] * self._level_rate
         return np.column_stack([level, np.full(len(level), self.evidence.site.up_rate)])
 
     def _derivatives(self, state: Floats) -> Floats:
@@ -92,7 +92,7 @@ class FreeEquations(Equations):
         run = np.append(self.runs, self.runs[ends])[self.layout.segment]
         by_level = self.by_world(state)[:, :2] * self._level_rate
         same = run[:, None] == np.arange(self.runs.max(initial=-1) + 1)
-        result[:, self.north] = (same[:, :, None] * by_level[:, None]).reshape(len(run), -1)
+        result[:, self.north_slice] = (same[:, :, None] * by_level[:, None]).reshape(len(run), -1)
         dwells = len(self.runs)
         about = np.zeros((dwells, 3, dwells, 3))
         to_body = np.transpose(self.evidence.dwell_attitudes, (0, 2, 1))
@@ -100,29 +100,31 @@ class FreeEquations(Equations):
         turned = self.by_attitude_errors(
             state, about.reshape(dwells, 3, -1), np.zeros((0, 3, 3 * dwells))
         )
-        result[:, self.north.stop :] = turned[:, self._sought]
+        result[:, self.north_slice.stop :] = turned[:, self._sought]
         return result
 
     def prior_rows(self, state: Floats) -> Floats:
         """Return the priors as equations: (k, n + 1), derivatives and residuals."""
-        rows = np.zeros((self.north.stop - self.north.start, self.size + 1))
-        rows[:, self.north] = np.eye(len(rows))
-        rows[:, -1] = -state[self.north]
+        rows = np.zeros((self.north_slice.stop - self.north_slice.start, self.size + 1))
+        rows[:, self.north_slice] = np.eye(len(rows))
+        rows[:, -1] = -state[self.north_slice]
         return np.vstack([super().prior_rows(state), rows])
 
     @property
     def prior_sources(self) -> tuple[tuple[Source, list[int], float], ...]:
         """Sources of the priors in `prior_rows`, and degrees of freedom of their size."""
-        north = range(self.nuisances, self.nuisances + self.north.stop - self.north.start)
+        north = range(
+            self.nuisances, self.nuisances + self.north_slice.stop - self.north_slice.start
+        )
         return ((Source.NORTH, list(north), np.inf),)
 
     def moved(self, state: Floats, step: Floats) -> tuple[FreeEquations, Floats]:
         """Return the equations in attitudes turned by the end of a step (n,), and the state."""
         turned = np.zeros(len(self._sought))
-        turned[self._sought] = step[self.north.stop :]
+        turned[self._sought] = step[self.north_slice.stop :]
         attitudes = rotations(turned.reshape(-1, 3)) @ self.evidence.attitudes()
         state = state + step
-        state[self.north.stop :] = 0.0
+        state[self.north_slice.stop :] = 0.0
         return replace(self, evidence=self.evidence.with_attitudes(attitudes)), state
 
 

@@ -93,22 +93,22 @@ class SessionModel:
         return len(Nuisance) + len(self.evidence.arms)
 
     @property
-    def table(self) -> slice:
+    def nuisance_slice(self) -> slice:
         """Slice of the nuisances in the state."""
         return slice(self.sensors, self.sensors + self.nuisances)
 
     @property
-    def arms(self) -> slice:
+    def arm_slice(self) -> slice:
         """Slice of the lever arms of turns in the state."""
         return slice(self.sensors + len(Nuisance), self.sensors + self.nuisances)
 
     @property
-    def clock(self) -> int:
+    def clock_index(self) -> int:
         """Index of the rate between the clocks in the state."""
         return self.sensors + Nuisance.CLOCK
 
     @property
-    def changing(self) -> slice:
+    def change_slice(self) -> slice:
         """Slice of the coefficients of the session's terms in the state."""
         start = self.sensors + self.nuisances
         return slice(start, start + len(self.changes))
@@ -138,7 +138,7 @@ class SessionModel:
         """
         if self.evidence.plan.by_hand:
             return Surroundings.vertical(self.evidence.site)
-        azimuth, tilt_x, tilt_y = state[self.sensors : self.clock]
+        azimuth, tilt_x, tilt_y = state[self.sensors : self.clock_index]
         return Surroundings.at(self.evidence.site, azimuth, tilt_x, tilt_y)
 
     def earth(self, state: Floats) -> Floats:
@@ -180,28 +180,30 @@ class SessionModel:
 
     def _pulled(self, state: Floats) -> Floats:
         """Return the specific force by lever arms in turns, (f, 3) m/s^2, body axes."""
-        return np.asarray(self.evidence.arms.slopes @ state[self.arms])
+        return np.asarray(self.evidence.arms.slopes @ state[self.arm_slice])
 
     def predict(self, state: Floats) -> Floats:
         """Return the outputs predicted from a state, (m,)."""
         predicted = self._predicted(state)
-        if not state[self.changing].any():
+        if not state[self.change_slice].any():
             return predicted
-        return np.asarray(predicted + self.jacobian(state)[:, self.changing] @ state[self.changing])
+        return np.asarray(
+            predicted + self.jacobian(state)[:, self.change_slice] @ state[self.change_slice]
+        )
 
     @cached_by_state
     def _predicted(self, state: Floats) -> Floats:
         """Return the outputs predicted from the session's mean parameters, (m,)."""
         around, model = self.surroundings(state), self.model(state)
-        at_rest, turned = self.answers(state)
+        at_rest, turned = self.predicted_by_segment(state)
         in_moves = self.evidence.links.misclosures(model, self.earth(state), around.force)
-        if state[self.clock]:
-            in_moves = in_moves + self._by_clock(state) * state[self.clock]
+        if state[self.clock_index]:
+            in_moves = in_moves + self._by_clock(state) * state[self.clock_index]
         predicted = self.layout.joined(at_rest, turned, in_moves)
-        predicted[self._divided] /= 1 + state[self.clock]
+        predicted[self._divided] /= 1 + state[self.clock_index]
         return predicted
 
-    def answers(self, state: Floats) -> tuple[Floats, Floats]:
+    def predicted_by_segment(self, state: Floats) -> tuple[Floats, Floats]:
         """Return the predicted outputs of dwells (s, 6) and turns (t, 6) by the table's clock."""
         _, rate, force, turning, turning_force = self._inputs(state)
         model = self.model(state)
@@ -226,17 +228,19 @@ class SessionModel:
             for count in (self.layout.dwells, self.layout.turns, self.layout.moves)
         )
         arms, by_force = self.evidence.arms, model.slopes(turning, turning_force)[..., 3:]
-        turned[arms.turns, :, self.arms] = mean_over_turn(by_force)[arms.turns] @ arms.slopes
-        in_moves[:, :, self.clock] = self._by_clock(state)
+        turned[arms.turns, :, self.arm_slice] = mean_over_turn(by_force)[arms.turns] @ arms.slopes
+        in_moves[:, :, self.clock_index] = self._by_clock(state)
         result = self.layout.joined(at_rest, turned, in_moves)
-        faster, divided = 1 + state[self.clock], self._divided
+        faster, divided = 1 + state[self.clock_index], self._divided
         result[divided] /= faster
         world = np.vstack([around.rate_slopes, around.force_slopes])
         result[:, n : n + 3] = self.by_world(state) @ world
         result[:, :n] = self.by_parameters(state, self.parameters)
-        answered = self.layout.joined(*self.answers(state), np.zeros_like(in_moves[:, :, 0]))
-        result[divided, self.clock] = -answered[divided] / faster**2
-        result[:, self.changing] = self.columns(self.changes, result)
+        answered = self.layout.joined(
+            *self.predicted_by_segment(state), np.zeros_like(in_moves[:, :, 0])
+        )
+        result[divided, self.clock_index] = -answered[divided] / faster**2
+        result[:, self.change_slice] = self.columns(self.changes, result)
         return result
 
     def by_parameters(self, state: Floats, parameters: tuple[Parameter, ...]) -> Floats:
@@ -252,7 +256,7 @@ class SessionModel:
         turned = mean_over_turn(model.derivatives(turning, turning_force, parameters))
         in_moves = self.evidence.links.by_parameters(model, parameters)
         result = self.layout.joined(at_rest, turned, in_moves)
-        result[self._divided] /= 1 + state[self.clock]
+        result[self._divided] /= 1 + state[self.clock_index]
         return result
 
     @cached_property
@@ -290,7 +294,7 @@ class SessionModel:
         """Return the slopes of outputs within their segment, (m,) per s, by changing parameters."""
         jacobian, known = self.jacobian(state), (self.parameters, self.shape)
         found = columns(self.evidence, self.changes, jacobian, *known, rates)
-        return np.asarray(found @ state[self.changing])
+        return np.asarray(found @ state[self.change_slice])
 
     @cached_by_state
     def by_world(self, state: Floats) -> Floats:
@@ -308,7 +312,7 @@ class SessionModel:
         )
         in_moves = np.concatenate([moves.by_rate(), moves.by_force()], axis=2)
         result = self.layout.joined(at_rest, turned, in_moves)
-        result[self._divided] /= 1 + state[self.clock]
+        result[self._divided] /= 1 + state[self.clock_index]
         return result
 
     def by_mount(self, state: Floats) -> Floats:

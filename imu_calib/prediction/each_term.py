@@ -144,7 +144,7 @@ def _of_changes(
     std = _std(equations, truth, extra)
     times = std[: plain.sensors] / before[: plain.sensors]
     dearer = ((p, float(t)) for p, t in zip(plain.parameters, times, strict=True) if t > _DEARER)
-    return ChangeForecast(changes, std[equations.changing], tuple(dearer))
+    return ChangeForecast(changes, std[equations.change_slice], tuple(dearer))
 
 
 def _std(equations: Equations, truth: SensorModel, extra: Floats | None) -> Floats:

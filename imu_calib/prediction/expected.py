@@ -130,7 +130,7 @@ def expected(
     # The attitudes of a session refer to the table's own estimate of north.
     heading = 0.0 if azimuth is None else azimuth - (stated or 0.0)
     state[session.sensors + Nuisance.AZIMUTH] = heading
-    at_rest, turned = session.answers(state)
+    at_rest, turned = session.predicted_by_segment(state)
     segments = [
         replace(dwell, statistics=reading(setup.imu, mean, dwell.statistics.duration))
         for dwell, mean in zip(times.dwells, at_rest, strict=True)
