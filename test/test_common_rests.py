@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imu_calib.observation.common_errors import (
-    _alike,
+    _numbered_by_time,
     _blocks,
     _count,
     _summed,
@@ -22,7 +22,7 @@ EPOCH = 1_700_000_000 * NS
 
 
 def numbers(*times: list[tuple[float, float]]) -> list[list[int]]:
-    return [of.tolist() for of in _alike([np.array(t).reshape(-1, 2) for t in times])]
+    return [of.tolist() for of in _numbered_by_time([np.array(t).reshape(-1, 2) for t in times])]
 
 
 def test_what_overlaps_by_half_of_the_shorter_is_the_same() -> None:

@@ -19,7 +19,7 @@ from imu_calib.estimation.fit import fit
 from imu_calib.methods import joint
 from imu_calib.model import SensorModel, Triad
 from imu_calib.model.terms import DELAY
-from imu_calib.observation.arms import APART, LONGEST
+from imu_calib.observation.arms import ACCEL_DISTANCE, ARM_STD
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.gyro_paths import GyroPath, propagated
@@ -317,7 +317,7 @@ def test_by_the_true_sensors_moves_are_off_by_their_noise(unit) -> None:
     off = moves.misclosures(real, rate, force)
     # The unit is where its arm says, and each accelerometer at its place.
     arms, _ = moves.shared_velocity_errors(real, rate)
-    known = np.concatenate([np.array(unit.arm) / LONGEST, PLACES.ravel() / APART])
+    known = np.concatenate([np.array(unit.arm) / ARM_STD, PLACES.ravel() / ACCEL_DISTANCE])
     assert np.abs(off[:, 3:]).max() > 0.1
     off = off + arms @ known
     for scaled in np.split(off / np.sqrt(moves.variances(found.walk)), 2, axis=1):

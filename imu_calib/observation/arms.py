@@ -21,18 +21,18 @@ from ..directions import across
 from ..segmentation.segment import Turn
 from ..stream import Floats
 
-LONGEST = 1.0
-"""Prior standard deviation of an unknown arm, m: tables hold units closer to the axis."""
+ARM_STD = 1.0
+"""Prior standard deviation of a lever arm across the axis, m: tables hold units closer to it."""
 
-APART = 0.03
+ACCEL_DISTANCE = 0.03
 """Distance between the accelerometers of a unit, m: a judgement, for units from hand size to those
 that fill a case. In turns about an oblique axis it is observed in full."""
 
-_ASKEW = 5e-5
-"""Part of it along the axis of a turn, by misalignments, m: a judgement, 3 cm by 1.7 mrad of good
+_DISTANCE_ALONG_AXIS = 5e-5
+"""Part of `ACCEL_DISTANCE` along the axis of a turn, by misalignments, m: a judgement, 3 cm by 1.7 mrad of good
 units, 3 mm by 17 mrad of a chip."""
 
-_SAME = 0.01
+_SAME_ATTITUDE = 0.01
 """Attitudes that differ by less count as one, rad: 0.1 mm for an arm of a centimetre."""
 
 
@@ -63,7 +63,9 @@ class Arms:
         groups: list[int] = []
         kinds: list[Turn] = []
         for turn in (turns[k] for k in which):
-            group = next((g for g, kind in enumerate(kinds) if _alike(turn, kind)), len(kinds))
+            group = next(
+                (g for g, kind in enumerate(kinds) if _same_mounting(turn, kind)), len(kinds)
+            )
             groups.append(group)
             if group == len(kinds):
                 kinds.append(turn)
@@ -71,10 +73,10 @@ class Arms:
         for row, k, group in zip(slopes, which, groups, strict=True):
             rate = turns[k].rate()
             up = kinds[group].up
-            # The Coriolis force of the Earth, 2 w_e x (w x p), is along the centripetal one.
-            pull = rate * (rate + 2 * up_rate)
-            row[:, 3 * group : 3 * group + 3] = -pull * np.column_stack([*across(up), up])
-        deviations = [(LONGEST, LONGEST, _along_axis(turn.up)) for turn in kinds]
+            # The Coriolis acceleration by the Earth rate, 2 w_e x (w x p), adds to it.
+            centripetal = rate * (rate + 2 * up_rate)
+            row[:, 3 * group : 3 * group + 3] = -centripetal * np.column_stack([*across(up), up])
+        deviations = [(ARM_STD, ARM_STD, _std_along_axis(turn.up)) for turn in kinds]
         return cls(np.array(which, dtype=np.intp), slopes, np.array(deviations).ravel())
 
     def __len__(self) -> int:
@@ -82,17 +84,20 @@ class Arms:
         return len(self.deviations)
 
 
-def _along_axis(up: Floats) -> float:
-    """Return the standard deviation of the remaining differences of places along an axis, m."""
+def _std_along_axis(up: Floats) -> float:
+    """Return the prior standard deviation of the third unknown, m, for (3,) `up` in body axes.
+
+    It stands for the distances between accelerometers along the axis of the turn.
+    """
     oblique = np.sqrt(max(0.0, 1 - float(np.abs(up).max()) ** 2))
-    return float(np.hypot(_ASKEW, APART * oblique))
+    return float(np.hypot(_DISTANCE_ALONG_AXIS, ACCEL_DISTANCE * oblique))
 
 
-def _alike(turn: Turn, other: Turn) -> bool:
+def _same_mounting(turn: Turn, other: Turn) -> bool:
     """Return whether the unit is at the same place on the turning joint in two turns."""
-    if turn.joint != other.joint or np.abs(turn.up - other.up).max() > _SAME:
+    if turn.joint != other.joint or np.abs(turn.up - other.up).max() > _SAME_ATTITUDE:
         return False
     if turn.angles is None or other.angles is None:
         return turn.angles is other.angles
     held = np.arange(len(turn.angles)) != turn.joint
-    return bool((np.abs(turn.angles - other.angles)[held] < _SAME).all())
+    return bool((np.abs(turn.angles - other.angles)[held] < _SAME_ATTITUDE).all())

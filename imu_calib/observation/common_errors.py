@@ -41,7 +41,7 @@ SHARED = frozenset(
 )
 """Sources whose errors are the same for all units on a table."""
 
-_KINDS = (
+_COLUMN_SOURCES = (
     Source.POSITIONING_STATED,
     Source.POSITIONING_STATED,
     Source.TABLE,
@@ -50,7 +50,10 @@ _KINDS = (
     Source.STOPS,
     Source.ENCODER_NOISE,
 )
-"""Of joints that stop, by themselves and over whole motions, and of all other errors."""
+"""Source of each array of columns that `CommonTable._unit_columns` returns, in its order.
+
+Positioning errors of joints are two: of stopped joints, and at the ends of whole motions.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +61,10 @@ class CommonErrors:
     """The errors that enter the outputs of all units.
 
     Attributes:
-        sources: Of each of k errors, whose prior deviation is one.
-        names: Of each, for messages; empty for one that is not determined separately.
-        sizes: (k,) size of a deviation of one, for those with a name, rad.
-        columns: For each unit (m, k) effect of one deviation on its outputs.
+        sources: Source of each of the k errors, in units of its prior standard deviation.
+        names: Name of each, for messages; empty for one that is not determined separately.
+        sizes: (k,) prior standard deviation of each error with a name, rad; 0 for the others.
+        columns: For each unit the (m, k) changes of its outputs by one standard deviation.
     """
 
     sources: tuple[Source, ...]
@@ -95,8 +98,8 @@ class CommonTable:
     def __init__(self, units: Sequence[Equations], sizes: CommonSizes) -> None:
         self._units = units
         evidences = [unit.evidence for unit in units]
-        self._rests = _alike([_times(e, e.segments) for e in evidences])
-        self._turns = _alike([_times(e, e.turns) for e in evidences])
+        self._rests = _numbered_by_time([_times(e, e.segments) for e in evidences])
+        self._turns = _numbered_by_time([_times(e, e.turns) for e in evidences])
         self.stated = max(e.positioning for e in evidences)
         self.positioning = sizes.positioning
         self._joints = _of_joints(evidences)
@@ -112,13 +115,13 @@ class CommonTable:
         return self.stated**2 / whole if whole else 1.0
 
     def of(self, states: Sequence[Floats]) -> CommonErrors:
-        """Return the errors about the states (n,) of all units."""
+        """Return the common errors, their effects linearised at the states (n,) of the units."""
         joints = float(np.hypot(self.stated, self.positioning.joints))
         found = [
             self._unit_columns(k, unit, state, joints)
             for k, (unit, state) in enumerate(zip(self._units, states, strict=True))
         ]
-        sources = [s for s, part in zip(_KINDS, found[0], strict=True) for _ in part.T]
+        sources = [s for s, part in zip(_COLUMN_SOURCES, found[0], strict=True) for _ in part.T]
         columns = [np.hstack(parts) for parts in found]
         # Only the errors of joints have a name and a size.
         named = len(self._joints.names)
@@ -182,7 +185,7 @@ def shares_a_table(equations: Equations) -> bool:
 def dwell_counts(units: Sequence[Equations]) -> tuple[list[int], int]:
     """Return the number of the table's dwells that each unit saw, and their total."""
     evidences = [unit.evidence for unit in units]
-    dwells = _alike([_times(e, e.segments) for e in evidences])
+    dwells = _numbered_by_time([_times(e, e.segments) for e in evidences])
     return [len(np.unique(mine)) for mine in dwells], _count(dwells)
 
 
@@ -231,6 +234,7 @@ def _of_joints(evidences: Sequence[Evidence]) -> _Joints:
 
 
 def _angles(evidence: Evidence) -> Floats:
+    """Return the joint angles of dwells, then of turns, (s + t, joints) rad."""
     parts: list[Segment | Turn] = [*evidence.segments, *evidence.turns]
     return np.array([part.angles for part in parts]).reshape(len(parts), -1)
 
@@ -243,10 +247,16 @@ def _times(evidence: Evidence, parts: Sequence[Segment | Turn]) -> Floats:
     return np.asarray(stamps * 1e-9 - clock.offset - clock.rate * since)
 
 
-def _alike(times: Sequence[Floats]) -> list[NDArray[np.intp]]:
-    """Number what units saw at the same time, across units; what overlaps has one number.
+def _numbered_by_time(times: Sequence[Floats]) -> list[NDArray[np.intp]]:
+    """Number dwells, or turns, of several units: those at the same time have one number.
 
     Between two dwells, and between two turns, the table moves: different ones are apart in time.
+
+    Args:
+        times: For each unit (k, 2) start and end of each dwell or turn by the table's clock, s.
+
+    Returns:
+        For each unit the numbers, (k,), from 0 in the order of time.
     """
     found = [np.zeros(len(of), dtype=np.intp) for of in times]
     owners = [(unit, k) for unit, of in enumerate(times) for k in range(len(of))]
@@ -263,11 +273,19 @@ def _alike(times: Sequence[Floats]) -> list[NDArray[np.intp]]:
 
 
 def _count(numbers: Sequence[NDArray[np.intp]]) -> int:
+    """Return how many different dwells, or turns, `_numbered_by_time` found."""
     return 1 + max((int(of.max(initial=-1)) for of in numbers), default=-1)
 
 
 def _blocks(numbers: NDArray[np.intp], count: int, sizes: Floats, axes: Floats) -> Floats:
-    """Return three rotations for each of `count` common ones, (k, 3, 3 count)."""
+    """Return the effect of `count` common rotations on k attitudes, (k, 3, 3 count).
+
+    Args:
+        numbers: (k,) common rotation of each attitude.
+        count: Number of common rotations, each about three axes.
+        sizes: (k,) size of a rotation, rad.
+        axes: (3, 3) its axes in body axes, as columns.
+    """
     result = np.zeros((len(numbers), 3, 3 * count))
     for k, number in enumerate(numbers.tolist()):
         result[k, :, 3 * number : 3 * number + 3] = sizes[k] * axes

@@ -107,7 +107,7 @@ class Equations(SessionModel):
     def prior_rows(self, state: Floats) -> Floats:
         """Return the priors as equations: (k, n + 1), derivatives and residuals.
 
-        An unknown heading has no pull; its width stands for its uncertainty.
+        An unknown azimuth has residual zero: its prior only bounds the standard deviations.
         """
         mean, deviation = self.prior
         rows = np.zeros((self.nuisances, self.size + 1))
@@ -119,7 +119,7 @@ class Equations(SessionModel):
 
     @cached_property
     def own(self) -> tuple[Component, ...]:
-        """The parts of the covariance that are independent for each output, for any state."""
+        """The parts of the covariance that are independent for each output, at any state."""
         return own_parts(self.evidence, self.inflation)
 
     @cached_property
@@ -210,6 +210,7 @@ class Equations(SessionModel):
         )
 
     def _by_positioning(self, state: Floats) -> list[Component]:
+        """Return the parts of the covariance by positioning errors, stated and found."""
         found = self.positioning
         sizes = (
             (Source.POSITIONING_STATED, 0, self.evidence.positioning),
@@ -222,13 +223,13 @@ class Equations(SessionModel):
             if size
         ]
         if self.evidence.plan.by_hand and (square := found.joints**2 + found.stops**2):
-            parts.append(Component(Source.STOPS, Factor(self._shortened(state) * square)))
+            parts.append(Component(Source.STOPS, Factor(self._by_tilt_cosines(state) * square)))
         return parts
 
-    def _shortened(self, state: Floats) -> Floats:
-        """Return the effect of leaning on vertical inputs by the cosine, (m, 1 + s + t).
+    def _by_tilt_cosines(self, state: Floats) -> Floats:
+        """Return the changes of outputs by 1 - cos of tilts of holds, (m, 1 + s + t).
 
-        For two angles of variance s^2 about level axes 1 - cos has the mean s^2, common to all
+        For tilts of variance s^2 about two level axes 1 - cos has the mean s^2, common to all
         holds and turns, and the standard deviation s^2 about it, independent for each.
         """
         biases = self.by_parameters(state, BIASES) @ self.model(state).values(BIASES)
@@ -242,16 +243,16 @@ class Equations(SessionModel):
         Returns:
             (m + k, n) derivatives and (m + k,) outputs less prediction.
         """
-        columns = self._weighed(state)[1]
+        columns = self._factor_and_whitened(state)[1]
         return columns[:, :-1], columns[:, -1]
 
     def factor(self, state: Floats) -> Floats:
         """Return the lower root of `covariance`, (m,) square, by which outputs are whitened."""
-        return self._weighed(state)[0]
+        return self._factor_and_whitened(state)[0]
 
     @cached_by_weights
-    def _weighed(self, state: Floats) -> tuple[Floats, Floats]:
-        """Return the root of the covariance, and the columns whitened by it."""
+    def _factor_and_whitened(self, state: Floats) -> tuple[Floats, Floats]:
+        """Return `factor` and `whitened_by` it."""
         factor = np.asarray(np.linalg.cholesky(self.covariance(state)), dtype=float)
         return factor, self.whitened_by(factor, state)
 

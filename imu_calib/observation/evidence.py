@@ -35,11 +35,13 @@ _AXIS_TOLERANCE = 0.05
 """Largest amount by which the cosine of a vertical axis is below one: 18 deg, beyond any error of a
 table and less than half of the 45 deg to the next attitude of any plan."""
 _CACHED = 30
-"""Ten at each of three states: that of the last step, and two from which the next fits start."""
+"""Results kept in `Evidence.state_cache`: ten at each of three states, that of the last step and two
+from which the next fits start."""
 _WEIGHED = 6
-"""Covariance, and equations by it, of two solutions used alternately and of the last step."""
+"""Results kept in `Evidence.cached_results`: covariance, and equations whitened by it, of two
+solutions used alternately and of the last step."""
 _OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms', 'whole_ways'}
-"""Results that depend on the dwells and turns of a session alone."""
+"""Cached properties of `Evidence` that depend on dwells and turns alone."""
 
 _QUARTZ = 50e-6
 """Standard deviation of the rate between clocks that are not compared by motions, as a ratio:
@@ -138,7 +140,7 @@ class Evidence:
 
     def with_moves(self, moves: tuple[Move, ...]) -> Evidence:
         """Return the session with other moves, or none; results of dwells and turns are kept."""
-        return self._but(_OF_DWELLS | {'leaning', 'positioning_leans'}, moves=moves)
+        return self._replaced(_OF_DWELLS | {'leaning', 'positioning_leans'}, moves=moves)
 
     def with_table_errors(self, errors: TableErrors) -> Evidence:
         """Return the session on its table with other errors; only `leaning` depends on them.
@@ -151,10 +153,11 @@ class Evidence:
         key = 'table', errors
         if key not in self.cache:
             kept = _OF_DWELLS | {'positioning_leans', 'links', 'layout', 'state_cache'}
-            self.cache[key] = self._but(kept, table=replace(self.table, errors=errors))
+            self.cache[key] = self._replaced(kept, table=replace(self.table, errors=errors))
         return cast(Evidence, self.cache[key])
 
-    def _but(self, kept: set[str], **changed: Any) -> Evidence:
+    def _replaced(self, kept: set[str], **changed: Any) -> Evidence:
+        """Return the session with other fields; the cached properties named in `kept` stay."""
         found = replace(self, **changed)
         vars(found).update({name: vars(self)[name] for name in kept & vars(self).keys()})
         return found
@@ -176,7 +179,7 @@ class Evidence:
 
     @cached_property
     def dwell_attitudes(self) -> Floats:
-        """The attitudes at rest, as `attitudes` returns them."""
+        """R_nb of the static dwells, (s, 3, 3): `attitudes`, cached."""
         return self.attitudes()
 
     @cached_property
@@ -278,7 +281,7 @@ class Evidence:
 
     @property
     def encoder_step(self) -> float:
-        """The step of the encoders as half of the turns or more show it, rad; else 0.
+        """The step of the encoders that at least half of the turns show, rad; else 0.
 
         A ramp of round numbers, read at equal intervals, looks coarse by chance.
         """
@@ -377,12 +380,12 @@ class Evidence:
         return [p.id for p in self.plan.positions if p.dwell > 0 and p.id not in found]
 
     def missing_words(self) -> str:
-        """Return them as the end of a clause; empty where none is missing."""
+        """Return `missing_positions` as the end of a clause; empty where none is missing."""
         missing = self.missing_positions()
         return f' (missing: {", ".join(missing)})' if missing else ''
 
     def positions_in_words(self) -> str:
-        """Return a sentence on how many positions were found, and which are missing."""
+        """Return how many positions were found, and which are missing, as part of a sentence."""
         return f'{len({s.position for s in self.segments})} positions{self.missing_words()}'
 
 

@@ -32,7 +32,7 @@ from ..rotations import cross_matrix, rotation_vector, rotations
 from ..segmentation.segment import Segment, Turn
 from ..segmentation.segmented import Move
 from ..stream import Floats
-from .arms import APART, LONGEST
+from .arms import ACCEL_DISTANCE, ARM_STD
 from .gyro_paths import GyroPath, summed
 from .remainders import ApproximateSensors, remainder_covariance
 from .velocity_increments import VelocityIncrement, by_delay, by_places
@@ -383,11 +383,11 @@ class Moves:
         mine, reached = self._pushed, self._reached
         # The unit ends at another place than it began.
         away = reached - self.attitudes[self._ends[0][mine]]
-        arms[mine, 3:, :3] = -2 * LONGEST * cross_matrix(earth_rate) @ away
+        arms[mine, 3:, :3] = -2 * ARM_STD * cross_matrix(earth_rate) @ away
         if late:
             delays[mine, 3:, 0] = _LATE * _times(reached, by_delay(pushes))
         if apart:
-            arms[mine, 3:, 3:] = APART * reached @ by_places(pushes)
+            arms[mine, 3:, 3:] = ACCEL_DISTANCE * reached @ by_places(pushes)
         return arms, delays
 
     def noise(self, walk: Floats) -> tuple[Floats, Floats]:
