@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from imu_calib.observation.common_errors import (
-    _numbered_by_time,
     _blocks,
     _count,
+    _numbered_by_time,
     _summed,
     dwell_counts,
     shares_a_table,

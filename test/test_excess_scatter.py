@@ -21,12 +21,12 @@ from imu_calib.estimation.excess_scatter import (
     _SHARES,
     _TIMES,
     ExcessScatter,
-    _by_noise,
     _Drift,
+    _gain_by_larger_noise,
     _positioning,
+    _posterior_drift,
     _restricted,
     _slope_variance,
-    _spread_out,
     _Triad,
     _triads,
     _variances,
@@ -64,31 +64,41 @@ def triad(**changed: Any) -> _Triad:
     found = _Triad(
         rows=np.arange(10, 10 + SIZE),
         residuals=np.array([1.0, -2.0, 0.5, 3.0, -1.0, 2.0]),
-        calm=nothing,
-        beyond=(nothing,) * len(_TIMES),
+        stated_covariance=nothing,
+        further_covariances=(nothing,) * len(_TIMES),
         positioning=(joints, stops),
         noise=(),
         bias_drift=still(),
-        typical=4.0,
-        stated=9.0,
+        unit_variance=4.0,
+        stated_variance=9.0,
         log_odds=ODDS,
     )
     return replace(found, **changed)
 
 
+def drifts(rank: int = SIZE) -> dict[str, Any]:
+    """Covariances of the drift stated and of further ones, of this rank."""
+    further = tuple(square(k, rank) for k in range(2, 7))
+    return {'stated_covariance': square(1), 'further_covariances': further}
+
+
 def test_cases_are_as_likely_as_their_densities_say() -> None:
-    there = triad(calm=square(1), beyond=tuple(square(k, 2) for k in range(2, 7)))
+    there = triad(
+        stated_covariance=square(1), further_covariances=tuple(square(k, 2) for k in range(2, 7))
+    )
     joints, stops = (p @ p.T for p in there.positioning)
     base = np.eye(SIZE) + 0.3 * joints + 0.7 * stops
     calm, beyond = there.weigh(0.3, 0.7)
     constant = normal(np.zeros(SIZE), np.eye(SIZE))
-    wanted = [normal(there.residuals, base + s * there.calm) for s in (0, 1 / 16, 1 / 4, 1)]
+    wanted = [
+        normal(there.residuals, base + s * there.stated_covariance) for s in (0, 1 / 16, 1 / 4, 1)
+    ]
     assert calm + constant == pytest.approx(np.array(wanted))
     # Half decades of 10^-1.5 to 10^8, on top of all that is stated.
     ratios = [10 ** (-1.5 + k / 2) for k in range(20)]
     wanted_beyond = [
-        [normal(there.residuals, base + there.calm + r * kernel) for r in ratios]
-        for kernel in there.beyond
+        [normal(there.residuals, base + there.stated_covariance + r * kernel) for r in ratios]
+        for kernel in there.further_covariances
     ]
     assert beyond + constant == pytest.approx(np.array(wanted_beyond), rel=1e-6)
 
@@ -96,7 +106,7 @@ def test_cases_are_as_likely_as_their_densities_say() -> None:
 def test_kinds_of_positioning_errors_split_one_variance() -> None:
     there, drift = triad(), square(3)
     joints, stops = (p @ p.T for p in there.positioning)
-    found = there.lines(drift, np.array([0.5, 20.0]))
+    found = there.positioning_likelihoods(drift, np.array([0.5, 20.0]))
     constant = normal(np.zeros(SIZE), np.eye(SIZE))
     for share, line in zip((0.0, 0.1, 0.5, 0.9, 1.0), found, strict=True):
         for size, value in zip((0.5, 20.0), line, strict=True):
@@ -105,10 +115,14 @@ def test_kinds_of_positioning_errors_split_one_variance() -> None:
 
 
 def test_a_drift_is_a_share_of_what_is_stated_and_what_comes_on_top() -> None:
-    there = triad(calm=square(1), beyond=tuple(square(k) for k in range(2, 7)))
+    there = triad(
+        stated_covariance=square(1), further_covariances=tuple(square(k) for k in range(2, 7))
+    )
     found = there.drift_covariance(0.25, 3, 7.0)
-    assert found == pytest.approx(0.25 * there.calm + 7.0 * there.beyond[3])
-    assert there.drift_covariance(0.5, 3, 0.0) == pytest.approx(0.5 * there.calm)
+    assert found == pytest.approx(
+        0.25 * there.stated_covariance + 7.0 * there.further_covariances[3]
+    )
+    assert there.drift_covariance(0.5, 3, 0.0) == pytest.approx(0.5 * there.stated_covariance)
 
 
 def test_noise_gains_beside_drift_and_positioning_errors_alike() -> None:
@@ -116,19 +130,21 @@ def test_noise_gains_beside_drift_and_positioning_errors_alike() -> None:
     there = triad(noise=((columns, 4.0),))
     # The same covariance however it comes about.
     whole = 0.3 * there.positioning[0] @ there.positioning[0].T
-    by_drift = there.by_noise(whole)
+    by_drift = there.gain_by_larger_noise(whole)
     assert by_drift > 0.1
-    assert there.by_noise(0 * whole, 0.3, 0.0) == pytest.approx(by_drift, rel=1e-6)
-    assert triad().by_noise(whole) == 0.0
+    assert there.gain_by_larger_noise(0 * whole, 0.3, 0.0) == pytest.approx(by_drift, rel=1e-6)
+    assert triad().gain_by_larger_noise(whole) == 0.0
 
 
 def weighed(calm: list[float], beyond: Any) -> Any:
     """A triad whose log likelihoods are given, and whose noise gains are of no account."""
-    there = triad(calm=square(1), beyond=tuple(square(k) for k in range(2, 7)))
+    there = triad(
+        stated_covariance=square(1), further_covariances=tuple(square(k) for k in range(2, 7))
+    )
     answers = (np.array(calm), np.asarray(beyond, dtype=float))
     gains = iter((5.0, 8.0))
     object.__setattr__(there, 'weigh', lambda joints, stops: answers)
-    object.__setattr__(there, 'by_noise', lambda drift, joints, stops: next(gains))
+    object.__setattr__(there, 'gain_by_larger_noise', lambda drift, joints, stops: next(gains))
     return there
 
 
@@ -171,7 +187,9 @@ def test_larger_noise_takes_from_the_drift_that_is_called_for_what_it_explains()
 
 
 def test_hypotheses_are_the_likeliest_of_either_kind() -> None:
-    there = triad(calm=square(1), beyond=tuple(square(k) for k in range(2, 7)))
+    there = triad(
+        stated_covariance=square(1), further_covariances=tuple(square(k) for k in range(2, 7))
+    )
     calm = np.array([0.5, 2.0, 1.0, 0.0]) + ODDS
     beyond = np.full((5, 20), -9.0)
     beyond[1, 4], beyond[3, 0] = 3.0, 2.0
@@ -179,9 +197,9 @@ def test_hypotheses_are_the_likeliest_of_either_kind() -> None:
     (known, first), (unknown, second) = found.hypotheses(there)
     # The weight of the likeliest share is that of all of them, less its own likelihood.
     assert known == pytest.approx(np.log(np.exp(calm).sum()) - 2.0)
-    assert first == pytest.approx(there.calm / 16)
+    assert first == pytest.approx(there.stated_covariance / 16)
     assert unknown == pytest.approx(np.log(np.exp(beyond).sum() / 100) - 3.0)
-    assert second == pytest.approx(there.calm + 10**0.5 * there.beyond[1])
+    assert second == pytest.approx(there.stated_covariance + 10**0.5 * there.further_covariances[1])
 
 
 def positioned(size: float) -> list[_Triad]:
@@ -254,9 +272,9 @@ def test_noise_counts_where_positioning_errors_are_likeliest() -> None:
         asked.append((drift, joints, stops))
         return 10 * drift + joints + stops
 
-    triads: Any = [SimpleNamespace(by_noise=gains)] * 2
+    triads: Any = [SimpleNamespace(gain_by_larger_noise=gains)] * 2
     pairs: Any = [[(0.0, 1.0), (0.0, 2.0)], [(0.0, 4.0), (0.0, 6.0)]]
-    found = _by_noise(triads, pairs, lines, np.array([10.0, 20.0]))
+    found = _gain_by_larger_noise(triads, pairs, lines, np.array([10.0, 20.0]))
     # Kind 1 of size 1 is likeliest, by the first of the hypotheses: a tenth of 20 is of stops.
     assert asked == [(1.0, 18.0, 2.0), (1.0, 0.0, 0.0), (4.0, 18.0, 2.0), (4.0, 0.0, 0.0)]
     assert found == pytest.approx(2 * 20.0)
@@ -287,12 +305,12 @@ def mixture() -> list[tuple[float, _Drift]]:
     quiet = _Drift(np.log([0.1, 0.2, 0.3, 0.4]), np.full((5, 20), -60.0))
     beyond = np.full((5, 20), -60.0)
     beyond[1, 3] = beyond[4, 10] = 30.0
-    return [(0.25, quiet), (0.75, _Drift(quiet.calm, beyond))]
+    return [(0.25, quiet), (0.75, _Drift(quiet.stated, beyond))]
 
 
 def test_drift_is_the_mean_of_its_posterior() -> None:
     there = triad()
-    deviation, parts, spared, swift = _spread_out(there, mixture())
+    deviation, parts, spared, swift = _posterior_drift(there, mixture())
     # Shares of 0, 1/16, 1/4 and 1 of what is stated; beyond it all of that.
     stated = 0.25 * (0.2 / 16 + 0.3 / 4 + 0.4) + 0.75
     ratios = 10**0.0, 10**3.5
@@ -319,7 +337,7 @@ def dense(component: Component) -> Any:
 
 def test_without_a_data_sheet_nothing_is_stated_and_nothing_spared() -> None:
     quiet = _Drift(np.log([0.1, 0.2, 0.3, 0.4]), np.full((5, 20), -60.0))
-    assert _spread_out(triad(stated=0.0), [(1.0, quiet)]) == (0.0, (), (), False)
+    assert _posterior_drift(triad(stated_variance=0.0), [(1.0, quiet)]) == (0.0, (), (), False)
 
 
 @pytest.mark.parametrize(
@@ -333,7 +351,7 @@ def test_drift_is_swift_within_a_thirtieth_of_a_session_and_sooner_than_stated(
     beyond[time, 5] = 30.0
     answers = np.tile(np.eye(3), (2, 1, 1))
     drift = BiasDrift.over(np.array([0.0, length]), np.full(2, 1.0), answers, np.zeros(2, bool))
-    found = _spread_out(triad(bias_drift=drift), [(1.0, _Drift(np.log([0.25] * 4), beyond))])
+    found = _posterior_drift(triad(bias_drift=drift), [(1.0, _Drift(np.log([0.25] * 4), beyond))])
     assert found[3] is swift
 
 
@@ -425,8 +443,8 @@ def test_gyros_and_accelerometers_are_cut_out_with_their_slopes_and_their_noise(
     for first, found in zip((0, 3), _triads(equations, state, 1000.0), strict=True):
         rows = layout.gyros if first == 0 else layout.accels
         assert found.rows.tolist() == rows.tolist()
-        assert found.typical == np.median(equations.own_variances[layout.dwell[:, first]])
-        assert found.stated == pytest.approx((2e-7 if first == 0 else 3e-5) ** 2)
+        assert found.unit_variance == np.median(equations.own_variances[layout.dwell[:, first]])
+        assert found.stated_variance == pytest.approx((2e-7 if first == 0 else 3e-5) ** 2)
         odds = np.array([1 / 3, 1 / 3, 1 / 3, 1000]) / 1001
         assert np.exp(found.log_odds) == pytest.approx(odds)
         # Eleven dwells have slopes, of three channels each.
@@ -445,7 +463,7 @@ def test_gyros_and_accelerometers_are_cut_out_with_their_slopes_and_their_noise(
         assert white[-33:, -33:] == pytest.approx(np.eye(33))
         assert white[-33:, :-33] == pytest.approx(np.zeros((33, len(white) - 33)))
         assert [freedom for _, freedom in found.noise] == [11 + first, 12 + first, 13 + first]
-        assert len(found.bias_drift.of) == len(rows) // 3 + 11
+        assert len(found.bias_drift.segment) == len(rows) // 3 + 11
         # The first node is a sixteenth into the first turn, of 36 s; a rest of 120 s comes after
         # six turns, 100 s from one to the next.
         assert found.bias_drift.nodes.min() == pytest.approx(36 / 16)
@@ -479,7 +497,8 @@ def test_scatter_of_a_session_is_that_of_both_triads_and_their_positions(
     assert found.shown
     triads = [replace(t, noise=()) for t in _triads(equations, state, _ODDS)]
     spread = [
-        _spread_out(t, [(0.75, _Drift.of(t)), (0.25, _Drift.of(t, 4e-10, 1e-10))]) for t in triads
+        _posterior_drift(t, [(0.75, _Drift.of(t)), (0.25, _Drift.of(t, 4e-10, 1e-10))])
+        for t in triads
     ]
     deviations = np.repeat([spread[0][0], spread[1][0]], 3)
     assert found.bias_drift == pytest.approx(deviations)

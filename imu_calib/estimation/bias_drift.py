@@ -25,26 +25,26 @@ class BiasDrift:
 
     Attributes:
         nodes: (n, 8) instants of each segment, s.
-        of: (k,) the segment of each mean or slope, all means first.
-        weights: (k, 8) of its nodes.
-        answers: (k, 3, 3) responses of three outputs to three biases, for each.
+        segment: (k,) index of the segment of each mean or slope, all means first.
+        weights: (k, 8) weights of the nodes of that segment.
+        responses: (k, 3, 3) responses of three outputs to three biases, for each mean or slope.
     """
 
     nodes: Floats
-    of: NDArray[np.intp]
+    segment: NDArray[np.intp]
     weights: Floats
-    answers: Floats
+    responses: Floats
 
     @classmethod
     def over(
-        cls, starts: Floats, durations: Floats, answers: Floats, with_slope: NDArray[np.bool_]
+        cls, starts: Floats, durations: Floats, responses: Floats, with_slope: NDArray[np.bool_]
     ) -> BiasDrift:
         """Place nodes in n segments, whose means come first, then the slopes.
 
         Args:
             starts: (n,) of the segments, s.
             durations: (n,) s.
-            answers: (n, 3, 3) derivatives of the outputs by constant biases. In a move the effect
+            responses: (n, 3, 3) derivatives of the outputs by constant biases. In a move the effect
                 of biases rotates with the unit, so that it is not that of its duration alone.
             with_slope: (n,) whether the slope is used too.
         """
@@ -53,12 +53,12 @@ class BiasDrift:
         means = np.full((len(starts), _NODES), 1 / _NODES)
         slopes = np.outer(1 / durations, centred / (centred @ centred))
         every = np.arange(len(starts))
-        alike = np.broadcast_to(np.eye(3), (int(np.sum(with_slope)), 3, 3))
+        identity = np.broadcast_to(np.eye(3), (int(np.sum(with_slope)), 3, 3))
         return cls(
             starts[:, None] + durations[:, None] * grid,
             np.concatenate([every, every[with_slope]]),
             np.vstack([means, slopes[with_slope]]),
-            np.concatenate([answers, alike]),
+            np.concatenate([responses, identity]),
         )
 
     @property
@@ -77,7 +77,7 @@ class BiasDrift:
         Args:
             time: Correlation time as a fraction of the session.
         """
-        alone, rows = self.of_one(time * self.span), self.answers.reshape(-1, 3)
+        alone, rows = self.one_channel(time * self.span), self.responses.reshape(-1, 3)
         return np.asarray(np.kron(alone, np.ones((3, 3))) * (rows @ rows.T))
 
     def entering(self, project: Floats) -> Floats:
@@ -87,8 +87,8 @@ class BiasDrift:
             project: (3n, r) projection of the means of three channels.
         """
         parts = project.T.reshape(project.shape[1], -1, 3)
-        answers = self.answers[: parts.shape[1]]
-        return np.asarray(np.einsum('rni,nic->crn', parts, answers))
+        responses = self.responses[: parts.shape[1]]
+        return np.asarray(np.einsum('rni,nic->crn', parts, responses))
 
     def projected(self, time: float, entering: Floats, slopes: Floats) -> Floats:
         """Return `kernel` projected on means and slopes, (r + 3s, r + 3s).
@@ -101,7 +101,7 @@ class BiasDrift:
             entering: (3, r, n) factors of the means.
             slopes: (3s,) factors of the slopes.
         """
-        alone, (_, rows, count) = self.of_one(time * self.span), entering.shape
+        alone, (_, rows, count) = self.one_channel(time * self.span), entering.shape
         drifting = entering @ alone[:count]
         found = np.empty((rows + len(slopes),) * 2)
         found[:rows, :rows] = _columns(drifting[..., :count]) @ _columns(entering).T
@@ -111,13 +111,13 @@ class BiasDrift:
         found[rows:, rows:] *= np.outer(slopes, slopes)
         return found
 
-    def of_one(self, time: float) -> Floats:
+    def one_channel(self, time: float) -> Floats:
         """Return the covariance of one channel, (k, k), for a correlation time in s.
 
         From one segment to a later one the process decays with the time between them: the kernel is
         a product of a factor of each segment and one of that time.
         """
-        nodes, weights = self.nodes[self.of], self.weights
+        nodes, weights = self.nodes[self.segment], self.weights
         first, last = nodes[:, 0], nodes[:, -1]
         until = (weights * np.exp((nodes - last[:, None]) / time)).sum(axis=1)
         since = (weights * np.exp((first[:, None] - nodes) / time)).sum(axis=1)

@@ -33,6 +33,8 @@ from ..observation.components import Blocks, Component, Diagonal
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE
 from ..observation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
+from ..segmentation.segment import Segment, Turn
+from ..segmentation.segmented import Move
 from ..stream import Floats
 from .bias_drift import STATED_TIME, BiasDrift
 from .likelihood import (
@@ -51,10 +53,10 @@ invisible ones to standard deviations ten thousand times the noise."""
 _POSITIONING_RATIOS = 10.0 ** np.arange(-1, 6.1, 0.5)
 """Variances of positioning errors on the grid, over those hidden by noise: half decades, from a
 tenth to standard deviations a thousand times the noise."""
-_KINDS = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
+_STOP_SHARES = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
 """Shares of stops in the variance of positioning errors: none, all, and mixtures of both."""
 
-_CALLED_FOR = 4.5
+_LEAST_GAIN = 4.5
 """Least gain in log likelihood for scatter beyond what is known: chi-square of one size by 9, three
 standard deviations."""
 _SHARES = np.array([0.0, 1 / 16, 1 / 4, 1.0])
@@ -70,7 +72,7 @@ absent would hide it. A judgement."""
 _UNLIKELY = 1e-3
 """Weight below which a hypothesis is dropped: its effect on variances is far below their spread."""
 
-_ALIKE = 1e-10
+_DEPENDENT = 1e-10
 """Of the longest column, all scaled to one: residual of a column after projection that counts as
 zero, as in `information`."""
 
@@ -89,26 +91,26 @@ class _Triad:
     Attributes:
         rows: (k,) of the outputs.
         residuals: (r,) residuals.
-        calm: (r, r) covariance by the drift that the data sheet states.
-        beyond: (r, r) covariances by drift of each time of `_TIMES`, for unit ratios.
+        stated_covariance: (r, r) covariance by the drift that the data sheet states.
+        further_covariances: (r, r) covariances by drift of each time of `_TIMES`, at ratios of 1.
         positioning: (r, e) effect of the errors of stopped joints and of stops, for one rad.
         noise: Columns (r, k) of the random walk of each channel, and the degrees of freedom of its
             size.
         bias_drift: Where the bias is evaluated.
-        typical: Variance of a ratio of one, SI units squared.
-        stated: Variance of the drift stated, SI units squared.
+        unit_variance: Variance of a drift whose ratio (`_RATIOS`) is one, SI units squared.
+        stated_variance: Variance of the drift stated, SI units squared.
         log_odds: (shares,) logarithms of the odds of its shares.
     """
 
     rows: NDArray[np.intp]
     residuals: Floats
-    calm: Floats
-    beyond: tuple[Floats, ...]
+    stated_covariance: Floats
+    further_covariances: tuple[Floats, ...]
     positioning: tuple[Floats, Floats]
     noise: tuple[tuple[Floats, float], ...]
     bias_drift: BiasDrift
-    typical: float
-    stated: float
+    unit_variance: float
+    stated_variance: float
     log_odds: Floats
 
     def positioning_covariance(self, joints: float, stops: float) -> Floats:
@@ -125,19 +127,20 @@ class _Triad:
         (shares,) for shares of the drift stated, and (taus, ratios) for drift in addition to it.
         """
         base = self.positioning_covariance(joints, stops)
-        calm = [
-            log_likelihood(base + share * self.calm, self.residuals) for share in _SHARES.tolist()
+        stated = [
+            log_likelihood(base + share * self.stated_covariance, self.residuals)
+            for share in _SHARES.tolist()
         ]
-        return np.array(calm), log_likelihoods_by_ratio(
-            base + self.calm, self.beyond, self.residuals, _RATIOS
+        return np.array(stated), log_likelihoods_by_ratio(
+            base + self.stated_covariance, self.further_covariances, self.residuals, _RATIOS
         )
 
     def drift_covariance(self, share: float, time: int, ratio: float) -> Floats:
         """Return the covariance by a share of the drift stated and a drift beyond it."""
-        found = share * self.calm
-        return found + ratio * self.beyond[time] if ratio else found
+        found = share * self.stated_covariance
+        return found + ratio * self.further_covariances[time] if ratio else found
 
-    def by_noise(self, drift: Floats, joints: float = 0.0, stops: float = 0.0) -> float:
+    def gain_by_larger_noise(self, drift: Floats, joints: float = 0.0, stops: float = 0.0) -> float:
         """Return the gain in log likelihood with a drift (r, r) and positioning errors, rad^2.
 
         The variance of the noise is marginalised; its uncertainty follows from the number of
@@ -147,13 +150,13 @@ class _Triad:
             self.positioning_covariance(joints, stops) + drift, self.residuals, self.noise
         )
 
-    def lines(self, drift: Floats, variances: Floats) -> Floats:
-        """Return the log likelihoods of positioning errors, (kinds, v), with a drift (r, r).
+    def positioning_likelihoods(self, drift: Floats, variances: Floats) -> Floats:
+        """Return the log likelihoods of positioning errors, (shares, v), with a drift (r, r).
 
-        The variances (v,), rad^2, are split into joints and stops by `_KINDS`.
+        The variances (v,), rad^2, are split into joints and stops by `_STOP_SHARES`.
         """
         base = np.eye(len(self.residuals)) + drift
-        shares = _KINDS.tolist()
+        shares = _STOP_SHARES.tolist()
         mixed = [np.sqrt([1 - share, share]) for share in shares]
         return log_likelihoods_by_columns(base, self.positioning, mixed, self.residuals, variances)
 
@@ -199,7 +202,7 @@ def excess(
     """Estimate the excess scatter of a session about a solution.
 
     The scatter known beforehand is kept unless the likelihood rises by the factor
-    exp(`_CALLED_FOR`) without it. Then the other cases share the weight: a few positioning errors
+    exp(`_LEAST_GAIN`) without it. Then the other cases share the weight: a few positioning errors
     and a slow bias drift are hard to separate, but affect the parameters differently.
 
     Args:
@@ -220,7 +223,9 @@ def excess(
     if share:
         for mixture, triad in zip(found, triads, strict=True):
             mixture.append((share, _Drift.of(triad, joints, stops)))
-    spread = [_spread_out(triad, mixture) for triad, mixture in zip(triads, found, strict=True)]
+    spread = [
+        _posterior_drift(triad, mixture) for triad, mixture in zip(triads, found, strict=True)
+    ]
     return ExcessScatter(
         PositioningErrors(math.sqrt(share * joints), math.sqrt(share * stops)),
         np.repeat([deviation for deviation, *_ in spread], 3),
@@ -233,12 +238,12 @@ def excess(
 
 @dataclass(frozen=True, eq=False)
 class _Drift:
-    """Log likelihoods of drifts."""
+    """Log likelihoods of the drifts of a triad."""
 
-    calm: Floats
-    """(shares,) of the stated one, with the odds of the data sheet."""
-    beyond: Floats
-    """(taus, ratios) of a larger one, a weight of one spread over all."""
+    stated: Floats
+    """(shares,) log likelihoods of shares of the drift stated, with the odds of the data sheet."""
+    further: Floats
+    """(taus, ratios) log likelihoods of a larger drift, a prior weight of one spread over all."""
 
     @classmethod
     def of(cls, triad: _Triad, joints: float = 0.0, stops: float = 0.0) -> _Drift:
@@ -247,49 +252,54 @@ class _Drift:
         Noise whose size is known from few blocks may be larger than it seems. Where a drift is
         needed, the gain by larger noise is subtracted.
         """
-        calm, beyond = triad.weigh(joints, stops)
-        found = cls(calm + triad.log_odds, beyond - np.log(beyond.size))
+        stated, further = triad.weigh(joints, stops)
+        found = cls(stated + triad.log_odds, further - np.log(further.size))
         if not found.called_for:
             return found
-        known, more = (triad.by_noise(drift, joints, stops) for _, drift in found.hypotheses(triad))
-        return replace(found, beyond=found.beyond - (known - more))
+        known, more = (
+            triad.gain_by_larger_noise(drift, joints, stops) for _, drift in found.hypotheses(triad)
+        )
+        return replace(found, further=found.further - (known - more))
 
     @property
     def known(self) -> float:
         """Log likelihood of the scatter known beforehand."""
-        return float(np.logaddexp.reduce(self.calm))
+        return float(np.logaddexp.reduce(self.stated))
 
     @property
     def unknown(self) -> float:
         """Log likelihood of the scatter beyond it."""
-        return float(np.logaddexp.reduce(self.beyond, axis=None))
+        return float(np.logaddexp.reduce(self.further, axis=None))
 
     @property
     def highest(self) -> float:
         """Log likelihood of the likeliest scatter beyond, without spreading the weight."""
-        return float(self.beyond.max()) + math.log(self.beyond.size)
+        return float(self.further.max()) + math.log(self.further.size)
 
     @property
     def called_for(self) -> bool:
         """Whether the likelihood requires more scatter than known."""
-        return self.highest > self.known + _CALLED_FOR
+        return self.highest > self.known + _LEAST_GAIN
 
     def weights(self) -> tuple[Floats, Floats]:
-        """Return the posterior of both; its sum is one."""
+        """Return the posterior weights of `stated` and `further`; their sum is one."""
         if self.called_for:
-            return np.zeros_like(self.calm), np.exp(self.beyond - self.unknown)
-        return np.exp(self.calm - self.known), np.zeros_like(self.beyond)
+            return np.zeros_like(self.stated), np.exp(self.further - self.unknown)
+        return np.exp(self.stated - self.known), np.zeros_like(self.further)
 
     def hypotheses(self, triad: _Triad) -> list[tuple[float, Floats]]:
-        """Return the likeliest drift of either kind: logarithm of its weight, covariance."""
-        calm, (time, ratio) = (
-            int(self.calm.argmax()),
-            divmod(int(self.beyond.argmax()), len(_RATIOS)),
+        """Return the likeliest stated and further drift.
+
+        Each as the logarithm of its weight and its covariance (r, r).
+        """
+        share, (time, ratio) = (
+            int(self.stated.argmax()),
+            divmod(int(self.further.argmax()), len(_RATIOS)),
         )
         return [
             (
-                self.known - float(self.calm[calm]) + float(triad.log_odds[calm]),
-                triad.drift_covariance(_SHARES[calm], 0, 0.0),
+                self.known - float(self.stated[share]) + float(triad.log_odds[share]),
+                triad.drift_covariance(_SHARES[share], 0, 0.0),
             ),
             (self.unknown - self.highest, triad.drift_covariance(1.0, time, float(_RATIOS[ratio]))),
         ]
@@ -318,21 +328,21 @@ def _positioning(
     """
     hypotheses = [drift.hypotheses(triad) for triad, drift in zip(triads, still, strict=True)]
     lines = [
-        [weight + triad.lines(drift, variances) for weight, drift in its]
+        [weight + triad.positioning_likelihoods(drift, variances) for weight, drift in its]
         for triad, its in zip(triads, hypotheses, strict=True)
     ]
     joints, stops = _likeliest(_pooled(lines), variances)
     for triad, its, mine in zip(triads, lines, hypotheses, strict=True):
         weight, drift = _Drift.of(triad, joints, stops).hypotheses(triad)[1]
         mine.append((weight, drift))
-        its.append(weight + triad.lines(drift, variances))
+        its.append(weight + triad.positioning_likelihoods(drift, variances))
     found = _pooled(lines)
     known = sum(drift.known for drift in still)
     # Drifts of gyros and accelerometers are tested separately: half of the evidence is not enough.
     wanted = any(drift.called_for for drift in still)
-    if wanted or float(found.max()) >= known + _CALLED_FOR:
-        found += _by_noise(triads, hypotheses, lines, variances)
-    if not wanted and float(found.max()) < known + _CALLED_FOR:
+    if wanted or float(found.max()) >= known + _LEAST_GAIN:
+        found += _gain_by_larger_noise(triads, hypotheses, lines, variances)
+    if not wanted and float(found.max()) < known + _LEAST_GAIN:
         return 0.0, 0.0, 0.0
     either = sum(float(np.logaddexp(drift.known, drift.unknown)) for drift in still)
     # For hypotheses that do not affect the positioning errors, all but the one known beforehand.
@@ -343,19 +353,19 @@ def _positioning(
     if not _UNLIKELY < share < 1 - _UNLIKELY:
         share = round(share)
     weights = np.exp(found - some)
-    joints = float((weights * np.outer(1 - _KINDS, variances)).sum())
-    stops = float((weights * np.outer(_KINDS, variances)).sum())
+    joints = float((weights * np.outer(1 - _STOP_SHARES, variances)).sum())
+    stops = float((weights * np.outer(_STOP_SHARES, variances)).sum())
     return share, joints, stops
 
 
 def _likeliest(found: Floats, variances: Floats) -> tuple[float, float]:
-    """Return the variances of joints and of stops where log likelihoods (kinds, v) are largest."""
+    """Return the variances of joints and of stops where log likelihoods (shares, v) are largest."""
     kind, size = divmod(int(found.argmax()), len(variances))
-    share = float(_KINDS[kind])
+    share = float(_STOP_SHARES[kind])
     return (1 - share) * float(variances[size]), share * float(variances[size])
 
 
-def _by_noise(
+def _gain_by_larger_noise(
     triads: Sequence[_Triad],
     hypotheses: Sequence[Sequence[tuple[float, Floats]]],
     lines: Sequence[Sequence[Floats]],
@@ -371,46 +381,48 @@ def _by_noise(
     gained = 0.0
     for triad, mine, its in zip(triads, hypotheses, lines, strict=True):
         best = int(np.argmax([line.flat[found.argmax()] for line in its]))
-        gained += triad.by_noise(mine[best][1], joints, stops) - triad.by_noise(mine[0][1])
+        gained += triad.gain_by_larger_noise(
+            mine[best][1], joints, stops
+        ) - triad.gain_by_larger_noise(mine[0][1])
     return gained
 
 
 def _pooled(lines: Sequence[Sequence[Floats]]) -> Floats:
-    """Return the log likelihoods of positioning errors by all triads, (kinds, v), over drifts."""
+    """Return the log likelihoods of positioning errors by all triads, (shares, v), over drifts."""
     return np.asarray(np.sum([np.logaddexp.reduce(its) for its in lines], axis=0))
 
 
-def _spread_out(
+def _posterior_drift(
     triad: _Triad, mixture: list[tuple[float, _Drift]]
 ) -> tuple[float, tuple[Component, ...], tuple[Component, ...], bool]:
     """Return the drift's standard deviation, and the posterior mean of its covariance.
 
     Also the part of the drift stated that it lacks, and whether the excess varies fast.
     """
-    calm, by_ratio = 0.0, np.zeros((len(_TIMES), len(_RATIOS)))
+    kept, by_ratio = 0.0, np.zeros((len(_TIMES), len(_RATIOS)))
     for weight, drift in mixture:
-        of_calm, of_beyond = drift.weights()
-        calm += weight * float(of_calm @ _SHARES + of_beyond.sum())
-        by_ratio += weight * of_beyond
+        of_stated, of_further = drift.weights()
+        kept += weight * float(of_stated @ _SHARES + of_further.sum())
+        by_ratio += weight * of_further
     means = len(triad.rows)
     drifting = triad.bias_drift
-    stated = triad.stated * drifting.kernel(drifting.stated_time)[:means, :means]
+    stated = triad.stated_variance * drifting.kernel(drifting.stated_time)[:means, :means]
     found = np.zeros_like(stated)
     for k, time in enumerate(_TIMES):
         if by_ratio[k].any():
             kernel = drifting.kernel(time)[:means, :means]
-            found += float(by_ratio[k] @ _RATIOS) * triad.typical * kernel
-    total = calm * triad.stated + float((by_ratio @ _RATIOS).sum()) * triad.typical
+            found += float(by_ratio[k] @ _RATIOS) * triad.unit_variance * kernel
+    total = kept * triad.stated_variance + float((by_ratio @ _RATIOS).sum()) * triad.unit_variance
     parts, rows = [], triad.rows[None]
-    if calm * triad.stated:
-        parts.append(Component(Source.BIAS_STATED, Blocks(rows, calm * stated[None])))
+    if kept * triad.stated_variance:
+        parts.append(Component(Source.BIAS_STATED, Blocks(rows, kept * stated[None])))
     if by_ratio.any():
         parts.append(Component(Source.BIAS_FOUND, Blocks(rows, found[None])))
-    spared = Component(Source.BIAS_STATED, Blocks(rows, (1 - calm) * stated[None]))
+    spared = Component(Source.BIAS_STATED, Blocks(rows, (1 - kept) * stated[None]))
     swift = bool(by_ratio.any()) and int(by_ratio.sum(axis=1).argmax()) == 0
     # In a session of five hours the first of the times is nearest to that of the data sheet.
     swift &= math.sqrt(_TIMES[0] * _TIMES[1]) * drifting.span < STATED_TIME
-    return math.sqrt(total), tuple(parts), (spared,) if triad.stated else (), swift
+    return math.sqrt(total), tuple(parts), (spared,) if triad.stated_variance else (), swift
 
 
 def _triads(plain: Equations, state: Floats, odds: float, *, doubted: bool = True) -> list[_Triad]:
@@ -433,42 +445,19 @@ def _triad(
 ) -> _Triad:
     """Select gyros (first = 0) or accelerometers (first = 3)."""
     evidence = equations.evidence
-    rows = equations.layout.gyros if first == 0 else equations.layout.accels
-    segments = [(x.statistics, x.start) for x in evidence.segments]
-    turns, moves = list(evidence.turns), [link.move for link in evidence.links.links]
-    pushed = [moves[k] for k in evidence.layout.moves_with_accels]
-    if first == 3:
-        turns, moves = [turns[k] for k in evidence.layout.turns_with_accels], pushed
-    else:
-        # The effect of the gyros' biases on the axes of a move is in its velocity too.
-        rows = np.concatenate([rows, equations.layout.velocity.ravel()])
-        moves = [*moves, *pushed]
-    segments += [(x.statistics, x.start) for x in turns]
+    rows, segments, moves = _outputs_of_triad(equations, first)
     jacobian, residuals, rising, covariance, positioning = parts
     seen = np.flatnonzero(np.any(jacobian[rows] != 0, axis=0))
     prior = equations.prior_rows(state)
-    starts = np.array([start for _, start in segments] + [m.start for m in moves], dtype=np.int64)
-    durations = np.array([x.duration for x, _ in segments] + [m.duration for m in moves])
+    starts = np.array([x.start for x in (*segments, *moves)], dtype=np.int64)
+    durations = np.array([x.statistics.duration for x in segments] + [m.duration for m in moves])
     biases = indices_of(BIASES[first : first + 3], equations.parameters)
-    with_slope = [
-        all(len(b) >= _BLOCKS_FOR_A_SLOPE for b in x.blocks[first : first + 3]) for x, _ in segments
-    ]
-    sloped = [x for (x, _), good in zip(segments, with_slope, strict=True) if good]
-    drifts = np.array([x.drift[first : first + 3] for x in sloped]).reshape(-1, 3)
-    explained = rising[rows].reshape(-1, 3)[np.flatnonzero(with_slope)]
-    slope_residuals = (drifts - explained).ravel()
-    of_slopes = np.array(
-        [
-            [_slope_variance(x.blocks[c], evidence.walk[c]) for c in range(first, first + 3)]
-            for x in sloped
-        ]
-    ).reshape(-1, 3, 2)
-    slope_variances = of_slopes[..., 1].ravel()
+    slopes = _Slopes.of(segments, rising[rows].reshape(-1, 3), evidence.walk, first)
     drift = BiasDrift.over(
         (starts - starts.min()) * 1e-9,
         durations,
         jacobian[np.ix_(rows, np.array(biases))].reshape(-1, 3, 3),
-        np.array(with_slope + [False] * len(moves), dtype=bool),
+        np.append(slopes.used, np.zeros(len(moves), dtype=bool)),
     )
     project, z = _restricted(
         jacobian[np.ix_(rows, seen)],
@@ -476,40 +465,121 @@ def _triad(
         covariance[np.ix_(rows, rows)],
         prior[:, np.append(seen, equations.size)],
     )
-    slopes = 1 / np.sqrt(slope_variances)
+    weights = slopes.weights
     entering = drift.entering(project)
-    typical = float(
+    unit_variance = float(
         np.median(equations.own_variances[equations.layout.dwell[:, first : first + 3]])
     )
     stated = float(evidence.instability[first] ** 2)
 
     def projected_by(time: float, variance: float) -> Floats:
-        return variance * drift.projected(time, entering, slopes)
+        return variance * drift.projected(time, entering, weights)
 
-    moved = [
-        np.vstack([project.T @ p[rows], np.zeros((len(slopes), p.shape[1]))]) for p in positioning
-    ]
-    noise = []
+    by_joints, by_stops = (
+        np.vstack([project.T @ p[rows], np.zeros((len(weights), p.shape[1]))]) for p in positioning
+    )
     # The size of the noise is taken as uncertain at the end only.
-    for c, own in enumerate(equations.own[first : first + 3] if doubted else ()):
-        assert isinstance(own.part, Diagonal)
-        walk = np.zeros_like(of_slopes[..., 0])
-        walk[:, c] = of_slopes[:, c, 0]
-        deviations = np.sqrt(np.concatenate([own.part.variances[rows], walk.ravel()]))
-        both = scipy.linalg.block_diag(project, np.diag(slopes))
-        noise.append((both.T[:, deviations > 0] * deviations[deviations > 0], own.freedom))
+    own = equations.own[first : first + 3] if doubted else ()
     return _Triad(
         rows,
-        np.concatenate([z, slope_residuals * slopes]),
+        np.concatenate([z, slopes.residuals * weights]),
         projected_by(drift.stated_time, stated),
-        tuple(projected_by(time, typical) for time in _TIMES),
-        (moved[0], moved[1]),
-        tuple(noise),
+        tuple(projected_by(time, unit_variance) for time in _TIMES),
+        (by_joints, by_stops),
+        _noise_of_channels(own, rows, project, slopes),
         drift,
-        typical,
+        unit_variance,
         stated,
         log_odds,
     )
+
+
+def _outputs_of_triad(
+    equations: Equations, first: int
+) -> tuple[NDArray[np.intp], list[Segment | Turn], list[Move]]:
+    """Return the outputs of a triad, and the dwells and turns and the moves that they belong to.
+
+    The rows (k,) of the outputs are those of dwells and turns, then of moves, three for each.
+    """
+    evidence, layout = equations.evidence, equations.layout
+    turns, moves = list(evidence.turns), [link.move for link in evidence.links.links]
+    with_velocity = [moves[k] for k in layout.moves_with_accels]
+    if first == 3:
+        turns = [turns[k] for k in layout.turns_with_accels]
+        return layout.accels, [*evidence.segments, *turns], with_velocity
+    # The effect of the gyros' biases on the axes of a move is in its velocity too.
+    rows = np.concatenate([layout.gyros, layout.velocity.ravel()])
+    return rows, [*evidence.segments, *turns], [*moves, *with_velocity]
+
+
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Slopes of a triad's outputs within those s of n dwells and turns that have enough blocks.
+
+    Attributes:
+        used: (n,) mask of these dwells and turns.
+        residuals: (3 s,) slopes less those that the parameters explain, rad/s^2 or m/s^3.
+        variances: (s, 3, 2) their variances by random walk alone, and in total.
+    """
+
+    used: NDArray[np.bool_]
+    residuals: Floats
+    variances: Floats
+
+    @classmethod
+    def of(
+        cls, segments: Sequence[Segment | Turn], explained: Floats, walk: Floats, first: int
+    ) -> _Slopes:
+        """Collect the slopes of gyros (first = 0) or accelerometers (first = 3).
+
+        Args:
+            segments: n dwells and turns.
+            explained: (n or more, 3) slopes by the parameters, those of the segments first.
+            walk: (6,) random-walk coefficients.
+            first: The first channel of the triad.
+        """
+        channels = range(first, first + 3)
+        every = [x.statistics for x in segments]
+        used = np.array(
+            [all(len(x.blocks[c]) >= _BLOCKS_FOR_A_SLOPE for c in channels) for x in every],
+            dtype=bool,
+        )
+        sloped = [x for x, good in zip(every, used, strict=True) if good]
+        drifts = np.array([x.drift[first : first + 3] for x in sloped]).reshape(-1, 3)
+        variances = [[_slope_variance(x.blocks[c], walk[c]) for c in channels] for x in sloped]
+        return cls(
+            used,
+            (drifts - explained[np.flatnonzero(used)]).ravel(),
+            np.array(variances).reshape(-1, 3, 2),
+        )
+
+    @property
+    def weights(self) -> Floats:
+        """(3 s,) inverse standard deviations of the slopes."""
+        return np.asarray(1 / np.sqrt(self.variances[..., 1].ravel()))
+
+
+def _noise_of_channels(
+    own: Sequence[Component], rows: NDArray[np.intp], project: Floats, slopes: _Slopes
+) -> tuple[tuple[Floats, float], ...]:
+    """Return `_Triad.noise`: the effect of the random walk of each channel, and its freedom.
+
+    Args:
+        own: The random walk of each channel, as variances of all outputs.
+        rows: (k,) outputs of the triad.
+        project: (k, r) projection of these by `_restricted`.
+        slopes: Of the same triad.
+    """
+    projection = scipy.linalg.block_diag(project, np.diag(slopes.weights))
+    noise = []
+    for channel, component in enumerate(own):
+        assert isinstance(component.part, Diagonal)
+        walk = np.zeros_like(slopes.variances[..., 0])
+        walk[:, channel] = slopes.variances[:, channel, 0]
+        deviations = np.sqrt(np.concatenate([component.part.variances[rows], walk.ravel()]))
+        noisy = deviations > 0
+        noise.append((projection.T[:, noisy] * deviations[noisy], component.freedom))
+    return tuple(noise)
 
 
 def _restricted(
@@ -529,7 +599,7 @@ def _restricted(
     norms = np.linalg.norm(columns[:, :-1], axis=0)
     full, triangle, _ = scipy.linalg.qr(columns[:, :-1] / norms, pivoting=True)
     sizes = np.abs(np.diag(triangle))
-    free = full[:, np.count_nonzero(sizes > _ALIKE * sizes.max(initial=0.0)) :]
+    free = full[:, np.count_nonzero(sizes > _DEPENDENT * sizes.max(initial=0.0)) :]
     project = scipy.linalg.solve_triangular(
         factor, free[: len(residuals)], lower=True, trans='T', check_finite=False
     )

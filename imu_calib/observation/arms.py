@@ -29,8 +29,8 @@ ACCEL_DISTANCE = 0.03
 that fill a case. In turns about an oblique axis it is observed in full."""
 
 _DISTANCE_ALONG_AXIS = 5e-5
-"""Part of `ACCEL_DISTANCE` along the axis of a turn, by misalignments, m: a judgement, 3 cm by 1.7 mrad of good
-units, 3 mm by 17 mrad of a chip."""
+"""Part of `ACCEL_DISTANCE` along the axis of a turn, by misalignments, m: a judgement, 3 cm by
+1.7 mrad of good units, 3 mm by 17 mrad of a chip."""
 
 _SAME_ATTITUDE = 0.01
 """Attitudes that differ by less count as one, rad: 0.1 mm for an arm of a centimetre."""

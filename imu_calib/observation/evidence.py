@@ -35,8 +35,8 @@ _AXIS_TOLERANCE = 0.05
 """Largest amount by which the cosine of a vertical axis is below one: 18 deg, beyond any error of a
 table and less than half of the 45 deg to the next attitude of any plan."""
 _CACHED = 30
-"""Results kept in `Evidence.state_cache`: ten at each of three states, that of the last step and two
-from which the next fits start."""
+"""Results kept in `Evidence.state_cache`: ten at each of three states, that of the last step and
+two from which the next fits start."""
 _WEIGHED = 6
 """Results kept in `Evidence.cached_results`: covariance, and equations whitened by it, of two
 solutions used alternately and of the last step."""

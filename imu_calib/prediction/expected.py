@@ -259,7 +259,7 @@ def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
     parts: list[Segment | Turn | Move] = [*dwells, *turns, *moves]
     begin, end = np.array([(p.start, p.end) for p in parts]).reshape(-1, 2).T * 1e-9
     none = np.zeros((len(parts), 3, 3)), np.zeros(len(parts), dtype=bool)
-    means = BiasDrift.over(begin, end - begin, *none).of_one(STATED_TIME)
+    means = BiasDrift.over(begin, end - begin, *none).one_channel(STATED_TIME)
     askew = [len(dwells) + k for k, t in enumerate(turns) if t.skewed is not None]
     which = np.concatenate([evidence.layout.segment, np.array(askew, dtype=int)])
     figures = [t.bias_instability for t in (*triads(spec), spec.skewed or TriadSpec())]
