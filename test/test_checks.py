@@ -29,8 +29,8 @@ from imu_calib.methods.conclusion import (
     _azimuth_std,
     _fit,
     _means_by_up,
-    _off_positions,
-    _outstanding,
+    _off_plan_finding,
+    _outlier_finding,
     _scatter,
 )
 from imu_calib.methods.cross_check import Comparison
@@ -272,14 +272,14 @@ def test_a_position_far_out_of_the_rest_is_named() -> None:
 
     usual = [residual(name, 2.0) for name in 'abcd']
     # Five times 1.4826 times the usual two.
-    assert _outstanding([*usual, residual('e', 14.8)]) == []
-    assert _outstanding([*usual, residual('e', 14.9)]) == ['Outlier: position e (15 sigma).']
+    assert _outlier_finding([*usual, residual('e', 14.8)]) == []
+    assert _outlier_finding([*usual, residual('e', 14.9)]) == ['Outlier: position e (15 sigma).']
     still = [residual(name, 0.1) for name in 'abcd']
-    assert _outstanding([*still, residual('e', 4.9)]) == []
-    assert _outstanding([*still, residual('e', 5.1), residual('f', 8.0)]) == [
+    assert _outlier_finding([*still, residual('e', 4.9)]) == []
+    assert _outlier_finding([*still, residual('e', 5.1), residual('f', 8.0)]) == [
         'Outliers: positions e (5 sigma), f (8 sigma).'
     ]
-    assert _outstanding([]) == []
+    assert _outlier_finding([]) == []
 
 
 def test_attitudes_off_the_plan_are_named_but_not_where_north_is_known() -> None:
@@ -292,12 +292,12 @@ def test_attitudes_off_the_plan_are_named_but_not_where_north_is_known() -> None
     held: Any = SimpleNamespace(
         plan=plan, azimuth=None, segments=[rest('a', 0.019), rest('b', 0.021), rest('c', 1.0)]
     )
-    (sentence,) = _off_positions(held)
+    (sentence,) = _off_plan_finding(held)
     assert 'position b (0.02 deg); the closed' in sentence
     held.azimuth = 0.0
-    assert _off_positions(held) == []
+    assert _off_plan_finding(held) == []
     held.azimuth, held.segments = None, [rest('a', 0.5, None)]
-    assert _off_positions(held) == []
+    assert _off_plan_finding(held) == []
 
 
 # The closed form beside the joint estimate
@@ -450,7 +450,7 @@ def scattering(
         plan=SimpleNamespace(by_hand=by_hand),
     )
     found: Any = SimpleNamespace(equations=SimpleNamespace(evidence=evidence), scatter=scatter)
-    return joint_findings._scattering(found, confounded)
+    return joint_findings._scatter_findings(found, confounded)
 
 
 def test_positioning_errors_are_told_from_a_tenth_of_what_is_stated() -> None:

@@ -59,7 +59,7 @@ def found(**given: Any) -> Any:
 
 
 def finding_texts(monkeypatch: pytest.MonkeyPatch, what: Any) -> list[str]:
-    for name in ('_astray', '_scattering', 'temperature_finding'):
+    for name in ('_astray', '_scatter_findings', 'temperature_finding'):
         monkeypatch.setattr(joint_findings, name, lambda *_: [])
     return joint_findings.estimate_findings(what, ())
 

@@ -36,7 +36,7 @@ from imu_calib.errors import InputError
 from imu_calib.estimation.estimate import estimate
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint
-from imu_calib.methods.joint_findings import _scattering
+from imu_calib.methods.joint_findings import _scatter_findings
 from imu_calib.model import PARAMETERS, ParameterKind
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
@@ -263,7 +263,7 @@ def test_arrivals_worse_than_assumed_are_not_held_against_a_statement() -> None:
             positioning_probability=1.0,
         )
         (sentence,) = [
-            f for f in _scattering(replace(found, scatter=off)) if 'Positioning errors' in f
+            f for f in _scatter_findings(replace(found, scatter=off)) if 'Positioning errors' in f
         ]
         assert words in sentence
 

@@ -93,14 +93,14 @@ class _Fit:
     covariance: Floats
     """(3, 3) its covariance."""
     residuals: Floats
-    """(s, 3) residuals."""
+    """(s, 3) residuals, rad/s or m/s^2."""
     scatter: _Scatter
-    """The same of the residuals with more unknowns."""
+    """Scatter of the residuals of a fit with more unknowns (`_fit`)."""
 
 
 @dataclass(frozen=True)
 class _Scatter:
-    """Chi-square per degree of freedom where significant, else 1; degrees of freedom."""
+    """Scatter of residuals: chi-square per degree of freedom where significant, else 1."""
 
     ratio: float = 1.0
     freedom: float = np.inf
@@ -153,25 +153,8 @@ def conclude(
     state[: equations.sensors] = model.values(parameters)
     gyro = _fit(equations, state, 0)
     accel = _fit(equations, state, 3) if with_accels else None
-    widened = covariance.copy()
-    freedom = np.full(len(covariance), np.inf)
-    for fit, mine, name in ((gyro, ~of_accels, 'gyros'), (accel, of_accels, 'accelerometers')):
-        if fit is not None and fit.scatter.significant:
-            widened[np.ix_(mine, mine)] *= fit.scatter.ratio
-            freedom[mine] = fit.scatter.freedom
-            notes.append(
-                f'Between positions the {name} scatter {np.sqrt(fit.scatter.ratio):.1f} times '
-                'more than within them (positioning errors that the table does not state, drift): '
-                'their standard deviations are widened.'
-            )
-    of_turns = _turns_scatter(equations, state) if evidence.turns else _Scatter()
-    if of_turns.significant:
-        # Scale factors and misalignments of the gyros depend on the turns, their biases do not.
-        on_turns = [p.triad == 'g' and p in RESPONSES for p in parameters]
-        factors = np.where(on_turns, np.sqrt(of_turns.ratio), 1.0)
-        widened *= np.outer(factors, factors)
-        freedom = np.where(on_turns, np.minimum(freedom, of_turns.freedom), freedom)
-        notes.append(turns_scatter_finding(of_turns.ratio))
+    widened, freedom, sentences = _widened_by_scatter(equations, state, covariance, gyro, accel)
+    notes += sentences
     beyond = {Source.SCATTER: Share(widened - covariance, freedom)}
     rate, earth = gyro.vector, gyro.covariance * gyro.scatter.ratio
     if accel is not None and accelerometers is not None and not evidence.plan.by_hand:
@@ -182,18 +165,14 @@ def conclude(
         widened = tilted
         notes += sentences
     residuals = _residuals(evidence, gyro, accel)
-    notes += _outstanding(residuals)
-    notes += _off_positions(evidence)
+    notes += _outlier_finding(residuals)
+    notes += _off_plan_finding(evidence)
     if not evidence.plan.by_hand:
         check_latitude(evidence, rate, earth, gyro.scatter.freedom)
     azimuth = float(np.arctan2(rate[0], rate[1]))
     azimuth_std = _azimuth_std(rate, earth)
-    if north_known and abs(azimuth) > max(FIVE_SIGMA * azimuth_std, LEAST_AZIMUTH):
-        notes.append(
-            f'The gyros see north {azimuth / DEG:.1f} +- {azimuth_std / DEG:.1f} deg off the '
-            'azimuth given: the gyro biases are wrong by up to '
-            f'{evidence.site.north_rate * abs(np.sin(azimuth)) / DEG_H:.2f} deg/h.'
-        )
+    if north_known:
+        notes += _north_finding(evidence, azimuth, azimuth_std)
     return Solution(
         model,
         widened,
@@ -208,6 +187,55 @@ def conclude(
         shares={**shares, **beyond},
         gain=gain,
     )
+
+
+def _widened_by_scatter(
+    equations: Equations, state: Floats, covariance: Floats, gyro: _Fit, accel: _Fit | None
+) -> tuple[Floats, Floats, list[str]]:
+    """Widen a covariance (n, n) where residuals scatter more than the outputs' covariance explains.
+
+    Returns:
+        The covariance (n, n), the degrees of freedom (n,) of its widening, and sentences on it.
+    """
+    parameters = equations.parameters
+    of_accels = np.array([p.triad == 'a' for p in parameters])
+    widened, notes = covariance.copy(), []
+    freedom = np.full(len(covariance), np.inf)
+    for fit, mine, name in ((gyro, ~of_accels, 'gyros'), (accel, of_accels, 'accelerometers')):
+        if fit is not None and fit.scatter.significant:
+            widened[np.ix_(mine, mine)] *= fit.scatter.ratio
+            freedom[mine] = fit.scatter.freedom
+            notes.append(
+                f'Between positions the {name} scatter {np.sqrt(fit.scatter.ratio):.1f} times '
+                'more than within them (positioning errors that the table does not state, drift): '
+                'their standard deviations are widened.'
+            )
+    of_turns = _turns_scatter(equations, state) if equations.evidence.turns else _Scatter()
+    if of_turns.significant:
+        # Scale factors and misalignments of the gyros depend on the turns, their biases do not.
+        on_turns = [p.triad == 'g' and p in RESPONSES for p in parameters]
+        factors = np.where(on_turns, np.sqrt(of_turns.ratio), 1.0)
+        widened *= np.outer(factors, factors)
+        freedom = np.where(on_turns, np.minimum(freedom, of_turns.freedom), freedom)
+        notes.append(turns_scatter_finding(of_turns.ratio))
+    return widened, freedom, notes
+
+
+def _north_finding(evidence: Evidence, azimuth: float, std: float) -> list[str]:
+    """Report that the gyros see another north than the stated one, if they do.
+
+    Args:
+        evidence: The session, at a stated azimuth.
+        azimuth: Of north by the gyros in the frame of the attitudes, rad.
+        std: Its standard deviation, rad.
+    """
+    if abs(azimuth) > max(FIVE_SIGMA * std, LEAST_AZIMUTH):
+        return [
+            f'The gyros see north {azimuth / DEG:.1f} +- {std / DEG:.1f} deg off the azimuth '
+            'given: the gyro biases are wrong by up to '
+            f'{evidence.site.north_rate * abs(np.sin(azimuth)) / DEG_H:.2f} deg/h.'
+        ]
+    return []
 
 
 def _tilt(accel: _Fit) -> Tilt:
@@ -296,6 +324,7 @@ def _means_by_up(evidence: Evidence) -> Floats:
 
 
 def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit | None) -> tuple[Residual, ...]:
+    """Return the residuals of each static dwell; NaN for accelerometers without a fit."""
     std = np.sqrt(evidence.variances())
     of_accels = np.full_like(gyro.residuals, np.nan) if accel is None else accel.residuals
     values = np.hstack([gyro.residuals, of_accels])
@@ -305,8 +334,8 @@ def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit | None) -> tuple[Resi
     )
 
 
-def _outstanding(residuals: Sequence[Residual]) -> list[str]:
-    """Return the names of positions with residuals far above the others'."""
+def _outlier_finding(residuals: Sequence[Residual]) -> list[str]:
+    """Report positions with residuals far above those of the others, in one sentence or none."""
     if not residuals:
         return []
     normalised = np.array(
@@ -321,7 +350,8 @@ def _outstanding(residuals: Sequence[Residual]) -> list[str]:
     return [f'Outlier{plural}: position{plural} {", ".join(names)}.'] if names else []
 
 
-def _off_positions(evidence: Evidence) -> list[str]:
+def _off_plan_finding(evidence: Evidence) -> list[str]:
+    """Report positions whose attitude by the encoders differs from the plan's."""
     known = {p.id: p for p in evidence.plan.positions}
     words = []
     for segment in evidence.segments:
@@ -342,6 +372,7 @@ def _off_positions(evidence: Evidence) -> list[str]:
 
 
 def _azimuth_std(earth: Floats, covariance: Floats) -> float:
+    """Return the standard deviation of north, rad; `covariance` (3, 3) is that of `earth` (3,)."""
     level = float(np.hypot(earth[0], earth[1]))
     if level == 0.0:
         return float('inf')

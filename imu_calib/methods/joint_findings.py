@@ -55,7 +55,7 @@ def estimate_findings(found: Estimate, confounded: Sequence[str]) -> list[str]:
             f'{significant(level / ARCSEC, 3)} arcsec to which it was taken to be level.'
         )
     notes += [_constant(found)] if found.constant else []
-    return [*notes, *temperature_finding(found), *_scattering(found, confounded)]
+    return [*notes, *temperature_finding(found), *_scatter_findings(found, confounded)]
 
 
 def _leaning(found: Estimate, outlier: Outlier) -> str:
@@ -123,8 +123,13 @@ def _ways(moves: Sequence[RejectedMove]) -> str:
     return f'from position {names}{more}'
 
 
-def _scattering(found: Estimate, confounded: Sequence[str] = ()) -> list[str]:
-    """Report scatter beyond the noise and beyond the files of table and data sheet."""
+def _scatter_findings(found: Estimate, confounded: Sequence[str] = ()) -> list[str]:
+    """Report scatter beyond the noise and beyond the files of table and IMU."""
+    return [*_positioning_findings(found, confounded), *_drift_findings(found)]
+
+
+def _positioning_findings(found: Estimate, confounded: Sequence[str]) -> list[str]:
+    """Report positioning errors beyond those that the table's file states."""
     evidence, scatter = found.equations.evidence, found.scatter
     notes = []
     small = evidence.positioning / ARCSEC
@@ -160,6 +165,13 @@ def _scattering(found: Estimate, confounded: Sequence[str] = ()) -> list[str]:
             'second session at the same positions would show which: the same residuals mean the '
             'axes and the encoders, others the stops. So would stops at more angles of each joint.'
         )
+    return notes
+
+
+def _drift_findings(found: Estimate) -> list[str]:
+    """Report bias drift and fast scatter beyond the bias instability that the IMU's file states."""
+    evidence, scatter = found.equations.evidence, found.scatter
+    notes = []
     for name, first, unit, symbol in (
         ('gyros', 0, DEG_H, 'deg/h'),
         ('accelerometers', 3, MICRO_G, 'ug'),

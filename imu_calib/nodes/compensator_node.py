@@ -67,6 +67,13 @@ class CompensatorNode(ros.ManagedNode):
         self._mixed = False
         self._unreliable = False
         self._active = False
+        self._open_topics(follows=follows)
+        steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
+        self.create_timer(_SECOND, self._on_second, clock=steady)
+        self.begin(autostart=autostart)
+
+    def _open_topics(self, *, follows: bool) -> None:
+        """Create the publisher and the subscriptions; of calibrations only if it `follows` them."""
         self._publisher = self.create_publisher(
             messages.Imu,
             'imu/data_raw',
@@ -94,9 +101,6 @@ class CompensatorNode(ros.ManagedNode):
             qos_overriding_options=qos.overridable(),
         )
         self._pulses = self._subscribe(reliable=True)
-        steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
-        self.create_timer(_SECOND, self._on_second, clock=steady)
-        self.begin(autostart=autostart)
 
     def configure(self) -> None:
         """Take the available calibration; samples are ignored."""

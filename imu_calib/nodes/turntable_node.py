@@ -111,8 +111,23 @@ class TurntableNode(Node):
         self._woke_at = -math.inf
         self._published: tuple[Any, ...] = ()
         self._published_at = -math.inf
-
         self._diagnostics = Diagnostics(self, table.name)
+        self._open_topics(calibrator_timeout)
+        self._estop = EmergencyStop(self, state_folder(folder), self._on_estop)
+        if self._estop.reason:
+            self._on_estop()
+        self._offer_services()
+        self.create_timer(min(_PERIOD, self._pacing.seconds), self._go_on, clock=self._steady)
+        self.create_timer(_CHECK_PERIOD, self._check_peers, clock=self._steady)
+        self._publish_state_when_due()
+        self._check_peers()
+
+    def _open_topics(self, calibrator_timeout: float) -> None:
+        """Create publishers and subscriptions, and what detects a second publisher on them.
+
+        Args:
+            calibrator_timeout: Longest silence of the calibrator on the steady clock, s.
+        """
         self._setpoints = self.create_publisher(
             messages.TurntableSetpoint, 'turntable/setpoint', qos.command()
         )
@@ -147,18 +162,14 @@ class TurntableNode(Node):
         self._calibrator = CalibratorProgress(
             self._sequencer, self._diagnostics, calibrator_timeout, alone
         )
-        self._estop = EmergencyStop(self, state_folder(folder), self._on_estop)
-        if self._estop.reason:
-            self._on_estop()
+
+    def _offer_services(self) -> None:
+        """Create the services and the action that start and stop the plan."""
         self.create_service(Trigger, '~/start', self._on_start)
         self.create_service(Trigger, '~/release', self._on_release)
         self.create_service(Trigger, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/abort', self._on_abort)
         self._action = RunAction(self, self._sequencer, self._start, self._at_once)
-        self.create_timer(min(_PERIOD, self._pacing.seconds), self._go_on, clock=self._steady)
-        self.create_timer(_CHECK_PERIOD, self._check_peers, clock=self._steady)
-        self._publish_state_when_due()
-        self._check_peers()
 
     def stop(self) -> Sequence[Any]:
         """Send HOLD as the last message; return the publishers to be acknowledged."""
@@ -184,6 +195,7 @@ class TurntableNode(Node):
             spin_once(self, timeout_sec=_PERIOD)
 
     def _declare_output(self) -> Controller | None:
+        """Declare how the table is driven; return the ros2_control controller, None without one."""
         output = declare(
             self,
             'output',

@@ -86,11 +86,7 @@ class WebNode(ros.Node):
         self._report_file = self._output.with_name('report.html')
         table = self._setup.table
         shape = None if table is None else table_shape(table, urdf)
-        self._board: Board | UnitsBoard = Board(expectation(self._setup))
-        if units[0].name:
-            file, without = (str(self.get_parameter(name).value) for name in ('units', 'without'))
-            mounted = remaining(load_units(file), without)
-            self._board = units_board(self._setup, mounted)
+        self._board = self._new_board(several=bool(units[0].name))
         imus = {unit.name: unit.setup.imu for unit in units}
         self._dwells = {name: Dwells(imu) for name, imu in imus.items()}
         self._malformed = Malformed()
@@ -138,7 +134,15 @@ class WebNode(ros.Node):
             self._reporter.wait()
         return []
 
+    def _new_board(self, *, several: bool) -> Board | UnitsBoard:
+        """Return an empty board, of a single unit or of those in the units' file."""
+        if not several:
+            return Board(expectation(self._setup))
+        file, without = (str(self.get_parameter(name).value) for name in ('units', 'without'))
+        return units_board(self._setup, remaining(load_units(file), without))
+
     def _listen(self, units: Sequence[StatedUnit]) -> None:
+        """Subscribe to all that the page shows, and create the clients of its commands."""
         subscribe = self.create_subscription
         board, clock = self._board, time.monotonic
         if self._setup.table is not None:
