@@ -127,21 +127,24 @@ def _read_turn(
     *,
     alone: bool,
 ) -> Turn | Rejected:
+    """Measure the whole turns of one plateau, or return why they cannot be used.
+
+    Args:
+        readings: Outputs around the motion.
+        turns: Where they are cut, by the encoder.
+        motion: In which they were made.
+        table: The table.
+        offset_ns: IMU clock minus table clock, ns.
+        alone: Whether the motion has no other whole turns.
+    """
     angles, up_error = _mean_angles(motion, turns)
     up = table.attitude(angles).T @ np.array([0.0, 0.0, 1.0])
     sense = float(table.joint_axis(turns.joint, angles) @ up)
     start = turns.start + offset_ns
     end = start + turns.seconds * 1e9
-    if abs(sense) < 1 - _VERTICAL:
-        leans = float(np.arccos(abs(sense))) / DEG
-        reason = (
-            f'by the file of the table its axis is {leans:.3g} deg off the vertical; turns about '
-            'the vertical are used'
-        )
-        return Rejected(int(start), int(end), reason, turn=True)
     inside = _around(readings.samples, start, end)
     part = readings.samples.at(inside)
-    reason = _unusable(readings, inside, start, end)
+    reason = _off_vertical(abs(sense)) or _unusable(readings, inside, start, end)
     if reason == _SATURATED:
         reason = _other_units(part, abs(turns.angle) / turns.seconds) or reason
     if reason:
@@ -157,14 +160,15 @@ def _read_turn(
     skewed = _skewed_between(readings, start, turns, count)
     if skewed is not None:
         each = np.hstack([each[:, :3], skewed[1][:, :1]])
-    way = _whole_way(motion, turns) if alone else 0.0
-    limit = _SURER * 2 * max(table.positioning, _LEAST_POSITIONING)
     whole_way = None
-    if readings.sensor.counted and way and turns.rate_error * way > limit:
-        rests = np.array([motion.start, motion.end]) + offset_ns
-        cut = float(statistics.mean[:3] @ up) * turns.seconds
-        signed = way * float(np.sign(turns.angle * sense))
-        whole_way = _compare_whole_way(readings, rests, signed, cut, up, turns.seconds)
+    if alone and readings.sensor.counted:
+        way = _whole_way(motion, turns)
+        # Only where the whole motion may be known better than the encoder's line.
+        if turns.rate_error * way > _SURER * 2 * max(table.positioning, _LEAST_POSITIONING):
+            rests = np.array([motion.start, motion.end]) + offset_ns
+            cut = float(statistics.mean[:3] @ up) * turns.seconds
+            signed = way * float(np.sign(turns.angle * sense))
+            whole_way = _compare_whole_way(readings, rests, signed, cut, up, turns.seconds)
     return Turn(
         int(start),
         int(end),
@@ -242,6 +246,17 @@ def _mean_angles(motion: Motion, turns: WholeTurns) -> tuple[Floats, float]:
     readings = motion.position[slice(*np.searchsorted(motion.stamp, turning).tolist())]
     held = np.delete(readings, turns.joint, axis=1)
     return readings.mean(axis=0), averaged(held)[1] if held.shape[1] else 0.0
+
+
+def _off_vertical(cosine: float) -> str:
+    """Return why turns about an axis measure nothing, by its cosine with up; empty if they do."""
+    if cosine >= 1 - _VERTICAL:
+        return ''
+    leans = float(np.arccos(cosine)) / DEG
+    return (
+        f'by the file of the table its axis is {leans:.3g} deg off the vertical; turns about the '
+        'vertical are used'
+    )
 
 
 def _unusable(readings: Around, inside: slice, start: float, end: float) -> str:
