@@ -17,10 +17,10 @@ from imu_calib.observation.gyro_paths import GyroPath, propagated
 from imu_calib.observation.moves import (
     LinkedMove,
     Moves,
+    _gravity_misfit,
     _informative,
-    _off,
     _rounding,
-    _second_order,
+    _seconds_of_second_order,
     coning_variance,
 )
 from imu_calib.observation.velocity_increments import (
@@ -133,7 +133,7 @@ def test_a_link_has_the_errors_of_both_ends() -> None:
     assert not free.rounding.any()
     assert link.coning_variance == pytest.approx(coning_variance(move()))
     # A thousandth of gravity over what the second order leaves.
-    assert link.second_order_error == pytest.approx(1e-3 * G * _second_order(move()))
+    assert link.second_order_error == pytest.approx(1e-3 * G * _seconds_of_second_order(move()))
 
 
 # What a move is off by
@@ -142,7 +142,7 @@ def test_a_link_has_the_errors_of_both_ends() -> None:
 def test_the_second_order_is_a_twelfth_of_the_squares() -> None:
     turned = RATES * SECONDS[:, None]
     wanted = sum(s * sum(x * x for x in step) for s, step in zip(SECONDS, turned, strict=True))
-    assert _second_order(move()) == pytest.approx(wanted / 12)
+    assert _seconds_of_second_order(move()) == pytest.approx(wanted / 12)
 
 
 def test_coning_is_off_by_a_twelfth_of_how_the_cross_products_change() -> None:
@@ -161,9 +161,9 @@ def test_the_size_of_gravity_says_how_far_accelerometers_are_off() -> None:
             for s in sizes
         ]
 
-    assert _off(reading(1.0005 * G), G) == 1e-3
-    assert _off(reading(1.002 * G, 0.97 * G), G) == pytest.approx(0.03)
-    assert _off([], G) == 1e-3
+    assert _gravity_misfit(reading(1.0005 * G), G) == 1e-3
+    assert _gravity_misfit(reading(1.002 * G, 0.97 * G), G) == pytest.approx(0.03)
+    assert _gravity_misfit([], G) == 1e-3
 
 
 def test_rounding_is_that_of_the_rest_for_as_long_but_where_pulses_are_counted() -> None:

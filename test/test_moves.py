@@ -23,7 +23,7 @@ from imu_calib.observation.arms import ACCEL_DISTANCE, ARM_STD
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.gyro_paths import GyroPath, propagated
-from imu_calib.observation.moves import _second_order
+from imu_calib.observation.moves import _seconds_of_second_order
 from imu_calib.observation.velocity_increments import VelocityIncrement, by_delay, by_places
 from imu_calib.rotations import rotations_last
 from imu_calib.segmentation.moves import STEP_ANGLE, MoveReader, joined
@@ -185,7 +185,7 @@ def test_a_scale_factor_that_is_far_off_leaves_what_the_variance_allows() -> Non
     off = attitude @ thrust.velocity - GRAVITY * len(samples.stamp) * PERIOD
     steps = joined(samples)
     move = Move(0, 1, steps.turned, steps.counts * PERIOD, np.zeros(3))
-    allowed = 0.25 * GRAVITY[2] * _second_order(move)
+    allowed = 0.25 * GRAVITY[2] * _seconds_of_second_order(move)
     assert 0.05 * allowed < np.abs(off).max() < allowed
 
 

@@ -84,6 +84,7 @@ class Fletcher:
 
     Attributes:
         modulus: Of both: 255 in Fletcher's original, or 256 in MIP and UBX.
+        width: Bits of the checksum.
     """
 
     modulus: int
@@ -96,6 +97,7 @@ class Xor:
 
     Attributes:
         init: Initial value.
+        width: Bits of the checksum.
     """
 
     init: int = 0

@@ -129,7 +129,14 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """Unknowns: parameters, estimated and considered, and errors of the table (in the evidence)."""
+    """The unknowns of a fit.
+
+    Attributes:
+        evidence: The session; errors of the table that are on are in its `table`.
+        parameters: Of the sensors, to be estimated.
+        changes: Coefficients of changes during the session, to be estimated.
+        considered: Parameters with their standard deviations about zero, as in `Equations`.
+    """
 
     evidence: Evidence
     parameters: tuple[Parameter, ...]
@@ -137,9 +144,11 @@ class _Model:
     considered: tuple[tuple[Parameter, float], ...] = ()
 
     def estimate(self) -> Estimate:
+        """Fit the session with these unknowns."""
         return estimate(self.evidence, self.parameters, self.changes, self.considered)
 
     def with_found(self, found: Sequence[Found]) -> _Model:
+        """Return the model with families on, each as it was found."""
         model = self
         for one in found:
             table = model.evidence.table

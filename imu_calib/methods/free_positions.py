@@ -132,7 +132,15 @@ class FreeFit:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Equations, their state, factors on the noise, and turns left out."""
+    """A step of the iteration.
+
+    Attributes:
+        equations: Linearised at the present attitudes.
+        values: (n,) the state.
+        scatter: (3,) factors on the noise, as in `FreeFit`.
+        rejected_moves: Likewise.
+        scatter_chances: Likewise.
+    """
 
     equations: FreeEquations
     values: Floats
@@ -151,6 +159,7 @@ class _State:
         return self.equations.whitened(self.values)
 
     def moved(self, step: Floats) -> _State:
+        """Return the state after a step (n,), in attitudes turned by it."""
         equations, values = self.equations.moved(self.values, step)
         return replace(self, equations=equations, values=values)
 

@@ -28,6 +28,8 @@ class ChannelSystem:
 
     Attributes:
         size: Number of outputs that the weights refer to.
+        coefficients: (4,) of responses and bias in each equation.
+        weights: (size,) of the outputs in each equation.
     """
 
     size: int

@@ -27,13 +27,21 @@ _WORDS = {
 
 @dataclass
 class _Second:
-    """Events since the last report."""
+    """Events since the last report.
+
+    Attributes:
+        since: Its beginning, s of the monotonic clock.
+        taken: Number of samples that came.
+        given: Number of samples that were published.
+        newest: Stamp of the latest of these, ns.
+        latencies: Time of each group of samples in the node, s.
+    """
 
     since: float = field(default_factory=time.monotonic)
     taken: int = 0
     given: int = 0
     newest: int = 0
-    work: list[float] = field(default_factory=list)
+    latencies: list[float] = field(default_factory=list)
 
 
 class CompensatorReports:
@@ -74,7 +82,7 @@ class CompensatorReports:
 
     def record_latency(self, seconds: float) -> None:
         """Record how long samples were in the node."""
-        self._second.work.append(seconds)
+        self._second.latencies.append(seconds)
 
     def note_temperature(self) -> None:
         """Record that a temperature was received."""
@@ -111,8 +119,8 @@ class CompensatorReports:
             figures['waiting'] = str(compensator.waiting)
             figures['left out'] = str(compensator.dropped)
             figures['received twice'] = str(compensator.repeats)
-        if self._second.work:
-            work = np.array(self._second.work) * 1e6
+        if self._second.latencies:
+            work = np.array(self._second.latencies) * 1e6
             figures['latency in the node'] = (
                 f'{np.median(work):.0f} us, at most {work.max():.0f} us'
             )

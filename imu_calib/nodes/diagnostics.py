@@ -22,6 +22,8 @@ class Level(IntEnum):
 
 @dataclass(frozen=True)
 class _Report:
+    """The last report on a part of a node, as `Diagnostics.report` takes it."""
+
     level: Level
     text: str
     figures: dict[str, str] = field(default_factory=dict)

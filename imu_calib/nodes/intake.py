@@ -16,12 +16,12 @@ class TopicIntake:
         kind: Content of the topic.
         topic: Full name.
         malformed: Number of messages that could not be read.
+        received_at: When the newest came, s of the steady clock.
         count: Number of samples, those of the journal included.
         ignored: Number of joint states that lack a joint of the table, or setpoints of another
             plan.
         oldest: Stamp of the first, ns; None before it.
         newest: Stamp of the newest, ns; None before the first.
-        heard: When the newest came, s of the steady clock.
     """
 
     kind: Kind

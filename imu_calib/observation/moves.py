@@ -74,10 +74,14 @@ Cached = TypeVar('Cached')
 class LinkedMove:
     """A move, and the indices of the segments at rest at its ends.
 
-    `rounding` (6,) is the variance by rounding of each sample, rad^2 and (m/s)^2, `coning_variance`
-    that by rates that do not change linearly, `encoders` that by the noise of the encoders at both
-    ends, about any axis, rad^2. `second_order_error` is the error of a velocity by the second
-    order, m/s.
+    Attributes:
+        first: Index of the segment before.
+        second: Index of the segment after.
+        move: The move.
+        rounding: (6,) variance by the rounding of each sample, rad^2 and (m/s)^2.
+        encoders: Variance by the noise of the encoders at both ends, about any axis, rad^2.
+        coning_variance: Variance by rates that do not change linearly, rad^2.
+        second_order_error: Error of the velocity by the second order, m/s.
     """
 
     first: int
@@ -139,7 +143,7 @@ class Moves:
         """
         by_end = {s.end: k for k, s in enumerate(segments) if free or s.angles is not None}
         by_start = {s.start: k for k, s in enumerate(segments) if free or s.angles is not None}
-        wrong = _off(segments, gravity)
+        misfit = _gravity_misfit(segments, gravity)
         links = []
         for move in moves:
             first, second = by_end.get(move.start), by_start.get(move.end)
@@ -153,10 +157,10 @@ class Moves:
             encoders = sum(segments[end].attitude_error ** 2 for end in (first, second))
             # A hand does not hold a rate: samples rounded one by one average out.
             rounding = np.zeros(6) if free else _rounding(move, segments[first])
-            telling = move if coarse else _informative(move, rounding, segments[first], walk)
-            cut = wrong * gravity * _second_order(move)
+            kept = move if coarse else _informative(move, rounding, segments[first], walk)
+            cut = misfit * gravity * _seconds_of_second_order(move)
             links.append(
-                LinkedMove(first, second, telling, rounding, encoders, coning_variance(move), cut)
+                LinkedMove(first, second, kept, rounding, encoders, coning_variance(move), cut)
             )
         # Without them no move of a table is used; for a unit in the hand they are estimated.
         attitudes = [np.eye(3) if s.attitude is None else s.attitude for s in segments]
@@ -428,11 +432,17 @@ class Moves:
             gained = self.links[k].move.velocity_steps
             if gained is not None and gained.pulse.any():
                 accel_std = _FORESEEN * gained.pulse if gained.predicted else np.zeros(3)
-                found[k] = self._held_back(k, gained.pulse, accel_std)
+                found[k] = self._remainder_covariance(k, gained.pulse, accel_std)
         return found
 
-    def _held_back(self, index: int, pulse: Floats, least: Floats) -> Floats:
-        """Return one of them, with counter rates uncertain by at least (3,) m/s^2."""
+    def _remainder_covariance(self, index: int, pulse: Floats, least: Floats) -> Floats:
+        """Return the covariance of one velocity by remainders, (3, 3) (m/s)^2.
+
+        Args:
+            index: Of the move.
+            pulse: (3,) size of a pulse, m/s.
+            least: (3,) least standard deviation of the counters' rates, m/s^2.
+        """
         if self.approximate_sensors is None:
             return np.eye(3) * _EDGES * np.mean(pulse**2)
         path = self.paths(self.approximate_sensors.model)[index]
@@ -494,14 +504,14 @@ def _informative(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> M
     return replace(move, velocity_steps=None)
 
 
-def _off(segments: Sequence[Segment], gravity: float) -> float:
-    """Return the deviation of the accelerometers' length at rest from gravity, a ratio."""
+def _gravity_misfit(segments: Sequence[Segment], gravity: float) -> float:
+    """Return the largest relative deviation of specific forces at rest from gravity."""
     sizes = [float(np.linalg.norm(s.statistics.mean[3:])) / gravity for s in segments]
     return max([_LEAST_OFF, *(abs(size - 1) for size in sizes)])
 
 
-def _second_order(move: Move) -> float:
-    """Return the total error of the steps' velocities where a model changes the samples, s.
+def _seconds_of_second_order(move: Move) -> float:
+    """Return the error of a velocity per change of the specific force by a model, s.
 
     Within a step each sample is turned by the angle to its middle: for a change of force that is
     even in the time from there the error is a twelfth of the square of the step's angle.

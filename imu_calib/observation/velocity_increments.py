@@ -50,7 +50,7 @@ class VelocityIncrement:
     Attributes:
         path: The rotation.
         model: The sensors.
-        beside: (n, 3) outputs by biases and terms, m/s^2.
+        additions: (n, 3) outputs by biases and terms, m/s^2.
         specific_force: (n, 3) mean specific force of each step, m/s^2.
         steps: (n, 3) velocity of each step, body axes at the end, m/s.
     """

@@ -143,7 +143,14 @@ def filled_at_steady_rate(samples: Samples, walk: Floats) -> Samples:
 
 @dataclass(frozen=True)
 class _Hole:
-    """Rows start to stop are to be filled; first to last hold no long gap."""
+    """A run of lost samples, as half-open ranges of rows.
+
+    Attributes:
+        start: The first lost row.
+        stop: The first row after it.
+        first: The first row around it without a long gap between.
+        last: The row after the last of these.
+    """
 
     start: int
     stop: int

@@ -53,7 +53,13 @@ _FAR_BETTER = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Sound:
-    """Which samples of a dwell are sound, why the others are not, and the first shock."""
+    """Which samples of a dwell are sound.
+
+    Attributes:
+        mask: (n,) the sound samples.
+        notes: Why the others are not, in words.
+        mount_shift: The first disturbance that turned the unit; None without one.
+    """
 
     mask: NDArray[np.bool_]
     notes: tuple[str, ...]
@@ -62,7 +68,13 @@ class Sound:
 
 @dataclass(frozen=True)
 class ShiftingDisturbance:
-    """A disturbance that left the unit turned: samples start to stop, by `angle` (rad)."""
+    """A disturbance that left the unit turned.
+
+    Attributes:
+        start: Its first sample.
+        stop: The first sample after it.
+        angle: By which the unit turned, rad.
+    """
 
     start: int
     stop: int
@@ -126,8 +138,8 @@ class _Means:
     """Sums of windows about their robust line.
 
     Attributes:
-        sums: (w, 6) of their samples, rad and m/s.
-        left: (w, 6) residuals of the sums, rad and m/s.
+        sums: (w, 6) sums of the samples of w windows, rad and m/s.
+        residuals: (w, 6) residuals of the sums, rad and m/s.
         scatter: (6,) standard deviation of a sum.
         tolerance: (6,) largest error of a sum by rounding.
     """
@@ -146,6 +158,7 @@ class _Means:
         return cls(sums, residuals, scatter, 1e-9 * np.abs(sums).max(axis=0) + 1e-15)
 
     def outlying(self, floor: Floats) -> NDArray[np.bool_]:
+        """Return which windows (w,) are off the line by more than noise and a floor (6,)."""
         limit = np.maximum(_OUTLIER * self.scatter + floor, self.tolerance)
         return np.asarray((np.abs(self.residuals) > limit).any(axis=1))
 
@@ -158,11 +171,18 @@ class _Means:
         windows: Floats,
         pulses: Floats,
     ) -> ShiftingDisturbance | None:
-        """Find the first run of bad windows (w,), first to last, that turned the unit permanently.
+        """Find the first run of bad windows that turned the unit permanently.
 
         Vibration of the floor changes sums, too: above half the sample rate it adds up like noise.
-        A turn has to exceed that, and to have tilted the unit. The floor (6,) is the largest effect
-        of a window's edges on its sum in pulses; windows are (w, n, 6).
+        A turn has to exceed that, and to have tilted the unit.
+
+        Args:
+            bad: (w,) mask of the windows.
+            first: The first window after the settling.
+            last: The window after the last one before the next motion.
+            floor: (6,) largest effect of a window's edges on its sum, rad and m/s.
+            windows: (w, n, 6) samples of the windows, rad and m/s.
+            pulses: (6,) size of a pulse, rad and m/s; 0 where values are not counted.
         """
         length = windows.shape[1]
         inside = np.flatnonzero(bad[first:last]) + first
@@ -239,6 +259,7 @@ def _robust_line(sums: Floats) -> Floats:
 
 
 def _outlying_spreads(windows: Floats, pulse: Floats) -> NDArray[np.bool_]:
+    """Return which windows (w, n, 6) scatter more than others, and than pulses (6,) that flip."""
     # Some at a time: the standard deviation allocates as much memory again.
     parts = [windows[k : k + _AT_ONCE] for k in range(0, len(windows), _AT_ONCE)]
     spread = np.concatenate([part.std(axis=1) for part in parts])

@@ -43,9 +43,13 @@ _SECOND_DIFFERENCE = MAD_TO_STD / np.sqrt(6)
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """The table stood still from `start` to `end` (ns) at `angles` ((k,) rad; None: unknown).
+    """A time in which the table, or a unit without one, stood still.
 
-    `angle_error` is the standard deviation of such an angle by the noise of its encoder, rad.
+    Attributes:
+        start: Its beginning, ns.
+        end: Its end, ns.
+        angles: (k,) joint angles, rad; None without joint states.
+        angle_error: Standard deviation of such an angle by the noise of its encoder, rad.
     """
 
     start: int

@@ -14,7 +14,15 @@ from .thermometer import Temperature
 
 @dataclass(frozen=True, eq=False)
 class Rejected:
-    """A dwell or turn that was not used: when (ns, IMU clock), where, why."""
+    """A dwell, turn or move that was not used.
+
+    Attributes:
+        start: Its first instant, ns, IMU clock.
+        end: Its last instant, ns, IMU clock.
+        reason: Why it was not used, as part of a sentence.
+        position: Id of the plan's position; None where unknown.
+        turn: Whether it is a turn or a move; else a dwell.
+    """
 
     start: int
     end: int

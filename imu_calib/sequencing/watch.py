@@ -49,7 +49,18 @@ SETS_OUT = 2 * WINDOW
 
 @dataclass
 class _JointMotion:
-    """Motion of one joint."""
+    """Motion of one joint.
+
+    Attributes:
+        joint: The joint.
+        goal: Its angle at the end, rad.
+        sign: Sense of the motion, +1 or -1.
+        distance: Angle from the start to the goal, rad, without sign.
+        patience: Longest time without progress, s.
+        progress: Angle by which it has to come nearer in that time, rad.
+        best: Least angle to the goal so far, rad.
+        mark: Stamp, ns, and angle to the goal, rad, when it last made progress.
+    """
 
     joint: Joint
     goal: float

@@ -128,6 +128,7 @@ class Fleet:
         history: Their evaluation.
         today: Date of the page, UTC: due dates are counted from it.
         ahead: Days before a due recalibration from which the page shows it.
+        units: The units of the history, as the page shows them.
     """
 
     name: str
