@@ -51,10 +51,10 @@ def test_an_interruption_is_told_by_its_length_and_its_beginning() -> None:
 
 def test_lost_samples_are_told_by_their_share() -> None:
     held = reader()
-    held._intake.samples, held._lost = 17, 3
+    held._intake.samples, held._bridged = 17, 3
     held._off_grid = {START + 9 * NS, START + 2 * NS}
     held._interruptions.feed(np.array([START, START + 2 * NS]))
-    assert held._losses() == (
+    assert held._loss_sentences() == (
         '3 IMU samples are missing (15 %), a few at a time: what they counted is interpolated from '
         'those around them',
         'The stamps of the IMU are offset from the sampling grid 2 times, first at 2023-11-14 '
@@ -73,7 +73,7 @@ def test_what_is_lost_counts_after_the_beginning_and_up_to_the_end() -> None:
         held = reader()
         held._note_lost(whole, start, end)
         held._note_lost(whole, start, end)
-        assert held._lost == 2 * lost
+        assert held._bridged == 2 * lost
 
 
 # Motions that the gyros did not see
@@ -90,10 +90,10 @@ def kept_middles(angles: list[float], times: list[float]) -> list[float]:
     # The middle is what counts: each ends within a motion.
     middles = [5, 15, 25, 35]
     held._segments = [Segment((m - 6) * NS, (m + 6) * NS, mean_of(NONE)) for m in middles]
-    held._slips = [MountShift(m * NS, 0.1) for m in middles]
+    held._mount_shifts = [MountShift(m * NS, 0.1) for m in middles]
     held._drop_hidden()
     kept = [(s.start + s.end) / 2 / NS for s in held._segments]
-    assert [slip.instant / NS for slip in held._slips] == kept
+    assert [shift.instant / NS for shift in held._mount_shifts] == kept
     gone = [(r.start // NS, r.end // NS) for r in held._rejected]
     assert gone == [(m - 6, m + 6) for m in middles if m not in kept]
     reason = (

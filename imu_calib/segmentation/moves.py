@@ -112,6 +112,7 @@ class MoveReader:
         return tuple(self._move(*one, period) for one in self._moves)
 
     def _move(self, start: int, end: int, steps: _Steps, period: float) -> Move:
+        """Return the steps from one instant to another, ns, as a move, timed by the interval, s."""
         # Rates become angles and velocities by the interval of the session.
         longer = np.ones(1) if self._sensor.counted else period / steps.period
         gained = VelocitySteps(
@@ -133,7 +134,7 @@ class MoveReader:
     def _close(self, segment: Segment) -> None:
         """End the open move where a segment begins."""
         if self._open and sum(len(p.counts) for p in self._open) >= _SHORTEST:
-            self._moves.append((self._begin, segment.start, _together(self._open)))
+            self._moves.append((self._begin, segment.start, _concatenated(self._open)))
         elif self._reason or self._open is not None:
             reason = self._reason or JERK
             self._lost.append(Rejected(self._begin, segment.start, reason, turn=True))
@@ -185,7 +186,7 @@ class _Steps:
     filled: Floats
 
 
-def _together(parts: Sequence[_Steps]) -> _Steps:
+def _concatenated(parts: Sequence[_Steps]) -> _Steps:
     return _Steps(
         np.vstack([p.turned for p in parts]),
         np.vstack([p.velocity for p in parts]),

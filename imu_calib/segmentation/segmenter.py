@@ -99,16 +99,22 @@ class Segmenter:
         self._stillness: StillnessTracker | None = None
         self._thermometer = Thermometer()
         self._period = 0.0
-        self._seen = 0
+        # Stamp of the last sample that `_stillness` was given, ns.
+        self._watched_until = 0
         self._pending: deque[Rest | Motion] = deque()
+        # IMU clock minus table clock, ns: by the last motion, that about which the next is
+        # compared, and one of more than half a second by the patterns of the first motions.
         self._offset_ns = 0
         self._reference_ns = 0
-        self._apart_ns = 0
+        self._found_offset_ns = 0
+        # Whether each longer motion gave an offset.
         self._compared: list[bool] = []
-        self._trial: list[Rest | Motion] | None = [] if table is not None else None
+        # Rests and motions to be read again if the clocks prove to be apart; None once decided.
+        self._provisional: list[Rest | Motion] | None = [] if table is not None else None
         self._clock: list[ClockSample] = []
         self._offset_seen = False
         self._interruptions = Interruptions()
+        # The middle of each motion, ns, and how much of it the gyros saw.
         self._seen_motions: list[tuple[float, MeasuredShare]] = []
         self._repetitions: list[Repetition] = []
         self._segments: list[Segment] = []
@@ -116,12 +122,14 @@ class Segmenter:
         self._motions: list[FreeMotion] = []
         self._moves = MoveReader(self._sensor, by_hand=table is None)
         self._rejected: list[Rejected] = []
-        self._slips: list[MountShift] = []
+        self._mount_shifts: list[MountShift] = []
         self._pace = Pace()
-        self._lost = 0
+        # Number of lost samples that are interpolated.
+        self._bridged = 0
         self._late = Lateness()
+        # Number of motions in which the device repeated one sample, and when the first was, ns.
         self._frozen = 0, 0
-        self._unlike = False
+        self._patterns_differ = False
         self._off_grid: set[int] = set()
         self._ended: Segmented | None = None
 
@@ -163,7 +171,7 @@ class Segmenter:
             self._intake.take_skew(block)
         elif isinstance(block, TemperatureBlock):
             self._thermometer.feed(block)
-        self._work()
+        self._process()
 
     def snapshot(self) -> Segmenter:
         """Return an independent copy that continues from here."""
@@ -173,17 +181,18 @@ class Segmenter:
     def finish(self) -> Segmented:
         """End all streams: return their contents, the same at each call."""
         if self._ended is None:
-            self._ended = self._end()
+            self._ended = self._end_of_streams()
         return self._ended
 
-    def _end(self) -> Segmented:
+    def _end_of_streams(self) -> Segmented:
+        """Read what is left, drop what clocks or frozen samples spoil, and time the rest anew."""
         self._follow_joints(self._intake.finish())
         if self._joints is None:
             self._watch_stillness(last=True)
         tracker = self._tracker
         if tracker is not None:
             self._pending.extend(tracker.finish())
-        self._work(last=True)
+        self._process(last=True)
         self._drop_hidden()
         if self._clocks_unknown:
             self._drop_all()
@@ -195,8 +204,8 @@ class Segmenter:
             tuple(self._motions),
             self.moves,
             tuple(self._rejected),
-            tuple(self._slips),
-            (*self._losses(), *clock_jumps(clock)),
+            tuple(self._mount_shifts),
+            (*self._loss_sentences(), *clock_jumps(clock)),
             tuple(self._intake.setpoints),
             clock,
             self._intake.samples,
@@ -210,13 +219,15 @@ class Segmenter:
 
     @property
     def _tracker(self) -> JointTracker | StillnessTracker | None:
+        """What detects dwells and motions; None for the IMU alone before its first samples."""
         return self._joints if self._joints is not None else self._stillness
 
     def _follow_joints(self, joints: Ordered) -> None:
+        """Detect dwells and motions from joint states."""
         if self._joints is not None and len(joints.stamp):
             self._pending.extend(self._joints.feed(joints.stamp, joints.values))
 
-    def _work(self, *, last: bool = False) -> None:
+    def _process(self, *, last: bool = False) -> None:
         """Process every interval whose samples have all come in."""
         if self._joints is None:
             self._watch_stillness(last=last)
@@ -228,19 +239,19 @@ class Segmenter:
             if self._awaits_offset(last=last):
                 break
             interval = self._pending.popleft()
-            if self._trial is not None:
-                self._trial.append(interval)
+            if self._provisional is not None:
+                self._provisional.append(interval)
             assumed = self._offset_ns
             if isinstance(interval, Rest):
-                self._rest(interval)
+                self._read_rest(interval)
             else:
-                self._motion(interval)
+                self._read_motion(interval)
             if self._clock and not self._offset_seen:
                 self._offset_seen = True
-                if self._trial is not None and abs(self._offset_ns - assumed) > _MOVED:
+                if self._provisional is not None and abs(self._offset_ns - assumed) > _MOVED:
                     self._begin_anew(self._offset_ns)
                     continue
-            if self._trial is None:
+            if self._provisional is None:
                 self._intake.remove_until(interval.end + self._offset_ns - 2 * MARGIN_NS)
 
     def _awaits_offset(self, *, last: bool) -> bool:
@@ -249,17 +260,17 @@ class Segmenter:
         If the gyros see the first motions of the table, nothing waits. If not, the patterns of both
         are compared, and the data so far is read again.
         """
-        if self._trial is None or self._joints is None or self._table is None:
+        if self._provisional is None or self._joints is None or self._table is None:
             return False
         seen = [max(one.angle, one.time) >= _SEEN for _, one in self._seen_motions]
         seen += self._compared
         if all(seen):
             if len(seen) >= 2 * _SURELY_SEEN or len(self._intake.imu) > _LONGEST_REST:
-                self._trial = None
+                self._provisional = None
             return False
-        motions = [m for m in (*self._trial, *self._pending) if isinstance(m, Motion)]
+        motions = [m for m in (*self._provisional, *self._pending) if isinstance(m, Motion)]
         far = round(FARTHEST * 1e9)
-        until = max(motions[0].start + far, self._trial[-1].end)
+        until = max(motions[0].start + far, self._provisional[-1].end)
         waits = (self._joints.known_until or 0) < until or not self._intake.is_complete_until(
             until + far
         )
@@ -271,28 +282,28 @@ class Segmenter:
         offset = offset_by_pattern(
             [m for m in motions if m.end <= until],
             self._table,
-            self._trial[0].start,
+            self._provisional[0].start,
             samples.stamp,
             np.cumsum(samples.increments[:, :3], axis=0),
         )
-        self._unlike = offset is None
+        self._patterns_differ = offset is None
         if offset is not None and abs(offset) > _NEAR:
             self._begin_anew(round(offset * 1e9))
-        self._trial = None
+        self._provisional = None
         return False
 
     def _begin_anew(self, offset_ns: int) -> None:
         """Discard what was found so far, and read it again with this offset of the clocks."""
-        self._pending.extendleft(reversed(self._trial or ()))
-        self._trial = []
+        self._pending.extendleft(reversed(self._provisional or ()))
+        self._provisional = []
         self._offset_ns = self._reference_ns = offset_ns
         if abs(offset_ns) > _NEAR * 1e9:
-            self._apart_ns = offset_ns
+            self._found_offset_ns = offset_ns
         self._clock, self._compared = [], []
         self._seen_motions, self._repetitions = [], []
-        self._segments, self._turns, self._rejected, self._slips = [], [], [], []
+        self._segments, self._turns, self._rejected, self._mount_shifts = [], [], [], []
         self._moves = MoveReader(self._sensor)
-        self._pace, self._lost, self._off_grid = Pace(), 0, set()
+        self._pace, self._bridged, self._off_grid = Pace(), 0, set()
         self._late = Lateness()
 
     def _watch_stillness(self, *, last: bool) -> None:
@@ -305,12 +316,12 @@ class Segmenter:
             period = sample_period(imu.stamp[:_SAMPLES_FOR_PERIOD])
             self._stillness = StillnessTracker(period, self._sensor.step(WINDOW_SECONDS))
             self._period = period
-            self._seen = int(imu.stamp[0]) - 1
-        fresh = int(np.searchsorted(imu.stamp, self._seen, side='right'))
+            self._watched_until = int(imu.stamp[0]) - 1
+        fresh = int(np.searchsorted(imu.stamp, self._watched_until, side='right'))
         stamp, values = imu.stamp[fresh:], imu.values[fresh:]
         if not len(stamp):
             return
-        self._seen = int(stamp[-1])
+        self._watched_until = int(stamp[-1])
         rates = to_samples(stamp, values, self._spec, self._period).increments / self._period
         self._pending.extend(self._stillness.feed(stamp, rates))
 
@@ -332,11 +343,12 @@ class Segmenter:
             rest = tracker.split_rest(end)
             if rest is None:
                 return
-            self._rest(rest)
-            self._trial = None
+            self._read_rest(rest)
+            self._provisional = None
             self._intake.imu.remove_until(end + self._offset_ns - 2 * MARGIN_NS)
 
-    def _rest(self, rest: Rest) -> None:
+    def _read_rest(self, rest: Rest) -> None:
+        """Read the samples of a dwell: segments, or the reasons for rejecting it."""
         start, end = rest.start + self._offset_ns, rest.end + self._offset_ns
         stamp, values, late = made_between(self._intake.imu, start, end)
         attitude = None
@@ -359,9 +371,10 @@ class Segmenter:
                 self._sensor, whole.samples, delivered, rest.angles, attitude, rest.angle_error
             )
             self._moves.dwell(whole.samples, delivered, found)
-            self._take(found)
+            self._store(found)
 
-    def _motion(self, motion: Motion) -> None:
+    def _read_motion(self, motion: Motion) -> None:
+        """Read the samples of a motion: a move, whole turns, and the offset of the clocks."""
         start = motion.start + self._offset_ns - MARGIN_NS
         end = motion.end + self._offset_ns + MARGIN_NS
         stamp, values, late = self._apart_at_steps(*made_between(self._intake.imu, start, end))
@@ -385,7 +398,7 @@ class Segmenter:
         skewed = None if skew is None else made_between(skew, start, end)[:2]
         around = Around(self._sensor, values, samples, skewed)
         if self._table is None or not len(motion.stamp):
-            self._take(read_free_motion(around, motion))
+            self._store(read_free_motion(around, motion))
             return
         self._compare_clocks(motion, samples, self._table)
         if not self._sensor.saturated(values, samples).any():
@@ -398,14 +411,15 @@ class Segmenter:
                 self._seen_motions.append((middle, seen))
                 rates = samples.increments / samples.period
                 self._repetitions.append(Repetition.of(values, rates))
-        self._take(read_turns(around, motion, self._table, self._offset_ns))
+        self._store(read_turns(around, motion, self._table, self._offset_ns))
 
     def _note_lost(self, whole: Bridged, start: int, end: int) -> None:
         """Count the lost samples between two instants, ns, that are interpolated."""
         inside = (whole.samples.stamp > start) & (whole.samples.stamp <= end)
-        self._lost += int(np.count_nonzero(whole.rows[inside] < 0))
+        self._bridged += int(np.count_nonzero(whole.rows[inside] < 0))
 
     def _compare_clocks(self, motion: Motion, samples: Samples, table: Table) -> None:
+        """Estimate the offset of the clocks from the motion of a single joint, if it shows one."""
         travel = motion.travel
         joint = int(np.argmax(travel))
         if np.any(np.delete(travel, joint) > _ALONE * travel[joint]):
@@ -442,8 +456,8 @@ class Segmenter:
             adjacent[max(0, k - around) : k + around] = True
         return stamp[~adjacent], values[~adjacent], late[~adjacent]
 
-    def _take(self, found: Sequence[Segment | Turn | FreeMotion | MountShift | Rejected]) -> None:
-        """Store what was found, each kind in order."""
+    def _store(self, found: Sequence[Segment | Turn | FreeMotion | MountShift | Rejected]) -> None:
+        """Add what was found to the segments, turns, motions, mount shifts or rejected parts."""
         for one in found:
             if isinstance(one, Segment):
                 self._segments.append(one)
@@ -452,7 +466,7 @@ class Segmenter:
             elif isinstance(one, FreeMotion):
                 self._motions.append(one)
             elif isinstance(one, MountShift):
-                self._slips.append(one)
+                self._mount_shifts.append(one)
             else:
                 self._rejected.append(one)
 
@@ -476,7 +490,9 @@ class Segmenter:
             after = int(np.searchsorted(instants, instant))
             return bool(unseen[after] or unseen[after + 1])
 
-        self._slips = [slip for slip in self._slips if not is_near_hidden(slip.instant)]
+        self._mount_shifts = [
+            slip for slip in self._mount_shifts if not is_near_hidden(slip.instant)
+        ]
         kept = []
         for segment in self._segments:
             if is_near_hidden((segment.start + segment.end) / 2):
@@ -513,14 +529,14 @@ class Segmenter:
     @property
     def _clocks_unknown(self) -> bool:
         """Whether the patterns of the first motions do not match, and most give no clock offset."""
-        return self._unlike and 2 * sum(self._compared) < len(self._compared)
+        return self._patterns_differ and 2 * sum(self._compared) < len(self._compared)
 
     def _drop_all(self) -> None:
         """Drop all that was cut by clocks of unknown offset: its positions and rates are wrong."""
         reason = 'no clock offset brings the motions by the gyros and by the table into agreement'
         self._rejected += [Rejected(s.start, s.end, reason) for s in self._segments]
         self._rejected += [Rejected(t.start, t.end, reason, turn=True) for t in self._turns]
-        self._segments, self._turns, self._slips = [], [], []
+        self._segments, self._turns, self._mount_shifts = [], [], []
         self._moves = MoveReader(self._sensor)
 
     def _frozen_motions(self) -> NDArray[np.bool_]:
@@ -541,19 +557,21 @@ class Segmenter:
         self._turns = [turn.retimed(pace) for turn in self._turns]
         self._motions = [replace(m, statistics=m.statistics.retimed(pace)) for m in self._motions]
 
-    def _losses(self) -> tuple[str, ...]:
-        lost = self._intake.losses(self._apart_ns)
-        if self._apart_ns:
-            ahead = 'ahead of' if self._apart_ns > 0 else 'behind'
+    def _loss_sentences(self) -> tuple[str, ...]:
+        """Return sentences on all data that was lost or corrected on input."""
+        lost = self._intake.losses(self._found_offset_ns)
+        if self._found_offset_ns:
+            ahead = 'ahead of' if self._found_offset_ns > 0 else 'behind'
+            seconds = abs(self._found_offset_ns) * 1e-9
             lost.append(
-                f'The clock of the IMU is {abs(self._apart_ns) * 1e-9:.1f} s {ahead} that of the '
+                f'The clock of the IMU is {seconds:.1f} s {ahead} that of the '
                 'table, by the pattern of the motions: the stamps are corrected by it'
             )
         lost += self._late.words(self._intake.samples)
-        if self._lost:
-            share = self._lost / (self._intake.samples + self._lost)
+        if self._bridged:
+            share = self._bridged / (self._intake.samples + self._bridged)
             lost.append(
-                f'{self._lost} IMU samples are missing ({100 * share:.2g} %), a few at a time: '
+                f'{self._bridged} IMU samples are missing ({100 * share:.2g} %), a few at a time: '
                 'what they counted is interpolated from those around them'
             )
         if self._frozen[0]:

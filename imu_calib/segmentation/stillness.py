@@ -181,6 +181,7 @@ class StillnessTracker:
         return self._judge(self._ahead.popleft())
 
     def _judge(self, window: _Window) -> list[Rest | Motion]:
+        """Return the rest that a window ends, or the motion that it ends as a dwell begins."""
         start, _, mean = window
         self._start = start if self._start is None else self._start
         self._recent = [*self._recent, window][-_WINDOWS_TO_SETTLE:]
@@ -215,6 +216,7 @@ class StillnessTracker:
         return last[1] if quiet else before[1]
 
     def _still(self, mean: list[float], reference: list[float]) -> bool:
+        """Return whether a window's mean is that of a rest that began with a reference."""
         return (
             _farthest(mean[:3], self._offset.value.tolist()) < self._tolerance.rate
             and _farthest(mean[3:], reference[3:]) < self._tolerance.force
@@ -225,4 +227,5 @@ class StillnessTracker:
 
 
 def _farthest(one: Sequence[float], other: Sequence[float]) -> float:
+    """Return the largest difference in any axis."""
     return max(abs(a - b) for a, b in zip(one, other, strict=True))

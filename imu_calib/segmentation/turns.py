@@ -102,7 +102,7 @@ def read_free_motion(readings: Around, motion: Motion) -> list[FreeMotion | Reje
     turned = part.increments[:, :3].sum(axis=0)
     if float(np.linalg.norm(turned)) < _LEAST_TURNED:
         return []
-    if not _sound(part):
+    if not _gap_free(part):
         reason = 'IMU samples are missing within it'
     elif readings.sensor.saturated(readings.values[inside], part).any():
         reason = _SATURATED
@@ -290,7 +290,7 @@ def _other_units(samples: Samples, rate: float) -> str:
 def _unreadable(readings: Around, where: slice) -> str:
     """Return why samples do not give the sensors' counts; empty where they do."""
     part = readings.samples.at(where)
-    if not _sound(part):
+    if not _gap_free(part):
         return 'IMU samples are missing within it'
     if readings.sensor.saturated(readings.values[where], part).any():
         return _SATURATED
@@ -316,13 +316,14 @@ def _skewed_between(
     if sensor.saturated(values, came).any():
         return None
     samples = bridged(came, sensor.walk).samples
-    if not _sound(samples):
+    if not _gap_free(samples):
         return None
     part = samples.at(_around(samples, start, end, turns.spare))
     return _between(part, start, turns.seconds, count, sensor.walk)
 
 
-def _sound(samples: Samples) -> bool:
+def _gap_free(samples: Samples) -> bool:
+    """Return whether no sample is missing."""
     return len(gap_free(samples.stamp, samples.period)) == 1
 
 
