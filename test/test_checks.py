@@ -520,7 +520,7 @@ def test_moves_left_out_are_counted_and_the_first_are_named() -> None:
         found: Any = SimpleNamespace(
             rejected_moves=all_of, equations=SimpleNamespace(evidence=evidence)
         )
-        return joint_findings._astray(found)
+        return joint_findings._rejected_moves_finding(found)
 
     assert said(0, 0) == []
     (angles,) = said(2, 0)

@@ -59,7 +59,7 @@ def found(**given: Any) -> Any:
 
 
 def finding_texts(monkeypatch: pytest.MonkeyPatch, what: Any) -> list[str]:
-    for name in ('_astray', '_scatter_findings', 'temperature_finding'):
+    for name in ('_rejected_moves_finding', '_scatter_findings', 'temperature_finding'):
         monkeypatch.setattr(joint_findings, name, lambda *_: [])
     return joint_findings.estimate_findings(what, ())
 
@@ -87,7 +87,7 @@ def outlying(off: Any, rows: Any = (9, 10, 11)) -> str:
     what.equations.predicted[9:12] = [0, 0, 10.0]
     what.equations.outputs[9:12] = what.equations.predicted[9:12] + off
     outlier: Any = SimpleNamespace(rows=np.array(rows), name='rest 2', chi_square=36.0)
-    return joint_findings._leaning(what, outlier)
+    return joint_findings._tilt_explanation(what, outlier)
 
 
 def test_an_error_across_gravity_is_an_attitude_error() -> None:
@@ -104,7 +104,7 @@ def test_an_error_across_gravity_is_an_attitude_error() -> None:
 
 def test_what_counts_for_less_is_named_with_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        joint_findings, '_leaning', lambda _, o: ', leaning' if o.name == 'b' else ''
+        joint_findings, '_tilt_explanation', lambda _, o: ', leaning' if o.name == 'b' else ''
     )
     outliers = [
         SimpleNamespace(name=name, chi_square=square) for name, square in (('a', 36.0), ('b', 81.0))
@@ -308,5 +308,7 @@ def test_terms_that_another_latitude_explains_alone_are_none(
 
 def test_the_first_three_moves_are_named() -> None:
     moves: Any = [SimpleNamespace(positions=(str(k), str(k + 1))) for k in range(5)]
-    assert joint_findings._ways(moves[:3]) == 'from position 0 to 1, 1 to 2, 2 to 3'
-    assert joint_findings._ways(moves) == 'from position 0 to 1, 1 to 2, 2 to 3 and 2 more'
+    assert joint_findings._names_of_moves(moves[:3]) == 'from position 0 to 1, 1 to 2, 2 to 3'
+    assert (
+        joint_findings._names_of_moves(moves) == 'from position 0 to 1, 1 to 2, 2 to 3 and 2 more'
+    )

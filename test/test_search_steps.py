@@ -32,16 +32,16 @@ from imu_calib.estimation.score import (
 from imu_calib.estimation.search import (
     Found,
     Search,
+    _akaike_criterion,
+    _assigned_sizes,
     _by_alternatives,
     _confirmed,
+    _found_families,
     _likeliest,
-    _limit,
+    _log_chance_limit,
     _Model,
     _restored,
     _searched,
-    _shown,
-    _size,
-    _size_of,
     _under_own_scatter,
     search_terms,
 )
@@ -244,8 +244,8 @@ def test_a_term_that_is_switched_on_begins_at_zero_beside_the_others() -> None:
 
 
 def test_the_limit_is_shared_by_all_that_is_open() -> None:
-    assert _limit([CUBIC] * 5) == pytest.approx(np.log(1e-3 / 5))
-    assert _limit([]) == pytest.approx(np.log(1e-3))
+    assert _log_chance_limit([CUBIC] * 5) == pytest.approx(np.log(1e-3 / 5))
+    assert _log_chance_limit([]) == pytest.approx(np.log(1e-3))
 
 
 def test_what_follows_the_temperature_is_not_taken_for_a_drift_that_explains_as_much() -> None:
@@ -261,16 +261,16 @@ def test_what_follows_the_temperature_is_not_taken_for_a_drift_that_explains_as_
 def test_errors_of_the_table_are_as_large_as_what_is_seen_by_students_t() -> None:
     model = _Model(evidence_of(), PARAMETERS)
     estimate = np.array([3e-5, 0.0, 4e-5])
-    considered, size, seen = _size(model, WOBBLE, score(9.0, 2, estimate=estimate))
+    considered, size, seen = _assigned_sizes(model, WOBBLE, score(9.0, 2, estimate=estimate))
     # Two deviations' chance with two degrees of freedom, and the mean square of 5e-5 over both.
     wider = t.ppf(norm.cdf(2), 2) / 2
     assert considered == ()
     assert size == pytest.approx(wider * 5e-5 / np.sqrt(2))
     assert seen == pytest.approx(5e-5 / np.sqrt(2))
     # A term that the session determines is estimated, and so is what follows time.
-    assert _size(model, SENSES, score(9.0, 2, estimate=estimate)) == ((), 0.0, 0.0)
-    assert _size(model, TREND, score(9.0, 2, estimate=estimate)) == ((), 0.0, 0.0)
-    considered, *sizes = _size(model, OF_ACCELS, score(9.0, 2, estimate=estimate))
+    assert _assigned_sizes(model, SENSES, score(9.0, 2, estimate=estimate)) == ((), 0.0, 0.0)
+    assert _assigned_sizes(model, TREND, score(9.0, 2, estimate=estimate)) == ((), 0.0, 0.0)
+    considered, *sizes = _assigned_sizes(model, OF_ACCELS, score(9.0, 2, estimate=estimate))
     assert sizes == [0.0, 0.0]
     assert [p for p, _ in considered] == list(ACCEL_CUBIC.parameters)
     assert [v for _, v in considered] == pytest.approx([wider * 5e-5 / np.sqrt(2)] * 3)
@@ -434,7 +434,7 @@ def test_families_are_found_one_after_the_other_the_most_significant_first(
     monkeypatch.setattr(module, '_under_own_scatter', tests)
     monkeypatch.setattr(module, 'fit', lambda _, state: state)
     monkeypatch.setattr(_Model, 'on', lambda _, equations, state: (equations, state))
-    found = _shown(start, first, set())
+    found = _found_families(start, first, set())
     assert [(one.family, one.min_saved_outputs) for one in found] == [(SENSES, 0), (CUBIC, 3)]
     assert [one.log_p for one in found] == [score(90.0).log_p, score(70.0).log_p]
     assert [names for _, names in views[::2]] == [
@@ -443,7 +443,7 @@ def test_families_are_found_one_after_the_other_the_most_significant_first(
         ['trend'],
     ]
     assert [aside for aside, _ in views] == [False, True] * 3
-    assert _shown(start, first, {SENSES, CUBIC}) == ()
+    assert _found_families(start, first, {SENSES, CUBIC}) == ()
 
 
 def test_a_view_that_comes_to_no_end_is_left_for_what_was_kept(
@@ -468,17 +468,17 @@ def test_a_view_that_comes_to_no_end_is_left_for_what_was_kept(
     ):
         asked.clear()
         answers[:] = given
-        assert _shown(start, first, set()) == answer
+        assert _found_families(start, first, set()) == answer
         assert asked == wanted
     asked.clear()
     answers[:] = [None, None]
     with pytest.raises(NotConverged):
-        _shown(start, first, set())
+        _found_families(start, first, set())
     assert asked == [[True, False], [False]]
     # Where nothing was set aside there is one view of the session.
     answers[:] = [found]
     asked.clear()
-    _shown(start, estimated(down=0), set())
+    _found_families(start, estimated(down=0), set())
     assert asked == [[True]]
 
 
@@ -499,7 +499,7 @@ def test_what_is_not_confirmed_is_rejected_and_the_search_begins_again(
             raise NotObservable('too many')
         return trial
 
-    monkeypatch.setattr(module, '_shown', shown)
+    monkeypatch.setattr(module, '_found_families', shown)
     monkeypatch.setattr(_Model, 'estimate', fitted)
     monkeypatch.setattr(
         module, '_confirmed', lambda *given: tuple(f for f in given[3] if f.family != SENSES)
@@ -513,7 +513,7 @@ def test_what_is_not_confirmed_is_rejected_and_the_search_begins_again(
     assert tried == [set(), {'accel_cubic'}, {'accel_cubic', 'gyro_asymmetry'}]
     assert found == (trial, (Found(CUBIC, -9.0),), first, True)
     assert _searched(start, first, find_terms=False) == (first, (), first, False)
-    monkeypatch.setattr(module, '_shown', lambda *_: ())
+    monkeypatch.setattr(module, '_found_families', lambda *_: ())
     assert _searched(start, first, find_terms=True) == (first, (), first, True)
 
 
@@ -527,7 +527,7 @@ def test_a_step_is_tried_where_nothing_else_converges_or_outputs_are_set_aside(
         )
 
     sizes: dict[int, float] = {}
-    monkeypatch.setattr(module, '_size_of', lambda search: sizes[id(search.estimate)])
+    monkeypatch.setattr(module, '_akaike_criterion', lambda search: sizes[id(search.estimate)])
     monkeypatch.setattr(_Model, 'estimate', lambda _: estimated())
     evidence, stepped = stated().evidence, ended()
     tried: list[bool] = []
@@ -577,12 +577,12 @@ def test_an_explanation_is_as_large_as_its_chi_square_and_its_coefficients() -> 
     of: Any = SimpleNamespace
     one = of(state=state, without_scatter=equations, downweighted_outputs=3)
     size = float(remains @ remains) + 2 * (24 + 3)
-    assert _size_of(of(estimate=one)) == pytest.approx(size, abs=1e-6)
+    assert _akaike_criterion(of(estimate=one)) == pytest.approx(size, abs=1e-6)
     held = replace(equations, changes=session_term('step'), shape=1e-9)
     stepping = of(state=np.append(state, np.zeros(6)), without_scatter=held, downweighted_outputs=0)
     # At its very beginning a step has no effect, but six coefficients and an instant.
     size = float(remains @ remains) + 2 * (24 + 6 + 1)
-    assert _size_of(of(estimate=stepping)) == pytest.approx(size, rel=1e-3)
+    assert _akaike_criterion(of(estimate=stepping)) == pytest.approx(size, rel=1e-3)
 
 
 def test_a_step_in_an_interruption_is_one_of_few() -> None:
@@ -614,9 +614,9 @@ def test_a_search_that_comes_to_no_end_is_said_to_be_broken_off(
     monkeypatch.setattr(_Model, 'estimate', lambda _: first)
     whole = Search(first, (), {}, 1e-4, np.zeros((24, 24)), {}, {}, first, np.zeros((24, 24)))
     monkeypatch.setattr(module, '_concluded', lambda *_, **__: whole)
-    monkeypatch.setattr(module, '_shown', lambda *_: ())
+    monkeypatch.setattr(module, '_found_families', lambda *_: ())
     assert findings(search_terms(first.equations.evidence)) == []
-    monkeypatch.setattr(module, '_shown', refused)
+    monkeypatch.setattr(module, '_found_families', refused)
     (sentences,) = findings(search_terms(first.equations.evidence))
     assert 'did not converge' in sentences
 

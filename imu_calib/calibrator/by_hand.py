@@ -251,6 +251,7 @@ class HandCalibrator:
         return replace(evidence, moves=kept)
 
     def _result(self, session: Segmented, evidence: Evidence, fit: FreeFit) -> Result:
+        """Return a fit as a result, with its findings and provenance."""
         setup = self._setup
         segments, turns = evidence.segments, len(evidence.links)
         std = np.sqrt(evidence.variances())

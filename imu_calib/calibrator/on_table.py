@@ -178,9 +178,15 @@ class Calibrator:
         return solution, Comparison.of(solution, closed, name)
 
     def _labelled(self, session: Segmented) -> Labelled:
+        """Return the session's segments by the names of the plan."""
         return label(session, self._setup.plan, self._setup.table)
 
     def _solve(self, session: Segmented, labelled: Labelled, *, final: bool) -> Result:
+        """Solve a labelled session; search for terms only if it is `final`.
+
+        Raises:
+            NotObservable: The data does not determine all parameters; with what was lost.
+        """
         setup = self._setup
         used = self._used(labelled)
         if not used.segments and not used.turns:

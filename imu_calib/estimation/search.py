@@ -51,7 +51,7 @@ in a thousand gets one that it has not."""
 
 _APART = 9.0
 """Difference of chi-square below which two families explain a session equally well: a factor of 90
-in the likelihood, as `excess` requires for scatter."""
+in the likelihood, as `excess_scatter.excess` requires."""
 
 _STEP = Family(Course.STEP.value, course=Course.STEP)
 
@@ -69,9 +69,10 @@ class Found:
         considered: Coefficients of a term that the session does not determine, each with its prior
             standard deviation about zero; empty where it is estimated.
         size: Standard deviation assigned to an error of the table, rad; 0 for a term.
-        seen: Root mean square of its observed part, rad, likewise.
-        min_saved_outputs: More outputs than that, its number of coefficients, must no longer be set
-            aside; 0 for a family that is significant with all set aside by the first estimate.
+        seen: Root mean square of the observed part of such an error, rad; 0 for a term.
+        min_saved_outputs: Its number of coefficients, where it is significant only with no output
+            set aside; else 0. With the families of a search on, more outputs than the sum of these
+            must no longer be outliers.
         alternatives: Families that explain the session equally well.
     """
 
@@ -89,7 +90,7 @@ class Search:
     """An estimate with the families selected, and the scores of the others.
 
     Attributes:
-        estimate: The last one.
+        estimate: With all families found.
         found: Families in the order of their selection.
         scores: Of families that are off.
         alpha: Chance at which each of them is tested.
@@ -219,7 +220,7 @@ def search_terms(
     contradictory = search.estimate.downweighted_outputs or search.broken_off
     if find_terms and contradictory and not any(one.family == _STEP for one in search.found):
         stepped = _with_a_step(start)
-        if stepped is not None and _size_of(stepped) < _size_of(search):
+        if stepped is not None and _akaike_criterion(stepped) < _akaike_criterion(search):
             return replace(stepped, before_search=search.before_search)
     return search
 
@@ -231,7 +232,7 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> Search:
     broken_off = False
     while find_terms and noisy:
         try:
-            found = _shown(start, first, rejected)
+            found = _found_families(start, first, rejected)
         except NotConverged:
             broken_off = True
             break
@@ -274,7 +275,7 @@ def _with_a_step(start: _Model) -> Search | None:
     return _concluded(search.estimate, (kept[0], *search.found), first, weigh=True)
 
 
-def _size_of(search: Search) -> float:
+def _akaike_criterion(search: Search) -> float:
     """Return chi-square plus twice the number of coefficients, by the noise known beforehand.
 
     Each output that is set aside has a coefficient of its own, and a step one for its instant.
@@ -290,7 +291,7 @@ def _size_of(search: Search) -> float:
     return float(remains @ remains) + 2 * (coefficients + stepping)
 
 
-def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found, ...]:
+def _found_families(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found, ...]:
     """Return families one after the other, the most significant first, until none is significant.
 
     First with no output set aside, then with all that the first estimate set aside: a missing
@@ -317,7 +318,7 @@ def _significant(
         model = start.with_found(found)
         done = rejected | {one.family for one in found}
         open_ones = [f for f in families(views[0][0]) if f not in done]
-        limit = _limit(open_ones)
+        limit = _log_chance_limit(open_ones)
         scores = [_under_own_scatter(*view, open_ones) for view in views]
         best = {f: min(one[f].log_p for one in scores) for f in open_ones}
         shown = [f for f in open_ones if best[f] < limit]
@@ -326,7 +327,9 @@ def _significant(
         family = _likeliest(shown, best)
         score = min((one[family] for one in scores), key=lambda score: score.log_p)
         min_saved_outputs = 0 if scores[-1][family].log_p < limit else score.rank
-        found.append(Found(family, score.log_p, *_size(model, family, score), min_saved_outputs))
+        found.append(
+            Found(family, score.log_p, *_assigned_sizes(model, family, score), min_saved_outputs)
+        )
         model = start.with_found(found)
         try:
             views = [model.on(*view) for view in views]
@@ -353,7 +356,7 @@ def _likeliest(shown: Sequence[Family], chances: Mapping[Family, float]) -> Fami
     return family
 
 
-def _limit(open_ones: Sequence[Family]) -> float:
+def _log_chance_limit(open_ones: Sequence[Family]) -> float:
     """Return the log of the chance below which the best of several is significant."""
     return float(np.log(CHANCE / max(1, len(open_ones))))
 
@@ -381,7 +384,9 @@ def _under_own_scatter(
     ]
     suspect.sort(key=lambda family: -scores[family].statistic)
     for k, family in enumerate(suspect):
-        if k % _AT_ONCE == 0 and any(scores[f].log_p < _limit(open_ones) for f in suspect[:k]):
+        if k % _AT_ONCE == 0 and any(
+            scores[f].log_p < _log_chance_limit(open_ones) for f in suspect[:k]
+        ):
             return scores | {f: replace(scores[f], statistic=0.0) for f in suspect[k:]}
         shape = float(shapes_of(family, equations)[scores[family].chosen])
         scattering = family.weighed(equations, family.scatter(equations, state, shape))
@@ -410,7 +415,7 @@ def _confirmed(
         columns = columns_of(others, without, state)
         residuals = WhitenedResiduals.of(one.family.weighed(without, trial.scatter), state)
         scores = {f: residuals.score(f, columns[f]) for f in others}
-        here, limit = scores[one.family], _limit(families(without))
+        here, limit = scores[one.family], _log_chance_limit(families(without))
         if here.log_p >= limit:
             continue
         alternatives = tuple(
@@ -424,10 +429,10 @@ def _confirmed(
     return tuple(kept)
 
 
-def _size(
+def _assigned_sizes(
     model: _Model, family: Family, score: Score
 ) -> tuple[tuple[tuple[Parameter, float], ...], float, float]:
-    """Return for an undetermined family: coefficients to consider, size and observed part.
+    """Return `considered`, `size` and `seen` of `Found` for a family.
 
     The unobserved part is assumed as large as the observed part, by Student's t for as many
     directions as are observed.

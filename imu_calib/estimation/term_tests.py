@@ -201,11 +201,12 @@ def findings(search: Search) -> list[str]:
     """Return sentences on the families found in addition to those requested."""
     broken_off = [_BROKEN_OFF] if search.broken_off else []
     table = search.before_search.equations.evidence.table
-    return [*(_found(one, search, table) for one in search.found), *broken_off, *_likely(search)]
+    found = [_found_sentence(one, search, table) for one in search.found]
+    return [*found, *broken_off, *_likely(search)]
 
 
 def confounded_errors(search: Search) -> tuple[str, ...]:
-    """Return a sentence on observed errors of the table with too few outputs to be tested."""
+    """Return errors of the table, in words, that are observed in too few outputs to be tested."""
     return tuple(
         f'{_TABLE_WORDS[family.name]} ({family.name})'
         for family, score in search.scores.items()
@@ -245,60 +246,75 @@ def _likely(search: Search) -> list[str]:
     ]
 
 
-def _found(found: Found, search: Search, table: Table | None) -> str:
+def _found_sentence(found: Found, search: Search, table: Table | None) -> str:
+    """Return a sentence on a family that is on though it was not requested."""
     family = found.family
     chance = f'by chance once in 10^{max(3, round(-found.log_p / _LN10))} sessions'
     if family.of_table:
-        size = f'{significant(found.size / ARCSEC, 3)} arcsec'
-        if table is not None and (known := getattr(table.errors, family.name)):
-            stated = f'{significant(known / ARCSEC)} arcsec'
-            whose = (
-                f'{stated} are assumed of the table'
-                if family.name in table.not_stated
-                else f'the description of the table states {stated}'
-            )
-            return (
-                f'The session shows {_TABLE_WORDS[family.name]} ({family.name}, {chance}), by '
-                f'{significant(found.seen / ARCSEC, 3)} arcsec where {whose}: the standard '
-                f'deviations allow for {size} each.'
-            )
-        return (
-            f'The session shows {_TABLE_WORDS[family.name]} ({chance}): the standard deviations '
-            f'allow for {size} each, which the description of the table does not state '
-            f'({family.name}).'
-        )
+        return _table_error_sentence(found, chance, table)
     if family.course is not None:
-        words = family.course.words
-        text = f'The session shows {words} ({family.name}, {chance}): it is estimated.'
-        if family.course is Course.STEP:
-            equations = search.estimate.equations
-            text += f' It is at {at(instant_of(equations.evidence, equations.shape))}. {_STEPPED}'
-        if found.alternatives:
-            names = ' or '.join(other.name for other in found.alternatives)
-            courses = {family.course, *(other.course for other in found.alternatives)}
-            remedy = _BY_TEMPERATURE if Course.THERMAL in courses else _RECORD
-            text += (
-                f' {names} would explain it as well, and the standard deviations allow for that. '
-                f'To tell, {remedy}.'
-            )
-        return text
+        return _course_sentence(found, family.course, chance, search)
     assert family.term is not None
-    words = family.term.kind.value.words
-    if found.considered:
-        unit = found.considered[0][0].unit
-        text = (
-            f'The session shows {words} ({family.name}, {chance}) and does not determine it: the '
-            'standard deviations allow for coefficients of '
-            f'{significant(found.considered[0][1] / unit.scale)} {unit.shown}. '
-            f'To determine it takes {family.term.needs}.'
+    return _term_sentence(found, family.term, chance)
+
+
+def _table_error_sentence(found: Found, chance: str, table: Table | None) -> str:
+    """Return a sentence on an error of the table that the session shows."""
+    name = found.family.name
+    size = f'{significant(found.size / ARCSEC, 3)} arcsec'
+    if table is not None and (known := getattr(table.errors, name)):
+        stated = f'{significant(known / ARCSEC)} arcsec'
+        whose = (
+            f'{stated} are assumed of the table'
+            if name in table.not_stated
+            else f'the description of the table states {stated}'
         )
-    else:
-        text = f'The session shows {words} ({family.name}, {chance}): it is estimated.'
+        return (
+            f'The session shows {_TABLE_WORDS[name]} ({name}, {chance}), by '
+            f'{significant(found.seen / ARCSEC, 3)} arcsec where {whose}: the standard '
+            f'deviations allow for {size} each.'
+        )
+    return (
+        f'The session shows {_TABLE_WORDS[name]} ({chance}): the standard deviations '
+        f'allow for {size} each, which the description of the table does not state '
+        f'({name}).'
+    )
+
+
+def _course_sentence(found: Found, course: Course, chance: str, search: Search) -> str:
+    """Return a sentence on a change during the session."""
+    text = f'The session shows {course.words} ({found.family.name}, {chance}): it is estimated.'
+    if course is Course.STEP:
+        equations = search.estimate.equations
+        text += f' It is at {at(instant_of(equations.evidence, equations.shape))}. {_STEPPED}'
+    if found.alternatives:
+        names = ' or '.join(other.name for other in found.alternatives)
+        courses = {course, *(other.course for other in found.alternatives)}
+        remedy = _BY_TEMPERATURE if Course.THERMAL in courses else _RECORD
+        text += (
+            f' {names} would explain it as well, and the standard deviations allow for that. '
+            f'To tell, {remedy}.'
+        )
+    return text
+
+
+def _term_sentence(found: Found, term: Term, chance: str) -> str:
+    """Return a sentence on a term of the sensors."""
+    shown = f'The session shows {term.kind.value.words} ({found.family.name}, {chance})'
+    text = f'{shown}: it is estimated.'
+    if found.considered:
+        parameter, deviation = found.considered[0]
+        unit = parameter.unit
+        text = (
+            f'{shown} and does not determine it: the standard deviations allow for coefficients of '
+            f'{significant(deviation / unit.scale)} {unit.shown}. To determine it takes '
+            f'{term.needs}.'
+        )
     if found.alternatives:
         names = ' or '.join(other.name for other in found.alternatives)
         text += (
             f' {names} would explain it as well, and the standard deviations allow for that. To '
-            f'tell them apart takes {family.term.needs}.'
+            f'tell them apart takes {term.needs}.'
         )
     return text
 

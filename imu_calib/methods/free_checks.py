@@ -55,17 +55,19 @@ def check_turns(evidence: Evidence, model: SensorModel) -> None:
     """
     if not len(evidence.links):
         return
-    astray = _astray(evidence, model, np.eye(3))
+    astray = _turned_gravity_error(evidence, model, np.eye(3))
     if astray < _ASTRAY:
         return
     responses = [scale * axes for scale in _UNITS for axes in _signed_axes()]
-    misses = np.array([_astray(evidence, model, response) for response in responses])
+    misses = np.array([_turned_gravity_error(evidence, model, response) for response in responses])
     if misses.min() * _BETTER > astray:
         return
     response = responses[int(np.argmax(misses <= misses.min() * _BETTER))]
     scale = float(np.abs(response).max())
     if scale != 1.0:
-        scale *= min(_AROUND, key=lambda factor: _astray(evidence, model, factor * response))
+        scale *= min(
+            _AROUND, key=lambda factor: _turned_gravity_error(evidence, model, factor * response)
+        )
         if 1 / SCALE_LIMIT < scale < SCALE_LIMIT:
             return
         raise InputError(
@@ -119,8 +121,8 @@ def _signed_axes() -> list[Floats]:
     return sorted(found, key=lambda axes: int(np.count_nonzero(axes != np.eye(3))))
 
 
-def _astray(evidence: Evidence, model: SensorModel, response: Floats) -> float:
-    """Return the error of gravity turned by gyros of a response (3, 3), rad, mean square."""
+def _turned_gravity_error(evidence: Evidence, model: SensorModel, response: Floats) -> float:
+    """Return the error of gravity turned by gyros of a response (3, 3), rad, root mean square."""
     tried = SensorModel(Triad(response - np.eye(3), model.gyro.bias), model.accel)
     links, ups = evidence.links, evidence.attitudes()[:, 2]
     propagated_ups = np.array(

@@ -33,12 +33,12 @@ def estimate_findings(found: Estimate, confounded: Sequence[str]) -> list[str]:
     notes = []
     if found.outliers:
         names = ', '.join(
-            f'{o.name} ({np.sqrt(o.chi_square):.0f} sigma{_leaning(found, o)})'
+            f'{o.name} ({np.sqrt(o.chi_square):.0f} sigma{_tilt_explanation(found, o)})'
             for o in found.outliers
         )
         plural = 's' * (len(found.outliers) > 1)
         notes.append(f'Outlier{plural}, given less weight: {names}.')
-    notes += _astray(found)
+    notes += _rejected_moves_finding(found)
     if found.turns_scatter > 1:
         notes.append(turns_scatter_finding(found.turns_scatter))
     if found.equations.any_heading:
@@ -54,11 +54,11 @@ def estimate_findings(found: Estimate, confounded: Sequence[str]) -> list[str]:
             f'The table is tilted by {tilt / ARCSEC:.0f} arcsec, more than the '
             f'{significant(level / ARCSEC, 3)} arcsec to which it was taken to be level.'
         )
-    notes += [_constant(found)] if found.constant else []
+    notes += [_constant_finding(found)] if found.constant else []
     return [*notes, *temperature_finding(found), *_scatter_findings(found, confounded)]
 
 
-def _leaning(found: Estimate, outlier: Outlier) -> str:
+def _tilt_explanation(found: Estimate, outlier: Outlier) -> str:
     """Return the attitude error of the table that explains this; empty where it explains little.
 
     The residual along gravity is then below a third of the 5.5 deviations from which on a dwell
@@ -79,7 +79,8 @@ def _leaning(found: Estimate, outlier: Outlier) -> str:
     )
 
 
-def _constant(found: Estimate) -> str:
+def _constant_finding(found: Estimate) -> str:
+    """Report coefficients of changes during the session that it does not determine."""
     names = ', '.join(c.name for c in found.constant)
     return (
         f'The session does not determine how {names} change '
@@ -89,7 +90,7 @@ def _constant(found: Estimate) -> str:
     )
 
 
-def _astray(found: Estimate) -> list[str]:
+def _rejected_moves_finding(found: Estimate) -> list[str]:
     """Report the moves or velocities that were left out, their errors and possible causes."""
     notes = []
     turned = [move for move in found.rejected_moves if not move.velocity]
@@ -101,7 +102,7 @@ def _astray(found: Estimate) -> list[str]:
         angle = f'{significant(off / unit, 3)} {words}'
         notes.append(
             f'By the gyros {len(turned)} of {len(turned) + len(links)} moves end elsewhere than by '
-            f'the encoders ({_ways(turned)}; {angle} at most): they are left out. '
+            f'the encoders ({_names_of_moves(turned)}; {angle} at most): they are left out. '
             'Possible causes: rates beyond the range of the gyros, nonlinear gyros, samples that '
             'freeze on the way, and a table whose axes are not where its description says.'
         )
@@ -109,14 +110,14 @@ def _astray(found: Estimate) -> list[str]:
         speed = max(move.misclosure for move in pushed)
         notes.append(
             f'By the accelerometers {len(pushed)} of {len(pushed) + len(links.with_accels)} moves '
-            f'do not end at rest ({_ways(pushed)}; {speed:.3g} m/s at most): their velocities are '
+            f'do not end at rest ({_names_of_moves(pushed)}; {speed:.3g} m/s at most): their velocities are '
             'left out. Possible causes: nonlinear accelerometers, samples that freeze on the way, '
             'and a unit that vibrates in its mount.'
         )
     return notes
 
 
-def _ways(moves: Sequence[RejectedMove]) -> str:
+def _names_of_moves(moves: Sequence[RejectedMove]) -> str:
     """Return the names of the first of several moves."""
     names = ', '.join(' to '.join(move.positions) for move in moves[:_NAMED])
     more = '' if len(moves) <= _NAMED else f' and {len(moves) - _NAMED} more'

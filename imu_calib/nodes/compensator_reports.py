@@ -104,6 +104,7 @@ class CompensatorReports:
         self._second = _Second()
 
     def _report_stream(self, compensator: Compensator | None, now: int, *, mixed: bool) -> None:
+        """Report rates, losses and latency since the last report."""
         topic = self._pulses
         span = max(time.monotonic() - self._second.since, 1e-3)
         figures = {
@@ -150,6 +151,7 @@ class CompensatorReports:
         self._diagnostics.report('range', level, text, **figures)
 
     def _report_temperature(self, compensator: Compensator) -> None:
+        """Report the temperature on which the calibration depends."""
         topic = self._temperature
         figures = {'temperature': f'{compensator.celsius:.2f} degC'}
         level, text = Level.OK, f'{topic} is received.'

@@ -101,7 +101,7 @@ def report_session(
         level = Level.ERROR
     elif session.phase is SessionPhase.FINISHED and session.calibration is not None:
         level = Level.WARN if session.calibration.findings else Level.OK
-    figures = {} if session.review is None else _worst(session.review)
+    figures = {} if session.review is None else _std_figures(session.review)
     text = session_sentence(session)
     if session.guidance is not None and not session.is_over:
         known = int((session.review.std > 0).sum()) if session.review is not None else 0
@@ -131,6 +131,7 @@ def is_fed(session: LiveSession, imu_timeout: float) -> bool:
 def _report_imu(
     session: LiveSession, diagnostics: Diagnostics | PartOfDiagnostics, imu_timeout: float
 ) -> None:
+    """Report whether samples are received, and at the time of the table."""
     imu, joints = session.intakes[Kind.IMU], session.intakes.get(Kind.JOINTS)
     figures = {'samples': str(imu.count), 'malformed': str(imu.malformed.count)}
     level, text = Level.OK, f'{imu.topic} is received.'
@@ -204,14 +205,16 @@ def journal_sentence(path: Path) -> str:
     return f'The journal is written to {path}.'
 
 
-def _worst(review: Review) -> dict[str, str]:
+def _std_figures(review: Review) -> dict[str, str]:
+    """Return the standard deviation of each parameter, for /diagnostics."""
     return {
-        f'std of {parameter.name}': _deviation(parameter, value)
+        f'std of {parameter.name}': _std_text(parameter, value)
         for parameter, value in zip(review.parameters, review.std.tolist(), strict=True)
     }
 
 
-def _deviation(parameter: Parameter, value: float) -> str:
+def _std_text(parameter: Parameter, value: float) -> str:
+    """Return a standard deviation, SI, in the unit in which the parameter is shown."""
     if math.isnan(value):
         return 'not determined'
     shown = engineering(parameter)
