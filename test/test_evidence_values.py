@@ -395,7 +395,7 @@ def test_each_stop_has_three_errors_of_its_own() -> None:
 
 
 def test_tables_of_which_nothing_is_open_lean_nowhere() -> None:
-    at_rest, turning = CLEAN.leaning
+    at_rest, turning = CLEAN.table_attitude_errors
     assert at_rest.shape == (12, 3, 0)
     assert turning.shape == (len(CLEAN.turns), 3, 0)
     angles = np.array([0.2, 0.4, 0.6])
@@ -403,14 +403,14 @@ def test_tables_of_which_nothing_is_open_lean_nowhere() -> None:
     turns = (turn(0, 1, angles), turn(0, None, angles))
     table = replace(TABLE, errors=TableErrors(1e-4, 2e-4, 3e-4, 4e-4))
     held = replace(CLEAN, segments=segments, turns=turns, table=table)
-    at_rest, turning = held.leaning
+    at_rest, turning = held.table_attitude_errors
     assert at_rest.shape[2] > 0
     np.testing.assert_allclose(at_rest[1], table.leaning(angles[None])[0])
     np.testing.assert_allclose(turning[0], table.leaning(around(angles, 1)).mean(axis=0))
     np.testing.assert_allclose(turning[1], table.leaning(angles[None])[0])
-    assert replace(held, table=TABLE).leaning[0].shape == (2, 3, 0)
+    assert replace(held, table=TABLE).table_attitude_errors[0].shape == (2, 3, 0)
     lost = replace(held, turns=(replace(turns[0], angles=None),))
-    assert lost.leaning[0].shape == (2, 3, 0)
+    assert lost.table_attitude_errors[0].shape == (2, 3, 0)
 
 
 # Tilts and closed forms

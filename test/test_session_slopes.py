@@ -266,7 +266,7 @@ def test_a_table_that_leaves_something_open_leans() -> None:
     # One deviation of an error turns the attitude of a rest by so much.
     state[equations.clock_index] = 0.0
     columns = equations.by_table(state)
-    lean = equations.evidence.leaning[0][0, :, 0]
+    lean = equations.evidence.table_attitude_errors[0][0, :, 0]
     rate, force = world()
     held = segments[0].attitude
     turned = held @ Rotation.from_rotvec(lean).as_matrix()

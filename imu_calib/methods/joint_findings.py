@@ -110,9 +110,9 @@ def _rejected_moves_finding(found: Estimate) -> list[str]:
         speed = max(move.misclosure for move in pushed)
         notes.append(
             f'By the accelerometers {len(pushed)} of {len(pushed) + len(links.with_accels)} moves '
-            f'do not end at rest ({_names_of_moves(pushed)}; {speed:.3g} m/s at most): their velocities are '
-            'left out. Possible causes: nonlinear accelerometers, samples that freeze on the way, '
-            'and a unit that vibrates in its mount.'
+            f'do not end at rest ({_names_of_moves(pushed)}; {speed:.3g} m/s at most): their '
+            'velocities are left out. Possible causes: nonlinear accelerometers, samples that '
+            'freeze on the way, and a unit that vibrates in its mount.'
         )
     return notes
 

@@ -103,8 +103,10 @@ class CommonTable:
         self.stated = max(e.positioning for e in evidences)
         self.positioning = sizes.positioning
         self._joints = _of_joints(evidences)
-        self._leaning = [
-            e.with_table_errors(sizes.errors).leaning if e.table else (np.zeros(0), np.zeros(0))
+        self._table_attitude_errors = [
+            e.with_table_errors(sizes.errors).table_attitude_errors
+            if e.table
+            else (np.zeros(0), np.zeros(0))
             for e in evidences
         ]
 
@@ -141,8 +143,8 @@ class CommonTable:
         """Return the effect of each kind of error on the outputs of a unit, (m, e) each."""
         evidence = unit.evidence
         assert evidence.table is not None
-        stopping = unit.by_attitude_errors(state, *self._joints.leaning[k])
-        table = unit.by_attitude_errors(state, *self._leaning[k])
+        stopping = unit.by_attitude_errors(state, *self._joints.attitude_errors[k])
+        table = unit.by_attitude_errors(state, *self._table_attitude_errors[k])
         latitude = unit.latitude_slope(state)[:, None] * evidence.site.latitude_std
         rates = _summed(unit.by_encoder_rates(state), self._turns[k], _count(self._turns))
         by_way = [n for n, t in zip(self._turns[k], evidence.turns, strict=True) if t.whole_way]
@@ -155,8 +157,8 @@ class CommonTable:
         stops = _blocks(rests, count, same, inward)
         reading = np.array([s.attitude_error for s in evidence.segments])
         noise = _blocks(rests, count, reading, inward)
-        leaning = np.array([t.up_error for t in evidence.turns])
-        turning = _blocks(turned, _count(self._turns), leaning, inward)
+        up_errors = np.array([t.up_error for t in evidence.turns])
+        turning = _blocks(turned, _count(self._turns), up_errors, inward)
         only_dwells = np.zeros((len(evidence.turns), 3, stops.shape[2]))
         of_dwells = unit.by_attitude_errors(state, noise, only_dwells)
         of_turns = unit.by_attitude_errors(
@@ -193,7 +195,7 @@ def dwell_counts(units: Sequence[Equations]) -> tuple[list[int], int]:
 class _Joints:
     """Stops of joints: (s, 3, e) and (t, 3, e) rotations of each unit, and their names."""
 
-    leaning: list[tuple[Floats, Floats]]
+    attitude_errors: list[tuple[Floats, Floats]]
     names: tuple[str, ...]
 
 
@@ -226,11 +228,11 @@ def _of_joints(evidences: Sequence[Evidence]) -> _Joints:
             for unit, column in enumerate(rows):
                 columns[unit].append(column)
             names.append(f'{table.joints[joint].name} at {parts[stop[0]].position}')
-    leaning = []
+    attitude_errors = []
     for unit, evidence in enumerate(evidences):
         whole = np.stack(columns[unit], axis=2)
-        leaning.append((whole[: len(evidence.segments)], whole[len(evidence.segments) :]))
-    return _Joints(leaning, tuple(names))
+        attitude_errors.append((whole[: len(evidence.segments)], whole[len(evidence.segments) :]))
+    return _Joints(attitude_errors, tuple(names))
 
 
 def _angles(evidence: Evidence) -> Floats:

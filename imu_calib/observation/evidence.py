@@ -27,7 +27,7 @@ from .headings import headings
 from .known_noise import known_noise
 from .layout import OutputLayout
 from .moves import Moves
-from .positioning_errors import Leaning, around, of_holds, of_joints, of_stops
+from .positioning_errors import AttitudeErrors, around, of_holds, of_joints, of_stops
 
 UP = np.array([0.0, 0.0, 1.0])
 """In east, north, up."""
@@ -140,10 +140,14 @@ class Evidence:
 
     def with_moves(self, moves: tuple[Move, ...]) -> Evidence:
         """Return the session with other moves, or none; results of dwells and turns are kept."""
-        return self._replaced(_OF_DWELLS | {'leaning', 'positioning_leans'}, moves=moves)
+        return self._replaced(
+            _OF_DWELLS | {'table_attitude_errors', 'positioning_attitude_errors'}, moves=moves
+        )
 
     def with_table_errors(self, errors: TableErrors) -> Evidence:
-        """Return the session on its table with other errors; only `leaning` depends on them.
+        """Return the session on its table with other errors.
+
+        Only `table_attitude_errors` depends on them.
 
         Raises:
             ValueError: No table is given.
@@ -152,7 +156,7 @@ class Evidence:
             raise ValueError('no table, and none of its errors')
         key = 'table', errors
         if key not in self.cache:
-            kept = _OF_DWELLS | {'positioning_leans', 'links', 'layout', 'state_cache'}
+            kept = _OF_DWELLS | {'positioning_attitude_errors', 'links', 'layout', 'state_cache'}
             self.cache[key] = self._replaced(kept, table=replace(self.table, errors=errors))
         return cast(Evidence, self.cache[key])
 
@@ -236,11 +240,11 @@ class Evidence:
         return Arms.of(self.turns, self.site.up_rate)
 
     @cached_property
-    def leaning(self) -> tuple[Floats, Floats]:
-        """Lean of attitudes by the uncertainty of the table's geometry, rad per standard deviation.
+    def table_attitude_errors(self) -> tuple[Floats, Floats]:
+        """Attitude errors by the uncertainty of the table's geometry, rad per standard deviation.
 
-        (s, 3, e) of the static dwells and (t, 3, e) of the turns, about the body axes, turns the
-        mean over all angles of the joint that turns.
+        Rotations about the body axes, (s, 3, e) of the static dwells and (t, 3, e) of the turns;
+        those of a turn are means over all angles of the joint that turns.
         """
         known = [s.angles for s in self.segments] + [t.angles for t in self.turns]
         if self.table is None or self.table.errors.exact or any(a is None for a in known):
@@ -252,17 +256,17 @@ class Evidence:
             for turn, held in zip(self.turns, angles[dwells:], strict=True)
         ]
         # All at once: a call takes longer than the computation for one turn.
-        leaning = self.table.leaning(np.concatenate([angles[:dwells], *turned]))
+        errors = self.table.leaning(np.concatenate([angles[:dwells], *turned]))
         ends = dwells + np.cumsum([len(one) for one in turned], dtype=int)
         turning = [
-            leaning[end - len(one) : end].mean(axis=0)
+            errors[end - len(one) : end].mean(axis=0)
             for one, end in zip(turned, ends.tolist(), strict=True)
         ]
-        return leaning[:dwells], np.array(turning).reshape(len(self.turns), *leaning.shape[1:])
+        return errors[:dwells], np.array(turning).reshape(len(self.turns), *errors.shape[1:])
 
     @cached_property
-    def positioning_leans(self) -> tuple[Leaning, Leaning]:
-        """Lean of attitudes by positioning errors of joints, and by each stop separately.
+    def positioning_attitude_errors(self) -> tuple[AttitudeErrors, AttitudeErrors]:
+        """Attitude errors by positioning errors of joints, and by each stop separately.
 
         In the hand both are the same.
         """

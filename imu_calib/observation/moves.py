@@ -337,25 +337,26 @@ class Moves:
         found[:, 3:] = -self._seconds[:, None, None] * np.eye(3)
         return found
 
-    def by_attitudes(self, model: SensorModel, leaning: Floats) -> Floats:
+    def by_attitudes(self, model: SensorModel, attitude_errors: Floats) -> Floats:
         """Return the derivatives of `misclosures` by errors of the attitudes at both ends.
 
         Args:
             model: The sensors.
-            leaning: (s, 3, e) rotations of the attitudes in body axes, per unit of e errors.
+            attitude_errors: (s, 3, e) rotations of the attitudes in body axes, per unit of each of
+                e errors.
 
         Returns:
             (m, 6, e).
         """
-        found = np.zeros((len(self), 6, leaning.shape[2]))
+        found = np.zeros((len(self), 6, attitude_errors.shape[2]))
         if not self.links:
             return found
         first, second = self._ends
         rotated = np.array([path.rotation for path in self.paths(model)])
-        found[:, :3] = leaning[second] - rotated @ leaning[first]
+        found[:, :3] = attitude_errors[second] - rotated @ attitude_errors[first]
         mine = self._pushed
         # Half of either, times gravity as a cross product.
-        about = self.attitudes[:, :2] @ leaning
+        about = self.attitudes[:, :2] @ attitude_errors
         half = (self.gravity / 2 * self._seconds[mine])[:, None, None]
         both = (about[first[mine]] + about[second[mine]]) * half
         found[mine, 3], found[mine, 4] = both[:, 1], -both[:, 0]

@@ -69,7 +69,7 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
     )
     # Effect of the gyros' noise on velocities.
     none = np.zeros(6)
-    leaning = joined([none for _ in segments], [none for _ in turns], leading * _VELOCITIES)
+    by_rotation = joined([none for _ in segments], [none for _ in turns], leading * _VELOCITIES)
     quantisation = joined(
         [s.quantisation_variance for s in statistics],
         [s.quantisation_variance for s in turned],
@@ -80,7 +80,7 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
         [np.append(t.encoder_variance(), t.lean_variance(site.gravity)) for t in turns],
         links.encoders(),
     )
-    total = noise + leaning + quantisation + encoder
+    total = noise + by_rotation + quantisation + encoder
     quantisation = quantisation + np.maximum(SMALLEST_VARIANCE - total, 0.0)
     channel = evidence.layout.channels
     parts = [
@@ -88,7 +88,7 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
         for c, freedom in enumerate(evidence.walk_freedom.tolist())
     ]
     parts += [
-        Component(Source.NOISE, Diagonal(leaning), float(evidence.walk_freedom[:3].sum())),
+        Component(Source.NOISE, Diagonal(by_rotation), float(evidence.walk_freedom[:3].sum())),
         Component(Source.QUANTISATION, Diagonal(quantisation)),
         Component(Source.ENCODER_NOISE, Diagonal(encoder)),
     ]

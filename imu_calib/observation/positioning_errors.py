@@ -50,7 +50,7 @@ NO_POSITIONING_ERRORS = PositioningErrors()
 
 
 @dataclass(frozen=True, eq=False)
-class Leaning:
+class AttitudeErrors:
     """Rotations of attitudes about the body axes by one radian of each of e errors.
 
     Attributes:
@@ -62,7 +62,7 @@ class Leaning:
     turning: Floats
 
     @classmethod
-    def of(cls, columns: list[Floats], dwells: int, parts: int) -> Leaning:
+    def of(cls, columns: list[Floats], dwells: int, parts: int) -> AttitudeErrors:
         """Split (s + t, 3) rotations into dwells and turns, one column for each error."""
         whole = np.stack(columns, axis=2) if columns else np.zeros((parts, 3, 0))
         return cls(whole[:dwells], whole[dwells:])
@@ -70,7 +70,7 @@ class Leaning:
 
 def of_joints(
     segments: tuple[Segment, ...], turns: tuple[Turn, ...], table: Table | None
-) -> Leaning:
+) -> AttitudeErrors:
     """Return the effect of positioning errors of joints.
 
     Without joint angles the attitudes show which joint moved: while up stays the same in body axes
@@ -90,24 +90,24 @@ def of_joints(
             column = np.zeros((len(parts), 3))
             column[run] = about[run]
             columns.append(column)
-    return Leaning.of(columns, len(segments), len(parts))
+    return AttitudeErrors.of(columns, len(segments), len(parts))
 
 
-def of_stops(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
+def of_stops(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
     """Return the effect of independent rotations of stops: three errors for each static dwell."""
     count = len(segments)
     at_rest = np.zeros((count, 3, 3 * count))
     for k in range(count):
         at_rest[k, :, 3 * k : 3 * k + 3] = np.eye(3)
-    return Leaning(at_rest, np.zeros((len(turns), 3, 3 * count)))
+    return AttitudeErrors(at_rest, np.zeros((len(turns), 3, 3 * count)))
 
 
-def of_holds(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
+def of_holds(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
     """Return the effect of unknown attitudes by hand: three errors for each hold and turn."""
     count = len(segments) + len(turns)
     own = np.eye(count)[:, None, :, None] * np.eye(3)[None, :, None, :]
     own = own.reshape(count, 3, 3 * count)
-    return Leaning(own[: len(segments)], own[len(segments) :])
+    return AttitudeErrors(own[: len(segments)], own[len(segments) :])
 
 
 def around(angles: Floats, joint: int) -> Floats:
@@ -150,7 +150,7 @@ def stops_of(
     return found
 
 
-def _by_up(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
+def _by_up(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> AttitudeErrors:
     attitudes = [s.attitude[2] for s in segments if s.attitude is not None]
     ups = np.array([*attitudes, *(t.up for t in turns)]).reshape(-1, 3)
     starts = [s.start for s in segments] + [t.start for t in turns]
@@ -161,7 +161,7 @@ def _by_up(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
         columns += [np.where(mine[:, None], axis, 0.0) for axis in across(ups[mine][0])]
     own = np.eye(len(ups))[: len(segments), :, None] * ups
     columns += list(own)
-    return Leaning.of(columns, len(segments), len(ups))
+    return AttitudeErrors.of(columns, len(segments), len(ups))
 
 
 def _groups(ups: Floats, starts: list[int]) -> NDArray[np.intp]:

@@ -328,7 +328,7 @@ class SessionModel:
 
     def by_table(self, state: Floats) -> Floats:
         """Return the effect of the table's stated errors on the outputs, (m, e): one deviation."""
-        at_rest, turning = self.evidence.leaning
+        at_rest, turning = self.evidence.table_attitude_errors
         if not at_rest.shape[2]:
             return np.zeros((len(self.layout), 0))
         assert self.evidence.table is not None
@@ -346,7 +346,7 @@ class SessionModel:
             at_rest: (s, 3, e) rotations of the static dwells about the body axes, rad.
             turned: (t, 3, e) of the turns.
         """
-        s, by_each = len(at_rest), self._by_leaning(state)
+        s, by_each = len(at_rest), self._by_rotations(state)
         in_moves = self.evidence.links.by_attitudes(self.model(state), at_rest)
         return self.layout.joined(by_each[:s] @ at_rest, by_each[s:] @ turned, in_moves)
 
@@ -383,17 +383,17 @@ class SessionModel:
 
         Those of joints, then those of each stop.
         """
-        both = self.evidence.positioning_leans
+        both = self.evidence.positioning_attitude_errors
         at_rest, turning = (
             np.concatenate(parts, axis=2)
             for parts in zip(*((one.at_rest, one.turning) for one in both), strict=True)
         )
-        leaning = self.by_attitude_errors(state, at_rest, turning)
-        joints, stops = np.split(leaning, [both[0].at_rest.shape[2]], axis=1)
+        effects = self.by_attitude_errors(state, at_rest, turning)
+        joints, stops = np.split(effects, [both[0].at_rest.shape[2]], axis=1)
         return np.hstack([joints, self.by_ways(state)]), stops
 
     @cached_by_state
-    def _by_leaning(self, state: Floats) -> Floats:
+    def _by_rotations(self, state: Floats) -> Floats:
         """Return the derivatives by rotations about the body axes, (s + t, 6, 3); without moves."""
         _, rate, force, turning, turning_force = self._inputs(state)
         seen = [
