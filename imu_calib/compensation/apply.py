@@ -132,6 +132,7 @@ class Compensation:
         return self._noise(interval[:, None] / self._faster)
 
     def _noise(self, tau: Floats) -> Floats:
+        """Return the variances of single samples, (n, channels) SI, by (n, 1) intervals, s."""
         if self._units is Units.PULSES:
             return np.asarray(self._power / tau + self._quantisation_variance / (tau * tau))
         return np.asarray(self._power / tau + self._quantisation_variance)
@@ -202,6 +203,7 @@ class Compensation:
     # Infinite values are marked, without a warning.
     @np.errstate(invalid='ignore')
     def _apply(self, raw: Floats, interval: Floats) -> CompensatedSamples:
+        """Compensate raw samples (n, channels) of (n,) intervals, s, by arrays."""
         tau = interval[:, None] / self._faster
         outputs = raw * self._scale
         if self._units is Units.PULSES:
@@ -243,6 +245,7 @@ class Compensation:
         return result[0], result[1]
 
     def _set_channels(self, specs: list[TriadSpec], bias: Floats) -> None:
+        """Set scale factors, ends of the range and quantisation of the channels."""
         self._scale = np.array([spec.scale_factor for spec in specs])
         self._limit = NEARLY * np.array([spec.range for spec in specs])
         rate, force = self.calibration.imu.least_ends
@@ -318,6 +321,7 @@ class Compensation:
         return terms
 
     def _judge(self, raw: Floats, outputs: Floats, rate: Floats, tau: Floats) -> Marks:
+        """Return the marks (n,) by range, rate and values that are not finite."""
         marks = self._unmarked[: len(raw)]
         size = np.abs(outputs)
         # Comparisons with NaN are false.

@@ -235,6 +235,7 @@ class Compensator:
         self._ready = {s: Compensation(single, skewed=s, mark=mark) for s in _ways(single)}
 
     def _take_temperature(self, block: TemperatureBlock) -> None:
+        """Keep a temperature until samples half a second younger come."""
         sound = np.isfinite(block.celsius)
         for stamp, celsius in zip(
             block.stamp[sound].tolist(), block.celsius[sound].tolist(), strict=True
@@ -258,6 +259,7 @@ class Compensator:
                 self._untimed.insert(0, _rows(block, skip + count, len(block)))
 
     def _release(self, *, last: bool) -> list[Reading]:
+        """Return the samples for which all other topics have arrived; all of them at the `last`."""
         if self.waits_for_temperature and not self._temperatures:
             self._hold(last=last)
             return []

@@ -128,19 +128,19 @@ class SampleClock:
     def finish(self) -> Times:
         """End the stream: return the timing of waiting samples; one alone has no interval."""
         held, self._held = self._held, self._held[:0]
-        if self._typical or len(held) < 2 or not self._begins(held, last=True):
+        if self._typical or len(held) < 2 or not self._infer_interval(held, last=True):
             self.lost += len(held)
             return _NONE
-        return self._begin(held)
+        return self._first_times(held)
 
     def _learn(self) -> Times:
         """Infer the interval from the first samples whose stamps show one."""
         while len(self._held) - self._looked > _LEARNT:
             self._looked += _LEARNT + 1
             first = self._held[: self._looked]
-            if self._begins(first):
+            if self._infer_interval(first):
                 rest, self._held = self._held[self._looked :], self._held[:0]
-                begun, then = self._begin(first), self._follow(rest)
+                begun, then = self._first_times(first), self._follow(rest)
                 return Times(*(np.concatenate(both) for both in zip(begun, then, strict=True)))
             if self._looked > _MOST_HELD:
                 self.lost += _LEARNT + 1
@@ -148,8 +148,8 @@ class SampleClock:
                 self._held = self._held[_LEARNT + 1 :]
         return _NONE
 
-    def _begins(self, stamp: Stamps, *, last: bool = False) -> bool:
-        """Infer the interval from stamps (n,), if they show one."""
+    def _infer_interval(self, stamp: Stamps, *, last: bool = False) -> bool:
+        """Infer the interval from stamps (n,), ns; return whether they show one."""
         steps = np.diff(stamp)
         interval, short = usual_interval(stamp)
         least = _FASTEST if last or len(stamp) > _PACKETS else self._least
@@ -169,7 +169,8 @@ class SampleClock:
             self._follow_one(one)
         return True
 
-    def _begin(self, first: Stamps) -> Times:
+    def _first_times(self, first: Stamps) -> Times:
+        """Return the timing of the samples (n,), ns, that showed the interval."""
         self._last = int(first[-1])
         instants = sampling_times(first)[0] if np.diff(first).min() > 0 else first
         if self._bunch is not None:
@@ -177,6 +178,7 @@ class SampleClock:
         return Times(np.full(len(first), self._interval), instants)
 
     def _set_pace(self, typical: float, jitter: float) -> None:
+        """Set the usual interval and the jitter of stamps, ns, and begin the mean anew."""
         self._typical, self._tolerance = typical, _TYPICAL * typical + JITTER * jitter
         # Jitter must not look like a queue catching up.
         self._gains = typical - min(_TYPICAL * typical, max(_GAINS * typical, JITTER * jitter))
@@ -187,6 +189,7 @@ class SampleClock:
         self._interval = typical * 1e-9
 
     def _set_bunches(self, found: Pattern) -> None:
+        """Time the coming samples as bunches of a pattern."""
         self._set_pace(found.interval, 0.0)
         self._slack = _SLACK_POLLED if found.size is None else _SLACK_PACKETS
         self._bunch = _Bunch(found.size or 0)
@@ -203,9 +206,11 @@ class SampleClock:
         self._sums[: len(latest)], self._known = latest, len(latest)
 
     def _is_regular(self, steps: Stamps) -> NDArray[np.bool_]:
+        """Return which steps (n,), ns, are one sample interval."""
         return np.asarray(np.abs(steps - self._typical) <= self._tolerance)
 
     def _follow(self, stamp: Stamps) -> Times:
+        """Time samples of (n,) stamps, ns, once the interval is known."""
         intervals, instants = np.empty(len(stamp)), stamp.copy()
         done = 0
         while done < len(stamp):

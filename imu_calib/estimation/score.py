@@ -360,6 +360,7 @@ class WhitenedResiduals:
         return [self._score(family, *pattern) for pattern in patterns]
 
     def _score(self, family: Family, columns: Floats, sizes: Floats) -> Score:
+        """Test a family by columns (m, k) for coefficients of sizes (k,)."""
         count, rows = len(sizes), len(self.whitened)
         white = np.zeros((rows, count))
         white[: len(columns)] = scipy.linalg.solve_triangular(

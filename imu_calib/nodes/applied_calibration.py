@@ -155,6 +155,7 @@ class AppliedCalibration:
             )
 
     def _use(self, calibration: AnyCalibration, source: str, made_at: float) -> None:
+        """Apply a calibration, and report its source and unit."""
         if self.compensator is None:
             self.compensator = Compensator(calibration)
         else:

@@ -102,6 +102,7 @@ class AsciiTableNode(Node):
             publish_all(self._joints, encode_joints(block).payloads())
 
     def _report(self) -> None:
+        """Report the controller, and whose setpoints it follows."""
         self._commands.report(self._diagnostics)
         status = self._control.status
         self._diagnostics.report(

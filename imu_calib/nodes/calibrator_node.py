@@ -214,6 +214,7 @@ class CalibratorNode(ros.Node):
             session.solve()
 
     def _on_second(self) -> None:
+        """Check publishers and journal, and begin a round of reviews."""
         for subscriptions in (self._of_table, *self._of_units):
             for topic in subscriptions.subscribe_anew():
                 self._diagnostics.report(

@@ -70,6 +70,7 @@ class CalibratorProgress:
         return of_this_plan
 
     def _take_steps(self, progress: Any, now: float) -> None:
+        """Pass the steps to be repeated, and those already done, to the sequencer."""
         self._received_at = now
         if not self._is_alone(now):
             return

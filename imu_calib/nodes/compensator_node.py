@@ -127,6 +127,8 @@ class CompensatorNode(ros.ManagedNode):
         return [self._publisher]
 
     def _subscribe(self, *, reliable: bool) -> Any:
+        """Subscribe to imu/pulses; note a publisher that offers best effort alone."""
+
         def incompatible(_: Any) -> None:
             self._unreliable = True
 
@@ -142,6 +144,7 @@ class CompensatorNode(ros.ManagedNode):
         )
 
     def _on_pulses(self, payloads: list[bytes]) -> None:
+        """Compensate samples and publish them."""
         if not self._active:
             return
         begun = time.perf_counter()
@@ -169,6 +172,7 @@ class CompensatorNode(ros.ManagedNode):
         return self._applied.compensator if self._active else None
 
     def _publish(self, readings: list[Reading]) -> None:
+        """Publish compensated samples, without those that are no numbers."""
         for reading in readings:
             values = reading.values
             block = ImuBlock(
@@ -186,6 +190,7 @@ class CompensatorNode(ros.ManagedNode):
             self._reports.count_output(len(payloads), int(stamp[-1]))
 
     def _on_second(self) -> None:
+        """Check calibration and publishers, and report."""
         if not self._active:
             return
         self._applied.read_file()

@@ -102,6 +102,7 @@ class Controller:
         diagnostics.report_fault('controller', missing or self._fault, fine)
 
     def _on_answer(self, number: int, future: Any) -> None:
+        """Keep an accepted goal; a rejected one is a fault."""
         handle, newest = future.result(), number == self._number
         if newest:
             self._asked_at = None
@@ -112,6 +113,7 @@ class Controller:
             self._fail('rejects a goal')
 
     def _on_result(self, number: int, future: Any) -> None:
+        """Report a goal that did not end as requested as a fault."""
         answer = future.result()
         if answer.status == GoalStatus.SUCCEEDED:
             return
@@ -129,6 +131,7 @@ class Controller:
         self._fail(f'{ends}: {words}' if words else ends)
 
     def _fail(self, what: str) -> None:
+        """Stop the table because of the controller."""
         self._fault = f'The controller of {self._name} {what}'.rstrip('.') + '.'
         if self._stops and self._handle is not None:
             # Without a goal the controller holds the table.

@@ -264,6 +264,7 @@ def _changes(message: Any) -> Changes | None:
 
 
 def _clock(message: Any) -> StampingClock | None:
+    """Return the stamping clock that a message states; None without."""
     if not message.clock_against:
         return None
     clock = StampingClock(
@@ -295,6 +296,7 @@ def refusal_message(imu: ImuSpec, plan: str, text: str, frame_id: str, stamp: An
 
 
 def _empty(imu: ImuSpec, status: int, text: str, frame_id: str, stamp: Any) -> Any:
+    """Return a message with a status, and NaN for all that it does not know."""
     message = messages.ImuCalibration()
     message.header.stamp = stamp
     message.header.frame_id = frame_id

@@ -74,6 +74,7 @@ class FrameServer:
         self._server.close()
 
     def _push(self) -> None:
+        """Send as many waiting bytes as the reader takes at once."""
         while self._unsent and self._reader is not None:
             try:
                 sent = self._reader.send(self._unsent)
@@ -86,6 +87,7 @@ class FrameServer:
             self._moved = time.monotonic()
 
     def _close_reader(self) -> None:
+        """End the connection; bytes that wait are lost."""
         self.dropped += len(self._unsent)
         self._unsent = memoryview(b'')
         if self._reader is not None:

@@ -77,6 +77,7 @@ class HandNode(ros.Node):
         return []
 
     def _read_hardware(self) -> HeldHardware:
+        """Declare the parameters of the simulation, and return it."""
         imu = load_imu(declare(self, 'imu', 'mems_counts', 'name or file of the IMU'))
         truth = declare(self, 'truth', 'mems_counts', "name or file of the unit's true parameters")
         latitude = declare(self, 'latitude', LUOYANG, 'deg, negative in the south')

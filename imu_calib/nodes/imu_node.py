@@ -234,6 +234,7 @@ class ImuNode(ManagedNode):
         self._held.clear()
 
     def _publish(self, samples: Samples, stamp: Stamps) -> None:
+        """Publish samples, those of a skewed gyro and temperatures with them."""
         block = ImuBlock(stamp, samples.gyro, samples.accel, self._frame_id)
         publish_all(self._pulses, encode_imu(block, self._covariances).payloads())
         if self._skews is not None and samples.skew is not None:

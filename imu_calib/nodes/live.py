@@ -265,6 +265,7 @@ class LiveSession:
         return time.monotonic() - self._done_received_at > _PATIENCE
 
     def _conclude(self, review: Review, *, final: bool) -> None:
+        """Take the result of a solution."""
         result = review.result
         if final:
             self._finish(review)

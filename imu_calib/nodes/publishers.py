@@ -69,6 +69,7 @@ class OnePublisher:
         )
 
     def _are_two(self, listed: list[Any], seconds: float) -> bool:
+        """Return whether the listed publishers, for so many seconds, are of two nodes."""
         participants = {bytes(p.endpoint_gid)[:_PARTICIPANT] for p in listed}
         known = {_name(p) for p in listed if p.node_name not in _UNKNOWN}
         nameless = any(p.node_name in _UNKNOWN for p in listed)

@@ -148,6 +148,7 @@ class RunAction:
             self._end(GoalStatus.CANCELED, f'Cancelled; the table {where}.')
 
     def _follow(self, now: float) -> None:
+        """Publish feedback; end the goal if the plan has stopped or is done."""
         state = self._sequencer.state()
         self._send_feedback(now, state)
         if state.phase is Phase.DONE:
@@ -190,6 +191,7 @@ class RunAction:
         )
 
     def _send_feedback(self, now: float, state: Any) -> None:
+        """Publish the state of the plan if it changed, and periodically."""
         summary = self._sequencer.summary
         if summary == self._sent and now - self._sent_at < _FEEDBACK_PERIOD:
             return
@@ -208,6 +210,7 @@ class RunAction:
         self._goal.publish_feedback(feedback)
 
     def _end(self, status: GoalStatus, message: str) -> None:
+        """End the goal with a status and the calibrations so far."""
         goal, self._goal = self._goal, None
         result = actions.RunCalibration.Result(message=message)
         if self._progress is not None:

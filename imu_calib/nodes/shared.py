@@ -191,6 +191,7 @@ class SharedSolver:
         serials: Sequence[str],
         futures: Sequence[Future[Review]],
     ) -> None:
+        """Conclude sessions in the solver's thread, each with a result or an error."""
         try:
             found = self._concluded(snapshots, serials)
         except BaseException as error:

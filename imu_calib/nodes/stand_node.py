@@ -121,6 +121,7 @@ class StandNode(ros.Node):
         return []
 
     def _read_hardware(self) -> SimulatedHardware:
+        """Declare the parameters of the simulation, and return it."""
         table = load_table(declare(self, 'table', 'three_axis', 'name or file of the turntable'))
         imu = load_imu(declare(self, 'imu', 'fog_medium', 'name or file of the IMU'))
         truth = declare(
@@ -214,6 +215,7 @@ class StandNode(ros.Node):
             self._pace.take_setpoint((setpoint.stamp - self._epoch) * 1e-9)
 
     def _advance(self) -> None:
+        """Simulate one step, and publish its frames, clock and joint states."""
         at_rest = self._pace.is_commanded and self._hardware.at_rest
         output = self._hardware.advance(_STEP_AT_REST if at_rest else _STEP)
         # Send frames before the clock, so that a frame's stamp is never early.
@@ -225,6 +227,7 @@ class StandNode(ros.Node):
         ros.publish_all(self._joint_publisher, encode_joints(output.joints).payloads())
 
     def _report(self) -> None:
+        """Report refused setpoints, and whether the frames are read."""
         self._commands.report(self._diagnostics)
         refusals, self._hardware.refusals = self._hardware.refusals, []
         last = refusals[-1] if refusals else ''

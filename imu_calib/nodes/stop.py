@@ -88,6 +88,7 @@ class StopRecord:
                 probe.unlink()
 
     def _try(self, work: Callable[[], None]) -> None:
+        """Write or remove the file; keep a sentence on why that failed."""
         try:
             work()
         except OSError as error:
@@ -162,6 +163,7 @@ class StopTopic:
             self._listen(qos.as_offered(publisher.qos_profile))
 
     def _listen(self, profile: Any) -> None:
+        """Subscribe with a quality of service, once for each."""
         kind = profile.reliability, profile.durability
         if kind in self._offered:
             return

@@ -103,6 +103,7 @@ class Subscriptions:
         return [self.topics[kind] for kind in found]
 
     def _open(self, kind: Kind, *, reliable: bool) -> Any:
+        """Subscribe to a topic; note a publisher that offers best effort alone."""
         topic, message = self._names[kind], _TOPICS[kind][1]
 
         def incompatible(_: Any) -> None:

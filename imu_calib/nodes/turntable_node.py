@@ -260,6 +260,7 @@ class TurntableNode(Node):
         )
 
     def _start_by_itself(self) -> None:
+        """Start as soon as nothing is in the way; a refusal is reported."""
         if self._sequencer.obstacle:
             return
         self._autostart = False
@@ -269,6 +270,7 @@ class TurntableNode(Node):
             self._diagnostics.report('start', Level.ERROR, f'The plan does not start: {error}')
 
     def _send_what_is_due(self, now: float) -> None:
+        """Publish the present setpoint if it is due."""
         sequencer = self._sequencer
         table_time = None if sequencer.feedback is None else sequencer.feedback.stamp
         if not self._pacing.is_due(table_time, now, sequencer.revision):
@@ -302,6 +304,7 @@ class TurntableNode(Node):
         self._publish_state(sequencer.state())
 
     def _publish_state(self, state: SequencerState) -> None:
+        """Publish the state, and report it on /diagnostics."""
         self._published = self._sequencer.summary
         self._published_at = self._steady.now().nanoseconds * 1e-9
         message = state_message(state, self._sequencer.table.names, self._stamp())
@@ -317,6 +320,7 @@ class TurntableNode(Node):
         self._report_stop()
 
     def _report_joint_states(self) -> None:
+        """Report whether joint states are received, and their faults."""
         fault = self._sequencer.feedback_fault
         if self._sequencer.feedback is None and self._published_at - self._fed_at < self._watchdog:
             return

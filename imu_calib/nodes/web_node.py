@@ -281,6 +281,7 @@ class WebNode(ros.Node):
         )
 
     def _check_report(self) -> None:
+        """Pass the report to the board once its process has ended."""
         if self._reporter is None or self._reporter.poll() is None:
             return
         _, errors = self._reporter.communicate()

@@ -87,6 +87,7 @@ class FreeEquations(Equations):
         return np.column_stack([level, np.full(len(level), self.evidence.site.up_rate)])
 
     def _derivatives(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict`, those by level Earth rate and rotations too."""
         result = super()._derivatives(state)
         ends = [link.second for link in self.evidence.links.links]
         run = np.append(self.runs, self.runs[ends])[self.layout.segment]

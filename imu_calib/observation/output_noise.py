@@ -51,6 +51,7 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
 
 
 def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
+    """Return `own_parts` without factors on the variances."""
     segments, turns, walk = evidence.segments, evidence.turns, evidence.walk
     links = evidence.links
     statistics = [s.statistics for s in segments]

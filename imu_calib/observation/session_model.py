@@ -221,6 +221,7 @@ class SessionModel:
         return self._derivatives(state)
 
     def _derivatives(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict` by the whole state, (m, n)."""
         around, _, _, turning, turning_force = self._inputs(state)
         model, n = self.model(state), self.sensors
         at_rest, turned, in_moves = (

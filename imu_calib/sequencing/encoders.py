@@ -103,12 +103,14 @@ class Encoders:
             yield self._follow(stamp, angles, rates)
 
     def _check_order(self, stamp: int) -> None:
+        """Raise if a stamp is so much earlier that the stream was restarted."""
         back = self._past[-1][0] - stamp
         if back > self._patience:
             self._past.clear()
             raise FeedbackError(f'The stamps of the joint states jump back by {back * 1e-9:.3g} s.')
 
     def _follow(self, stamp: int, angles: list[float], rates: list[float]) -> Feedback:
+        """Return a joint state (k,) rad and rad/s, in order, with continuous angles."""
         if stamp > _LATEST:
             raise FeedbackError(f'The joint states are stamped {stamp * 1e-9:.0f} s after 1970.')
         strange = [k for k, angle in enumerate(angles) if not abs(angle) <= FARTHEST]

@@ -138,15 +138,18 @@ class Run:
         return 0.0 if current is None else current.dwell
 
     def _enter(self, leg: Leg, at: Feedback | None) -> None:
+        """Begin a leg."""
         self.leg = leg
         if at is not None:
             self._since = at.stamp
 
     def _stop(self, leg: Leg, at: Feedback | None) -> None:
+        """Command the table to hold, and begin a leg."""
         self._enter(leg, at)
         self.orders.stop(self.itinerary.current, at)
 
     def _go_on(self, now: Feedback, there: bool) -> str:
+        """Go on to the next leg where it is due; return a sentence on a fault, or nothing."""
         if there and self.leg in {Leg.STOPPING, Leg.MOVING}:
             return self._next(now) if self.leg is Leg.STOPPING else self._arrive(now)
         elapsed = (now.stamp - self._since) * 1e-9

@@ -121,6 +121,7 @@ class Lead:
         return np.asarray(np.clip(shown, np.minimum(rates, 0.0), np.maximum(rates, 0.0)))
 
     def _begin(self, setpoint: Setpoint, at: Feedback) -> None:
+        """Plan the course of a motion from the table's present position."""
         goal, rates = list(setpoint.angles), list(self._rates)
         for k, rate in enumerate(setpoint.rates):
             if setpoint.mode is Mode.RATE and rate:
@@ -131,6 +132,7 @@ class Lead:
         self._covered = 0.0
 
     def _hold(self, setpoint: Setpoint, at: Feedback, unseen: float) -> Piece | None:
+        """Return the trajectory that stops the table, None while the last one suffices."""
         content = (setpoint.mode,)
         now = setpoint.stamp * 1e-9
         # Once at rest the controller holds by itself.

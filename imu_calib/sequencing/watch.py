@@ -156,6 +156,7 @@ class Watch:
         return ''
 
     def _stalled(self, motion: _JointMotion, angle: float, stamp: int) -> str:
+        """Return how the joint makes no progress; empty if it does."""
         remaining = abs(motion.goal - angle)
         since, then = motion.mark
         if remaining <= self._rules.arrival or then - remaining >= min(motion.progress, then / 2):
@@ -175,6 +176,7 @@ class Watch:
         return ''
 
     def _late(self, now: Feedback, elapsed: float) -> str:
+        """Return which joint is off its goal after the longest time for the motion."""
         off = [abs(w.goal - a) for w, a in zip(self._motions, now.angles, strict=True)]
         k = off.index(max(off))
         return (
