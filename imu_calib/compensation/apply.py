@@ -70,7 +70,8 @@ class Compensation:
     def __init__(self, calibration: Calibration, *, skewed: bool = False, mark: int = 0) -> None:
         self.calibration = calibration
         self._units = calibration.imu.units
-        self._faster = 1.0 if calibration.clock is None else 1 + calibration.clock.faster
+        # Rate of the stamping clock over that of the table's.
+        self._clock_ratio = 1.0 if calibration.clock is None else 1 + calibration.clock.faster
         model, imu = calibration.model, calibration.imu
         channels = model.skewed if skewed else None
         specs = [imu.gyro] * 3 + [imu.skewed or imu.gyro] * (len(channels.bias) if channels else 0)
@@ -91,12 +92,13 @@ class Compensation:
         # From all channels to rates and forces in one matrix: a live sample pays for every step.
         through = from_force @ force
         nothing = np.zeros((_AXES, len(specs)))
-        self._to_both = np.block([[rate, through], [nothing, force]]).T.copy()
+        self._to_inputs = np.block([[rate, through], [nothing, force]]).T.copy()
         self._known_force = calibration.has_accelerometers
         self._model, self._linear = model, model.linear
         self.moving = has_motion_terms(terms_of(model.parameters))
-        mine = [*range(_AXES), *range(len(specs), len(specs) + _AXES)]
-        self._of_six, self._gain = mine, self._to_both[mine].T.copy()
+        # Without skewed gyros: those to which nonlinear terms apply.
+        six = [*range(_AXES), *range(len(specs), len(specs) + _AXES)]
+        self._orthogonal_channels, self._gain = six, self._to_inputs[six].T.copy()
         self._levers = _levers(calibration.parameters)
         self._pairs = tuple(combinations_with_replacement(range(len(self._levers)), 2))
         # Factors on `_terms`, (t, 18): nine of rate, nine of force.
@@ -112,14 +114,15 @@ class Compensation:
         self._covariance = np.vstack([self._covariance[:count][used], self._covariance[count:]])
         self._unmarked = np.full(_AT_ONCE, mark, np.uint8)
         self._unmarked.flags.writeable = False
-        self._plain = channels is None and model.linear and len(self._levers) == len(_LINEAR)
+        # Whether `_apply_one` can compensate a single sample.
+        self._by_numbers = channels is None and model.linear and len(self._levers) == len(_LINEAR)
         self._channels = [
             (float(scale), float(offset), float(limit), float(full))
             for scale, offset, limit, full in zip(
                 self._scale, self._bias, self._limit, self._full, strict=True
             )
         ]
-        self._outputs = self._to_both.T.tolist()
+        self._outputs = self._to_inputs.T.tolist()
         self._products = self._factors.T.tolist()
         self._variances = list(
             zip(self._power.tolist(), self._quantisation_variance.tolist(), strict=True)
@@ -129,7 +132,7 @@ class Compensation:
 
     def noise(self, interval: Floats) -> Floats:
         """Return the variances of single samples from noise and quantisation, (n, channels) SI."""
-        return self._noise(interval[:, None] / self._faster)
+        return self._noise(interval[:, None] / self._clock_ratio)
 
     def _noise(self, tau: Floats) -> Floats:
         """Return the variances of single samples, (n, channels) SI, by (n, 1) intervals, s."""
@@ -148,7 +151,7 @@ class Compensation:
             interval: (n,) sample intervals, s by the clock that stamps the samples.
             skewed: (n, k) skewed gyros likewise, where the model has any.
         """
-        if len(interval) == 1 and self._plain:
+        if len(interval) == 1 and self._by_numbers:
             alone = self._apply_one([*gyro[0].tolist(), *accel[0].tolist()], interval.item())
             if alone is not None:
                 return alone
@@ -167,7 +170,7 @@ class Compensation:
 
         Return None for a sample that needs the checks of `_apply`: nothing else gets marks.
         """
-        tau = interval / self._faster
+        tau = interval / self._clock_ratio
         if not tau > 0:
             return None
         divisor = tau if self._units is Units.PULSES else 1.0
@@ -204,21 +207,21 @@ class Compensation:
     @np.errstate(invalid='ignore')
     def _apply(self, raw: Floats, interval: Floats) -> CompensatedSamples:
         """Compensate raw samples (n, channels) of (n,) intervals, s, by arrays."""
-        tau = interval[:, None] / self._faster
+        tau = interval[:, None] / self._clock_ratio
         outputs = raw * self._scale
         if self._units is Units.PULSES:
             outputs = outputs / tau
         free = outputs - self._bias
-        both = _mix(free, self._to_both)
+        both = _mix(free, self._to_inputs)
         if not self._linear:
             both = inverted(self._model, both, self._gain)[0]
-            free[:, self._of_six] -= self._model.extra(both)
+            free[:, self._orthogonal_channels] -= self._model.extra(both)
         rate, force = both[:, :_AXES], both[:, _AXES:]
         covariance = _mix(self._terms(both, tau), self._covariance)
         rate_covariance, force_covariance = covariance[:, :9], covariance[:, 9:18]
         if not self._linear:
-            rate_covariance, force_covariance = self._bent(both, covariance[:, :18])
-        marks, parity = self._judge(raw, outputs, rate, tau), None
+            rate_covariance, force_covariance = self._through_terms(both, covariance[:, :18])
+        marks, parity = self._marks_of(raw, outputs, rate, tau), None
         if not self._linear:
             marks = marks | ~np.isfinite(both).all(axis=1) * _BITS[Mark.NO_NUMBER]
         if self._parity_vector is not None:
@@ -231,7 +234,7 @@ class Compensation:
             force_covariance[:, 0] = -1.0
         return CompensatedSamples(rate, force, rate_covariance, force_covariance, marks, parity)
 
-    def _bent(self, both: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+    def _through_terms(self, both: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Return covariances of rate and force, with the slopes of nonlinear terms applied."""
         sound = np.isfinite(both).all(axis=1)
         slopes = np.eye(6) + self._gain @ self._model.extra_slopes(both[sound])
@@ -320,7 +323,7 @@ class Compensation:
         terms[:, count:] = self._noise(tau)
         return terms
 
-    def _judge(self, raw: Floats, outputs: Floats, rate: Floats, tau: Floats) -> Marks:
+    def _marks_of(self, raw: Floats, outputs: Floats, rate: Floats, tau: Floats) -> Marks:
         """Return the marks (n,) by range, rate and values that are not finite."""
         marks = self._unmarked[: len(raw)]
         size = np.abs(outputs)

@@ -45,13 +45,14 @@ _SEEN = 10.0
 """Standard deviations by which a coefficient of the largest useful size must move the outputs: a
 direction of a family with a smaller effect is not tested."""
 
-_TABLE = 1 * ARCMIN
-"""The largest useful size of an error of a table: ten times that of a decent one."""
+_LARGEST_TABLE_ERROR = 1 * ARCMIN
+"""Largest useful size of an error of a table, rad: ten times that of a decent one."""
 
-_BEYOND = 20.0
-"""The same over its stated size: errors below ten times that, `_SEEN`, are not seen."""
+_LARGEST_OVER_STATED = 20.0
+"""The same for a table whose file states a large one, over the stated standard deviation: with
+`_SEEN` a direction is tested if one such deviation moves the outputs by half of theirs."""
 
-_FREE = 300 * ARCSEC
+_FREE_TABLE_ERROR = 300 * ARCSEC
 """Standard deviation of a practically free error of a table: a thousand times what the best
 accelerometers and dwells resolve, and small enough for the covariance to be inverted."""
 
@@ -123,7 +124,7 @@ class Family:
             start = np.concatenate([state, np.zeros(len(self.changes))])
             return excess(there, stepped(there, start))
         if self.term is None:
-            return excess(self.freed(equations, _FREE), state)
+            return excess(self.freed(equations, _FREE_TABLE_ERROR), state)
         return excess(*with_parameters(equations, state, self.parameters))
 
     @property
@@ -173,7 +174,11 @@ def columns_of(
             table = equations.evidence.table
             stated = 0.0 if table is None else getattr(table.errors, family.name)
             # A zero error cannot be separated from the next axis leaning about the joint's.
-            size = _TABLE if family.name == 'zeros' else max(_TABLE, _BEYOND * stated)
+            size = (
+                _LARGEST_TABLE_ERROR
+                if family.name == 'zeros'
+                else max(_LARGEST_TABLE_ERROR, _LARGEST_OVER_STATED * stated)
+            )
             columns = family.freed(ideal, size, alone=True).by_table(state)
             result[family] = ((columns, np.full(columns.shape[1], size)),)
         else:

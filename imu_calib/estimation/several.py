@@ -195,16 +195,16 @@ class _Reduced:
     orthonormal: Floats
     """(r, n) basis of its own parameters' effects on its equations."""
     inverse: Floats
-    """(n, n) of the triangle: parameters by coordinates in that basis."""
+    """(n, n) inverse of the triangle: its own parameters by coordinates in that basis."""
     common: Floats
     """(r, c) derivatives by the common unknowns, whitened, orthogonal to its own parameters."""
     by_common: Floats
     """(n, c) derivatives of its own parameters by the common unknowns."""
     own: Floats
     """(n,) step of its own parameters with the common unknowns fixed."""
-    pull: Floats
-    """(c,) gradient by the common unknowns."""
-    square: float
+    gradient: Floats
+    """(c,) derivatives of half of chi-square by the common unknowns, with reversed sign."""
+    chi_square: float
     """Sum of squared whitened residuals after its own parameters."""
     factor: Floats
     """(m, m) root of the covariance of its outputs."""
@@ -231,7 +231,7 @@ class _System:
         self._states = [found.state.copy() for found in alone]
         best = min(alone, key=lambda found: found.nuisance(Nuisance.AZIMUTH)[1])
         self._table = best.state[best.equations.sensors :][: len(TABLE_STATE)].copy()
-        self._put_table()
+        self._copy_table_to_states()
         self._errors = self._common.of(self._states)
         self._values = np.zeros(len(self._errors.sources))
 
@@ -248,7 +248,7 @@ class _System:
                 self._states[k][self._own(k)] += own
                 deviations = np.sqrt((reduced.inverse**2).sum(axis=1))
                 moved = max(moved, float(np.abs(own / deviations).max()))
-            self._put_table()
+            self._copy_table_to_states()
             if moved < _CONVERGED:
                 self._linearise()
                 return
@@ -264,7 +264,7 @@ class _System:
         pulled = prior * found**2
         if not all(unit.north_known for unit in self._units):
             pulled[Nuisance.AZIMUTH] = 0.0
-        square = float(pulled.sum()) + sum(one.square for one in self._reduced)
+        square = float(pulled.sum()) + sum(one.chi_square for one in self._reduced)
         gained = np.linalg.slogdet(self._information)[1] - np.log(prior).sum()
         return -0.5 * float(square + gained)
 
@@ -316,9 +316,9 @@ class _System:
 
         half = whitened(self._reduced[k].common.T * scale[:, None])
         ratios, vectors = np.linalg.eigh(half @ half.T)
-        pull = vectors.T @ whitened(self._reduced[k].pull * scale)
+        gradient = vectors.T @ whitened(self._reduced[k].gradient * scale)
         informative = ratios > _INFORMATIVE
-        square = (1 + ratios[informative]) * pull[informative] ** 2 / ratios[informative]
+        square = (1 + ratios[informative]) * gradient[informative] ** 2 / ratios[informative]
         return float(square.sum()), int(informative.sum())
 
     def table_estimate(self) -> TableEstimate:
@@ -340,17 +340,19 @@ class _System:
         unit = self._units[k]
         return np.delete(np.arange(unit.size), unit.sensors + np.arange(len(TABLE_STATE)))
 
-    def _put_table(self) -> None:
+    def _copy_table_to_states(self) -> None:
+        """Set azimuth and tilts in the state of each unit to the common ones."""
         for unit, state in zip(self._units, self._states, strict=True):
             state[unit.sensors + np.arange(len(TABLE_STATE))] = self._table
 
     def _linearise(self) -> None:
+        """Compute information and gradient on the common unknowns at the current states."""
         self._errors = self._common.of(self._states)
         self._reduced = [self._eliminated(k) for k in range(len(self._units))]
         self._information_by_errors: dict[int, list[tuple[Floats, float]]] = {}
         self._prior, pulled = self._priors()
         self._information = self._prior + sum(one.information for one in self._reduced)
-        self._gradient = pulled + sum(one.pull for one in self._reduced)
+        self._gradient = pulled + sum(one.gradient for one in self._reduced)
         scale = 1 / np.sqrt(np.diag(self._information))
         scaled = self._information * np.outer(scale, scale)
         self._inverse = np.linalg.inv(scaled) * np.outer(scale, scale)
