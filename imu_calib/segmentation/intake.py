@@ -113,12 +113,12 @@ class StreamBuffer:
 
     def take_setpoints(self, block: SetpointBlock) -> None:
         """Add setpoints."""
-        last = _asks(self.setpoints[-1]) if self.setpoints else None
+        last = _request(self.setpoints[-1]) if self.setpoints else None
         for setpoint in block.setpoints:
-            asks = _asks(setpoint)
-            if asks != last:
+            request = _request(setpoint)
+            if request != last:
                 self.setpoints.append(setpoint)
-                last = asks
+                last = request
 
     def finish(self) -> Ordered:
         """End of all streams; return the last joint states."""
@@ -141,7 +141,7 @@ class StreamBuffer:
     def losses(self, ahead: int = 0) -> list[str]:
         """Return sentences on losses; the IMU's clock is `ahead` (ns) of the table's."""
         lost = [
-            f'{counted(count, "sample")} {_how(what)}, the first at {at(first)}'
+            f'{counted(count, "sample")} {_loss_words(what)}, the first at {at(first)}'
             for what, (count, first) in self._dropped.items()
         ]
         lost += self._imu_stamps.words() + self._skew_stamps.words(' of the skewed gyro')
@@ -181,6 +181,7 @@ class StreamBuffer:
         return []
 
     def _add_imu(self, ordered: Ordered) -> None:
+        """Append samples in order, and record the range of their stamps."""
         self._note('stamps that jump or stand still', ordered.lost)
         stamp = ordered.stamp
         if not len(stamp):
@@ -196,6 +197,7 @@ class StreamBuffer:
             self.skew.append(ordered.stamp, ordered.values)
 
     def _counted(self, joints: Ordered) -> Ordered:
+        """Return joint states; record their first and last stamp, and what was dropped."""
         self._note('joint stamps that jump or stand still', joints.lost)
         if len(joints.stamp):
             if self._first_joint is None:
@@ -213,14 +215,17 @@ class StreamBuffer:
         return stamp[mask], values[mask]
 
     def _note(self, what: str, lost: Stamps) -> None:
+        """Count a kind of loss at stamps (n,), ns."""
         if len(lost):
             count, first = self._dropped.get(what, (0, int(lost[0])))
             self._dropped[what] = (count + len(lost), first)
 
 
-def _asks(setpoint: Setpoint) -> tuple[object, ...]:
+def _request(setpoint: Setpoint) -> tuple[object, ...]:
+    """Return what repeated setpoints have in common."""
     return setpoint.step, setpoint.mode, setpoint.position, setpoint.plan
 
 
-def _how(what: str) -> str:
+def _loss_words(what: str) -> str:
+    """Return a kind of loss as a part of its sentence."""
     return what if what in {_TWICE, _SKEW_TWICE} else f'left out for {what}'

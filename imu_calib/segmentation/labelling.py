@@ -105,7 +105,7 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
     named = [
         replace(r, position=setpoints.position((r.start + r.end) / 2))
         for r in session.rejected
-        if setpoints.counts((r.start + r.end) / 2)
+        if setpoints.uses((r.start + r.end) / 2)
     ]
     labelled = Labelled(tuple(segments), tuple(turns), (*named, *rejected))
     if table is not None:
@@ -116,7 +116,7 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
         labelled = replace(labelled, segments=named_by_plan)
     if not session.mount_shifts:
         return labelled
-    return _in_one_mount(labelled, session.mount_shifts, setpoints, session.start or 0)
+    return _of_one_mounting(labelled, session.mount_shifts, setpoints, session.start or 0)
 
 
 def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
@@ -126,7 +126,7 @@ def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
     accelerometers and by encoders differ there, while they agree at most other dwells.
     """
     segments = [s for s in labelled.segments if s.attitude is not None]
-    brief = _brief(segments)
+    shortest = _shortest_used(segments)
     # The angle between up by the accelerometers and by the encoders, rad.
     ups = [(up_by_accelerometers(s), s.attitude[2]) for s in segments if s.attitude is not None]
     tilts = np.array([float(np.arccos(np.clip(seen @ up, -1, 1))) for seen, up in ups])
@@ -137,7 +137,7 @@ def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
     for segment, off in zip(segments, tilts.tolist(), strict=True):
         if segment.position is not None:
             kept.append(segment)
-        elif segment.statistics.duration < brief:
+        elif segment.statistics.duration < shortest:
             passing.append(segment)
         elif in_mount and off >= UP_TOLERANCE:
             reason = (
@@ -177,7 +177,7 @@ def _turns_with_own_names(turns: Sequence[Turn]) -> tuple[Turn, ...]:
     return tuple(t if t.position else replace(t, position=names[t.start]) for t in turns)
 
 
-def _brief(segments: Sequence[Segment]) -> float:
+def _shortest_used(segments: Sequence[Segment]) -> float:
     """Return the duration below which a dwell counts as a stop on the way, s.
 
     Usual durations differ between sessions, so the limit follows from most of the dwells. A pause
@@ -193,24 +193,25 @@ def _brief(segments: Sequence[Segment]) -> float:
     return min(BLOCK_SECONDS, SHORT_DWELL * usual)
 
 
-def _in_one_mount(
-    labelled: Labelled, slips: Sequence[MountShift], setpoints: _Setpoints, zero: int
+def _of_one_mounting(
+    labelled: Labelled, mount_shifts: Sequence[MountShift], setpoints: _Setpoints, zero: int
 ) -> Labelled:
     """Keep the data measured while the unit sat in its mount in one orientation.
 
     A shock changes all misalignments against the table: before and after it are two calibrations.
     The one with more positions and turns is kept.
     """
-    instants = [slip.instant for slip in slips]
+    instants = [shift.instant for shift in mount_shifts]
     segments = [(int(np.searchsorted(instants, s.start)), s) for s in labelled.segments]
     turns = [(int(np.searchsorted(instants, t.start)), t) for t in labelled.turns]
     sizes = [
         len({s.position for mount, s in segments if mount == k}) + sum(m == k for m, _ in turns)
-        for k in range(len(slips) + 1)
+        for k in range(len(mount_shifts) + 1)
     ]
     best = int(np.argmax(sizes))
     words = ', '.join(
-        f'by {slip.angle / DEG:.3f} deg {_place(slip.instant, setpoints, zero)}' for slip in slips
+        f'by {shift.angle / DEG:.3f} deg {_where(shift.instant, setpoints, zero)}'
+        for shift in mount_shifts
     )
     return replace(
         labelled,
@@ -218,12 +219,12 @@ def _in_one_mount(
         turns=tuple(t for mount, t in turns if mount == best),
         notes=(
             f'The unit shifted in its mount ({words}): misalignments before and after differ, '
-            f'so only {_PART[(best > 0) + 2 * (best < len(slips))]} used',
+            f'so only {_PART[(best > 0) + 2 * (best < len(mount_shifts))]} used',
         ),
     )
 
 
-def _place(instant: int, setpoints: _Setpoints, zero: int) -> str:
+def _where(instant: int, setpoints: _Setpoints, zero: int) -> str:
     """Return where something happened: the position, or the time from the recording's start."""
     position = setpoints.position(instant)
     return f'at position {position}' if position else f'after {(instant - zero) * 1e-9:.0f} s'
@@ -259,24 +260,26 @@ class _Setpoints:
 
         self._restarts = [begins for last, begins in interruptions if begins - last > _OUTAGE]
 
-    def are_of_before(self, segment: Segment) -> bool:
-        """Return whether the stand was started anew since the setpoint that was active."""
+    def restarted_before(self, segment: Segment) -> bool:
+        """Return whether the stand was started anew between the active setpoint and a segment."""
         index = self._index((segment.start + segment.end) / 2)
         return any(self._stamp[index] < begins <= segment.start for begins in self._restarts)
 
     def at(self, instant: float) -> Setpoint | None:
+        """Return the active setpoint at an instant, ns; None before the first."""
         index = self._index(instant)
         return self._setpoints[index] if index >= 0 else None
 
     def _index(self, instant: float) -> int:
         return int(np.searchsorted(self._stamp, instant, side='right')) - 1
 
-    def counts(self, instant: float) -> bool:
+    def uses(self, instant: float) -> bool:
         """Return whether data at this instant is used: not while the table only passes through."""
         setpoint = self.at(instant)
         return setpoint is None or setpoint.mode is not Mode.POSITION or setpoint.dwell > 0
 
     def position(self, instant: float) -> str | None:
+        """Return the position of the active setpoint; None before the first."""
         setpoint = self.at(instant)
         return setpoint.position if setpoint is not None else None
 
@@ -300,13 +303,13 @@ def _by_setpoint(
         setpoint = setpoints.at((segment.start + segment.end) / 2)
         if setpoint is None:
             continue
-        of_before = setpoints.are_of_before(segment)
+        restarted = setpoints.restarted_before(segment)
         if setpoint.mode is not Mode.POSITION or setpoint.dwell <= 0:
-            if not of_before:
+            if not restarted:
                 named.append(segment)
             continue
         reason = _off_setpoint(segment, setpoint, table)
-        if reason and of_before:
+        if reason and restarted:
             continue
         if setpoint.position not in known:
             reason = f'plan {plan.name} has no position {setpoint.position}'

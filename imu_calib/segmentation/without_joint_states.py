@@ -39,7 +39,7 @@ def label_by_order(segments: Sequence[Segment], plan: Plan) -> tuple[list[Segmen
     taken = {p for _, p in pairs}
     for index, place in pairs:
         position = positions[place]
-        group = _alike(positions, place)
+        group = _neighbours_with_same_up(positions, place)
         lost = [positions[k].id for k in group if k not in taken]
         segment = segments[index]
         if lost and len(group) > 1:
@@ -88,7 +88,7 @@ def _align(
     return pairs
 
 
-def _alike(positions: Sequence[Position], place: int) -> list[int]:
+def _neighbours_with_same_up(positions: Sequence[Position], place: int) -> list[int]:
     """List the neighbours in the plan that have the same axis up."""
     group = [place]
     for step in (-1, 1):
@@ -111,13 +111,13 @@ def join_motions(motions: Sequence[FreeMotion], segments: Sequence[Segment]) -> 
             and last.turned @ motion.turned
             > _ALONG_UP * np.prod([np.linalg.norm(m.turned) for m in (last, motion)])
         ):
-            joined[-1] = _sum(last, motion)
+            joined[-1] = _joined_motion(last, motion)
         else:
             joined.append(motion)
     return joined
 
 
-def _sum(first: FreeMotion, second: FreeMotion) -> FreeMotion:
+def _joined_motion(first: FreeMotion, second: FreeMotion) -> FreeMotion:
     """Add two pieces of a turn: angles, integrals and times; without the pause."""
     a, b = first.statistics, second.statistics
     duration = a.duration + b.duration
