@@ -21,7 +21,7 @@ UNREST_FREEDOM = 3.0
 (`segmentation/statistics.py`)."""
 
 _ANGLES, _VELOCITIES = np.repeat(np.eye(2), 3, axis=1)
-"""Slices of the outputs of a move."""
+"""(6,) masks, one or zero, of the angles and of the velocities among the outputs of a move."""
 
 
 def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, ...]:
