@@ -354,7 +354,9 @@ class WhitenedResiduals:
         norms = np.linalg.norm(jacobian, axis=0)
         basis = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])[0]
         factor = equations.factor(state)
-        return cls(equations, np.asarray(basis), _without(residuals, basis), np.asarray(factor))
+        return cls(
+            equations, np.asarray(basis), _orthogonal_to(residuals, basis), np.asarray(factor)
+        )
 
     def score(self, family: Family, patterns: Sequence[Pattern]) -> Score:
         """Test a family by its `columns_of`: the most significant, as one of so many."""
@@ -371,7 +373,9 @@ class WhitenedResiduals:
         white[: len(columns)] = scipy.linalg.solve_triangular(
             self.factor, columns, lower=True, check_finite=False
         )
-        directions, values, axes = np.linalg.svd(_without(white, self.basis), full_matrices=False)
+        directions, values, axes = np.linalg.svd(
+            _orthogonal_to(white, self.basis), full_matrices=False
+        )
         sound = values > _SEEN
         directions, values, axes = directions[:, sound], values[sound], axes[sound]
         along = directions.T @ self.whitened
@@ -428,7 +432,7 @@ _WHOLE = 1e-3
 then found to half a part in a thousand."""
 
 
-def _without(columns: Floats, basis: Floats) -> Floats:
+def _orthogonal_to(columns: Floats, basis: Floats) -> Floats:
     """Make columns (m, k) or a vector (m,) orthogonal to a basis; twice, against rounding."""
     for _ in range(2):
         columns = columns - basis @ (basis.T @ columns)

@@ -36,7 +36,7 @@ _USEFUL = 0.02
 ALONG = 0.5
 """Component of a unit vector from which on it is along an axis: below 1 / sqrt(3) = 0.577, so that
 any direction is along at least one."""
-_STRAY = 1e-3
+_SMALL_COMPONENT = 1e-3
 """Component of a unit vector below which it counts as zero: 3.4 arcmin, above the errors of
 encoders and axes, far below any angle of a plan."""
 
@@ -116,7 +116,7 @@ def attainable_std(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAM
         information = nominal_information(Equations(evidence, parameters))
     except np.linalg.LinAlgError:
         return np.full(len(parameters), np.nan)
-    deviations = _deviations(information, parameters)
+    deviations = _standard_deviations(information, parameters)
     return np.where(determined(information, parameters), deviations, np.nan)
 
 
@@ -144,16 +144,17 @@ def with_nominal_attitudes(evidence: Evidence) -> Evidence:
     """
     if 'nominal' not in evidence.cache:
         segments = tuple(
-            s if s.attitude is None else replace(s, attitude=_without_strays(s.attitude))
+            s if s.attitude is None else replace(s, attitude=_without_small_components(s.attitude))
             for s in evidence.segments
         )
-        turns = tuple(replace(t, up=_without_strays(t.up)) for t in evidence.turns)
+        turns = tuple(replace(t, up=_without_small_components(t.up)) for t in evidence.turns)
         evidence.cache['nominal'] = replace(evidence, segments=segments, turns=turns)
     return cast(Evidence, evidence.cache['nominal'])
 
 
-def _without_strays(directions: Floats) -> Floats:
-    return np.where(np.abs(directions) < _STRAY, 0.0, directions)
+def _without_small_components(directions: Floats) -> Floats:
+    """Return unit vectors with components below `_SMALL_COMPONENT` set to zero."""
+    return np.where(np.abs(directions) < _SMALL_COMPONENT, 0.0, directions)
 
 
 def determined(
@@ -164,7 +165,7 @@ def determined(
     The limit is a tenth for scale factors and misalignments, and a fiftieth of the largest
     plausible value for the coefficients of terms.
     """
-    deviations = _deviations(information, parameters)
+    deviations = _standard_deviations(information, parameters)
     limits = np.array([useful_limit(p) for p in parameters])
     with np.errstate(invalid='ignore'):
         return np.asarray(np.isfinite(deviations) & ~(deviations > limits))
@@ -178,7 +179,8 @@ def useful_limit(parameter: Parameter) -> float:
     return _MEANINGLESS[parameter.kind] if limit is None else _USEFUL * limit
 
 
-def _deviations(information: Information, parameters: tuple[Parameter, ...]) -> Floats:
+def _standard_deviations(information: Information, parameters: tuple[Parameter, ...]) -> Floats:
+    """Return the standard deviations of the first entries of a state, (n,); NaN if unobserved."""
     return np.asarray(np.sqrt(np.diag(information.covariance)[: len(parameters)]))
 
 

@@ -72,7 +72,7 @@ def advice(equations: Equations) -> str:
     additions = _additions(equations.evidence)
     everything = equations
     for _, segment in additions:
-        everything = _with(everything, segment)
+        everything = _extended(everything, segment)
     columns = everything.whitened(everything.nominal())[0][:, : equations.sensors]
     scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0] = 1.0
@@ -80,9 +80,9 @@ def advice(equations: Equations) -> str:
     requirements: list[str] = []
     open_now = undetermined_parameters(equations)
     for _ in range(_MOST):
-        tried = [(_with(equations, segment), words) for words, segment in additions]
+        tried = [(_extended(equations, segment), words) for words, segment in additions]
         scores = [
-            (int(undetermined_parameters(t).sum()), -_information(t, scale)) for t, _ in tried
+            (int(undetermined_parameters(t).sum()), -_log_information(t, scale)) for t, _ in tried
         ]
         best = min(range(len(scores)), key=lambda k: scores[k])
         equations, words = tried[best]
@@ -129,7 +129,8 @@ def _upright(up: Floats, quarter: int) -> Floats:
     return np.asarray(rotation(UP, quarter * TURN / 4) @ body)
 
 
-def _with(equations: Equations, segment: Segment | Turn) -> Equations:
+def _extended(equations: Equations, segment: Segment | Turn) -> Equations:
+    """Return the equations of a session with one more dwell or turn."""
     evidence = equations.evidence
     if isinstance(segment, Segment):
         more = replace(evidence, segments=(*evidence.segments, segment))
@@ -138,7 +139,7 @@ def _with(equations: Equations, segment: Segment | Turn) -> Equations:
     return replace(equations, evidence=more)
 
 
-def _information(equations: Equations, scale: Floats) -> float:
+def _log_information(equations: Equations, scale: Floats) -> float:
     """Return the logarithm of a session's information on the sensors' parameters.
 
     Args:

@@ -29,43 +29,49 @@ def in_table_time(evidence: Evidence) -> Evidence:
     if not rate:
         return evidence
     faster = 1 + rate
-    more, less = (faster, 1.0) if evidence.units is Units.PULSES else (1.0, 1 / faster)
+    # Pulses are sums, divided by seconds to give rates; counts and SI values are rates.
+    on_rates, on_increments = (faster, 1.0) if evidence.units is Units.PULSES else (1.0, 1 / faster)
     return replace(
         evidence,
         segments=tuple(
-            replace(s, statistics=_statistics(s.statistics, faster, more))
+            replace(s, statistics=_retimed_statistics(s.statistics, faster, on_rates))
             for s in evidence.segments
         ),
-        turns=tuple(_turn(t, faster, more) for t in evidence.turns),
-        moves=tuple(_move(m, faster, less) for m in evidence.moves),
+        turns=tuple(_retimed_turn(t, faster, on_rates) for t in evidence.turns),
+        moves=tuple(_retimed_move(m, faster, on_increments) for m in evidence.moves),
         clock=replace(evidence.clock, rate=0.0),
     )
 
 
-def _turn(turn: Turn, faster: float, more: float) -> Turn:
+def _retimed_turn(turn: Turn, faster: float, on_rates: float) -> Turn:
+    """Return a turn by a clock that is slower by a factor, with a factor on its outputs."""
     skewed = turn.skewed
     return replace(
         turn,
-        statistics=_statistics(turn.statistics, faster, more),
-        skewed=None if skewed is None else _statistics(skewed, faster, more),
-        each=None if turn.each is None else turn.each * more,
+        statistics=_retimed_statistics(turn.statistics, faster, on_rates),
+        skewed=None if skewed is None else _retimed_statistics(skewed, faster, on_rates),
+        each=None if turn.each is None else turn.each * on_rates,
     )
 
 
-def _statistics(statistics: Statistics, faster: float, more: float) -> Statistics:
+def _retimed_statistics(statistics: Statistics, faster: float, on_rates: float) -> Statistics:
+    """Return statistics by a clock that is slower by a factor, with a factor on their outputs."""
     return replace(
         statistics,
         duration=statistics.duration / faster,
-        mean=statistics.mean * more,
-        end_points=statistics.end_points * more,
-        blocks=tuple(b * np.array([more, 1.0, 1.0, 1 / faster]) for b in statistics.blocks),
-        drift=statistics.drift * more * faster,
+        mean=statistics.mean * on_rates,
+        end_points=statistics.end_points * on_rates,
+        blocks=tuple(b * np.array([on_rates, 1.0, 1.0, 1 / faster]) for b in statistics.blocks),
+        drift=statistics.drift * on_rates * faster,
     )
 
 
-def _move(move: Move, faster: float, less: float) -> Move:
+def _retimed_move(move: Move, faster: float, on_increments: float) -> Move:
+    """Return a move by a clock that is slower by a factor, with a factor on its increments."""
     gained = move.velocity_steps
     if gained is not None:
-        gained = replace(gained, velocity=gained.velocity * less, mean=gained.mean * less)
-    turned, seconds = move.turned * less, move.seconds / faster
+        gained = replace(
+            gained, velocity=gained.velocity * on_increments, mean=gained.mean * on_increments
+        )
+    turned, seconds = move.turned * on_increments, move.seconds / faster
     return replace(move, turned=turned, seconds=seconds, velocity_steps=gained)
