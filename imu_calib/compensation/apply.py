@@ -116,6 +116,12 @@ class Compensation:
         self._unmarked.flags.writeable = False
         # Whether `_apply_one` can compensate a single sample.
         self._by_numbers = channels is None and model.linear and len(self._levers) == len(_LINEAR)
+        self._set_numbers()
+        highest = calibration.provenance.get('highest_rate')
+        self._highest = float('inf') if highest is None else _BEYOND * float(highest)
+
+    def _set_numbers(self) -> None:
+        """Set what `_apply_one` needs as plain Python numbers."""
         self._channels = [
             (float(scale), float(offset), float(limit), float(full))
             for scale, offset, limit, full in zip(
@@ -127,8 +133,6 @@ class Compensation:
         self._variances = list(
             zip(self._power.tolist(), self._quantisation_variance.tolist(), strict=True)
         )
-        highest = calibration.provenance.get('highest_rate')
-        self._highest = float('inf') if highest is None else _BEYOND * float(highest)
 
     def noise(self, interval: Floats) -> Floats:
         """Return the variances of single samples from noise and quantisation, (n, channels) SI."""

@@ -119,9 +119,7 @@ class WebNode(ros.Node):
         )
         self._server.start()
         self._diagnostics = Diagnostics(self, self._setup.imu.id)
-        exposed = exposure(host)
-        text = f'Open {where} in a browser. {exposed}'.rstrip()
-        self._diagnostics.report('page', Level.WARN if exposed else Level.OK, text)
+        self._report_page(host, where)
         if secret and not given:
             # On the terminal only: the log is published on the network (/rosout).
             print(f'web_node: token for the buttons: {secret}', flush=True)  # noqa: T201
@@ -133,6 +131,12 @@ class WebNode(ros.Node):
             self._reporter.kill()
             self._reporter.wait()
         return []
+
+    def _report_page(self, host: str, where: str) -> None:
+        """Report the address of the page, and whether other machines reach it."""
+        exposed = exposure(host)
+        text = f'Open {where} in a browser. {exposed}'.rstrip()
+        self._diagnostics.report('page', Level.WARN if exposed else Level.OK, text)
 
     def _new_board(self, *, several: bool) -> Board | UnitsBoard:
         """Return an empty board, of a single unit or of those in the units' file."""

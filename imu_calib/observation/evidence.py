@@ -337,7 +337,8 @@ class Evidence:
         Raises:
             NotObservable: An attitude with no body axis vertical.
         """
-        return [vertical_axis(a[2], s.position) for a, s in zip(self.attitudes(), self.segments)]  # noqa: B905
+        pairs = zip(self.attitudes(), self.segments, strict=True)
+        return [vertical_axis(attitude[2], s.position) for attitude, s in pairs]
 
     def off_axis(self) -> Floats:
         """Return the deviation of up, by encoders, from the vertical body axis, (s, 3)."""
