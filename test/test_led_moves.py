@@ -278,7 +278,7 @@ def test_a_velocity_is_the_sum_of_its_steps() -> None:
         displacement += (before + step / 2) * seconds
         before += step
     np.testing.assert_allclose(found.displacement, displacement, atol=1e-12)
-    assert not found.moved.any()
+    assert not found.correction.any()
     np.testing.assert_allclose(found.additions, np.tile(MODEL.accel.bias, (4, 1)))
     rates, _, middles = along(MODEL, moves, 0)
     late = -sum(

@@ -156,17 +156,17 @@ def pushed(samples: Samples, attitude: Floats, model: SensorModel = WRONG) -> Ve
 
 def test_steps_hold_what_gravity_gives_on_the_way() -> None:
     samples, attitude = tumbled()
-    thrust = pushed(samples, attitude)
+    increment = pushed(samples, attitude)
     seconds = len(samples.stamp) * PERIOD
-    off = attitude @ thrust.velocity - GRAVITY * seconds
+    off = attitude @ increment.velocity - GRAVITY * seconds
     # What the third order of a step may turn the axes by, as above: a fifth of what the best
     # accelerometers scatter by in that time.
     assert np.abs(off).max() < 0.1 * ARCSEC * GRAVITY[2] * seconds
-    assert attitude @ thrust.displacement == pytest.approx(GRAVITY * seconds**2 / 2, abs=1e-4)
+    assert attitude @ increment.displacement == pytest.approx(GRAVITY * seconds**2 / 2, abs=1e-4)
     # Without what the turning within steps adds it is far off.
     first = np.concatenate([[0], np.cumsum(joined(samples).counts)[:-1]]).astype(int)
     plain = replace(joined(samples), velocity=np.add.reduceat(samples.increments[:, 3:], first))
-    path = thrust.path
+    path = increment.path
     gained = VelocitySteps(plain.velocity, np.zeros_like(plain.velocity), np.zeros(3))
     far = (
         attitude @ VelocityIncrement.of_each([gained], [path], WRONG)[0].velocity
@@ -181,8 +181,10 @@ def test_a_scale_factor_that_is_far_off_leaves_what_the_variance_allows() -> Non
     increments = samples.increments * np.concatenate([np.ones(3), factors])
     bare = WRONG.accel
     triad = Triad(factors[:, None] * bare.response - np.eye(3), factors * bare.bias)
-    thrust = pushed(replace(samples, increments=increments), attitude, replace(WRONG, accel=triad))
-    off = attitude @ thrust.velocity - GRAVITY * len(samples.stamp) * PERIOD
+    increment = pushed(
+        replace(samples, increments=increments), attitude, replace(WRONG, accel=triad)
+    )
+    off = attitude @ increment.velocity - GRAVITY * len(samples.stamp) * PERIOD
     steps = joined(samples)
     move = Move(0, 1, steps.turned, steps.counts * PERIOD, np.zeros(3))
     allowed = 0.25 * GRAVITY[2] * _seconds_of_second_order(move)
@@ -212,7 +214,7 @@ def test_accelerometers_that_answer_late_gain_what_gravity_has_turned() -> None:
     assert np.abs(moved).max() > 0.01
     # A model that knows it takes off all but the third order: a degree cubed of gravity.
     aware = WRONG.with_values(DELAY.parameters, np.array([PERIOD]))
-    assert -pushed(late, attitude, aware).moved == pytest.approx(moved, abs=DEG**3 * IN_A_MOVE)
+    assert -pushed(late, attitude, aware).correction == pytest.approx(moved, abs=DEG**3 * IN_A_MOVE)
 
 
 FINE_PULSE = 1e-4

@@ -1,8 +1,8 @@
 """Moves as observations: gyros and accelerometers integrated between two static dwells.
 
 With C the rotation by the gyros of a model from rest a to rest b, of a vector fixed in inertial
-space, v the velocity gained by its accelerometers (`thrust`), f the specific force of gravity and T
-the time,
+space, v the velocity gained by its accelerometers (`VelocityIncrement`), f the specific force of
+gravity and T the time,
 
     e = log( C (R_b^T exp(-[w_ie] T) R_a)^T ) = noise,    three equations in the body axes at rest b
     z = exp(-[R_b e] / 2) R_b v - f T = noise,            three in the frame of the attitudes
@@ -109,7 +109,7 @@ class Moves:
     gravity: float
     approximate_sensors: ApproximateSensors | None = None
     _paths: dict[bytes, tuple[GyroPath, ...]] = field(default_factory=dict, init=False, repr=False)
-    _thrusts: dict[bytes, tuple[VelocityIncrement | None, ...]] = field(
+    _increments_cache: dict[bytes, tuple[VelocityIncrement | None, ...]] = field(
         default_factory=dict, init=False, repr=False
     )
 
@@ -187,7 +187,7 @@ class Moves:
 
     def velocity_increments(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
         """Return the velocities gained by a model's accelerometers; None where not used."""
-        return _cached(self._thrusts, model.fingerprint(), lambda: self._gained(model))
+        return _cached(self._increments_cache, model.fingerprint(), lambda: self._gained(model))
 
     def _integrated_paths(self, model: SensorModel) -> tuple[GyroPath, ...]:
         """Integrate the moves."""
@@ -202,17 +202,17 @@ class Moves:
         paths = self.paths(model)
         gained = [link.move.velocity_steps for link in self.links]
         known = [one for one in gained if one is not None]
-        specific_force = iter(
+        computed = iter(
             VelocityIncrement.of_each(known, [paths[k] for k in self.with_accels], model)
         )
-        return tuple(None if one is None else next(specific_force) for one in gained)
+        return tuple(None if one is None else next(computed) for one in gained)
 
-    def _pushes(self, model: SensorModel) -> list[VelocityIncrement]:
-        """Return the velocities of the moves whose accelerometers are used, `_pushed` of them."""
+    def _used_increments(self, model: SensorModel) -> list[VelocityIncrement]:
+        """Return the velocity increments of the moves in `with_accels`, in order."""
         return [one for one in self.velocity_increments(model) if one is not None]
 
     @cached_property
-    def _pushed(self) -> NDArray[np.intp]:
+    def _with_accels(self) -> NDArray[np.intp]:
         """`with_accels`, as indices."""
         return np.array(self.with_accels, dtype=np.intp)
 
@@ -225,7 +225,7 @@ class Moves:
     @property
     def _reached(self) -> Floats:
         """Attitudes at the end of the moves whose accelerometers are used, (v, 3, 3)."""
-        return np.asarray(self.attitudes[self._ends[1][self._pushed]])
+        return np.asarray(self.attitudes[self._ends[1][self._with_accels]])
 
     def misclosures(self, model: SensorModel, earth_rate: Floats, force: Floats) -> Floats:
         """Return e and z, (m, 6) rad and m/s; z is zero where accelerometers are not used.
@@ -245,12 +245,12 @@ class Moves:
         back = _transposed(self.attitudes[first]) @ rotations(rates * seconds) @ ends
         rotated = np.array([path.rotation for path in self.paths(model)])
         found[:, :3] = rotation_vector(rotated @ back)
-        if pushes := self._pushes(model):
-            mine = self._pushed
+        if increments := self._used_increments(model):
+            mine = self._with_accels
             half_way = rotations(_times(ends[mine], found[mine, :3]) / -2)
-            gained = _times(ends[mine], np.array([p.velocity + p.moved for p in pushes]))
+            gained = _times(ends[mine], np.array([p.velocity + p.correction for p in increments]))
             # The Earth turns the frame meanwhile.
-            displaced = _times(ends[mine], np.array([p.displacement for p in pushes]))
+            displaced = _times(ends[mine], np.array([p.displacement for p in increments]))
             gained += cross(rates[mine], displaced)
             found[mine, 3:] = _times(half_way, gained) - force * seconds[mine]
         return found
@@ -272,27 +272,32 @@ class Moves:
             [summed(path.timed_transfer, c) for path, c in zip(paths, courses, strict=True)]
         )
         result[:, :3, gyros] = turned[:, :, by.channels[gyros], by.index[gyros]]
-        pushes, own = self._pushes(model), motion_parameters(parameters)
-        if not pushes:
+        increments, own = self._used_increments(model), motion_parameters(parameters)
+        if not increments:
             return result
-        mine = [(push, courses[k]) for push, k in zip(pushes, self._pushed, strict=True)]
-        leant = np.array([summed(push.turning, course) for push, course in mine])
-        integrated_courses = np.array([push.integrated_courses(course) for push, course in mine])
-        slopes = np.zeros((len(pushes), 3, len(parameters)))
+        mine = [
+            (increment, courses[k])
+            for increment, k in zip(increments, self._with_accels, strict=True)
+        ]
+        leant = np.array([summed(increment.turning, course) for increment, course in mine])
+        integrated_courses = np.array(
+            [increment.integrated_courses(course) for increment, course in mine]
+        )
+        slopes = np.zeros((len(increments), 3, len(parameters)))
         slopes[..., gyros] = leant[:, :, by.channels[gyros], by.index[gyros]]
         slopes[..., accels] = -integrated_courses[
             :, :, by.channels[accels] - len(AXES), by.index[accels]
         ]
-        specific_force = np.array([push.integrated_force for push in pushes])
+        specific_force = np.array([increment.integrated_force for increment in increments])
         for k, parameter in enumerate(parameters):
             if parameter in _LINEAR:
                 slopes[..., k] = -specific_force[:, :, parameter.row, parameter.column]
         if own:
-            places, delay = by_places(pushes), by_delay(pushes)
+            places, delay = by_places(increments), by_delay(increments)
             for k, p in zip(indices_of(own, parameters), own, strict=True):
                 at_place = p.kind is ParameterKind.PLACE
                 slopes[..., k] = places[..., 3 * p.row + (p.column or 0)] if at_place else delay
-        result[self._pushed, 3:] = self._reached @ slopes
+        result[self._with_accels, 3:] = self._reached @ slopes
         return result
 
     def by_clock(self, model: SensorModel, force: Floats, *, counted: bool) -> Floats:
@@ -305,19 +310,21 @@ class Moves:
                 times shorter seconds turn by less.
         """
         found = np.zeros((len(self), 6))
-        pushes, mine = self._pushes(model), self._pushed
+        increments, mine = self._used_increments(model), self._with_accels
         if counted:
-            if pushes:
-                gained = _times(self._reached, np.array([push.by_seconds for push in pushes]))
+            if increments:
+                gained = _times(
+                    self._reached, np.array([increment.by_seconds for increment in increments])
+                )
                 found[mine, 3:] = force * self._seconds[mine, None] - gained
             return found
         answers = [path.rates @ model.gyro.response.T for path in self.paths(model)]
         for k, path in enumerate(self.paths(model)):
             found[k, :3] = np.einsum('nij,nj->i', path.timed_transfer, answers[k])
-        if pushes:
+        if increments:
             leant = [
-                np.einsum('nij,nj->i', push.turning, answers[k])
-                for k, push in zip(mine, pushes, strict=True)
+                np.einsum('nij,nj->i', increment.turning, answers[k])
+                for k, increment in zip(mine, increments, strict=True)
             ]
             found[mine, 3:] = _times(self._reached, np.array(leant))
         return found
@@ -354,7 +361,7 @@ class Moves:
         first, second = self._ends
         rotated = np.array([path.rotation for path in self.paths(model)])
         found[:, :3] = attitude_errors[second] - rotated @ attitude_errors[first]
-        mine = self._pushed
+        mine = self._with_accels
         # Half of either, times gravity as a cross product.
         about = self.attitudes[:, :2] @ attitude_errors
         half = (self.gravity / 2 * self._seconds[mine])[:, None, None]
@@ -382,17 +389,17 @@ class Moves:
         apart, late = (kind not in known for kind in (ParameterKind.PLACE, ParameterKind.DELAY))
         arms = np.zeros((len(self), 6, 12 if apart else 3))
         delays = np.zeros((len(self), 6, 1 if late else 0))
-        pushes = self._pushes(model)
-        if not pushes:
+        increments = self._used_increments(model)
+        if not increments:
             return arms, delays
-        mine, reached = self._pushed, self._reached
+        mine, reached = self._with_accels, self._reached
         # The unit ends at another place than it began.
         away = reached - self.attitudes[self._ends[0][mine]]
         arms[mine, 3:, :3] = -2 * ARM_STD * cross_matrix(earth_rate) @ away
         if late:
-            delays[mine, 3:, 0] = _LATE * _times(reached, by_delay(pushes))
+            delays[mine, 3:, 0] = _LATE * _times(reached, by_delay(increments))
         if apart:
-            arms[mine, 3:, 3:] = ACCEL_DISTANCE * reached @ by_places(pushes)
+            arms[mine, 3:, 3:] = ACCEL_DISTANCE * reached @ by_places(increments)
         return arms, delays
 
     def noise(self, walk: Floats) -> tuple[Floats, Floats]:

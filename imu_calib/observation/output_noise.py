@@ -62,15 +62,15 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
         rest, turn = (np.array(part).reshape(-1, 6) for part in (at_rest, turned))
         return evidence.layout.joined(rest, turn, moved)
 
-    leading, pushing = links.noise(walk)
+    by_gyros, by_accels = links.noise(walk)
     noise = joined(
         [walk**2 * s.walk_gain for s in statistics],
         [walk**2 * s.walk_gain for s in turned],
-        leading * _ANGLES + pushing,
+        by_gyros * _ANGLES + by_accels,
     )
     # Effect of the gyros' noise on velocities.
     none = np.zeros(6)
-    by_rotation = joined([none for _ in segments], [none for _ in turns], leading * _VELOCITIES)
+    by_rotation = joined([none for _ in segments], [none for _ in turns], by_gyros * _VELOCITIES)
     quantisation = joined(
         [s.quantisation_variance for s in statistics],
         [s.quantisation_variance for s in turned],

@@ -95,7 +95,7 @@ class VelocityIncrement:
         return np.asarray(self.steps.sum(axis=0))
 
     @cached_property
-    def moved(self) -> Floats:
+    def correction(self) -> Floats:
         """Correction of v for places and delay of the accelerometers, (3,) m/s.
 
         Linear in the places, and in the delay with the rotation of the axes meanwhile, up to the
@@ -118,10 +118,10 @@ class VelocityIncrement:
     @cached_property
     def displacement(self) -> Floats:
         """(3,) the sum of V_i t_i, m: from the start to the end of the move."""
-        return np.asarray(self.path.seconds @ self._so_far)
+        return np.asarray(self.path.seconds @ self._velocities)
 
     @cached_property
-    def _so_far(self) -> Floats:
+    def _velocities(self) -> Floats:
         """V_i, (n, 3) m/s."""
         return np.asarray(np.cumsum(self.steps, axis=0) - self.steps / 2)
 
@@ -132,7 +132,7 @@ class VelocityIncrement:
         A rotation of the axes at step i turns the velocity gained before; half of the whole
         rotation is removed from all of it: v is given in axes half way between those of the ends.
         """
-        beyond = np.einsum('ijk,nk->nij', _CROSS, self.velocity / 2 - self._so_far)
+        beyond = np.einsum('ijk,nk->nij', _CROSS, self.velocity / 2 - self._velocities)
         return np.asarray(beyond @ self.path.timed_transfer)
 
     @cached_property
@@ -160,21 +160,23 @@ class VelocityIncrement:
         return -np.asarray(np.einsum('nij,nj->i', self._timed_axes, specific_force))
 
 
-def by_delay(thrusts: Sequence[VelocityIncrement]) -> Floats:
+def by_delay(increments: Sequence[VelocityIncrement]) -> Floats:
     """Return the correction of v for a delay s of the accelerometers, per s, (m, 3) m/s^2.
 
     They give f(t - s) for f(t), which is s times the sum of C (w x f) t over a move from rest to
     rest; this is minus that.
 
     Args:
-        thrusts: m of one model.
+        increments: m of one model.
     """
-    rates, axes, seconds, starts = _all_steps(thrusts)
-    crossed = cross(rates, np.concatenate([t.specific_force for t in thrusts])) * seconds[:, None]
+    rates, axes, seconds, starts = _all_steps(increments)
+    crossed = (
+        cross(rates, np.concatenate([t.specific_force for t in increments])) * seconds[:, None]
+    )
     return -np.asarray(np.add.reduceat(np.einsum('nij,nj->ni', axes, crossed), starts))
 
 
-def by_places(thrusts: Sequence[VelocityIncrement]) -> Floats:
+def by_places(increments: Sequence[VelocityIncrement]) -> Floats:
     """Return the correction of v for the places of the accelerometers, per m, (m, 3, 9) 1/s.
 
     In the order x, y, z of accelerometer x, then of y and z. Accelerometer i reads row i of (I + M)
@@ -182,12 +184,12 @@ def by_places(thrusts: Sequence[VelocityIncrement]) -> Floats:
     integral of C P_i a_i is that of C (P_i [w] - [w] P_i) [w] r_i; this is minus that.
 
     Args:
-        thrusts: m of one model.
+        increments: m of one model.
     """
     matrix = np.reshape(
-        _responses_alone(thrusts[0].model).reshape(3, 9) @ _by_responses(), (3, 18, 3)
+        _responses_alone(increments[0].model).reshape(3, 9) @ _by_responses(), (3, 18, 3)
     )
-    return np.asarray(_moments(thrusts) @ np.swapaxes(matrix, 0, 1).reshape(18, 9))
+    return np.asarray(_moments(increments) @ np.swapaxes(matrix, 0, 1).reshape(18, 9))
 
 
 @lru_cache(maxsize=1)
@@ -200,12 +202,12 @@ def _by_responses() -> Floats:
     return np.stack(folded, axis=3).reshape(9, -1)
 
 
-def _moments(thrusts: Sequence[VelocityIncrement]) -> Floats:
+def _moments(increments: Sequence[VelocityIncrement]) -> Floats:
     """Return sums of C w_p w_q t over the steps, (m, 3, 3 * 6): of each product once.
 
     A rate that changes by d within a step has a mean square of w^2 + d^2 / 12.
     """
-    rates, axes, seconds, starts = _all_steps(thrusts)
+    rates, axes, seconds, starts = _all_steps(increments)
     change = _change(rates, seconds, starts) * seconds[:, None] / np.sqrt(12)
     first, second = np.array(_SQUARES).T
     squares = rates[:, first] * rates[:, second]
@@ -216,14 +218,14 @@ def _moments(thrusts: Sequence[VelocityIncrement]) -> Floats:
 
 
 def _all_steps(
-    thrusts: Sequence[VelocityIncrement],
+    increments: Sequence[VelocityIncrement],
 ) -> tuple[Floats, Floats, Floats, NDArray[np.intp]]:
     """Return rates, axes and seconds of all steps, and the start of each motion."""
     rates, axes, seconds = (
-        np.concatenate([getattr(thrust.path, name) for thrust in thrusts])
+        np.concatenate([getattr(increment.path, name) for increment in increments])
         for name in ('rates', 'axes', 'seconds')
     )
-    return rates, axes, seconds, np.cumsum([0, *(len(t.path.seconds) for t in thrusts[:-1])])
+    return rates, axes, seconds, np.cumsum([0, *(len(t.path.seconds) for t in increments[:-1])])
 
 
 def _responses_alone(model: SensorModel) -> Floats:
