@@ -268,7 +268,7 @@ def test_what_two_tell_together_is_said_together() -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lacking, 'undetermined_parameters', open_now)
         patch.setattr(lacking, '_additions', lambda _: [(f'one {n}', n) for n in 'abc'])
-        patch.setattr(lacking, '_with', added)
+        patch.setattr(lacking, '_extended', added)
         order = iter(['b', 'a', 'c'])
         wanted: dict[int, str] = {}
 
@@ -280,7 +280,7 @@ def test_what_two_tell_together_is_said_together() -> None:
                 wanted[n] = next(order)
             return float(equations.had[-1] == wanted[n])
 
-        patch.setattr(lacking, '_information', gain)
+        patch.setattr(lacking, '_log_information', gain)
         start: Any = Having(had=[], evidence=SimpleNamespace(segments=[0]))
         found = lacking.advice(start)
     names = ', '.join(NAMES[:2])
@@ -299,6 +299,6 @@ def test_what_is_told_beside_the_unknown_is_a_logarithm() -> None:
     )
     values = np.sqrt(np.linalg.eigvalsh(alone / np.outer(scale, scale)))
     wanted = np.log(values + 1e-6).sum()
-    assert lacking._information(equations, scale) == pytest.approx(wanted, rel=1e-9)
+    assert lacking._log_information(equations, scale) == pytest.approx(wanted, rel=1e-9)
     jacobian[:, 4] = 0.0
-    assert np.isfinite(lacking._information(equations, scale))
+    assert np.isfinite(lacking._log_information(equations, scale))
