@@ -53,7 +53,7 @@ def test_lost_samples_are_told_by_their_share() -> None:
     held = reader()
     held._intake.samples, held._bridged = 17, 3
     held._off_grid = {START + 9 * NS, START + 2 * NS}
-    held._interruptions.feed(np.array([START, START + 2 * NS]))
+    held._intake.interruptions.feed(np.array([START, START + 2 * NS]))
     assert held._loss_sentences() == (
         '3 IMU samples are missing (15 %), a few at a time: what they counted is interpolated from '
         'those around them',

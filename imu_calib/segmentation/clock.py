@@ -78,7 +78,8 @@ class ClockFit:
         rate_std: Standard deviation; NaN where the session does not determine it.
         motions: Number of motions used.
         jumps: Jumps of the offset between motions, s, in order.
-        least_jumps: (jumps,) lower bounds of their sizes by the scatter; 0 where there may be none.
+        least_jumps: (jumps,) lower bounds of their sizes by the scatter; 0 where there may be none,
+            and where stamps are known to go back.
     """
 
     epoch: float
@@ -220,19 +221,26 @@ def measured_share(
     )
 
 
-def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ()) -> ClockFit:
+def fit_clock(
+    samples: Sequence[ClockSample],
+    interruptions: Sequence[int] = (),
+    set_back: Sequence[int] = (),
+) -> ClockFit:
     """Fit a line through the offsets of all motions, with parallel pieces where they jump.
 
     Args:
         samples: One per motion, in order.
         interruptions: Instants, ns, at which the IMU's stream begins anew: its clock may have been
             restarted, so that the offset may change there by any amount.
+        set_back: Instants, ns, at which stamps go back: the offset may change as well, and is known
+            to.
     """
     if not samples:
         return NO_CLOCK
     time = np.array([s.time for s in samples])
     offset = np.array([s.offset for s in samples])
-    pieces = _pieces(time, offset) + np.searchsorted(np.asarray(interruptions), time)
+    anew = np.sort([*interruptions, *set_back])
+    pieces = _pieces(time, offset) + np.searchsorted(anew, time)
     # A single motion between two jumps is an outlier.
     sizes = np.bincount(pieces)
     keep = sizes[pieces] > 1 if sizes.max() > 1 else np.ones(len(time), dtype=bool)
@@ -254,6 +262,7 @@ def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ())
     jumps = np.diff(at_epoch)
     counts = np.bincount(pieces)
     lever = 1 / counts[1:] + 1 / counts[:-1] + np.diff(means[0]) ** 2 / spread
+    known = [np.searchsorted(np.sort(set_back), time[pieces == p].min()) for p in range(k)]
     within = float(scipy.special.stdtrit(n - 1 - k, 1 - _NO_JUMP / 2)) * scatter * np.sqrt(lever)
     return ClockFit(
         epoch,
@@ -263,7 +272,7 @@ def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ())
         scatter / float(np.sqrt(spread)),
         n,
         tuple(jumps.tolist()),
-        tuple(np.maximum(np.abs(jumps) - within, 0.0).tolist()),
+        tuple(np.where(np.diff(known), 0.0, np.maximum(np.abs(jumps) - within, 0.0)).tolist()),
     )
 
 

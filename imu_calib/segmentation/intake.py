@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +12,9 @@ from ..stream import Floats, ImuBlock, JointBlock, Setpoint, SetpointBlock, Skew
 from ..turntable import Table
 from ..units import counted
 from .buffer import RowBuffer
+from .interruptions import Interruptions
 from .order import Ordered, StampOrder
+from .set_back import SetBackClock, set_back_sentences
 from .shared_stamps import SharedStamps
 
 _APART = 10_000_000_000
@@ -32,7 +36,9 @@ class StreamBuffer:
     Attributes:
         imu: Buffered samples, six columns.
         skew: Those of the skewed gyro, in the first of six columns; None without one.
-        setpoints: The first of every run of equal setpoints.
+        interruptions: Of the IMU's stream.
+        imu_clock: Where the stamps of the IMU go back.
+        joint_clock: Where those of the joint states do.
         samples: Number of IMU samples received.
         first_stamp: Of the IMU, ns; None before the first.
         last_stamp: Likewise.
@@ -41,14 +47,20 @@ class StreamBuffer:
     def __init__(self, table: Table | None, *, skewed: bool, rate: float | None = None) -> None:
         self.imu = RowBuffer(6)
         self.skew = RowBuffer(6) if skewed else None
-        self.setpoints: list[Setpoint] = []
+        self.interruptions = Interruptions()
         self.samples = 0
         self.first_stamp: int | None = None
         self.last_stamp: int | None = None
         self._table = table
         self._imu_order, self._skew_order = StampOrder(6), StampOrder(6)
         self._joint_order = StampOrder(len(table.names) if table else 0)
+        self.imu_clock, self._skew_clock = SetBackClock(6), SetBackClock(6)
+        self.joint_clock = SetBackClock(len(table.names) if table else 0)
         self._imu_stamps, self._skew_stamps = SharedStamps(rate), SharedStamps(rate)
+        self._setpoints: list[tuple[Setpoint, int]] = []
+        """The first of every run of equal ones, and how often their stamps had gone back."""
+        self._last_setpoint: int | None = None
+        self._setpoints_back = 0
         self._dropped: dict[str, tuple[int, int]] = {}
         self._of_the_table = 0
         self._first_joint: int | None = None
@@ -67,7 +79,12 @@ class StreamBuffer:
         """Add samples."""
         stamp = block.stamp
         self.samples += len(stamp)
-        values = np.concatenate([block.gyro, block.accel], axis=1)
+        self._take_imu(
+            *self.imu_clock.take(stamp, np.concatenate([block.gyro, block.accel], axis=1))
+        )
+
+    def _take_imu(self, stamp: Stamps, values: Floats) -> None:
+        self.interruptions.feed(stamp)
         what = 'values that are not numbers (NaN or infinite)'
         rows = self._imu_stamps.take(*self._finite(what, stamp, values))
         self._note(_TWICE, rows[2])
@@ -78,8 +95,11 @@ class StreamBuffer:
         # It is handled as the first channel of an IMU.
         imu = block.as_imu()
         values = np.hstack([imu.gyro, imu.accel])
+        self._take_skew(*self._skew_clock.take(block.stamp, values))
+
+    def _take_skew(self, stamp: Stamps, values: Floats) -> None:
         what = 'values of the skewed gyro that are not numbers'
-        rows = self._skew_stamps.take(*self._finite(what, block.stamp, values))
+        rows = self._skew_stamps.take(*self._finite(what, stamp, values))
         self._note(_SKEW_TWICE, rows[2])
         self._add_skew(self._skew_order.take(*rows[:2]))
 
@@ -98,7 +118,7 @@ class StreamBuffer:
         self._of_the_table += len(joints)
         self._further_joints.update(set(block.names) - set(joints.names))
         what = 'joint positions that are not numbers'
-        rows = self._finite(what, joints.stamp, joints.position)
+        rows = self.joint_clock.take(*self._finite(what, joints.stamp, joints.position))
         return self._counted(self._joint_order.take(*rows))
 
     @property
@@ -113,18 +133,41 @@ class StreamBuffer:
 
     def take_setpoints(self, block: SetpointBlock) -> None:
         """Add setpoints."""
-        last = _request(self.setpoints[-1]) if self.setpoints else None
+        last = _request(self._setpoints[-1][0]) if self._setpoints else None
         for setpoint in block.setpoints:
+            if self._last_setpoint is not None and setpoint.stamp < self._last_setpoint:
+                self._setpoints_back += 1
+            self._last_setpoint = setpoint.stamp
             request = _request(setpoint)
             if request != last:
-                self.setpoints.append(setpoint)
+                self._setpoints.append((setpoint, self._setpoints_back))
                 last = request
+
+    @property
+    def setpoints(self) -> tuple[Setpoint, ...]:
+        """The first of every run of equal setpoints.
+
+        Where their clock was set back, as that of the joint states, they are moved on with these.
+        """
+        shifts = self.joint_clock.shifts
+        return tuple(
+            replace(one, stamp=one.stamp + shifts[min(back, len(shifts) - 1)]) if back else one
+            for one, back in self._setpoints
+        )
 
     def finish(self) -> Ordered:
         """End of all streams; return the last joint states."""
+        self._take_imu(*self.imu_clock.finish())
         self._add_imu(self._imu_order.finish())
+        self._take_skew(*self._skew_clock.finish())
         self._add_skew(self._skew_order.finish())
-        return self._counted(self._joint_order.finish())
+        waiting = self._counted(self._joint_order.take(*self.joint_clock.finish()))
+        ends = self._counted(self._joint_order.finish())
+        return Ordered(
+            np.concatenate([waiting.stamp, ends.stamp]),
+            np.concatenate([waiting.values, ends.values]),
+            ends.lost,
+        )
 
     def is_complete_until(self, until: float) -> bool:
         """Return whether the samples up to an instant (ns) have come in."""
@@ -145,8 +188,13 @@ class StreamBuffer:
             for what, (count, first) in self._dropped.items()
         ]
         lost += self._imu_stamps.words() + self._skew_stamps.words(' of the skewed gyro')
+        cut = 'a motion that this falls into is left out'
+        if self._table is not None:
+            cut = f'a static dwell is cut in two there, and {cut}'
+        lost += set_back_sentences(self.imu_clock.found, 'the IMU', cut)
         if self._table is None:
             return lost
+        lost += set_back_sentences(self.joint_clock.found, 'the joint states', cut)
         expected = f'not all joints of table {self._table.name} ({", ".join(self._table.names)})'
         lost += [
             f'{count} joint states left out: they name {named}, {expected}'

@@ -64,7 +64,7 @@ class Interruptions:
         """Add stamps of which only the first may come after a silence."""
         first = int(stamp[0])
         if len(self._last) and first - int(self._last[-1]) > INTERRUPTION:
-            self._interval = _interval(self._last)
+            self._interval = sample_interval(self._last)
             self._silences.append((int(self._last[-1]), first))
             self._begins, self._count, self._gained, self._gained_at = first, 0, 0.0, 0
             self._queues, stamp = self._interval > 0, stamp[1:]
@@ -92,7 +92,7 @@ def steps_since(before: int | np.int64, stamp: Stamps) -> Stamps:
     return steps
 
 
-def _interval(stamp: Stamps) -> float:
+def sample_interval(stamp: Stamps) -> float:
     """Return the sample interval by (n,) stamps, ns; 0 where they do not show it."""
     steps = np.diff(stamp)
     if not len(steps):

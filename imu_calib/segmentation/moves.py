@@ -90,6 +90,10 @@ class MoveReader:
         """
         self._add(samples, delivered, len(samples.stamp))
 
+    def lose(self, reason: str) -> None:
+        """Drop the motion since the last segment, for a reason."""
+        self._open, self._reason = None, self._reason or reason
+
     def dwell(
         self, samples: Samples, delivered: Floats, found: Sequence[Segment | Rejected | MountShift]
     ) -> None:

@@ -76,6 +76,11 @@ class Pace:
         timing = Timing(grid.period, grid.period, grid.period_std)
         return grid, replace(timing, used=self.combined(timing)[0])
 
+    def begin_line(self) -> None:
+        """Part what follows from the line so far: the clock was set."""
+        self._pieces += _line(self._knots, self._reference)
+        self._knots, self._known = [], None
+
     @property
     def interval(self) -> float:
         """Interval by all segments so far, s; by the first one where no line fits them."""
@@ -112,8 +117,8 @@ class Pace:
         time = start + grid.origin + middle * grid.period
         first = self._number_of_first(time, middle, grid)
         if first is None:
-            self._pieces += _line(self._knots, self._reference)
-            self._knots, first = [], 0
+            self.begin_line()
+            first = 0
         self._knots.append(_Knot(first + middle, time, max(std, _LEAST_STD)))
         self._known = None
 

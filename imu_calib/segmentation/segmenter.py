@@ -23,7 +23,7 @@ from ..stream import (
     Stamps,
     TemperatureBlock,
 )
-from ..turntable import Table
+from ..turntable import TURN, Table
 from ..units import DEG, counted
 from .apart import FARTHEST, offset_by_pattern
 from .bridging import LONGEST, Bridged, bridged
@@ -41,7 +41,7 @@ from .clock import (
 from .dwells import read_dwell
 from .grid import clock_steps
 from .intake import StreamBuffer
-from .interruptions import Interruptions, interruptions
+from .interruptions import interruptions
 from .lateness import Lateness
 from .motion import JointTracker, Motion, Rest
 from .moves import MoveReader
@@ -113,7 +113,6 @@ class Segmenter:
         self._provisional: list[Rest | Motion] | None = [] if table is not None else None
         self._clock: list[ClockSample] = []
         self._offset_seen = False
-        self._interruptions = Interruptions()
         # The middle of each motion, ns, and how much of it the gyros saw.
         self._seen_motions: list[tuple[float, MeasuredShare]] = []
         self._repetitions: list[Repetition] = []
@@ -161,7 +160,6 @@ class Segmenter:
         if self._ended is not None:
             return
         if isinstance(block, ImuBlock):
-            self._interruptions.feed(block.stamp)
             self._intake.take_imu(block)
         elif isinstance(block, JointBlock):
             self._follow_joints(self._intake.take_joints(block))
@@ -197,7 +195,9 @@ class Segmenter:
         if self._clocks_unknown:
             self._drop_all()
         self._retime()
-        clock = fit_clock(self._clock, [begins for _, begins in self._interruptions.found])
+        restarts = [begins for _, begins in self._intake.interruptions.found]
+        of_imu, of_table = self._intake.imu_clock.found, self._intake.joint_clock.found
+        clock = fit_clock(self._clock, restarts, [one.instant for one in (*of_imu, *of_table)])
         return Segmented(
             tuple(self._segments),
             tuple(self._turns),
@@ -206,7 +206,7 @@ class Segmenter:
             tuple(self._rejected),
             tuple(self._mount_shifts),
             (*self._loss_sentences(), *clock_jumps(clock)),
-            tuple(self._intake.setpoints),
+            self._intake.setpoints,
             clock,
             self._intake.samples,
             self._intake.duration,
@@ -214,7 +214,7 @@ class Segmenter:
             self._thermometer.temperature,
             self._intake.foreign_joints,
             self._moves.lost,
-            tuple(self._interruptions.found),
+            tuple(self._intake.interruptions.found),
         )
 
     @property
@@ -355,13 +355,18 @@ class Segmenter:
         if self._table is not None and rest.angles is not None:
             attitude = self._table.attitude(rest.angles)
         # Without a table only the mean of a static dwell is needed, not its time.
-        steps = [] if self._table is None else clock_steps(stamp, self._pace.interval)
-        self._off_grid.update(stamp[steps].tolist())
-        edges = [0, *steps, len(stamp)]
+        steps: list[int] = []
+        if self._table is not None:
+            steps = clock_steps(stamp, self._pace.interval)
+            self._off_grid.update(stamp[steps].tolist())
+        set_back = np.searchsorted(stamp, self._set_back(start, end)).tolist()
+        edges = sorted({0, *steps, *(set_back if self._table is not None else ()), len(stamp)})
         cuts = [k for a, b in pairwise(edges) for k in range(a, b, _LONGEST_REST)]
         for piece in map(slice, cuts, [*cuts[1:], len(stamp)]):
             if len(stamp[piece]) < 2:
                 continue
+            if piece.start in set_back:
+                self._pace.begin_line()
             came = self._sensor.samples(stamp[piece], values[piece], self._pace)
             self._late.note(came.stamp, late[piece] + (stamp[piece] - came.stamp), came.period)
             whole = bridged(came, self._sensor.walk)
@@ -377,11 +382,25 @@ class Segmenter:
         """Read the samples of a motion: a move, whole turns, and the offset of the clocks."""
         start = motion.start + self._offset_ns - MARGIN_NS
         end = motion.end + self._offset_ns + MARGIN_NS
+        begins, ends_at = motion.start + self._offset_ns, motion.end + self._offset_ns
+        set_back = self._set_back(start, end)
+        within = [instant for instant in set_back if begins < instant <= ends_at]
+        of_table = [one.instant for one in self._intake.joint_clock.found]
+        if within or any(motion.start < instant <= motion.end for instant in of_table):
+            whose = 'IMU' if within else 'joint states'
+            reason = f'the clock of the {whose} was set back within it'
+            self._moves.lose(reason)
+            self._pace.begin_line()
+            if self._table is None or float(motion.travel.max(initial=0.0)) > TURN:
+                self._rejected.append(Rejected(begins, ends_at, reason, turn=True))
+            return
+        # Of the rest beside the motion what is timed by the same line is read.
+        start = max([start, *(one - 1 for one in set_back if one <= begins)])
+        end = min([end, *(one - 1 for one in set_back if one > ends_at)])
         stamp, values, late = self._apart_at_steps(*made_between(self._intake.imu, start, end))
         if len(stamp) < 2:
             return
         came = self._sensor.samples(stamp, values, self._pace)
-        begins, ends_at = motion.start + self._offset_ns, motion.end + self._offset_ns
         inside = slice(*np.searchsorted(came.stamp, [begins, ends_at], side='right').tolist())
         late = late + (stamp - came.stamp)
         self._late.note(came.stamp[inside], late[inside], came.period)
@@ -412,6 +431,10 @@ class Segmenter:
                 rates = samples.increments / samples.period
                 self._repetitions.append(Repetition.of(values, rates))
         self._store(read_turns(around, motion, self._table, self._offset_ns))
+
+    def _set_back(self, start: int, end: int) -> list[int]:
+        """Return when between two instants, ns, the clock of the IMU was set back."""
+        return [one.instant for one in self._intake.imu_clock.found if start < one.instant <= end]
 
     def _note_lost(self, whole: Bridged, start: int, end: int) -> None:
         """Count the lost samples between two instants, ns, that are interpolated."""
@@ -591,7 +614,7 @@ class Segmenter:
                 'clock was set, or it restarted sampling; the data before and after are used '
                 'separately'
             )
-        lost += interruptions(self._interruptions.found)
+        lost += interruptions(self._intake.interruptions.found)
         if self._table is not None and self._joints is not None and self._joints.silent:
             lost.append(f'There are no joint states of table {self._table.name}')
         return tuple(lost)
