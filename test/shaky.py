@@ -42,6 +42,7 @@ def shaky(
     lost: float = 0.0,
     limit: float = np.inf,
     swaying: tuple[int, float] | None = None,
+    attitudes: Rotation | None = None,
     seed: int = 0,
 ) -> Shaky:
     """Record a session that begins in the middle of a turn.
@@ -57,6 +58,7 @@ def shaky(
         lost: Share of the samples that never come, one at a time.
         limit: End of the gyros' range, rad/s.
         swaying: A hold that leans to and fro slowly, and by how much, rad.
+        attitudes: Of the holds, and the one before; of any direction if not given.
         seed: Of attitudes, lengths, tremble and noise.
     """
     rng = np.random.default_rng([seed, 83])
@@ -64,8 +66,9 @@ def shaky(
     begins = np.cumsum(turn + still) - turn[0] / 2 - still
     ends = begins + still
     times = np.arange(0.0, ends[-1], 1 / (rate * _FINER))
-    times = times[: len(times) // _FINER * _FINER + 1]
-    attitudes = Rotation.random(holds + 1, random_state=int(rng.integers(1 << 30)))
+    times = times[: (len(times) - 1) // _FINER * _FINER + 1]
+    drawn = Rotation.random(holds + 1, random_state=int(rng.integers(1 << 30)))
+    attitudes = drawn if attitudes is None else attitudes
     steps = (attitudes[:-1].inv() * attitudes[1:]).as_rotvec()
     # R_nb: of the last hold, turned on about one body axis, and trembling about it.
     after = np.clip(np.searchsorted(begins - turn, times, side='right') - 1, 0, holds - 1)

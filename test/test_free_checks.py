@@ -125,5 +125,5 @@ def test_the_screen_names_the_terms_that_were_estimated() -> None:
     coefficients = np.full(9, 0.2 * DEG / 9.81)
     model = unit(4).with_values(G_SENSITIVITY.parameters, coefficients)
     found = calibrator(spread_holds(30, 4), model, 4).finish()
-    assert found.terms == ('terms: g_sensitivity',)
-    assert result(0).terms == ('terms: none',)
+    assert found.terms[0] == 'terms: g_sensitivity'
+    assert result(0).terms[0] == 'terms: none'

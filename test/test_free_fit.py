@@ -310,6 +310,7 @@ def test_terms_are_told_by_their_largest_coefficient_and_their_chance() -> None:
         parameters=(*PARAMETERS, *G_SENSITIVITY.parameters),
         model=SensorModel(g_sensitivity=g),
         chance=3e-7,
+        nonlinear=(),
     )
     (sentence,) = term_words(fit)
     assert 'by up to 0.02 deg/s per g: g_sensitivity is estimated besides' in sentence

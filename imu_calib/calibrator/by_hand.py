@@ -282,6 +282,7 @@ class HandCalibrator:
             findings=tuple(findings),
             parameters=fit.parameters,
             shares=fit.shares,
+            tests=fit.tests,
         )
         origin = provenance(setup, evidence, session, solution)
         origin['turns'] = turns

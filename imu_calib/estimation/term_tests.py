@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -15,10 +16,11 @@ from ..observation.modulation import instant_of
 from ..stream import Floats
 from ..turntable import Table
 from ..units import ARCSEC, significant
+from .score import Family, Score
 from .search import Found, Search
 
 _AMOUNT = 10.0
-"""Amounts of a coefficient for which the effect is reported."""
+"""Amount of a coefficient, in its unit, for which the effect is reported."""
 
 _MATTERS = 0.1
 """Standard deviations by which `_AMOUNT` must move a parameter to be named. A judgement: a tenth
@@ -98,6 +100,7 @@ class TermTest:
             move it by `_HIDDEN` deviations; None for others.
         probability: Of an undetected drift, for which the standard deviations allow; None where
             they do not.
+        amount: Of a coefficient, in its unit, for which the effect is reported.
     """
 
     name: str
@@ -109,6 +112,12 @@ class TermTest:
     moved: tuple[tuple[Parameter, float] | None, ...] = ()
     hidden: tuple[tuple[Parameter, float] | None, ...] = ()
     probability: float | None = None
+    amount: float = _AMOUNT
+
+    @classmethod
+    def found(cls, term: Term, log_p: float) -> TermTest:
+        """Return that of a term of the sensors that was found; the logarithm is natural."""
+        return cls(term.name, TermState.FOUND, log_p / _LN10, term.parameters)
 
     def document(self) -> dict[str, object]:
         """Return its entries in calibration.yaml, SI units."""
@@ -149,31 +158,12 @@ def tested(
         family = one.family
         found = TermTest(family.name, state, one.log_p / _LN10, family.parameters, family.changes)
         result.append(found)
+    equations = search.estimate.equations
+    std = np.sqrt(np.diag(search.estimate.covariance)[: equations.sensors])
     for family, score in search.scores.items():
-        smallest = tuple(float(v) for v in score.smallest(search.alpha))
-        slopes = search.leverage.get(family, _NONE).T
-        amounts = [_AMOUNT * p.unit.scale for p in family.parameters] or smallest
-        least = _MATTERS if family.parameters else _HIDDEN
-        moved = tuple(_moved(search, a, s, least) for a, s in zip(amounts, slopes, strict=False))
-        hidden = tuple(
-            _moved(search, a, s, _HIDDEN) if family.parameters else None
-            for a, s in zip(smallest, slopes, strict=False)
-        )
-        state = TermState.OFF if score.tested else TermState.NOT_TESTED
-        log10_p = score.log_p / _LN10 if score.tested else None
-        result.append(
-            TermTest(
-                family.name,
-                state,
-                log10_p,
-                family.parameters,
-                family.changes,
-                smallest,
-                moved,
-                hidden,
-                search.probability.get(family),
-            )
-        )
+        slopes = search.leverage.get(family, _NONE)
+        test = test_of(family, score, slopes, search.alpha, equations.parameters, std)
+        result.append(replace(test, probability=search.probability.get(family)))
     return tuple(result)
 
 
@@ -181,20 +171,52 @@ _NONE = np.zeros((0, 0))
 """For families whose coefficients move no parameter."""
 
 
-def _moved(
-    search: Search, amount: float, slopes: Floats, least: float
-) -> tuple[Parameter, float] | None:
-    """Return the parameter that a coefficient moves most, in its deviations, and by how much.
+def test_of(
+    family: Family,
+    score: Score,
+    slopes: Floats,
+    alpha: float,
+    parameters: Sequence[Parameter],
+    std: Floats,
+    amount: float = _AMOUNT,
+) -> TermTest:
+    """Return the result of a session for a family that is off.
 
-    The n parameters follow it by `slopes`; an amount must move one by `least` deviations.
+    Args:
+        family: The family.
+        score: Its test.
+        slopes: (n, k) derivatives of the parameters by its coefficients; empty if unknown.
+        alpha: Probability of a false detection.
+        parameters: The n estimated ones.
+        std: (n,) their standard deviations.
+        amount: Of a coefficient, in its unit, for which the effect is reported.
     """
-    equations = search.estimate.equations
-    std = np.sqrt(np.diag(search.estimate.covariance)[: equations.sensors])
-    far = np.abs(slopes) / std
-    k = int(np.argmax(far))
-    if not np.isfinite(amount) or not far[k] * amount > least:
-        return None
-    return equations.parameters[k], float(slopes[k])
+    smallest = tuple(float(v) for v in score.smallest(alpha))
+    amounts = [amount * p.unit.scale for p in family.parameters] or smallest
+    least = _MATTERS if family.parameters else _HIDDEN
+
+    def moved(size: float, slopes: Floats, least: float) -> tuple[Parameter, float] | None:
+        """Return the parameter that is moved most, in its deviations; None if by less than that."""
+        far = np.abs(slopes) / std
+        k = int(np.argmax(far))
+        if not np.isfinite(size) or not far[k] * size > least:
+            return None
+        return parameters[k], float(slopes[k])
+
+    return TermTest(
+        family.name,
+        TermState.OFF if score.tested else TermState.NOT_TESTED,
+        score.log_p / _LN10 if score.tested else None,
+        family.parameters,
+        family.changes,
+        smallest,
+        tuple(moved(a, s, least) for a, s in zip(amounts, slopes.T, strict=False)),
+        tuple(
+            moved(a, s, _HIDDEN) if family.parameters else None
+            for a, s in zip(smallest, slopes.T, strict=False)
+        ),
+        amount=amount,
+    )
 
 
 def findings(search: Search) -> list[str]:
@@ -418,10 +440,10 @@ def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) 
     # The first of those that are equal to the digits shown.
     coefficient, (moved, slope) = max(held, key=lambda pair: float(f'{abs(pair[1][1]):.2g}'))
     unit = coefficient.unit
-    by = abs(slope) * _AMOUNT * unit.scale / moved.unit.scale
+    by = abs(slope) * one.amount * unit.scale / moved.unit.scale
     verb = 'holds' if len(held) == 1 else 'hold'
     return (
-        f'{names} {verb} for {one.name} = 0, which this session does not show: {_AMOUNT:g} '
+        f'{names} {verb} for {one.name} = 0, which this session does not show: {one.amount:g} '
         f'{unit.shown} would move {moved.name} by {significant(by)} {moved.unit.shown}; to '
         f'determine it takes {terms_of(one.parameters)[0].needs}'
     )

@@ -2,7 +2,8 @@
 
 The equations are those of every session (`observation/free.py`), with estimated attitudes. All is
 one weighted least squares: the uncertainty of a direction by the accelerometers enters the
-parameters of the gyros. G-sensitivity of the gyros is estimated too, where the session shows it.
+parameters of the gyros. G-sensitivity of the gyros and nonlinearity of the accelerometers are
+estimated too, where the session shows them.
 
 The frame is that of the accelerometers, as in imu_tk: X along the input axis of channel x, the
 input axis of channel y in the plane of X and Y, so that E_axy = E_axz = E_ayz = 0.
@@ -13,6 +14,7 @@ gyros one after the other; Skog and Haendel 2006, XVII IMEKO, for the norm of gr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,13 +24,26 @@ from ..budget import Share, Shares
 from ..errors import InputError, NotObservable
 from ..estimation.converge import least_squares
 from ..estimation.estimate import shares
-from ..model import G_SENSITIVITY, PARAMETERS, Parameter, ParameterKind, SensorModel, Term, Triad
+from ..estimation.score import Family, Score, scores_of
+from ..estimation.term_tests import TermTest, test_of
+from ..model import (
+    G_SENSITIVITY,
+    PARAMETERS,
+    Parameter,
+    ParameterKind,
+    SensorModel,
+    Term,
+    Triad,
+    indices_of,
+    terms_of,
+)
+from ..model.terms import ACCEL_ASYMMETRY, ACCEL_CUBIC, ACCEL_QUADRATIC
 from ..observation.evidence import Evidence
 from ..observation.free import FreeEquations, at_headings_by_moves
 from ..observation.information import Information
 from ..observation.layout import Indices
 from ..stream import Floats
-from ..units import DEG, STANDARD_GRAVITY, counted
+from ..units import DEG, STANDARD_GRAVITY, counted, significant
 from .checks import check_axes
 from .free_checks import check_turns, contradicts_latitude, other_latitudes, wrong_latitude
 from .solution import Solution
@@ -85,6 +100,21 @@ _SHOWN = 1e-3
 """Probability of chance below which a term is in the model (docs/mathematics.md, 'Free
 positions')."""
 
+_LEAST_CHANCE = 1e-99
+"""Least probability that is reported: smaller ones are beyond the approximations."""
+
+_NONLINEAR = (ACCEL_QUADRATIC, ACCEL_ASYMMETRY, ACCEL_CUBIC)
+"""Terms of the accelerometers that are tested, each axis for itself. The cross terms are nine more,
+for which holds of a few minutes are too few."""
+_LARGEST = 0.02
+"""Largest of their effects at 1 g, of it: chips are stated to be linear to 0.1 to 2 % of range."""
+_AMOUNT = 1000.0
+"""Amount of a coefficient for which its effect is reported, ug/g^2, ppm or ug/g^3: a tenth of a
+percent at 1 g, as of a usual chip."""
+_APART = 9.0
+"""Difference of chi-square below which two terms explain a session equally well: a factor of 90 in
+the likelihood (as in `estimation.search`)."""
+
 _USELESS = 0.05
 """Standard deviation of a ratio from which on it is useless: data sheets are better."""
 _CLEAR = 10.0
@@ -115,7 +145,9 @@ class FreeFit:
         scatter_chances: (3,) probabilities of such scatter by chance.
         rejected_moves: Indices of the holds before turns that were left out.
         shares: The covariance by source.
-        chance: Probability of so significant terms by chance; 1 without terms.
+        chance: Probability of so significant a g-sensitivity by chance; 1 without it.
+        nonlinear: Terms of the accelerometers that are on, in the order in which they were found.
+        tests: Of the terms of the accelerometers.
     """
 
     model: SensorModel
@@ -128,6 +160,23 @@ class FreeFit:
     rejected_moves: tuple[int, ...]
     shares: Shares
     chance: float = 1.0
+    nonlinear: tuple[Nonlinearity, ...] = ()
+    tests: tuple[TermTest, ...] = ()
+
+
+@dataclass(frozen=True)
+class Nonlinearity:
+    """A term of the accelerometers that a session shows.
+
+    Attributes:
+        term: The term.
+        log_p: Natural logarithm of the probability by chance.
+        alternatives: Terms that explain the session as well.
+    """
+
+    term: Term
+    log_p: float
+    alternatives: tuple[Term, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,8 +228,8 @@ class _State:
     def with_terms(self, terms: tuple[Term, ...]) -> _State:
         """Return the state with the parameters of terms, initially zero."""
         more = tuple(p for term in terms for p in term.parameters)
-        equations = replace(self.equations, parameters=(*ESTIMATES, *more))
-        values = np.insert(self.values, len(ESTIMATES), np.zeros(len(more)))
+        equations = replace(self.equations, parameters=(*self.equations.parameters, *more))
+        values = np.insert(self.values, len(self.equations.parameters), np.zeros(len(more)))
         return replace(self, equations=equations, values=values)
 
     def without(self, wild: int) -> _State:
@@ -222,6 +271,12 @@ def solve(evidence: Evidence) -> FreeFit:
     if chance < _SHOWN:
         _check_latitude(state)
         state = _weighed(start.with_terms((G_SENSITIVITY,)))
+    state, nonlinear = _with_nonlinearity(state)
+    if nonlinear:
+        # Without it the directions of gravity were off, and the turns contradicted them.
+        linear = start.with_terms(tuple(one.term for one in nonlinear))
+        chance = _chance(_weighed(linear), G_SENSITIVITY)
+        state = _weighed(linear if chance >= _SHOWN else linear.with_terms((G_SENSITIVITY,)))
     _check_observable(state)
     equations, values = state.equations, state.values
     check_axes(equations.model(values).gyro.response, 'gyros', 'the turns between holds')
@@ -250,7 +305,70 @@ def solve(evidence: Evidence) -> FreeFit:
             for source, share in found.items()
         },
         chance if chance < _SHOWN else 1.0,
+        nonlinear,
+        _tests(state, chance, nonlinear, information),
     )
+
+
+def _with_nonlinearity(state: _State) -> tuple[_State, tuple[Nonlinearity, ...]]:
+    """Add terms of the accelerometers until none is significant; return them, in their order."""
+    found: tuple[Nonlinearity, ...] = ()
+    while len(found) < len(_NONLINEAR):
+        scores = _scores(state)
+        best = min(scores, key=lambda family: scores[family].log_p)
+        if scores[best].log_p > np.log(_SHOWN / len(_NONLINEAR)):
+            break
+        assert best.term is not None
+        try:
+            trial = _weighed(state.with_terms((best.term,)))
+            _check_observable(trial)
+        except NotObservable:
+            break
+        least = scores[best].statistic - _APART * scores[best].scale
+        as_well = (f.term for f, score in scores.items() if f is not best and score.rank)
+        alternatives = tuple(
+            term for term in as_well if term and scores[Family(term.name, term)].statistic > least
+        )
+        state = trial
+        found = (*found, Nonlinearity(best.term, scores[best].log_p, alternatives))
+    return state, found
+
+
+def _scores(state: _State) -> dict[Family, Score]:
+    """Test the terms of the accelerometers that are off.
+
+    Under the noise that is known beforehand: scatter that is estimated without a term hides it. The
+    test allows for the scatter that remains with it.
+    """
+    equations = state.scattering(np.array([1.0, *state.scatter[1:]])).equations
+    on = terms_of(equations.parameters)
+    patterns = {}
+    for term in (term for term in _NONLINEAR if term not in on):
+        # The largest size in SI units: of f, of f^2 or of f^3.
+        degrees = [len(one.factors) + len(one.absolute) for _, one in term.products]
+        sizes = _LARGEST * STANDARD_GRAVITY ** (1.0 - np.array(degrees))
+        columns = equations.by_parameters(state.values, term.parameters) * sizes
+        patterns[Family(term.name, term)] = ((columns, sizes),)
+    return scores_of(patterns, equations, state.values)
+
+
+def _tests(
+    state: _State, chance: float, found: Sequence[Nonlinearity], information: Information
+) -> tuple[TermTest, ...]:
+    """Return the terms that are on, and what the session shows of those of the accelerometers."""
+    equations, values = state.equations, state.values
+    sensors, outputs = slice(0, equations.sensors), slice(0, len(equations.outputs))
+    std = np.sqrt(np.diag(information.covariance)[sensors])
+    root = np.linalg.cholesky(equations.covariance(values))
+    tests = [TermTest.found(one.term, one.log_p) for one in found]
+    if chance < _SHOWN:
+        tests.insert(0, TermTest.found(G_SENSITIVITY, float(np.log(max(chance, _LEAST_CHANCE)))))
+    for family, score in _scores(state).items():
+        white = np.linalg.solve(root, equations.by_parameters(values, family.parameters))
+        slopes = information.gain[sensors, outputs] @ white
+        limit = _SHOWN / len(_NONLINEAR)
+        tests.append(test_of(family, score, slopes, limit, equations.parameters, std, _AMOUNT))
+    return tuple(tests)
 
 
 def _check_latitude(state: _State) -> None:
@@ -422,14 +540,32 @@ def scatter_words(fit: FreeFit) -> list[str]:
 
 def term_words(fit: FreeFit) -> list[str]:
     """Report the terms that the session showed, and their significance."""
+    words = [_nonlinear_words(one, fit) for one in fit.nonlinear]
     if not set(G_SENSITIVITY.parameters) & set(fit.parameters):
-        return []
+        return words
     largest = np.abs(fit.model.g_sensitivity).max() * STANDARD_GRAVITY / DEG
     return [
         f'The gyros respond to specific force, by up to {largest:.2g} deg/s per g: '
         f'{G_SENSITIVITY.name} is estimated besides (without it the residuals of holds and turns '
-        f'are larger than chance explains: probability {max(fit.chance, 1e-99):.0e}).'
+        f'are larger than chance explains: probability {max(fit.chance, _LEAST_CHANCE):.0e}).',
+        *words,
     ]
+
+
+def _nonlinear_words(found: Nonlinearity, fit: FreeFit) -> str:
+    term = found.term
+    places = indices_of(term.parameters, fit.parameters)
+    unit = term.parameters[0].unit
+    largest = np.abs(fit.model.values(fit.parameters)[places]).max() / unit.scale
+    text = (
+        f'The session shows {term.kind.value.words} ({term.name}, by up to '
+        f'{significant(largest)} {unit.shown}, by chance once in '
+        f'10^{max(3, round(-found.log_p / np.log(10)))} sessions): it is estimated.'
+    )
+    if found.alternatives:
+        names = ' or '.join(other.name for other in found.alternatives)
+        text += f' {names} would explain it as well. To tell them apart takes {term.needs}.'
+    return text
 
 
 def in_frame_of_accelerometers(model: SensorModel) -> SensorModel:
