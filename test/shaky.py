@@ -42,6 +42,7 @@ def shaky(
     lost: float = 0.0,
     limit: float = np.inf,
     swaying: tuple[int, float] | None = None,
+    sliding: tuple[int, float] | None = None,
     attitudes: Rotation | None = None,
     seed: int = 0,
 ) -> Shaky:
@@ -58,6 +59,7 @@ def shaky(
         lost: Share of the samples that never come, one at a time.
         limit: End of the gyros' range, rad/s.
         swaying: A hold that leans to and fro slowly, and by how much, rad.
+        sliding: A hold that turns on about its axes, and at which rate about each, rad/s.
         attitudes: Of the holds, and the one before; of any direction if not given.
         seed: Of attitudes, lengths, tremble and noise.
     """
@@ -81,6 +83,12 @@ def shaky(
         share = np.clip((times - begins[hold]) / still[hold], 0.0, 1.0)
         cycles = 2 * np.pi * share[:, None] * np.array([1.0, 0.5, 1.0])
         body = body * Rotation.from_rotvec(lean * np.sin(cycles))
+    if sliding is not None:
+        hold, pace = sliding
+        # The next turn begins where it ends, and leads to where it would have led.
+        remains = np.where(after > hold, np.where(after == hold + 1, 1 - path, 0.0), 1.0)
+        slid = pace * np.clip(times - begins[hold], 0.0, still[hold]) * remains
+        body = body * Rotation.from_rotvec(slid[:, None] * np.array([1.0, -1.0, 1.0]))
     angles = (body[:-1].inv() * body[1:]).as_rotvec()
     angles += body.inv().apply(EARTH)[1:] / (rate * _FINER)
     gyro = angles.reshape(-1, _FINER, 3).sum(axis=1) * rate

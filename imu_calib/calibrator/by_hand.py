@@ -247,6 +247,8 @@ class HandCalibrator:
             link.move
             for link, variance in zip(links, variances, strict=True)
             if link.move.filled <= _LOST * (variance.mean() - link.move.filled)
+            # A hold that slides is in another attitude at its end.
+            and not (holds[link.first].sliding or holds[link.second].sliding)
         )
         return replace(evidence, moves=kept)
 
@@ -304,7 +306,9 @@ def _lost_turns(evidence: Evidence, session: Segmented) -> list[str]:
     by_reason: dict[str, list[str]] = {}
     for k in lost:
         between = f'{segments[k].position} to {segments[k + 1].position}'
-        by_reason.setdefault(why.get(segments[k].end, MISSING), []).append(between)
+        slid = [str(s.position) for s in segments[k : k + 2] if s.sliding]
+        reason = f'the unit slid at hold {slid[0]}' if slid else MISSING
+        by_reason.setdefault(why.get(segments[k].end, reason), []).append(between)
     reasons = '; '.join(
         f'from hold {", ".join(turns)} ({reason}{_REMEDIES.get(reason, "")})'
         for reason, turns in by_reason.items()

@@ -315,22 +315,22 @@ def _with_nonlinearity(state: _State) -> tuple[_State, tuple[Nonlinearity, ...]]
     found: tuple[Nonlinearity, ...] = ()
     while len(found) < len(_NONLINEAR):
         scores = _scores(state)
-        best = min(scores, key=lambda family: scores[family].log_p)
-        if scores[best].log_p > np.log(_SHOWN / len(_NONLINEAR)):
+        shown = [f for f in scores if scores[f].log_p < np.log(_SHOWN / len(_NONLINEAR))]
+        if not shown:
             break
+        most = max(shown, key=lambda family: scores[family].statistic / scores[family].scale)
+        least = scores[most].statistic - _APART * scores[most].scale
+        # Of terms that explain the session equally well the first is that of IEEE Std 1293.
+        best, *others = [f for f in scores if f is most or scores[f].statistic > least]
         assert best.term is not None
         try:
             trial = _weighed(state.with_terms((best.term,)))
             _check_observable(trial)
         except NotObservable:
             break
-        least = scores[best].statistic - _APART * scores[best].scale
-        as_well = (f.term for f, score in scores.items() if f is not best and score.rank)
-        alternatives = tuple(
-            term for term in as_well if term and scores[Family(term.name, term)].statistic > least
-        )
-        state = trial
+        alternatives = tuple(other.term for other in others if other.term is not None)
         found = (*found, Nonlinearity(best.term, scores[best].log_p, alternatives))
+        state = trial
     return state, found
 
 

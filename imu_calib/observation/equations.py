@@ -182,7 +182,8 @@ class Equations(SessionModel):
     def covariance(self, state: Floats) -> Floats:
         """Return the covariance of the outputs, (m,) square."""
         result = np.diag(self.own_variances)
-        add_all(self.shared(state), result)
+        common = [part for part in self.own if not isinstance(part.part, Diagonal)]
+        add_all((*common, *self.shared(state)), result)
         # Without noise, common errors leave only rounding of the outputs, and there is no root.
         result[np.diag_indices(len(result))] *= 1 + _ROUNDING * len(result)
         result.flags.writeable = False

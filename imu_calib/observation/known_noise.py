@@ -26,6 +26,10 @@ _NEAR, _NEAR_FREEDOM = 3.6, 8.0
 """Ratio of variances up to which one of so many degrees of freedom is no larger than by chance:
 chi-square of eight is 28.8 once in 2900 times, that of fewer more often, and three dwells or more
 require once in 6000."""
+_STEADILY = 0.9
+"""Share of the squares of the blocks about their mean that a line explains in a dwell that slides:
+of four blocks of noise it explains as much in one direction once in twenty times, in both once in
+a hundred."""
 _ENOUGH_FREEDOM = 20.0
 """Degrees of freedom from which on a random walk needs no allowance for its uncertainty, where no
 data sheet states it: it is then known to 1 / sqrt(40) = 16 %."""
@@ -66,8 +70,8 @@ def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
     Source: docs/mathematics.md, 'Free positions'.
 
     Returns:
-        The same; those found have an `excess_covariance`, and no blocks of their
-            accelerometers.
+        The same; those found have an `excess_covariance`, no blocks of their accelerometers, and
+            the rate at which they slide, if they do.
     """
     statistics = [s.statistics for s in segments]
     counts = np.array([[len(b) for b in s.blocks[3:]] for s in statistics]).reshape(-1, 3)
@@ -96,8 +100,25 @@ def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
             segments[where[k]],
             statistics=replace(old, blocks=blocks),
             excess_covariance=gain * (along * up + across * (np.eye(3) - up)),
+            sliding=0.0 if usual[k, 1] else _sliding(old, up),
         )
     return tuple(found)
+
+
+def _sliding(statistics: Statistics, up: Floats) -> float:
+    """Return the rate, rad/s, at which gravity turns in a dwell, if it does so steadily; else 0.
+
+    Args:
+        statistics: Of the dwell.
+        up: (3, 3) projection on the direction of gravity.
+    """
+    blocks = np.array(statistics.blocks[3:])
+    across = (np.eye(3) - up) @ (blocks[:, :, 0] - blocks[:, :, 0].mean(axis=1)[:, None])
+    time = blocks[0, :, 3] - blocks[0, :, 3].mean()
+    slope = across @ time / (time @ time)
+    if slope @ slope * (time @ time) < _STEADILY * (across**2).sum():
+        return 0.0
+    return float(np.linalg.norm(slope) / np.linalg.norm(statistics.mean[3:]))
 
 
 def _squares(statistics: Statistics, up: Floats) -> Floats:

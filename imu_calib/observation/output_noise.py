@@ -103,6 +103,10 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
             rows = evidence.layout.dwell[k : k + 1, 3:]
             blocks = Blocks(rows, segment.excess_covariance[None])
             parts.append(Component(Source.NOISE, blocks, UNREST_FREEDOM))
+        if segment.sliding:
+            rows = evidence.layout.dwell[k : k + 1, :3]
+            blocks = Blocks(rows, segment.sliding**2 * np.eye(3)[None])
+            parts.append(Component(Source.NOISE, blocks, UNREST_FREEDOM))
     return tuple(parts)
 
 

@@ -105,6 +105,7 @@ class Segment:
             rad.
         excess_covariance: (3, 3) covariance of the accelerometers' mean beyond their usual noise,
             (m/s^2)^2; None without.
+        sliding: Rate at which the unit leans more and more, rad/s; its gyros show that, too.
     """
 
     start: int
@@ -116,6 +117,7 @@ class Segment:
     notes: tuple[str, ...] = ()
     attitude_error: float = 0.0
     excess_covariance: Floats | None = None
+    sliding: float = 0.0
 
     def variance(self, walk: Floats, gravity: float) -> Floats:
         """Return the variances of the mean outputs, (6,), SI: noise, and gravity by the lean.
@@ -127,6 +129,7 @@ class Segment:
         found = self.statistics.variance(walk) + self.encoder_variance(gravity)
         if self.excess_covariance is not None:
             found[3:] += np.diag(self.excess_covariance)
+        found[:3] += self.sliding**2
         return found
 
     def encoder_variance(self, gravity: float) -> Floats:
