@@ -112,6 +112,8 @@ class Segmenter:
         # Rests and motions to be read again if the clocks prove to be apart; None once decided.
         self._provisional: list[Rest | Motion] | None = [] if table is not None else None
         self._clock: list[ClockSample] = []
+        self._tried: list[tuple[int, bool]] = []
+        """Motions at which the clocks were compared, ns, and whether that gave their offset."""
         self._offset_seen = False
         # The middle of each motion, ns, and how much of it the gyros saw.
         self._seen_motions: list[tuple[float, MeasuredShare]] = []
@@ -191,6 +193,7 @@ class Segmenter:
         if tracker is not None:
             self._pending.extend(tracker.finish())
         self._process(last=True)
+        self._drop_untimed()
         self._drop_hidden()
         if self._clocks_unknown:
             self._drop_all()
@@ -299,7 +302,7 @@ class Segmenter:
         self._offset_ns = self._reference_ns = offset_ns
         if abs(offset_ns) > _NEAR * 1e9:
             self._found_offset_ns = offset_ns
-        self._clock, self._compared = [], []
+        self._clock, self._compared, self._tried = [], [], []
         self._seen_motions, self._repetitions = [], []
         self._segments, self._turns, self._rejected, self._mount_shifts = [], [], [], []
         self._moves = MoveReader(self._sensor)
@@ -453,6 +456,7 @@ class Segmenter:
             samples.stamp, turned, motion.stamp + self._reference_ns, motion.position[:, joint]
         )
         if travel[joint] > _SIGNIFICANT:
+            self._tried.append((motion.start + self._offset_ns, compared is not None))
             self._compared.append(compared is not None and abs(compared.offset) < _NEAR)
         if compared is None:
             return
@@ -492,6 +496,33 @@ class Segmenter:
                 self._mount_shifts.append(one)
             else:
                 self._rejected.append(one)
+
+    def _drop_untimed(self) -> None:
+        """Drop what follows an interruption after which no motion gives the offset of the clocks.
+
+        A clock that was set on looks like samples that are missing. Where it was set by more than
+        is searched, dwells and turns are cut at other times than the table's.
+        """
+        if not any(seen for _, seen in self._tried):
+            return
+        begins = [begins for _, begins in self._intake.interruptions.found]
+        begins += [one.instant for one in self._intake.imu_clock.found]
+        begins += [one.instant + self._offset_ns for one in self._intake.joint_clock.found]
+        edges = [0, *sorted(begins), np.iinfo(np.int64).max]
+        reason = (
+            'no motion after an interruption, or a clock that was set, before it gives the offset '
+            'of the clocks'
+        )
+        for first, last in pairwise(edges):
+            tried = [seen for instant, seen in self._tried if first <= instant < last]
+            if not tried or any(tried):
+                continue
+            lost = [one for one in self._segments if first <= one.start < last]
+            turns = [one for one in self._turns if first <= one.start < last]
+            self._rejected += [Rejected(one.start, one.end, reason) for one in lost]
+            self._rejected += [Rejected(one.start, one.end, reason, turn=True) for one in turns]
+            self._segments = [one for one in self._segments if not first <= one.start < last]
+            self._turns = [one for one in self._turns if not first <= one.start < last]
 
     def _drop_hidden(self) -> None:
         """Drop dwells next to a motion that the gyros did not see: clocks are apart."""
