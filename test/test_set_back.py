@@ -15,6 +15,7 @@ from imu_calib.calibrator import Calibrator, Result, Setup
 from imu_calib.earth import Site
 from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.segmentation.intake import StreamBuffer
+from imu_calib.segmentation.segmenter import Segmenter
 from imu_calib.segmentation.set_back import SetBackClock, set_back_sentences
 from imu_calib.stream import (
     Floats,
@@ -186,6 +187,16 @@ TURN, REST, MOVE = 14.0, 85.0, 97.5
 """When the table does so, s."""
 
 
+def spec(unit: Unit) -> ImuSpec:
+    return ImuSpec(
+        'other',
+        Units.PULSES,
+        unit.rate,
+        TriadSpec(unit.gyro_pulse, unit.gyro_walk),
+        TriadSpec(unit.accel_pulse, unit.accel_walk),
+    )
+
+
 @cache
 def session(
     unit: Unit, times: tuple[float, ...], seconds: float, whose: str, size: int = 0
@@ -201,16 +212,11 @@ def session(
         imu = replace(imu, stamp=by_clock(imu.stamp))
     if 'joints' in whose:
         joints = replace(joints, stamp=by_clock(joints.stamp))
-    spec = ImuSpec(
-        'other',
-        Units.PULSES,
-        unit.rate,
-        TriadSpec(unit.gyro_pulse, unit.gyro_walk),
-        TriadSpec(unit.accel_pulse, unit.accel_walk),
-    )
     site = Site.at(WORLD.latitude, 0.0, WORLD.gravity)
     plan = quick_plan('twelve_position', 10.0)
-    calibrator = Calibrator(Setup(spec, plan, load_table('three_axis'), site, search_terms=True))
+    calibrator = Calibrator(
+        Setup(spec(unit), plan, load_table('three_axis'), site, search_terms=True)
+    )
     calibrator.feed(joints)
     for k in range(0, len(imu.stamp), size or len(imu.stamp)):
         part = slice(k, k + (size or len(imu.stamp)))
@@ -259,3 +265,32 @@ def test_blocks_of_any_length_give_the_same_bits() -> None:
     assert (whole.calibration.values == cut.calibration.values).all()
     assert (whole.calibration.covariance == cut.calibration.covariance).all()
     assert whole.calibration.findings == cut.calibration.findings
+
+
+@pytest.mark.parametrize('size', [0, 997])
+def test_a_clock_that_is_set_on_is_told_from_lost_samples(size: int) -> None:
+    found = session(MEDIUM, (REST,), -3.7, 'IMU', size).calibration
+    assert np.abs(errors(found, MEDIUM)).max() < 4.5
+    said = ' '.join(found.findings)
+    assert 'The clock of the IMU was set on by 3.7 s at 2023-11-14 22:14:45' in said
+    for false in ('interrupted', 'missing: position', 'frozen', 'left out,'):
+        assert false not in said
+    whole = session(MEDIUM, (REST,), -3.7, 'IMU').calibration
+    assert (found.values == whole.values).all()
+    assert found.findings == whole.findings
+
+
+def test_after_a_clock_that_nothing_tells_nothing_is_used() -> None:
+    """Set on twice before a motion is compared, and then motions that the gyros do not show."""
+    joints, imu = recorded(WORLD, MEDIUM, 0)
+    passed = (imu.stamp - START) * 1e-9
+    stamp = imu.stamp + 1_230_000_000 * (passed > 88) + 4_020_000_000 * (passed > 96.9)
+    noise = np.random.default_rng(3).integers(-3, 4, imu.gyro.shape)
+    unlike = replace(imu, gyro=np.where((passed > 88)[:, None], noise, imu.gyro))
+    segmenter = Segmenter(spec(MEDIUM), load_table('three_axis'))
+    segmenter.feed(joints)
+    segmenter.feed(replace(unlike, stamp=stamp))
+    found = segmenter.finish()
+    assert found.segments
+    assert all((one.start - START) * 1e-9 < 99 for one in (*found.segments, *found.turns))
+    assert any('gives the offset of the clocks' in one.reason for one in found.rejected)

@@ -114,6 +114,8 @@ class Segmenter:
         self._clock: list[ClockSample] = []
         self._tried: list[tuple[int, bool]] = []
         """Motions at which the clocks were compared, ns, and whether that gave their offset."""
+        self._silences_judged = 0
+        self._set_on: list[tuple[int, int]] = []
         self._offset_seen = False
         # The middle of each motion, ns, and how much of it the gyros saw.
         self._seen_motions: list[tuple[float, MeasuredShare]] = []
@@ -236,7 +238,7 @@ class Segmenter:
             self._watch_stillness(last=last)
         self._split_long_rest()
         while self._pending and self._intake.last_stamp is not None:
-            needed = self._pending[0].end + self._offset_ns + 2 * MARGIN_NS
+            needed = self._pending[0].end + self._offset_ns + 2 * MARGIN_NS + self._silent_ns
             if not last and not self._intake.is_complete_until(needed):
                 break
             if self._awaits_offset(last=last):
@@ -303,6 +305,7 @@ class Segmenter:
         if abs(offset_ns) > _NEAR * 1e9:
             self._found_offset_ns = offset_ns
         self._clock, self._compared, self._tried = [], [], []
+        self._silences_judged, self._set_on = 0, []
         self._seen_motions, self._repetitions = [], []
         self._segments, self._turns, self._rejected, self._mount_shifts = [], [], [], []
         self._moves = MoveReader(self._sensor)
@@ -381,8 +384,43 @@ class Segmenter:
             self._moves.dwell(whole.samples, delivered, found)
             self._store(found)
 
+    @property
+    def _silent_ns(self) -> int:
+        """Silences of the IMU's stream, ns, of which it is open whether its clock was set on."""
+        if self._table is None or not self._offset_seen:
+            return 0
+        open_ones = self._intake.interruptions.found[self._silences_judged :]
+        return sum(begins - last for last, begins in open_ones)
+
+    def _judge_silences(self, motion: Motion, table: Table) -> None:
+        """Change the offset of the clocks if silences were a clock that was set on.
+
+        Lost samples leave the offset as it is, and a clock that was set on moves it by the silence:
+        the motion shows which.
+        """
+        found = self._intake.interruptions.found[self._silences_judged :]
+        if not self._silent_ns or found[-1][1] > motion.start + self._offset_ns:
+            return
+        interval = round(self._pace.interval * 1e9)
+        silent = sum(begins - last - interval for last, begins in found)
+        for set_on in (0, silent):
+            offset = self._offset_ns + set_on
+            start, end = motion.start + offset - MARGIN_NS, motion.end + offset + MARGIN_NS
+            stamp, values, _ = made_between(self._intake.imu, start, end)
+            if len(stamp) < 2:
+                continue
+            compared = _compared(motion, self._sensor.samples(stamp, values), table, offset)
+            if compared is not None:
+                self._offset_ns = offset
+                self._reference_ns = offset if set_on else self._reference_ns
+                self._silences_judged += len(found)
+                self._set_on += found if set_on else []
+                return
+
     def _read_motion(self, motion: Motion) -> None:
         """Read the samples of a motion: a move, whole turns, and the offset of the clocks."""
+        if self._table is not None and len(motion.stamp):
+            self._judge_silences(motion, self._table)
         start = motion.start + self._offset_ns - MARGIN_NS
         end = motion.end + self._offset_ns + MARGIN_NS
         begins, ends_at = motion.start + self._offset_ns, motion.end + self._offset_ns
@@ -446,16 +484,10 @@ class Segmenter:
 
     def _compare_clocks(self, motion: Motion, samples: Samples, table: Table) -> None:
         """Estimate the offset of the clocks from the motion of a single joint, if it shows one."""
-        travel = motion.travel
-        joint = int(np.argmax(travel))
-        if np.any(np.delete(travel, joint) > _ALONE * travel[joint]):
+        if not _is_of_one_joint(motion):
             return
-        axis = table.joint_axis(joint, motion.position[0])
-        turned = np.cumsum(samples.increments[:, :3] @ axis)
-        compared = clock_sample(
-            samples.stamp, turned, motion.stamp + self._reference_ns, motion.position[:, joint]
-        )
-        if travel[joint] > _SIGNIFICANT:
+        compared = _compared(motion, samples, table, self._reference_ns)
+        if motion.travel.max() > _SIGNIFICANT:
             self._tried.append((motion.start + self._offset_ns, compared is not None))
             self._compared.append(compared is not None and abs(compared.offset) < _NEAR)
         if compared is None:
@@ -645,10 +677,32 @@ class Segmenter:
                 'clock was set, or it restarted sampling; the data before and after are used '
                 'separately'
             )
-        lost += interruptions(self._intake.interruptions.found)
+        silences = self._intake.interruptions.found
+        lost += interruptions([one for one in silences if one not in self._set_on])
+        lost += [
+            f'The clock of the IMU was set on by {(begins - last) * 1e-9:.1f} s at {at(last)}: by '
+            'the motions of the table no samples are missing'
+            for last, begins in self._set_on
+        ]
         if self._table is not None and self._joints is not None and self._joints.silent:
             lost.append(f'There are no joint states of table {self._table.name}')
         return tuple(lost)
+
+
+def _is_of_one_joint(motion: Motion) -> bool:
+    """Return whether one joint makes a motion: its angle is compared with the gyros'."""
+    travel = motion.travel
+    joint = int(np.argmax(travel))
+    return not np.any(np.delete(travel, joint) > _ALONE * travel[joint])
+
+
+def _compared(motion: Motion, samples: Samples, table: Table, offset_ns: int) -> ClockSample | None:
+    """Compare the clocks in a motion of one joint, the IMU's ahead by about so much, ns."""
+    if not _is_of_one_joint(motion):
+        return None
+    joint = int(np.argmax(motion.travel))
+    turned = np.cumsum(samples.increments[:, :3] @ table.joint_axis(joint, motion.position[0]))
+    return clock_sample(samples.stamp, turned, motion.stamp + offset_ns, motion.position[:, joint])
 
 
 def made_between(rows: RowBuffer, start: int, end: int) -> tuple[Stamps, Floats, Stamps]:
