@@ -30,6 +30,9 @@ _STEADILY = 0.9
 """Share of the squares of the blocks about their mean that a line explains in a dwell that slides:
 of four blocks of noise it explains as much in one direction once in twenty times, in both once in
 a hundred."""
+_AGREES = 0.5
+"""Of the rate by the accelerometers: that by the gyros may differ by so much. A judgement: what
+slides more slowly than gyros resolve spoils no turn."""
 _ENOUGH_FREEDOM = 20.0
 """Degrees of freedom from which on a random walk needs no allowance for its uncertainty, where no
 data sheet states it: it is then known to 1 / sqrt(40) = 16 %."""
@@ -90,6 +93,7 @@ def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
         share = freedom[:, k] * usual[:, k]
         pool[k] = share @ squares[:, k] / share.sum()
     found = list(segments)
+    bias = np.median([s.mean[:3] for s in statistics], axis=0)
     for k in np.flatnonzero(~usual.all(axis=1)).tolist():
         along, across = np.where(usual[k], 0.0, squares[k] - pool)
         up = np.outer(ups[k], ups[k])
@@ -100,23 +104,29 @@ def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
             segments[where[k]],
             statistics=replace(old, blocks=blocks),
             excess_covariance=gain * (along * up + across * (np.eye(3) - up)),
-            sliding=0.0 if usual[k, 1] else _sliding(old, up),
+            sliding=0.0 if usual[k, 1] else _sliding(old, up, bias),
         )
     return tuple(found)
 
 
-def _sliding(statistics: Statistics, up: Floats) -> float:
+def _sliding(statistics: Statistics, up: Floats, bias: Floats) -> float:
     """Return the rate, rad/s, at which gravity turns in a dwell, if it does so steadily; else 0.
+
+    The gyros must show it, too: f' = -w x f.
 
     Args:
         statistics: Of the dwell.
         up: (3, 3) projection on the direction of gravity.
+        bias: (3,) output of the gyros in the other dwells, rad/s.
     """
     blocks = np.array(statistics.blocks[3:])
     across = (np.eye(3) - up) @ (blocks[:, :, 0] - blocks[:, :, 0].mean(axis=1)[:, None])
     time = blocks[0, :, 3] - blocks[0, :, 3].mean()
     slope = across @ time / (time @ time)
     if slope @ slope * (time @ time) < _STEADILY * (across**2).sum():
+        return 0.0
+    apart = slope + np.cross(statistics.mean[:3] - bias, statistics.mean[3:])
+    if np.linalg.norm(apart) > _AGREES * np.linalg.norm(slope):
         return 0.0
     return float(np.linalg.norm(slope) / np.linalg.norm(statistics.mean[3:]))
 
