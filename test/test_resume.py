@@ -180,6 +180,7 @@ def test_what_is_interrupted_torn_off_and_killed_is_gone_on_with_time_after_time
     assert parts[1][0] >= parts[0][-1] - 1
 
 
+@pytest.mark.repeats
 def test_sigterm_says_how_to_go_on_too(tmp_path):
     process, folder = begin(tmp_path, '--speed', '30')
     comes_to(process, folder, 1)

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from extent import again
 from shaky import shaky
 from test_noisy_holds import NOISE, UNIT, calibrator, result, session
 
@@ -47,7 +48,7 @@ def the_hold(found: Result) -> Segment:
 
 
 @pytest.mark.parametrize('pace', [0.05 * DEG, 0.15 * DEG])
-@pytest.mark.parametrize('holds', [12, 24])
+@pytest.mark.parametrize('holds', [12, again(24)])
 def test_a_hold_that_slides_is_said_and_moves_no_parameter(pace: float, holds: int) -> None:
     for seed in range(3):
         found = sliding(pace, holds, seed)
