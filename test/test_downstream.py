@@ -126,7 +126,10 @@ def test_nobody_downstream_has_anything_to_complain_about(run):
     complaints = [
         line
         for line in run.log.splitlines()
-        if re.match(r'\[(imu_filter|ekf|static)', line) and re.search(r'WARN|ERROR|FATAL', line)
+        if re.match(r'\[(imu_filter|ekf|static)', line)
+        and re.search(r'WARN|ERROR|FATAL', line)
+        # A busy machine may hold the filter up; that is not about what it receives.
+        and 'Failed to meet update rate' not in line
     ]
     assert complaints == []
     assert run.log.count('process has finished cleanly') == 4
