@@ -194,9 +194,7 @@ class SetBackClock:
 
     def _known(self) -> tuple[Stamps, Floats]:
         """Return the last rows: (n,) stamps, ns, and (n, columns) values."""
-        stamp, values = (
-            np.concatenate(parts)[-_KNOWN:] for parts in zip(*self._recent, strict=True)
-        )
+        stamp, values = (np.concatenate(parts) for parts in zip(*self._recent, strict=True))
         return stamp[-_KNOWN:].copy(), values[-_KNOWN:].copy()
 
     def _forget_after(self, instant: int) -> None:
