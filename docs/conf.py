@@ -41,6 +41,9 @@ exclude_patterns = [
     '__*',
 ]
 
+# For `-b linkcheck`: a page served on the reader's own machine answers nobody else.
+linkcheck_ignore = [r'http://127\.0\.0\.1']
+
 html_theme = 'furo'
 html_title = 'imu_calib'
 html_show_sphinx = False
