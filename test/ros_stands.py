@@ -15,7 +15,7 @@ import rich
 import yaml
 from installed import ROS, has_package, needs
 from loopback import CHECKOUT, environment, patience, until
-from test_interop import SETUP, without_ros
+from test_interop import LOOK, SETUP, seen, without_ros
 
 from imu_calib.calibration import Calibration
 from imu_calib.cli.processes import free_port, private_network
@@ -90,9 +90,9 @@ class Network:
                 cwd=self.folder,
             )
 
-    def ask(self, *words, seconds=60):
-        """Run a tool of ROS to its end; return what it wrote."""
-        done = subprocess.run(
+    def run(self, *words, seconds=60):
+        """Run a tool of ROS to its end."""
+        return subprocess.run(
             self.ros('ros2', *words),
             capture_output=True,
             text=True,
@@ -101,15 +101,26 @@ class Network:
             cwd=self.folder,
             check=False,
         )
+
+    def ask(self, *words, seconds=60):
+        """Run a tool of ROS to its end; return what it wrote."""
+        done = self.run(*words, seconds=seconds)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
+    def look(self, *words, wanted):
+        """Have a tool of ROS look around until it sees all that is wanted; see `seen`."""
+        return seen(lambda: self.run(*words, *LOOK), wanted)
+
     def call(self, service):
         """Call a Trigger service with ROS's tool; return whether it agreed, and what it said."""
-        answer = self.ask('service', 'call', service, TRIGGER)
-        found = re.search(r"success=(True|False), message='(.*)'", answer)
-        assert found, answer
-        return found[1] == 'True', found[2]
+        while True:
+            answer = self.ask('service', 'call', service, TRIGGER)
+            found = re.search(r"success=(True|False), message='(.*)'", answer)
+            assert found, answer
+            # A busy machine holds the node up, too.
+            if 'did not run for a while' not in found[2]:
+                return found[1] == 'True', found[2]
 
     def log(self, name):
         return (self.folder / f'{name}.log').read_text(errors='replace')

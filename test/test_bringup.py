@@ -111,8 +111,7 @@ def test_in_a_namespace_the_robots_topics_carry_rates(folder, tmp_path):
         listed = [f'{name}:={value}' for name, value in given.items()]
         net.start('launch', net.ros('ros2', 'launch', 'imu_calib', 'bringup.launch.py', *listed))
         net.wait_for_text('launch', 'A1.yaml is applied')
-        answer = net.ask('topic', 'list', '--no-daemon', '--spin-time', '3')
-        assert {'/robot/driver/raw', '/robot/imu/data_raw'} <= set(answer.split())
+        net.look('topic', 'list', wanted=['/robot/driver/raw\n', '/robot/imu/data_raw\n'])
         net.start('source', _python(net, _SOURCE))
         message = net.ask('topic', 'echo', '--no-daemon', '--once', *_TYPED)
         assert 'frame_id: base_imu' in message

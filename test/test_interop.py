@@ -15,7 +15,7 @@ import numpy as np
 import processes
 import pytest
 from installed import ROS, needs
-from loopback import CHECKOUT, environment, patience
+from loopback import CHECKOUT, environment, patience, until
 
 from imu_calib.bags import open_recording
 from imu_calib.cdr import Kind
@@ -116,9 +116,9 @@ def interrupted(process):
     return '\n'.join(process.communicate(timeout=patience()))
 
 
-def ask(runtime, domain, *words, seconds=60):
-    """Run a command to its end; return its output, and what it complains of."""
-    done = subprocess.run(
+def run(runtime, domain, *words, seconds=60):
+    """Run a command to its end."""
+    return subprocess.run(
         command(runtime, *words),
         capture_output=True,
         text=True,
@@ -126,6 +126,11 @@ def ask(runtime, domain, *words, seconds=60):
         env=side(runtime, domain),
         check=False,
     )
+
+
+def ask(runtime, domain, *words, seconds=60):
+    """Run a command to its end; return its output, and what it complains of."""
+    done = run(runtime, domain, *words, seconds=seconds)
     assert done.returncode == 0, done.stderr
     return done.stdout, done.stderr
 
@@ -164,20 +169,49 @@ def ros2(domain, *words):
     return ask('rclpy', domain, 'ros2', *words)[0]
 
 
+LOOK = ('--no-daemon', '--spin-time', '2')
+
+
+def seen(look, wanted):
+    """Have a tool look around until it writes all the words that are wanted; return its output.
+
+    It looks for two seconds, for which a busy machine may hold up what it is to see.
+
+    Args:
+        look: Runs the tool to its end; returns how that went.
+        wanted: Words.
+    """
+    tries = []
+
+    def all_there():
+        tries[:] = [look()]
+        return tries[0].returncode == 0 and all(word in tries[0].stdout for word in wanted)
+
+    assert until(all_there), tries[0]
+    return tries[0].stdout
+
+
 @needs(verbs=['topic', 'node'])
 @pytest.mark.parametrize('rmw', RMWS)
 def test_the_tools_of_ros_see_a_node_on_dds(rmw):
     domain = environment(RMW_IMPLEMENTATION=rmw)
-    look = ('--no-daemon', '--spin-time', '2')
+
+    def look(words, *wanted):
+        return seen(lambda: run('rclpy', domain, 'ros2', *words, *LOOK), wanted)
+
     with talker('dds', domain):
-        topics = ros2(domain, 'topic', 'list', '-t', *look)
-        assert '/stand/setpoint [imu_calib_msgs/msg/TurntableSetpoint]' in topics
-        assert '/stand/data_raw [sensor_msgs/msg/Imu]' in topics
-        assert ros2(domain, 'node', 'list', *look).split() == ['/stand/talker']
-        info = ros2(domain, 'topic', 'info', '-v', '/stand/state', *look)
-        assert 'Node name: talker' in info
-        assert 'Node namespace: /stand' in info
-        assert 'Durability: TRANSIENT_LOCAL' in info
+        look(
+            ('topic', 'list', '-t'),
+            '/stand/setpoint [imu_calib_msgs/msg/TurntableSetpoint]',
+            '/stand/data_raw [sensor_msgs/msg/Imu]',
+        )
+        assert look(('node', 'list'), '/stand/talker').split() == ['/stand/talker']
+        info = look(
+            ('topic', 'info', '-v', '/stand/state'),
+            'Node name: talker',
+            'Node namespace: /stand',
+            'Durability: TRANSIENT_LOCAL',
+        )
         assert re.search(r'Topic type hash: RIHS01_[0-9a-f]{64}', info)
         echo = ('topic', 'echo', '--no-daemon', '--once', '/stand/count', 'std_msgs/msg/String')
         echoed = ros2(domain, *echo)

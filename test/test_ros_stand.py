@@ -6,6 +6,7 @@ interface; no process may be left.
 
 import re
 import sys
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -48,7 +49,6 @@ def session(tmp_path_factory):
     """A session under `ros2 launch`, looked at and, where it can be, recorded with ROS's tools."""
     net = Network(tmp_path_factory.mktemp('session'))
     results = SimpleNamespace(net=net)
-    look = ('--no-daemon', '--spin-time', '2')
     with nothing_left(net):
         launch(net, autostart='false')
         net.wait_for_text('launch', 'Waiting for /imu/pulses.', 'Frames come in.')
@@ -56,9 +56,10 @@ def session(tmp_path_factory):
             record(net)
         net.start('goal', net.ros('ros2', *GOAL, '{plan: short}'))
         net.wait_for_text('goal', 'Feedback:')
-        results.parameters = net.ask('param', 'list', '/turntable_node', *look)
-        results.latitude = net.ask('param', 'get', '/calibrator_node', 'latitude', *look)
-        results.described = net.ask('param', 'describe', '/turntable_node', 'setpoint_rate', *look)
+        look = partial(net.look, 'param')
+        results.parameters = look('list', '/turntable_node', wanted=['plan'])
+        results.latitude = look('get', '/calibrator_node', 'latitude', wanted=['value'])
+        results.described = look('describe', '/turntable_node', 'setpoint_rate', wanted=['Type'])
         net.wait_for_text('launch', 'The plan is done.', 'calibration.yaml is written', seconds=120)
         echo = ('topic', 'echo', '--no-daemon', '--once', '--full-length')
         latched = ('--qos-durability', 'transient_local', '--qos-reliability', 'reliable')
