@@ -192,8 +192,17 @@ def test_another_client_of_the_controller_stops_the_table(led):
     point.time_from_start.sec = 60
     goal = session.controller.kind.Goal()
     goal.trajectory.joint_names, goal.trajectory.points = list(stand.NAMES), [point]
-    asked = client.send_goal_async(goal)
-    assert session.until(asked.done)
+
+    def stopped():
+        asked = client.send_goal_async(goal)
+        assert session.until(asked.done)
+        ended = asked.result().get_result_async()
+        # The stop replaces it. So does a piece that the node had just sent: then nobody notices, as
+        # its newest goal alone counts.
+        assert session.until(ended.done)
+        return session.node._sequencer.state().phase is Phase.PAUSED
+
+    assert session.until(stopped)
     assert stops(session, 'aborts a goal: replaced')
 
 
