@@ -888,6 +888,7 @@ def test_a_table_that_a_stranger_turns_is_held_and_it_is_said_how_far_and_how_fa
     )
     assert session.ends_stopped()
     assert session.until(lambda: session.watcher.has_report('plan', 2, 'it stands again'))
+    assert session.until(lambda: 'it stands again' in session.watcher.states[-1].reason)
     told = session.watcher.states[-1].reason
     assert 'Joint outer moves while it is to stand at' in told
     went, fast = (float(told.split(word)[1].split()[0]) for word in (' moved ', ' up to '))
