@@ -724,7 +724,10 @@ def test_turntable_node_leads_a_plan_with_turns_through_lines_of_text(monkeypatc
         'settle': 0.05,
         'joint_state_rate': 100.0,
         'reply_timeout': 0.4,
-        'feedback_timeout': 2.0,
+        # What holds up this process holds up both nodes and the controller.
+        'setpoint_timeout': 2.0,
+        'feedback_timeout': 30.0,
+        'watchdog_timeout': 30.0,
     }
     ros.init(args=['--ros-args', *(w for k, v in given.items() for w in ('-p', f'{k}:={v}'))])
     executor = ros.SingleThreadedExecutor()

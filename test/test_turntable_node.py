@@ -57,6 +57,7 @@ positions:
 
 # Where node and table share a thread, what holds up one holds up both.
 PATIENT = {'feedback_timeout': 30.0, 'watchdog_timeout': 30.0}
+HEARTBEAT = {**PATIENT, 'stop_required': True, 'heartbeat_timeout': 3.0}
 
 
 class FakeTable(ros.Node):
@@ -270,10 +271,10 @@ class Session:
         )
 
     def turns(self):
-        """Wait for a turn where the node watches as briefly as it does by default.
+        """Wait for a turn where the node waits for less than a busy machine may hold it up.
 
-        A busy machine may hold up this process, and table and node with it, for half a second: the
-        node pauses then, and is started again.
+        That holds up this process, and table and node with it: the node pauses then, and is started
+        again.
         """
 
         def turning():
@@ -389,7 +390,7 @@ def test_the_emergency_stop_holds_and_refuses_a_start_until_it_is_released(sessi
 
 
 def test_without_a_heartbeat_nothing_starts_and_its_silence_holds_the_table(session):
-    session.turn_at(90).open(stop_required=True, **PATIENT)
+    session.turn_at(90).open(**HEARTBEAT)
     # Joint states are there: what keeps it from starting is the heartbeat alone.
     assert session.until(lambda: session.node._sequencer.feedback is not None)
     assert session.until(lambda: 'No heartbeat on /heartbeat' in session.press('start')[1])
@@ -397,7 +398,7 @@ def test_without_a_heartbeat_nothing_starts_and_its_silence_holds_the_table(sess
     clear = ros.messages.Bool(data=True)
     timer = session.watcher.create_timer(0.05, lambda: beat.publish(clear), clock=STEADY)
     assert session.until(lambda: session.press('start')[0])
-    session.reaches(Phase.TURNING)
+    session.turns()
     timer.cancel()
     session.reaches(Phase.PAUSED)
     assert 'No heartbeat' in session.watcher.states[-1].reason
@@ -406,17 +407,16 @@ def test_without_a_heartbeat_nothing_starts_and_its_silence_holds_the_table(sess
     timer.reset()
     assert session.until(lambda: not session.node._sequencer._obstacles.forbidden)
     assert not session.until(lambda: session.watcher.phase is not Phase.PAUSED, 0.3)
-    assert session.press('start')[0]
-    session.reaches(Phase.TURNING)
+    session.turns()
 
 
 def test_a_heartbeat_that_says_stop_once_holds_the_table(session):
-    session.turn_at(90).open(stop_required=True, **PATIENT)
+    session.turn_at(90).open(**HEARTBEAT)
     beat = session.watcher.create_publisher(ros.messages.Bool, 'heartbeat', 10)
     clear, stop = (ros.messages.Bool(data=data) for data in (True, False))
     session.watcher.create_timer(0.05, lambda: beat.publish(clear), clock=STEADY)
     assert session.until(lambda: session.press('start')[0])
-    session.reaches(Phase.TURNING)
+    session.turns()
     for message in (stop, clear):
         beat.publish(message)
     session.reaches(Phase.PAUSED)
@@ -429,7 +429,7 @@ def test_a_heartbeat_that_says_stop_once_holds_the_table(session):
 
 def test_two_heartbeats_hold_the_table(session):
     """The silence of one would not be noticed."""
-    session.turn_at(90).open(stop_required=True, **PATIENT)
+    session.turn_at(90).open(**HEARTBEAT)
     clear = ros.messages.Bool(data=True)
 
     def beats(node):
@@ -438,7 +438,7 @@ def test_two_heartbeats_hold_the_table(session):
 
     beats(session.watcher)
     assert session.until(lambda: session.press('start')[0])
-    session.reaches(Phase.TURNING)
+    session.turns()
     door = ros.Node('door')
     session.executor.add_node(door)
     beats(door)
