@@ -342,8 +342,9 @@ def test_an_order_whose_answer_cannot_be_read_is_a_broken_line(bench):
 def test_a_controller_that_falls_silent_is_told_to_stop_and_met_anew(bench):
     bench.lead(setpoint(angles=(0, 9000, 0)))
     assert bench.until(lambda: bench.controller.count('MOVE') == 3)
-    asked = bench.controller.count('STATE')
+    # From now on: its thread answers on while this one is held up.
     bench.controller.silent = True
+    asked = bench.controller.count('STATE')
     assert bench.until(lambda: bench.controller.lines[-1] == 'STOP')
     # The first question without an answer; another may have been answered meanwhile.
     assert bench.controller.count('STATE') - asked <= 2
