@@ -450,13 +450,20 @@ def test_two_heartbeats_hold_the_table(session):
 
 def test_a_start_that_waited_for_a_node_that_hung_moves_nothing(session):
     session.turn_at(90).open(with_node=False)
+    session.table.silent = True
     process = session.start(feedback_timeout=30.0)
     client = session.watcher.buttons['start']
     has_report = session.watcher.has_report
-    assert session.until(lambda: has_report('joint states', 0, 'are received'))
     assert session.until(client.service_is_ready)
-    # A node may see its client a moment later than it is seen: its answer would go nowhere.
-    session.until(lambda: False, 2.0)
+
+    def answered():
+        return session.until(client.call_async(ros.Trigger.Request()).done, 1.0)
+
+    # A node may see its client a moment later than it is seen: its answer would go nowhere. Without
+    # joint states it refuses.
+    assert session.until(answered)
+    session.table.silent = False
+    assert session.until(lambda: has_report('joint states', 0, 'are received'))
     os.kill(process.pid, signal.SIGSTOP)
     future = client.call_async(ros.Trigger.Request())
     assert not session.until(future.done, 3.0)
@@ -468,6 +475,31 @@ def test_a_start_that_waited_for_a_node_that_hung_moves_nothing(session):
     # Asked again, it starts.
     assert session.until(lambda: session.press('start')[0])
     session.reaches(Phase.TURNING)
+
+
+def test_a_node_that_is_held_up_again_as_it_goes_on_takes_no_start_of_before(session):
+    session.open(watchdog_timeout=1.0, feedback_timeout=30.0)
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    node = session.node
+    steady = node._steady = FakeSteady(node._steady.now().nanoseconds * 1e-9)
+
+    def rounds(*lasting):
+        for seconds in lasting:
+            steady.seconds += seconds
+            # Joint states go on.
+            node._fed_at = steady.seconds
+            node._go_on()
+
+    def answer():
+        return node._on_start(None, ros.Trigger.Response())
+
+    # The second time is not too long by itself, and no request was taken in it.
+    rounds(3.0, 1.5)
+    assert 'did not run for a while' in answer().message
+    rounds(*[0.01] * 85)
+    assert 'did not run for a while' in answer().message
+    rounds(*[0.01] * 10)
+    assert answer().success
 
 
 @pytest.mark.parametrize('name', ['watchdog_timeout', 'calibrator_timeout', 'feedback_timeout'])

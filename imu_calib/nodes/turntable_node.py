@@ -49,8 +49,11 @@ _ASLEEP = 2.0
 """s without a round of this node, at least `watchdog_timeout`, after which a request is old. A
 judgement: a busy machine takes less, and a person waits as long for an answer."""
 _OVERDUE = 1.0
-"""s after a silence of this node in which requests may still be of that time: each takes a round of
-the executor, of milliseconds. A judgement."""
+"""s of rounds after a silence of this node in which requests may still be of that time: each takes
+a round of the executor, of milliseconds. A judgement."""
+_LONGEST_ROUND = 0.1
+"""s of a round that count at most: a longer one was held up, and no request was taken. Ten of
+`_PERIOD`."""
 _LAST_HOLDS = 3
 """HOLDs sent as the node ends: two may be lost."""
 _LAST_ROUNDS = 20
@@ -108,7 +111,7 @@ class TurntableNode(Node):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._malformed = Malformed()
         self._fed_at = self._ran_at = self._steady.now().nanoseconds * 1e-9
-        self._woke_at = -math.inf
+        self._awake = math.inf
         self._published: tuple[Any, ...] = ()
         self._published_at = -math.inf
         self._diagnostics = Diagnostics(self, table.name)
@@ -227,8 +230,9 @@ class TurntableNode(Node):
     def _go_on(self) -> None:
         """Check the clocks, advance, and send setpoints that are due."""
         now = self._steady.now().nanoseconds * 1e-9
-        if now - self._ran_at > max(_ASLEEP, self._watchdog):
-            self._woke_at = now
+        passed = now - self._ran_at
+        asleep = passed > max(_ASLEEP, self._watchdog)
+        self._awake = 0.0 if asleep else self._awake + min(passed, _LONGEST_ROUND)
         self._ran_at = now
         self._watch(now)
         if self._sequencer.fault:
@@ -419,7 +423,7 @@ class TurntableNode(Node):
     def _start(self) -> str:
         """Start, unless the node did not run: a request of then is not one of now."""
         now = self._steady.now().nanoseconds * 1e-9
-        if now - self._ran_at > max(_ASLEEP, self._watchdog) or now - self._woke_at < _OVERDUE:
+        if now - self._ran_at > max(_ASLEEP, self._watchdog) or self._awake < _OVERDUE:
             raise InputError(
                 'This node did not run for a while, and the request may be as old: nothing '
                 'starts. Ask again.'
