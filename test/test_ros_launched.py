@@ -31,7 +31,8 @@ pytestmark = NEEDS_ROS
 def test_services_lead_a_stand_in_its_namespace(tmp_path):
     net = Network(tmp_path)
     with nothing_left(net):
-        launch(net, namespace='lab', speed='3.0')
+        # Slow enough that the plan is not at its end when a tool's call arrives on a busy machine.
+        launch(net, namespace='lab', speed='1.0')
         net.wait_for_text('launch', 'Turning: step 2')
         assert net.call('/lab/turntable_node/pause')[0]
         net.wait_for_text('launch', 'Paused')
