@@ -26,7 +26,6 @@ STILL, END = 2.0, 7.0
 MARGIN = 0.5
 BROKEN = 150
 _RATE, _ACCELERATION = 60 * DEG, 120 * DEG
-_WAIT = 20.0
 
 
 def unit():
@@ -60,8 +59,13 @@ def pulses():
     return samples
 
 
-def listen_and_drive(target):
-    """Run the source until its samples have gone out; write what was heard meanwhile."""
+def listen_and_drive(target, patience):
+    """Run the source until its samples have gone out; write what was heard meanwhile.
+
+    Args:
+        target: File.
+        patience: Longest wait for the others, s.
+    """
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
     from nav_msgs.msg import Odometry
@@ -117,7 +121,7 @@ def listen_and_drive(target):
         )
     others = {'driver/raw': node.count_subscribers, 'imu/data': node.count_publishers}
     others |= {'odometry/filtered': node.count_publishers}
-    deadline = time.monotonic() + _WAIT
+    deadline = time.monotonic() + patience
     while not all(count(topic) for topic, count in others.items()):
         rclpy.spin_once(node, timeout_sec=0.05)
         if time.monotonic() > deadline:
@@ -148,4 +152,4 @@ def _ns(stamp):
 
 
 if __name__ == '__main__':
-    listen_and_drive(sys.argv[1])
+    listen_and_drive(sys.argv[1], float(sys.argv[2]))

@@ -12,7 +12,7 @@ import downstream_peer as robot
 import numpy as np
 import pytest
 from installed import ROS, needs
-from loopback import CHECKOUT, until
+from loopback import CHECKOUT, patience, until
 from ros_stands import LAUNCHABLE, Network, nothing_left
 from scipy.spatial.transform import Rotation
 
@@ -42,10 +42,29 @@ def documented(language):
     return found
 
 
+TRIES = 5
+"""Runs until one is not held up. A judgement: on a machine on which every one is, none tells."""
+
+
 @pytest.fixture(scope='module')
 def run(tmp_path_factory):
-    net = Network(tmp_path_factory.mktemp('robot'))
-    folder = net.folder
+    """A run of the chain in which the machine held up nobody for longer than `GAP` allows."""
+    for _ in range(TRIES):
+        found = chain(tmp_path_factory.mktemp('robot'))
+        if not held_up(found):
+            break
+    return found
+
+
+def held_up(run):
+    """Whether a filter has missed samples, or its listener messages, for more than 0.1 s."""
+    heard = [np.array([m['stamp'] for m in messages]) for messages in (run.imu, run.odometry)]
+    return any(len(stamp) == 0 or np.diff(stamp).max(initial=0) > 1e8 for stamp in heard)
+
+
+def chain(folder):
+    """Run source, filters and monitor once; return what was heard."""
+    net = Network(folder)
     for name, language in (('imu.launch.py', 'python'), ('imu.yaml', 'yaml')):
         (folder / name).write_text(documented(language).replace('/etc/robot', str(folder)))
     (folder / 'imu').mkdir()
@@ -57,8 +76,10 @@ def run(tmp_path_factory):
     with nothing_left(net):
         net.start('launch', net.ros('ros2', 'launch', str(folder / 'imu.launch.py')))
         net.start('monitor', net.ros(str(monitor), *words))
-        net.start('robot', net.ros('python3', str(PEER), str(folder / 'heard.json')))
-        assert until(lambda: net.processes['robot'].poll() is not None), net.log('launch')
+        peer = ('python3', str(PEER), str(folder / 'heard.json'), str(patience()))
+        net.start('robot', net.ros(*peer))
+        process = net.processes['robot']
+        assert until(lambda: process.poll() is not None, 2 * patience()), net.log('launch')
         assert net.processes.pop('robot').returncode == 0, net.log('robot') + net.log('launch')
         net.stop('monitor')
         log = net.stop('launch')
