@@ -244,7 +244,8 @@ def test_a_timer_keeps_its_period_and_can_be_stopped(node):
     times = []
     timer = node.create_timer(0.05, lambda: times.append(time.monotonic()), clock=STEADY)
     assert spun(node, lambda: len(times) == 6)
-    assert 0.03 < np.diff(times).mean() < patience(0.07)
+    # What holds up this process once makes one period longer, by seconds.
+    assert 0.03 < np.median(np.diff(times)) < patience(0.07)
     timer.cancel()
     assert not spun(node, lambda: len(times) > 6, 0.2)
     timer.reset()
@@ -574,6 +575,9 @@ LAST_WORD = """
 import signal
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 from imu_calib.middleware import *
+from imu_calib.middleware import running
+# A busy machine may hold up the test, which acknowledges.
+running._ACKNOWLEDGE_TIMEOUT = 60.0
 latched = QoSProfile(depth=1)
 class Table(Node):
     def __init__(self):
