@@ -9,12 +9,16 @@ from ideal import mean_of
 from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.segmentation.bridging import Bridged
 from imu_calib.segmentation.clock import NO_CLOCK, ClockFit, MeasuredShare
+from imu_calib.segmentation.intake import StreamBuffer
 from imu_calib.segmentation.interruptions import interruption
 from imu_calib.segmentation.motion import Motion
+from imu_calib.segmentation.reading import IntervalReader, SeenMotion
 from imu_calib.segmentation.repeated_samples import Repetition
 from imu_calib.segmentation.segment import Segment
 from imu_calib.segmentation.segmented import MountShift
 from imu_calib.segmentation.segmenter import Segmenter, clock_jumps
+from imu_calib.segmentation.sensor import Sensor
+from imu_calib.segmentation.spoiled import reject_hidden
 from imu_calib.segmentation.statistics import Samples
 from imu_calib.stream import Floats, Units
 from imu_calib.turntable import Joint, Table
@@ -26,8 +30,12 @@ TABLE = Table('bench', (Joint('a', (1.0, 0.0, 0.0)), Joint('b', (0.0, 0.0, 1.0))
 NONE = np.zeros(6)
 
 
-def reader() -> Segmenter:
-    return Segmenter(SPEC, TABLE)
+def reader() -> IntervalReader:
+    return IntervalReader(Sensor.of(SPEC), TABLE, StreamBuffer(TABLE, skewed=False))
+
+
+def seen(middle: float, share: MeasuredShare, repetition: Repetition) -> SeenMotion:
+    return SeenMotion(middle * NS, share, repetition)
 
 
 # Sentences
@@ -50,9 +58,9 @@ def test_an_interruption_is_told_by_its_length_and_its_beginning() -> None:
 
 
 def test_lost_samples_are_told_by_their_share() -> None:
-    held = reader()
-    held._intake.samples, held._bridged = 17, 3
-    held._off_grid = {START + 9 * NS, START + 2 * NS}
+    held = Segmenter(SPEC, TABLE)
+    held._intake.samples, held._reader.bridged = 17, 3
+    held._reader.off_grid = {START + 9 * NS, START + 2 * NS}
     held._intake.interruptions.feed(np.array([START, START + 2 * NS]))
     assert held._loss_sentences() == (
         '3 IMU samples are missing (15 %), a few at a time: what they counted is interpolated from '
@@ -73,7 +81,7 @@ def test_what_is_lost_counts_after_the_beginning_and_up_to_the_end() -> None:
         held = reader()
         held._note_lost(whole, start, end)
         held._note_lost(whole, start, end)
-        assert held._bridged == 2 * lost
+        assert held.bridged == 2 * lost
 
 
 # Motions that the gyros did not see
@@ -82,25 +90,24 @@ def test_what_is_lost_counts_after_the_beginning_and_up_to_the_end() -> None:
 def kept_middles(angles: list[float], times: list[float]) -> list[float]:
     """Rests, each with a shock, around motions at 10, 20 and 30 s: the middles that are kept."""
     held = reader()
-    held._seen_motions = [
-        (10.0 * NS * (k + 1), MeasuredShare(*share))
+    held.seen_motions = [
+        seen(10.0 * (k + 1), MeasuredShare(*share), Repetition(100, 0.0, 0))
         for k, share in enumerate(zip(angles, times, strict=True))
     ]
-    held._repetitions = [Repetition(100, 0.0, 0)] * len(held._seen_motions)
     # The middle is what counts: each ends within a motion.
     middles = [5, 15, 25, 35]
-    held._segments = [Segment((m - 6) * NS, (m + 6) * NS, mean_of(NONE)) for m in middles]
-    held._mount_shifts = [MountShift(m * NS, 0.1) for m in middles]
-    held._drop_hidden()
-    kept = [(s.start + s.end) / 2 / NS for s in held._segments]
-    assert [shift.instant / NS for shift in held._mount_shifts] == kept
-    gone = [(r.start // NS, r.end // NS) for r in held._rejected]
+    held.found.segments = [Segment((m - 6) * NS, (m + 6) * NS, mean_of(NONE)) for m in middles]
+    held.found.mount_shifts = [MountShift(m * NS, 0.1) for m in middles]
+    assert reject_hidden(held) == (0, 0)
+    kept = [(s.start + s.end) / 2 / NS for s in held.found.segments]
+    assert [shift.instant / NS for shift in held.found.mount_shifts] == kept
+    gone = [(r.start // NS, r.end // NS) for r in held.found.rejected]
     assert gone == [(m - 6, m + 6) for m in middles if m not in kept]
     reason = (
         'the gyros do not show the motion next to it that the joint states show (clocks that jump, '
         'or are about a second apart)'
     )
-    assert {r.reason for r in held._rejected} <= {reason}
+    assert {r.reason for r in held.found.rejected} <= {reason}
     return kept
 
 
@@ -110,21 +117,21 @@ def test_a_dwell_that_repeats_the_sample_of_a_frozen_motion_is_frozen_itself() -
     values[:, 3] = 9.0
     sound = np.random.default_rng(0).normal(size=(60, 6))
     held = reader()
-    held._seen_motions = [(10.0 * NS * (k + 1), MeasuredShare(1.0, 1.0)) for k in range(3)]
-    held._seen_motions.append((40.0 * NS, MeasuredShare(0.1, 0.1)))
-    held._repetitions = [Repetition.of(part, part) for part in (*[sound] * 3, values)]
-    assert np.array_equal(held._repetitions[3].sample, values[0])
+    whole, frozen = Repetition.of(sound, sound), Repetition.of(values, values)
+    held.seen_motions = [seen(10.0 * k, MeasuredShare(1.0, 1.0), whole) for k in (1, 2, 3)]
+    held.seen_motions.append(seen(40.0, MeasuredShare(0.1, 0.1), frozen))
+    assert np.array_equal(frozen.sample, values[0])
     # The mean of samples that are alike, by an interval that is a little off; others; and the same
     # far from the frozen motion.
     means = [values[0], values[0], 1.0001 * values[0], values[0] + [0, 1e-4, 0, 0, 0, 0]]
     middles = [5, 15, 35, 45]
-    held._segments = [
+    held.found.segments = [
         Segment((m - 3) * NS, (m + 3) * NS, mean_of(mean))
         for m, mean in zip(middles, means, strict=True)
     ]
-    held._drop_hidden()
-    assert [s.start // NS + 3 for s in held._segments] == [5, 15, 45]
-    (gone,) = held._rejected
+    assert reject_hidden(held) == (1, 40 * NS)
+    assert [s.start // NS + 3 for s in held.found.segments] == [5, 15, 45]
+    (gone,) = held.found.rejected
     assert gone.start == 32 * NS
     assert gone.reason == 'its samples are frozen, repeating the one of the motion next to it'
 
@@ -164,7 +171,7 @@ def left_out(period_ms: int, at: int, count: int = 100) -> list[int]:
     assert late.tolist() == (values[:, 0] / 6).tolist()
     gone = np.flatnonzero(~np.isin(stamp, kept)).tolist()
     assert values[:, 0].tolist() == [6.0 * k for k in range(count) if k not in gone]
-    assert held._off_grid == ({int(stamp[at])} if gone else set())
+    assert held.off_grid == ({int(stamp[at])} if gone else set())
     return gone
 
 
@@ -179,7 +186,7 @@ def test_around_a_step_of_the_clock_more_is_left_out_than_gaps_that_are_filled()
 # The clocks of table and IMU
 
 
-def compared(other: float, joint: int) -> Segmenter:
+def compared(other: float, joint: int) -> IntervalReader:
     """A joint that turns by 1 rad within 2 s, and another one that turns by `other`."""
     states = np.arange(0.0, 2.001, 0.02)
     time = np.arange(-1.0, 3.0, 0.01)
@@ -204,10 +211,10 @@ def compared(other: float, joint: int) -> Segmenter:
 @pytest.mark.parametrize('joint', [0, 1])
 def test_motions_of_one_joint_tell_how_far_clocks_are_apart(joint: int) -> None:
     held = compared(0.0, joint)
-    (found,) = held._clock
+    (found,) = held.clock
     assert found.offset == pytest.approx(0.003, abs=1e-5)
-    assert held._offset_ns == round(found.offset * 1e9)
+    assert held.offset_ns == round(found.offset * 1e9)
     # Of the others a hundredth of its travel.
-    assert len(compared(0.0099, joint)._clock) == 1
-    assert compared(0.0101, joint)._clock == []
-    assert compared(0.0101, joint)._offset_ns == 0
+    assert len(compared(0.0099, joint).clock) == 1
+    assert compared(0.0101, joint).clock == []
+    assert compared(0.0101, joint).offset_ns == 0

@@ -1,0 +1,361 @@
+"""Read the samples of dwells and motions, with one assumed offset of the clocks to begin with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from ..stream import Floats, Stamps
+from ..turntable import TURN, Table
+from ..units import DEG
+from .bridging import LONGEST, Bridged, bridged
+from .buffer import RowBuffer
+from .bunches import sampling_times
+from .clock import ClockSample, MeasuredShare, cells, clock_sample, measured_share
+from .dwells import read_dwell
+from .grid import clock_steps
+from .intake import StreamBuffer
+from .lateness import Lateness
+from .motion import Motion, Rest
+from .moves import MoveReader
+from .pace import Pace
+from .repeated_samples import Repetition
+from .segment import Segment, Turn
+from .segmented import FreeMotion, MountShift, Rejected
+from .sensor import Sensor
+from .statistics import Samples
+from .turns import MARGIN_NS, Around, read_free_motion, read_turns
+
+NEAR = 0.5
+"""s: clocks this close are compared motion by motion, in a second of rest on either side."""
+_ALONE = 0.01
+"""Of the largest travel of a joint: where another turns by more, the clocks are not compared, since
+the gyros' measured angle is compared with that of one joint. A judgement."""
+_SIGNIFICANT = 10 * DEG
+"""rad: longer motions determine the offset of the clocks."""
+
+
+class Comparison(NamedTuple):
+    """A longer motion at `instant`, ns: whether it gave an offset of the clocks, and a near one."""
+
+    instant: int
+    gave_offset: bool
+    near: bool
+
+
+class SeenMotion(NamedTuple):
+    """A motion by its middle, ns: how much of it the gyros saw, and its repeated samples."""
+
+    middle: float
+    share: MeasuredShare
+    repetition: Repetition
+
+
+@dataclass
+class Found:
+    """What the samples contain, in order; as the lists of `Segmented`."""
+
+    segments: list[Segment] = field(default_factory=list)
+    turns: list[Turn] = field(default_factory=list)
+    motions: list[FreeMotion] = field(default_factory=list)
+    mount_shifts: list[MountShift] = field(default_factory=list)
+    rejected: list[Rejected] = field(default_factory=list)
+
+    def store(self, found: Sequence[Segment | Turn | FreeMotion | MountShift | Rejected]) -> None:
+        """Add each to the list of its kind."""
+        for one in found:
+            if isinstance(one, Segment):
+                self.segments.append(one)
+            elif isinstance(one, Turn):
+                self.turns.append(one)
+            elif isinstance(one, FreeMotion):
+                self.motions.append(one)
+            elif isinstance(one, MountShift):
+                self.mount_shifts.append(one)
+            else:
+                self.rejected.append(one)
+
+    def reject_dwells(self, reason: str, are_spoiled: Callable[[Segment], bool]) -> None:
+        """Reject the spoiled dwells for a reason."""
+        spoiled = [one for one in self.segments if are_spoiled(one)]
+        self.rejected += [Rejected(one.start, one.end, reason) for one in spoiled]
+        self.segments = [one for one in self.segments if not are_spoiled(one)]
+
+    def reject_turns(self, reason: str, are_spoiled: Callable[[Turn], bool]) -> None:
+        """Reject the spoiled turns for a reason."""
+        spoiled = [one for one in self.turns if are_spoiled(one)]
+        self.rejected += [Rejected(one.start, one.end, reason, turn=True) for one in spoiled]
+        self.turns = [one for one in self.turns if not are_spoiled(one)]
+
+    def retime(self, pace: Pace) -> None:
+        """Retime everything with the sample interval of the whole session."""
+        self.segments = [replace(s, statistics=s.statistics.retimed(pace)) for s in self.segments]
+        self.turns = [turn.retimed(pace) for turn in self.turns]
+        self.motions = [replace(m, statistics=m.statistics.retimed(pace)) for m in self.motions]
+
+
+class IntervalReader:
+    """Reads dwells and motions, in order, from the buffered samples.
+
+    Where the clocks prove to be apart by another offset, a new reader reads them again.
+
+    Args:
+        sensor: The IMU.
+        table: The table whose joint states gave the intervals; None when the IMU stands alone.
+        intake: The buffered streams.
+        offset_ns: IMU clock minus table clock at the first interval, ns.
+        offset_known: Whether a motion has given an offset already.
+
+    Attributes:
+        found: Segments, turns, motions, mount shifts and rejected parts.
+        moves: Reader of the moves between the segments.
+        pace: The sample interval by all that was read.
+        late: Counts of late samples.
+        offset_ns: IMU clock minus table clock by the last motion, ns.
+        offset_known: Whether a motion has given it.
+        large_offset_ns: The one at the first interval if it is more than half a second, ns; else 0.
+        clock: Comparisons of the clocks.
+        comparisons: The motions at which they were compared.
+        seen_motions: The motions looked at for what the gyros saw.
+        set_on: Last stamp before and first after each silence that was a clock set on, ns.
+        bridged: Number of lost samples that are interpolated.
+        off_grid: Stamps before which the clock of the IMU was set, ns.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        table: Table | None,
+        intake: StreamBuffer,
+        offset_ns: int = 0,
+        *,
+        offset_known: bool = False,
+    ) -> None:
+        self.sensor = sensor
+        self._table = table
+        self._intake = intake
+        self._reference_ns = offset_ns
+        """The offset about which the next motion is compared."""
+        self._silences_judged = 0
+        self.found = Found()
+        self.moves = MoveReader(sensor, by_hand=table is None)
+        self.pace = Pace()
+        self.late = Lateness()
+        self.offset_ns = offset_ns
+        self.offset_known = offset_known
+        self.large_offset_ns = offset_ns if abs(offset_ns) > NEAR * 1e9 else 0
+        self.clock: list[ClockSample] = []
+        self.comparisons: list[Comparison] = []
+        self.seen_motions: list[SeenMotion] = []
+        self.set_on: list[tuple[int, int]] = []
+        self.bridged = 0
+        self.off_grid: set[int] = set()
+
+    def dwell(self, rest: Rest, longest: int) -> None:
+        """Read the samples of a dwell: segments, or the reasons for rejecting it."""
+        start, end = rest.start + self.offset_ns, rest.end + self.offset_ns
+        stamp, values, late = made_between(self._intake.imu, start, end)
+        attitude = None
+        if self._table is not None and rest.angles is not None:
+            attitude = self._table.attitude(rest.angles)
+        # Without a table only the mean of a static dwell is needed, not its time.
+        steps: list[int] = []
+        if self._table is not None:
+            steps = clock_steps(stamp, self.pace.interval)
+            self.off_grid.update(stamp[steps].tolist())
+        set_back = np.searchsorted(stamp, self._set_back(start, end)).tolist()
+        edges = sorted({0, *steps, *(set_back if self._table is not None else ()), len(stamp)})
+        cuts = [k for a, b in pairwise(edges) for k in range(a, b, longest)]
+        for piece in map(slice, cuts, [*cuts[1:], len(stamp)]):
+            if len(stamp[piece]) < 2:
+                continue
+            if piece.start in set_back:
+                self.pace.begin_line()
+            came = self.sensor.samples(stamp[piece], values[piece], self.pace)
+            self.late.note(came.stamp, late[piece] + (stamp[piece] - came.stamp), came.period)
+            whole = bridged(came, self.sensor.walk)
+            self._note_lost(whole, start, end)
+            delivered = whole.values(values[piece])
+            found = read_dwell(
+                self.sensor, whole.samples, delivered, rest.angles, attitude, rest.angle_error
+            )
+            self.moves.dwell(whole.samples, delivered, found)
+            self.found.store(found)
+
+    @property
+    def silent_ns(self) -> int:
+        """Silences of the IMU's stream, ns, of which it is open whether its clock was set on."""
+        if self._table is None or not self.offset_known:
+            return 0
+        open_ones = self._intake.interruptions.found[self._silences_judged :]
+        return sum(begins - last for last, begins in open_ones)
+
+    def _judge_silences(self, motion: Motion, table: Table) -> None:
+        """Change the offset of the clocks if silences were a clock that was set on.
+
+        Lost samples leave the offset as it is, and a clock that was set on moves it by the silence:
+        the motion shows which.
+        """
+        found = self._intake.interruptions.found[self._silences_judged :]
+        if not self.silent_ns or found[-1][1] > motion.start + self.offset_ns:
+            return
+        interval = round(self.pace.interval * 1e9)
+        silent = sum(begins - last - interval for last, begins in found)
+        for set_on in (0, silent):
+            offset = self.offset_ns + set_on
+            start, end = motion.start + offset - MARGIN_NS, motion.end + offset + MARGIN_NS
+            stamp, values, _ = made_between(self._intake.imu, start, end)
+            if len(stamp) < 2:
+                continue
+            compared = _compared(motion, self.sensor.samples(stamp, values), table, offset)
+            if compared is not None:
+                self.offset_ns = offset
+                self._reference_ns = offset if set_on else self._reference_ns
+                self._silences_judged += len(found)
+                self.set_on += found if set_on else []
+                return
+
+    def motion(self, motion: Motion) -> None:
+        """Read the samples of a motion: a move, whole turns, and the offset of the clocks."""
+        if self._table is not None and len(motion.stamp):
+            self._judge_silences(motion, self._table)
+        start = motion.start + self.offset_ns - MARGIN_NS
+        end = motion.end + self.offset_ns + MARGIN_NS
+        begins, ends_at = motion.start + self.offset_ns, motion.end + self.offset_ns
+        if reason := self._set_back_within(motion):
+            self.moves.lose(reason)
+            self.pace.begin_line()
+            if self._table is None or float(motion.travel.max(initial=0.0)) > TURN:
+                self.found.rejected.append(Rejected(begins, ends_at, reason, turn=True))
+            return
+        set_back = self._set_back(start, end)
+        # Of the rest beside the motion what is timed by the same line is read.
+        start = max([start, *(one - 1 for one in set_back if one <= begins)])
+        end = min([end, *(one - 1 for one in set_back if one > ends_at)])
+        stamp, values, late = self._apart_at_steps(*made_between(self._intake.imu, start, end))
+        if len(stamp) < 2:
+            return
+        came = self.sensor.samples(stamp, values, self.pace)
+        inside = slice(*np.searchsorted(came.stamp, [begins, ends_at], side='right').tolist())
+        late = late + (stamp - came.stamp)
+        self.late.note(came.stamp[inside], late[inside], came.period)
+        # The rate changes here: only samples next to a lost one are used for it.
+        whole = bridged(came, self.sensor.walk, 1)
+        self._note_lost(whole, begins, ends_at)
+        samples, values = whole.samples, whole.values(values)
+        # By the stamps as received: the rest begins with the first beyond, and on the line of
+        # another static dwell the same sample may lie on the other side.
+        after = int(np.searchsorted(stamp, motion.end + self.offset_ns, side='right'))
+        ends = int(np.searchsorted(np.maximum.accumulate(whole.rows), after))
+        self.moves.motion(samples.part(0, ends), values[:ends])
+        skew = self._intake.skew
+        skewed = None if skew is None else made_between(skew, start, end)[:2]
+        around = Around(self.sensor, values, samples, skewed)
+        if self._table is None or not len(motion.stamp):
+            self.found.store(read_free_motion(around, motion))
+            return
+        self._compare_clocks(motion, samples, self._table)
+        self._note_seen(motion, values, samples, self._table)
+        self.found.store(read_turns(around, motion, self._table, self.offset_ns))
+
+    def _set_back_within(self, motion: Motion) -> str:
+        """Return that a clock was set back within a motion, as a reason; else an empty text."""
+        of_table = [one.instant for one in self._intake.joint_clock.found]
+        if self._set_back(motion.start + self.offset_ns, motion.end + self.offset_ns):
+            return 'the clock of the IMU was set back within it'
+        if any(motion.start < instant <= motion.end for instant in of_table):
+            return 'the clock of the joint states was set back within it'
+        return ''
+
+    def _note_seen(self, motion: Motion, values: Floats, samples: Samples, table: Table) -> None:
+        """Note how much of a motion within the range the gyros saw, and its repeated samples."""
+        if self.sensor.saturated(values, samples).any():
+            return
+        shown = motion.stamp + self.offset_ns
+        some = cells(shown)
+        seen = measured_share(samples, shown[some], table.attitude(motion.position[some]))
+        if seen is not None:
+            middle = (motion.start + motion.end) / 2 + self.offset_ns
+            repetition = Repetition.of(values, samples.increments / samples.period)
+            self.seen_motions.append(SeenMotion(middle, seen, repetition))
+
+    def _set_back(self, start: int, end: int) -> list[int]:
+        """Return when between two instants, ns, the clock of the IMU was set back."""
+        return [one.instant for one in self._intake.imu_clock.found if start < one.instant <= end]
+
+    def _note_lost(self, whole: Bridged, start: int, end: int) -> None:
+        """Count the lost samples between two instants, ns, that are interpolated."""
+        inside = (whole.samples.stamp > start) & (whole.samples.stamp <= end)
+        self.bridged += int(np.count_nonzero(whole.rows[inside] < 0))
+
+    def _compare_clocks(self, motion: Motion, samples: Samples, table: Table) -> None:
+        """Estimate the offset of the clocks from the motion of a single joint, if it shows one."""
+        if not _is_of_one_joint(motion):
+            return
+        compared = _compared(motion, samples, table, self._reference_ns)
+        if motion.travel.max() > _SIGNIFICANT:
+            near = compared is not None and abs(compared.offset) < NEAR
+            at = motion.start + self.offset_ns
+            self.comparisons.append(Comparison(at, compared is not None, near))
+        if compared is None:
+            return
+        shift = self._reference_ns
+        compared = ClockSample(compared.time - shift, compared.offset + shift * 1e-9)
+        self.clock.append(compared)
+        self.offset_known = True
+        self.offset_ns = round(compared.offset * 1e9)
+        # The next motions are compared near this offset: clocks may drift far apart.
+        if abs(self.offset_ns - shift) > NEAR * 1e9:
+            self._reference_ns = self.offset_ns
+
+    def _apart_at_steps(
+        self, stamp: Stamps, values: Floats, late: Stamps
+    ) -> tuple[Stamps, Floats, Stamps]:
+        """Leave out samples of a motion where the clock was set: a gap that is not filled."""
+        steps = clock_steps(stamp, self.pace.interval)
+        if not steps:
+            return stamp, values, late
+        self.off_grid.update(stamp[steps].tolist())
+        # Starts at most half a fillable gap, and a sample, before the step.
+        around = round(LONGEST / float(np.median(np.diff(stamp)) * 1e-9)) // 2 + 1
+        adjacent = np.zeros(len(stamp), dtype=bool)
+        for k in steps:
+            adjacent[max(0, k - around) : k + around] = True
+        return stamp[~adjacent], values[~adjacent], late[~adjacent]
+
+
+def _is_of_one_joint(motion: Motion) -> bool:
+    """Return whether one joint makes a motion: its angle is compared with the gyros'."""
+    travel = motion.travel
+    joint = int(np.argmax(travel))
+    return not np.any(np.delete(travel, joint) > _ALONE * travel[joint])
+
+
+def _compared(motion: Motion, samples: Samples, table: Table, offset_ns: int) -> ClockSample | None:
+    """Compare the clocks in a motion of one joint, the IMU's ahead by about so much, ns."""
+    if not _is_of_one_joint(motion):
+        return None
+    joint = int(np.argmax(motion.travel))
+    turned = np.cumsum(samples.increments[:, :3] @ table.joint_axis(joint, motion.position[0]))
+    return clock_sample(samples.stamp, turned, motion.stamp + offset_ns, motion.position[:, joint])
+
+
+def made_between(rows: RowBuffer, start: int, end: int) -> tuple[Stamps, Floats, Stamps]:
+    """Return the samples made after one instant and up to another, ns.
+
+    A bunch that came after an instant may have begun before it: bunches are searched beyond both
+    instants for the margin of a motion, which is longer than a bunch.
+
+    Returns:
+        When they were made, (n,) ns; (n, columns) values; delay of their stamps, (n,) ns.
+    """
+    came, values = rows.between(start - MARGIN_NS, end + MARGIN_NS)
+    stamp, late = sampling_times(came)
+    inside = slice(*np.searchsorted(stamp, [start, end], side='right').tolist())
+    stamp, values = stamp[inside], values[inside]
+    stamp.flags.writeable = False
+    return stamp, values, late[inside]
