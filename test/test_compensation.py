@@ -78,6 +78,7 @@ def test_a_sample_has_the_same_bits_alone_and_among_many(model):
     skewed = model.skewed is not None
     rng = np.random.default_rng(1)
     compensation = Compensation(known(model=model, random_walk=[1e-5] * 6), skewed=skewed)
+    assert (compensation._single is None) == skewed
     gyro, accel, interval = rng.normal(size=(2000, 3)), rng.normal(size=(2000, 3)), np.full(2000, 1)
     interval = interval * rng.uniform(0.009, 0.011, 2000)
     fourth = rng.normal(size=(2000, 1)) if skewed else None

@@ -17,6 +17,7 @@ from ..model.inversion import inverted
 from ..model.motion import has_motion_terms
 from ..stream import Floats, Units
 from .samples import CompensatedSamples, Mark, Marks, concatenated
+from .single_sample import SingleSample
 
 _AXES = 3
 """X, Y, Z."""
@@ -114,24 +115,27 @@ class Compensation:
         self._covariance = np.vstack([self._covariance[:count][used], self._covariance[count:]])
         self._unmarked = np.full(_AT_ONCE, mark, np.uint8)
         self._unmarked.flags.writeable = False
-        # Whether `_apply_one` can compensate a single sample.
-        self._by_numbers = channels is None and model.linear and len(self._levers) == len(_LINEAR)
-        self._set_numbers()
         highest = calibration.provenance.get('highest_rate')
         self._highest = float('inf') if highest is None else _BEYOND * float(highest)
+        self._single: SingleSample | None = None
+        if channels is None and model.linear and len(self._levers) == len(_LINEAR):
+            self._single = self._for_single_samples()
 
-    def _set_numbers(self) -> None:
-        """Set what `_apply_one` needs as plain Python numbers."""
-        self._channels = [
-            (float(scale), float(offset), float(limit), float(full))
-            for scale, offset, limit, full in zip(
-                self._scale, self._bias, self._limit, self._full, strict=True
-            )
-        ]
-        self._outputs = self._to_inputs.T.tolist()
-        self._products = self._factors.T.tolist()
-        self._variances = list(
-            zip(self._power.tolist(), self._quantisation_variance.tolist(), strict=True)
+    def _for_single_samples(self) -> SingleSample:
+        """Return the same compensation for one sample at a time."""
+        channels = (self._scale, self._bias, self._limit, self._full)
+        noise = (self._power, self._quantisation_variance)
+        return SingleSample(
+            self._units is Units.PULSES,
+            self._clock_ratio,
+            list(zip(*(of.tolist() for of in channels), strict=True)),
+            self._to_inputs.T.tolist(),
+            self._highest,
+            self._factors.T.tolist(),
+            list(zip(*(of.tolist() for of in noise), strict=True)),
+            self._covariance,
+            self._known_force,
+            self._unmarked[:1],
         )
 
     def noise(self, interval: Floats) -> Floats:
@@ -155,8 +159,8 @@ class Compensation:
             interval: (n,) sample intervals, s by the clock that stamps the samples.
             skewed: (n, k) skewed gyros likewise, where the model has any.
         """
-        if len(interval) == 1 and self._by_numbers:
-            alone = self._apply_one([*gyro[0].tolist(), *accel[0].tolist()], interval.item())
+        if len(interval) == 1 and self._single is not None:
+            alone = self._single.apply([*gyro[0].tolist(), *accel[0].tolist()], interval.item())
             if alone is not None:
                 return alone
         triads = [gyro, accel] if skewed is None else [gyro, skewed, accel]
@@ -168,44 +172,6 @@ class Compensation:
             for k in range(0, len(raw), _AT_ONCE)
         ]
         return concatenated(parts)
-
-    def _apply_one(self, raw: list[float], interval: float) -> CompensatedSamples | None:
-        """Compensate one sample in plain Python numbers, for live streams, with the same bits.
-
-        Return None for a sample that needs the checks of `_apply`: nothing else gets marks.
-        """
-        tau = interval / self._clock_ratio
-        if not tau > 0:
-            return None
-        divisor = tau if self._units is Units.PULSES else 1.0
-        free = []
-        for value, (scale, bias, limit, full) in zip(raw, self._channels, strict=True):
-            output = value * scale / divisor
-            if not (abs(output) < limit and abs(value) < full):
-                return None
-            free.append(output - bias)
-        a, b, c, d, e, f = free
-        # Not by sum(), which rounds differently from Python 3.12 on.
-        both = [a * p + b * q + c * r + d * s + e * t + f * u for p, q, r, s, t, u in self._outputs]
-        x, y, z, *force = both
-        highest = self._highest
-        if abs(x) > highest or abs(y) > highest or abs(z) > highest:
-            return None
-        levers = x, y, z, 1.0, *force
-        square = tau * tau if self._units is Units.PULSES else 1.0
-        terms = [levers[m] * levers[n] for m, n in self._products]
-        terms += [walk / tau + step / square for walk, step in self._variances]
-        covariance = np.add.reduce(np.array(terms)[:, None] * self._covariance, axis=0)[None]
-        if not self._known_force:
-            covariance[0, 9] = -1.0
-        values = np.array([both])
-        return CompensatedSamples(
-            values[:, :_AXES],
-            values[:, _AXES:],
-            covariance[:, :9],
-            covariance[:, 9:],
-            self._unmarked[:1],
-        )
 
     # Infinite values are marked, without a warning.
     @np.errstate(invalid='ignore')
