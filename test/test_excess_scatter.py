@@ -22,8 +22,10 @@ from imu_calib.estimation.excess_scatter import (
     _TIMES,
     ExcessScatter,
     _Drift,
-    _gain_by_larger_noise,
+    _likeliest,
+    _pooled,
     _positioning,
+    _PositioningOfTriad,
     _posterior_drift,
     _restricted,
     _slope_variance,
@@ -265,16 +267,26 @@ def test_noise_that_explains_as_much_leaves_no_positioning_errors() -> None:
 
 
 def test_noise_counts_where_positioning_errors_are_likeliest() -> None:
-    lines = [[np.array([[0.0, 1.0], [2.0, 9.0]]), np.array([[8.0, 0.0], [0.0, 3.0]])]] * 2
+    lines = [np.array([[0.0, 1.0], [2.0, 9.0]]), np.array([[8.0, 0.0], [0.0, 3.0]])]
+    variances = np.array([10.0, 20.0])
     asked = []
 
     def gains(drift: float, joints: float = 0.0, stops: float = 0.0) -> float:
         asked.append((drift, joints, stops))
         return 10 * drift + joints + stops
 
-    triads: Any = [SimpleNamespace(gain_by_larger_noise=gains)] * 2
-    pairs: Any = [[(0.0, 1.0), (0.0, 2.0)], [(0.0, 4.0), (0.0, 6.0)]]
-    found = _gain_by_larger_noise(triads, pairs, lines, np.array([10.0, 20.0]))
+    def of_drifts(*drifts: float) -> _PositioningOfTriad:
+        of_each = dict(zip(drifts, lines, strict=True))
+        still: Any = SimpleNamespace(hypotheses=lambda _: [(0.0, drift) for drift in drifts])
+        triad: Any = SimpleNamespace(
+            gain_by_larger_noise=gains, positioning_likelihoods=lambda drift, _: of_each[drift]
+        )
+        return _PositioningOfTriad(triad, still, variances)
+
+    each = [of_drifts(1.0, 2.0), of_drifts(4.0, 6.0)]
+    together = _pooled(each)
+    likeliest = _likeliest(together, variances)
+    found = sum(one.gain_by_larger_noise(int(together.argmax()), *likeliest) for one in each)
     # Kind 1 of size 1 is likeliest, by the first of the hypotheses: a tenth of 20 is of stops.
     assert asked == [(1.0, 18.0, 2.0), (1.0, 0.0, 0.0), (4.0, 18.0, 2.0), (4.0, 0.0, 0.0)]
     assert found == pytest.approx(2 * 20.0)

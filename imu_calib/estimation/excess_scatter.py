@@ -318,36 +318,79 @@ def _variances(equations: Equations) -> Floats:
     return np.asarray(_POSITIONING_RATIOS * sharpest)
 
 
+class _PositioningOfTriad:
+    """Log likelihoods of positioning errors by one triad, with each of its likely drifts.
+
+    Args:
+        triad: Residuals of the triad.
+        still: Its drifts without positioning errors: of these the one known beforehand, and the
+            likeliest, are the first two.
+        variances: (v,) of positioning errors, rad^2.
+    """
+
+    def __init__(self, triad: _Triad, still: _Drift, variances: Floats) -> None:
+        self._triad, self._variances = triad, variances
+        self._drifts: list[Floats] = []
+        self._lines: list[Floats] = []
+        """(shares, v) for each drift, with the weight of the drift."""
+        for weight, drift in still.hypotheses(triad):
+            self._add(weight, drift)
+
+    def _add(self, weight: float, drift: Floats) -> None:
+        self._drifts.append(drift)
+        self._lines.append(weight + self._triad.positioning_likelihoods(drift, self._variances))
+
+    def add_likeliest(self, joints: float, stops: float) -> None:
+        """Add the likeliest drift beside positioning errors of these variances, rad^2."""
+        self._add(*_Drift.of(self._triad, joints, stops).hypotheses(self._triad)[1])
+
+    def over_drifts(self) -> Floats:
+        """Return the log likelihoods with any of the drifts, (shares, v)."""
+        return np.asarray(np.logaddexp.reduce(self._lines))
+
+    def gain_by_larger_noise(self, element: int, joints: float, stops: float) -> float:
+        """Return the gain by larger noise with these variances, rad^2, less that without them.
+
+        With them the drift is the one that makes this element of (shares, v) likeliest; without,
+        the one known beforehand.
+        """
+        best = self._drifts[int(np.argmax([line.flat[element] for line in self._lines]))]
+        gain = self._triad.gain_by_larger_noise(best, joints, stops)
+        return gain - self._triad.gain_by_larger_noise(self._drifts[0])
+
+
 def _positioning(
     triads: Sequence[_Triad], still: Sequence[_Drift], variances: Floats
 ) -> tuple[float, float, float]:
     """Return the probability of positioning errors, and their variances of joints and stops, rad^2.
 
-    Those of a triad are combined with the likeliest of its drifts, without positioning errors and
-    with the likeliest.
+    All are zero where the session does not need them: neither they nor a drift alone (`still`, of
+    each triad) raise the likelihood enough.
     """
-    hypotheses = [drift.hypotheses(triad) for triad, drift in zip(triads, still, strict=True)]
-    lines = [
-        [weight + triad.positioning_likelihoods(drift, variances) for weight, drift in its]
-        for triad, its in zip(triads, hypotheses, strict=True)
-    ]
-    joints, stops = _likeliest(_pooled(lines), variances)
-    for triad, its, mine in zip(triads, lines, hypotheses, strict=True):
-        weight, drift = _Drift.of(triad, joints, stops).hypotheses(triad)[1]
-        mine.append((weight, drift))
-        its.append(weight + triad.positioning_likelihoods(drift, variances))
-    found = _pooled(lines)
-    known = sum(drift.known for drift in still)
+    each = [_PositioningOfTriad(*of, variances) for of in zip(triads, still, strict=True)]
+    joints, stops = _likeliest(_pooled(each), variances)
+    for triad in each:
+        triad.add_likeliest(joints, stops)
+    found = _pooled(each)
+    enough = sum(drift.known for drift in still) + _LEAST_GAIN
     # Drifts of gyros and accelerometers are tested separately: half of the evidence is not enough.
     wanted = any(drift.called_for for drift in still)
-    if wanted or float(found.max()) >= known + _LEAST_GAIN:
-        found += _gain_by_larger_noise(triads, hypotheses, lines, variances)
-    if not wanted and float(found.max()) < known + _LEAST_GAIN:
+    if wanted or float(found.max()) >= enough:
+        element, (joints, stops) = int(found.argmax()), _likeliest(found, variances)
+        found += sum(triad.gain_by_larger_noise(element, joints, stops) for triad in each)
+    if not wanted and float(found.max()) < enough:
         return 0.0, 0.0, 0.0
+    return _posterior_positioning(found - math.log(found.size), still, variances)
+
+
+def _posterior_positioning(
+    found: Floats, still: Sequence[_Drift], variances: Floats
+) -> tuple[float, float, float]:
+    """Return `_positioning` by log likelihoods (shares, v) with a prior weight of one in all."""
+    known = sum(drift.known for drift in still)
     either = sum(float(np.logaddexp(drift.known, drift.unknown)) for drift in still)
     # For hypotheses that do not affect the positioning errors, all but the one known beforehand.
     none = either + math.log(max(-math.expm1(known - either), np.finfo(float).tiny))
-    found -= math.log(found.size)
     some = float(np.logaddexp.reduce(found, axis=None))
     share = 1 / (1 + math.exp(min(none - some, 700.0)))
     if not _UNLIKELY < share < 1 - _UNLIKELY:
@@ -358,38 +401,16 @@ def _positioning(
     return share, joints, stops
 
 
+def _pooled(each: Sequence[_PositioningOfTriad]) -> Floats:
+    """Return the log likelihoods of positioning errors by all triads, (shares, v)."""
+    return np.asarray(np.sum([triad.over_drifts() for triad in each], axis=0))
+
+
 def _likeliest(found: Floats, variances: Floats) -> tuple[float, float]:
     """Return the variances of joints and of stops where log likelihoods (shares, v) are largest."""
     kind, size = divmod(int(found.argmax()), len(variances))
     share = float(_STOP_SHARES[kind])
     return (1 - share) * float(variances[size]), share * float(variances[size])
-
-
-def _gain_by_larger_noise(
-    triads: Sequence[_Triad],
-    hypotheses: Sequence[Sequence[tuple[float, Floats]]],
-    lines: Sequence[Sequence[Floats]],
-    variances: Floats,
-) -> float:
-    """Return the gain by larger noise with the likeliest positioning errors, less that without.
-
-    The hypotheses of each triad are drifts, the first the one known beforehand; `lines` are the log
-    likelihoods of positioning errors of (v,) variances for each of them.
-    """
-    found = _pooled(lines)
-    joints, stops = _likeliest(found, variances)
-    gained = 0.0
-    for triad, mine, its in zip(triads, hypotheses, lines, strict=True):
-        best = int(np.argmax([line.flat[found.argmax()] for line in its]))
-        gained += triad.gain_by_larger_noise(
-            mine[best][1], joints, stops
-        ) - triad.gain_by_larger_noise(mine[0][1])
-    return gained
-
-
-def _pooled(lines: Sequence[Sequence[Floats]]) -> Floats:
-    """Return the log likelihoods of positioning errors by all triads, (shares, v), over drifts."""
-    return np.asarray(np.sum([np.logaddexp.reduce(its) for its in lines], axis=0))
 
 
 def _posterior_drift(
