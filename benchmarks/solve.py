@@ -65,7 +65,7 @@ def main() -> int:
     parser.add_argument('--profile', action='store_true', help='say where the time goes')
     chosen = parser.parse_args()
     session = evidence()
-    dwells, turns, moves = len(session.segments), len(session.turns), len(session.links)
+    dwells, turns, moves = len(session.segments), len(session.turns), len(session.used_moves)
     solution = joint.solve(session, terms=TERMS)  # loads what is loaded once
     print(f'{dwells} dwells, {turns} turns, {moves} moves, {len(solution.parameters)} parameters')
     if chosen.profile:

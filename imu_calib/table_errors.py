@@ -179,7 +179,7 @@ class JointPoses:
     body: Floats
 
 
-def leaning(joints: Sequence[JointPoses], errors: TableErrors) -> Floats:
+def attitude_errors(joints: Sequence[JointPoses], errors: TableErrors) -> Floats:
     """Return the rotation of attitudes about the body axes by one standard deviation of each error.
 
     Returns:

@@ -20,8 +20,8 @@ from .table_errors import (
     JointPoses,
     TableErrors,
     assumption,
+    attitude_errors,
     counting,
-    leaning,
     read_error_sizes,
 )
 from .units import DEG, PPM, Dimension, counted
@@ -163,7 +163,7 @@ class Table:
             result = result @ rotation(np.array(joint.axis), angles[..., k] + joint.zero)
         return np.asarray(result @ self.mount)
 
-    def leaning(self, angles: Floats) -> Floats:
+    def attitude_errors(self, angles: Floats) -> Floats:
         """Return the rotation of attitudes by the table's unknown errors.
 
         Args:
@@ -179,7 +179,7 @@ class Table:
             turned = rotation(np.array(joint.axis), read + joint.zero)
             poses.append(JointPoses(np.array(joint.axis), read, turned, body))
             body = turned @ body
-        return leaning(poses[::-1], self.errors)
+        return attitude_errors(poses[::-1], self.errors)
 
     def joint_axis(self, index: int, angles: Floats) -> Floats:
         """Return the axis about which a joint turns, in the body frame.

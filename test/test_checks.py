@@ -515,7 +515,7 @@ def test_moves_left_out_are_counted_and_the_first_are_named() -> None:
         ]
 
     def said(turned: int, pushed: int) -> list[str]:
-        evidence = SimpleNamespace(links=Links(range(6)))
+        evidence = SimpleNamespace(used_moves=Links(range(6)))
         all_of = [*moves(turned, False), *moves(pushed, True)]
         found: Any = SimpleNamespace(
             rejected_moves=all_of, equations=SimpleNamespace(evidence=evidence)

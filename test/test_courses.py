@@ -53,7 +53,7 @@ def session(temperature: Temperature | None = None) -> Any:
     return SimpleNamespace(
         segments=[first, second],
         turns=[turn],
-        links=SimpleNamespace(links=[SimpleNamespace(move=move)]),
+        used_moves=SimpleNamespace(linked=[SimpleNamespace(move=move)]),
         layout=SimpleNamespace(segment=np.array([0, 1, 1, 2, 3])),
         temperature=temperature,
         interruptions=(),

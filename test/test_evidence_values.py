@@ -405,9 +405,9 @@ def test_tables_of_which_nothing_is_open_lean_nowhere() -> None:
     held = replace(CLEAN, segments=segments, turns=turns, table=table)
     at_rest, turning = held.table_attitude_errors
     assert at_rest.shape[2] > 0
-    np.testing.assert_allclose(at_rest[1], table.leaning(angles[None])[0])
-    np.testing.assert_allclose(turning[0], table.leaning(around(angles, 1)).mean(axis=0))
-    np.testing.assert_allclose(turning[1], table.leaning(angles[None])[0])
+    np.testing.assert_allclose(at_rest[1], table.attitude_errors(angles[None])[0])
+    np.testing.assert_allclose(turning[0], table.attitude_errors(around(angles, 1)).mean(axis=0))
+    np.testing.assert_allclose(turning[1], table.attitude_errors(angles[None])[0])
     assert replace(held, table=TABLE).table_attitude_errors[0].shape == (2, 3, 0)
     lost = replace(held, turns=(replace(turns[0], angles=None),))
     assert lost.table_attitude_errors[0].shape == (2, 3, 0)

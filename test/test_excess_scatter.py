@@ -298,7 +298,7 @@ def test_variances_of_positioning_errors_begin_at_a_tenth_of_what_noise_hides() 
     equations: Any = SimpleNamespace(
         own_variances=own,
         layout=SimpleNamespace(dwell=rest),
-        evidence=SimpleNamespace(site=site, links=[], walk=None),
+        evidence=SimpleNamespace(site=site, used_moves=[], walk=None),
     )
     half_decades = [10 ** (-1 + k / 2) for k in range(15)]
     # The median of 4 and 16 (m/s^2)^2, over 10 m/s^2 squared.
@@ -308,7 +308,7 @@ def test_variances_of_positioning_errors_begin_at_a_tenth_of_what_noise_hides() 
         def variances(self, walk: Any) -> Any:
             return np.array([[0.02, 0.02, 0.02, 5.0, 5.0, 5.0]])
 
-    equations.evidence.links = Links([1])
+    equations.evidence.used_moves = Links([1])
     assert _variances(equations) == pytest.approx(np.array(half_decades) * 0.02)
 
 

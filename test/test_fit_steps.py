@@ -181,7 +181,7 @@ def test_a_move_is_left_out_that_chance_makes_once_in_a_billion(
 
     link = SimpleNamespace(first=0, second=1, move=Step('steps'))
     segments = [SimpleNamespace(position='a'), SimpleNamespace(position='b')]
-    evidence: Any = SimpleNamespace(links=SimpleNamespace(links=[link]), segments=segments)
+    evidence: Any = SimpleNamespace(used_moves=SimpleNamespace(linked=[link]), segments=segments)
     kept, found = outliers._judged(There(evidence, ()), np.zeros(6), evidence)  # type: ignore[arg-type]
     assert [(one.positions, one.velocity) for one in found] == [
         (('a', 'b'), which == 'velocity') for which in astray
@@ -201,7 +201,7 @@ def test_rotations_and_velocities_are_counted() -> None:
 def test_moves_are_judged_anew_with_the_positioning_errors_that_they_show(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    given: Any = SimpleNamespace(links=[1], with_moves=lambda moves: ('with', moves))
+    given: Any = SimpleNamespace(used_moves=[1], with_moves=lambda moves: ('with', moves))
     plain: Any = SimpleNamespace(with_moves=lambda _: given)
     sizes = iter((1.0, 2.0, 3.0))
     sees = []
@@ -224,7 +224,7 @@ def test_moves_are_judged_anew_with_the_positioning_errors_that_they_show(
     assert [p.joints for p in sees] == [1.0, 2.0, 3.0]
     answers, sizes = [(two, ())], iter((1.0,))
     assert outliers.moves_that_fit(resting, np.zeros(9), two) == (given, ())  # type: ignore[arg-type]
-    given.links = []
+    given.used_moves = []
     assert outliers.moves_that_fit(resting, np.zeros(9), ()) == (plain, ())
 
 

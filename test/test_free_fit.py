@@ -54,7 +54,7 @@ class Linear:
     inflation: Floats | None = None
     noise: float = 1.0
     north_slice = slice(21, 23)
-    evidence = SimpleNamespace(segments=(0,) * 12, links=(0,) * 11)
+    evidence = SimpleNamespace(segments=(0,) * 12, used_moves=(0,) * 11)
 
     def model(self, _: Floats) -> SensorModel:
         return SensorModel()

@@ -144,7 +144,7 @@ def test_what_a_turn_from_rest_to_rest_leaves_of_a_level_rate() -> None:
     values = np.hstack([gyro, force])
     neighbours = Around(sensor, values, sensor.samples(stamp, values))
     (motion,) = read_free_motion(neighbours, Motion(0, int(stamp[-1]), stamp, np.empty((0, 0))))
-    assert abs(motion.level) == pytest.approx(fresnel(np.sqrt(2))[1] / np.sqrt(2), abs=1e-3)
+    assert abs(motion.mean_phase) == pytest.approx(fresnel(np.sqrt(2))[1] / np.sqrt(2), abs=1e-3)
 
 
 def test_the_shipped_plan_by_hand_is_simulated_looked_at_and_calibrated(tmp_path, capsys) -> None:

@@ -439,7 +439,7 @@ def test_moves_do_not_know_biases_better_than_a_drift_leaves_them() -> None:
     # 1954, Ann. Math. Stat. 25, 252).
     spec, plan = load_imu('mems_counts'), quick_plan('twelve_position', 40.0)
     evidence = simulated(plan, stand(bias_instability=True), spec=spec)
-    assert len(evidence.links) > 6
+    assert len(evidence.used_moves) > 6
     seen = [*evidence.segments, *evidence.turns]
     length = (max(s.end for s in seen) - min(s.start for s in seen)) / SECOND
     bound = spec.gyro.bias_instability * np.sqrt(2 / (2 + length / CORRELATION))

@@ -94,8 +94,8 @@ def between(segments: Any, moves: Any, turns: Any = (), **other: Any) -> list[tu
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr('imu_calib.observation.moves.ApproximateSensors.of', lambda *_: 'rough')
         found = Moves.between(segments, turns, moves, G, WALK, **other)
-    assert (found.approximate_sensors == 'rough') is bool(found.links and not other.get('free'))
-    return [(link.first, link.second) for link in found.links]
+    assert (found.approximate_sensors == 'rough') is bool(found.linked and not other.get('free'))
+    return [(link.first, link.second) for link in found.linked]
 
 
 def test_a_move_counts_from_rest_to_rest_where_joints_moved() -> None:
@@ -119,15 +119,15 @@ def test_a_move_with_a_turn_in_it_is_left_to_the_turn(start: int, end: int, coun
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr('imu_calib.observation.moves.ApproximateSensors.of', lambda *_: None)
         found = Moves.between(held, [turn], [move()], G, WALK)
-    assert bool(found.links) is counts
+    assert bool(found.linked) is counts
 
 
 def test_a_link_has_the_errors_of_both_ends() -> None:
     held = [rest(0, 10, attitude_error=3e-5), rest(20, 30, (1.0,), attitude_error=4e-5)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr('imu_calib.observation.moves.ApproximateSensors.of', lambda *_: None)
-        (link,) = Moves.between(held, [], [move()], G, WALK).links
-        (free,) = Moves.between(held, [], [move()], G, WALK, free=True).links
+        (link,) = Moves.between(held, [], [move()], G, WALK).linked
+        (free,) = Moves.between(held, [], [move()], G, WALK, free=True).linked
     assert link.encoders == pytest.approx(25e-10)
     np.testing.assert_allclose(link.rounding, np.arange(1.0, 7.0) * 1e-6 * 0.25)
     assert not free.rounding.any()
@@ -196,7 +196,7 @@ def test_a_velocity_tells_where_it_knows_force_to_ten_times_the_rest(
 
 def along(model: SensorModel, moves: Moves, k: int) -> tuple[Floats, Floats, list[Floats]]:
     """Return rates of the steps, the rotation to the end, and those from their middles."""
-    one = moves.links[k].move
+    one = moves.linked[k].move
     rates = [
         np.linalg.solve(model.gyro.response, turned / seconds - model.gyro.bias)
         for turned, seconds in zip(one.turned, one.seconds, strict=True)
@@ -251,7 +251,7 @@ def test_gyros_that_feel_force_are_led_by_what_gravity_was_on_the_way() -> None:
 
 def gained(model: SensorModel, moves: Moves, k: int) -> tuple[list[Floats], list[Floats]]:
     """Return what each step gained in the axes at the end, and the force that it felt."""
-    one = moves.links[k].move
+    one = moves.linked[k].move
     steps, felt = [], []
     middles = along(model, moves, k)[2]
     for v, m, seconds, middle in zip(
@@ -363,8 +363,8 @@ def fitting() -> Moves:
     forces = np.array([m.T @ attitudes[1].T @ FORCE for m in middles])
     velocity = (forces @ MODEL.accel.response.T + MODEL.accel.bias) * SECONDS[:, None]
     steps = VelocitySteps(velocity, np.zeros((4, 3)), np.zeros(3))
-    links = (replace(moves.links[0], move=replace(moves.links[0].move, velocity_steps=steps)),)
-    return replace(moves, links=links, attitudes=attitudes)
+    links = (replace(moves.linked[0], move=replace(moves.linked[0].move, velocity_steps=steps)),)
+    return replace(moves, linked=links, attitudes=attitudes)
 
 
 def quotient(moves: Moves, changed: Any, step: float) -> Floats:
@@ -409,14 +409,14 @@ def test_slopes_by_the_clock_are_difference_quotients(counted: bool) -> None:
     moves = fitting()
 
     def changed(m: Moves, h: float) -> Floats:
-        one = m.links[0].move
+        one = m.linked[0].move
         more = 1.0 if counted else 1 / (1 + h)
         seconds = one.seconds / (1 + h)
         assert one.velocity_steps is not None
         steps = replace(one.velocity_steps, velocity=one.velocity_steps.velocity * more)
         faster = replace(one, seconds=seconds, turned=one.turned * more, velocity_steps=steps)
-        links = (replace(m.links[0], move=faster),)
-        return replace(m, links=links).misclosures(MODEL, EARTH, FORCE)
+        links = (replace(m.linked[0], move=faster),)
+        return replace(m, linked=links).misclosures(MODEL, EARTH, FORCE)
 
     slope = quotient(moves, changed, 1e-5)[0]
     found = moves.by_clock(MODEL, FORCE, counted=counted)[0]

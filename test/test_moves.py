@@ -233,13 +233,13 @@ def evidence(pulse: float = FINE_PULSE) -> Evidence:
 
 def test_velocities_that_pulses_hide_do_not_count() -> None:
     coarse = paper_imu().accel.scale_factor
-    assert evidence(coarse).links.with_accels == ()
-    assert len(evidence(coarse).links) == len(evidence().links)
-    assert evidence().links.with_accels == tuple(range(9))
+    assert evidence(coarse).used_moves.with_accels == ()
+    assert len(evidence(coarse).used_moves) == len(evidence().used_moves)
+    assert evidence().used_moves.with_accels == tuple(range(9))
 
 
 def test_there_is_a_move_from_each_position_to_the_next_but_those_with_turns() -> None:
-    ends = [(link.first, link.second) for link in evidence().links.links]
+    ends = [(link.first, link.second) for link in evidence().used_moves.linked]
     assert ends == [(k, k + 1) for k in range(11) if k not in (3, 7)]
 
 
@@ -260,17 +260,17 @@ def test_derivatives_are_those_of_the_prediction() -> None:
 @pytest.mark.parametrize('counted', [True, False])
 def test_a_clock_that_is_faster_shortens_moves(counted: bool) -> None:
     """Pulses stay over the shorter seconds, and rates times these are less."""
-    led, model, faster = evidence().links, truth().model, 1e-4
+    led, model, faster = evidence().used_moves, truth().model, 1e-4
     less = 1.0 if counted else 1 / (1 + faster)
     links = []
-    for link in led.links:
+    for link in led.linked:
         move, gained = link.move, link.move.velocity_steps
         gained = replace(gained, velocity=gained.velocity * less, mean=gained.mean * less)
         seconds = move.seconds / (1 + faster)
         move = replace(move, turned=move.turned * less, seconds=seconds, velocity_steps=gained)
         links.append(replace(link, move=move))
     world = SITE.earth_rate, SITE.specific_force
-    off = replace(led, links=tuple(links)).misclosures(model, *world) - led.misclosures(
+    off = replace(led, linked=tuple(links)).misclosures(model, *world) - led.misclosures(
         model, *world
     )
     slope = led.by_clock(model, SITE.specific_force, counted=counted)
@@ -291,7 +291,7 @@ def test_a_lean_of_a_rest_shows_in_the_moves_beside_it() -> None:
     found = (leaning.predict(state) - equations.predict(state))[equations.layout.moving]
     columns = np.zeros((12, 3, 1))
     columns[5, :, 0] = lean
-    short = evidence().links.by_attitudes(truth().model, columns)[..., 0]
+    short = evidence().used_moves.by_attitudes(truth().model, columns)[..., 0]
     short = np.concatenate([short[:, :3].ravel(), short[:, 3:].ravel()])
     angles, velocities = np.split(short, 2)
     assert angles == pytest.approx(found[: len(angles)], abs=1e-3 * ARCSEC)
@@ -314,7 +314,7 @@ def test_by_the_true_sensors_moves_are_off_by_their_noise(unit) -> None:
     real = SensorModel.from_vector(true_vector(unit))
     rate = np.array([0.0, np.cos(world.latitude), np.sin(world.latitude)]) * 7.292115e-5
     rate = turned_by(np.array([0.0, 0.0, -world.azimuth])) @ rate
-    moves = found.links
+    moves = found.used_moves
     force = np.array([0.0, 0.0, world.gravity])
     off = moves.misclosures(real, rate, force)
     # The unit is where its arm says, and each accelerometer at its place.
@@ -347,7 +347,7 @@ def test_a_gap_ends_a_move_and_no_other() -> None:
     """Half a second of samples is lost while the table goes from the second rest to the third."""
     plan = at_one_rate(quick_plan('twelve_position', 3.0))
     setup = Setup(paper_imu(), plan, load_table('three_axis'), SITE, None)
-    whole = gathered(fed(session(plan, stand(azimuth=0.3), seed=1), setup)).links.links
+    whole = gathered(fed(session(plan, stand(azimuth=0.3), seed=1), setup)).used_moves.linked
     gap = (whole[1].move.start + whole[1].move.end) // 2
 
     def lossy():
@@ -358,13 +358,13 @@ def test_a_gap_ends_a_move_and_no_other() -> None:
             else:
                 yield name, block
 
-    residuals = gathered(fed(lossy(), setup)).links.links
+    residuals = gathered(fed(lossy(), setup)).used_moves.linked
     ends = [(link.first, link.second) for link in whole]
     assert [(link.first, link.second) for link in residuals] == [e for e in ends if e != (1, 2)]
 
 
 def test_a_move_that_does_not_fit_is_left_out_and_named() -> None:
-    links = evidence().links.links
+    links = evidence().used_moves.linked
     wrong = links[4].move
     bent = replace(wrong, turned=wrong.turned * (1 + 3000 * PPM))
     moves = tuple(bent if m is wrong else m for m in evidence().moves)
@@ -381,7 +381,7 @@ def test_a_move_that_does_not_fit_is_left_out_and_named() -> None:
 
 
 def test_a_velocity_that_does_not_fit_is_left_out_and_named() -> None:
-    links = evidence().links.links
+    links = evidence().used_moves.linked
     wrong = links[4].move
     knocked = replace(
         wrong.velocity_steps, velocity=wrong.velocity_steps.velocity + np.array([0.1, 0.0, 0.0])
@@ -402,7 +402,7 @@ def test_a_velocity_that_does_not_fit_is_left_out_and_named() -> None:
 
 def test_moves_led_on_together_have_the_bits_of_each_alone() -> None:
     model = Calibration.load(named_file('truths', 'fog_navigation_terms')).model
-    links = evidence().links.links
+    links = evidence().used_moves.linked
     motions = [(link.move.turned, link.move.seconds, None) for link in links]
     together = GyroPath.of_each(motions, model)
     assert len(together) == len(links) > 5

@@ -128,13 +128,13 @@ def test_neighbours_with_one_axis_up_are_known_all_or_none() -> None:
 
 
 def motion(
-    start: int, turned: Floats, seconds: float = 5.0, level: complex = 0.1j, mean: float = 1.0
+    start: int, turned: Floats, seconds: float = 5.0, mean_phase: complex = 0.1j, mean: float = 1.0
 ) -> FreeMotion:
     statistics = replace(
         mean_of(np.arange(1.0, 7.0) * mean, seconds),
         quantisation_variance=np.arange(6.0) / seconds,
     )
-    return FreeMotion(start, start + 10, statistics, np.asarray(turned, float), level)
+    return FreeMotion(start, start + 10, statistics, np.asarray(turned, float), mean_phase)
 
 
 def test_pieces_of_a_turn_are_one() -> None:
@@ -181,7 +181,7 @@ def test_pieces_turn_about_one_axis(degrees: float, one: bool) -> None:
 
 def test_a_motion_is_the_whole_turns_that_it_comes_near() -> None:
     ran = plan(at('rest', Y), at('z', Z, 10.0, 2), at('x', X, 10.0, 1))
-    seen = motion(3, -2.1 * TURN * X, level=0.3 + 0.4j)
+    seen = motion(3, -2.1 * TURN * X, mean_phase=0.3 + 0.4j)
     turn = turn_without_encoder(seen, ran)
     assert turn is not None
     assert (turn.start, turn.end, turn.position) == (3, 13, 'x')

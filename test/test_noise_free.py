@@ -75,7 +75,7 @@ def test_turns_and_moves_are_claimed_as_well_as_their_samples_hold_them() -> Non
     covariance = equations.covariance(state)
     first = 6 * len(evidence.segments)
     assert len(evidence.turns) == 6
-    assert len(evidence.links) > 5
+    assert len(evidence.used_moves) > 5
     for k in range(first, len(residuals), 3):
         rows = slice(k, k + 3)
         off = np.linalg.solve(np.linalg.cholesky(covariance[rows, rows]), residuals[rows])

@@ -35,7 +35,7 @@ LAYOUT = OutputLayout(2, 3, 0, (0, 2), ())
 
 def session(**changed: Any) -> Any:
     turns = [
-        SimpleNamespace(up=up, rate_std=lambda _, error=error: error, level=level)
+        SimpleNamespace(up=up, rate_std=lambda _, error=error: error, level_share=level)
         for up, error, level in zip(UPS, RATE_ERRORS, LEVELS, strict=True)
     ]
     held = {

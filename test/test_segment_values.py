@@ -93,7 +93,7 @@ UP = np.array([0.48, -0.6, 0.64])
 
 
 def turn(**more: Any) -> Turn:
-    return Turn(0, 1, statistics(), -12.0, 4.0, UP, level=0.5, up_error=0.1, **more)
+    return Turn(0, 1, statistics(), -12.0, 4.0, UP, level_share=0.5, up_error=0.1, **more)
 
 
 def test_what_lies_across_the_axis_of_a_turn_counts() -> None:

@@ -308,7 +308,7 @@ class Led:
 def test_moves_feel_a_clock_but_where_pulses_are_compared_with_none(
     units: Units, compared: bool, wanted: float
 ) -> None:
-    evidence = SimpleNamespace(units=units, clocks_compared=compared, links=Led())
+    evidence = SimpleNamespace(units=units, clocks_compared=compared, used_moves=Led())
     around = SimpleNamespace(force='force')
     session = SimpleNamespace(
         evidence=evidence,

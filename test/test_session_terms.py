@@ -190,7 +190,7 @@ def test_the_outputs_change_as_parameters_of_each_stretch_would(drifting: Eviden
     state[equations.change_slice] = size
     predicted = equations.predict(state)
     plain = Equations(drifting)
-    moves = [link.move for link in drifting.links.links]
+    moves = [link.move for link in drifting.used_moves.linked]
     parts = [*drifting.segments, *drifting.turns, *moves]
     for k, part in enumerate(parts):
         when = (part.start + part.end) / 2e9 - EPOCH - (first + last) / 2

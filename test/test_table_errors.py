@@ -121,9 +121,9 @@ def of_joint(which: int, axis=None, more=None, lean=None):
 
 @pytest.mark.parametrize('joint_number', [1, 2])
 def test_a_zero_and_an_encoder_turn_the_body_as_the_table_would(joint_number) -> None:
-    zeros = replace(TABLE, errors=TableErrors(zeros=1.0)).leaning(ANGLES)
+    zeros = replace(TABLE, errors=TableErrors(zeros=1.0)).attitude_errors(ANGLES)
     assert spans(zeros, lean_of(of_joint(joint_number, more=lambda a: 1.0)))
-    encoder = replace(TABLE, errors=TableErrors(encoder=1.0)).leaning(ANGLES)
+    encoder = replace(TABLE, errors=TableErrors(encoder=1.0)).attitude_errors(ANGLES)
     assert encoder.shape[2] == 12
     assert spans(encoder[:, :, 4 * joint_number :], lean_of(of_joint(joint_number, more=np.cos)))
     twice = lean_of(of_joint(joint_number, more=lambda a: np.sin(2 * a)))
@@ -139,11 +139,11 @@ def test_an_axis_that_leans_turns_the_body_as_the_table_would(joint_number, dire
     across = (Y, Z) if joint_number == 1 else (X, Y)
     lean = SMALL * across[direction]
     axis = about(lean) @ AXES[joint_number]
-    columns = replace(TABLE, errors=TableErrors(orthogonality=1.0)).leaning(ANGLES)
+    columns = replace(TABLE, errors=TableErrors(orthogonality=1.0)).attitude_errors(ANGLES)
     assert columns.shape[2] == 4
     mine = columns[:, :, 2 * (joint_number - 1) : 2 * joint_number]
     assert spans(mine, lean_of(of_joint(joint_number, axis=axis)))
-    wobble = replace(TABLE, errors=TableErrors(wobble=1.0)).leaning(ANGLES)
+    wobble = replace(TABLE, errors=TableErrors(wobble=1.0)).attitude_errors(ANGLES)
     once = of_joint(joint_number, lean=lambda a: across[direction] * np.cos(a))
     assert spans(wobble[:, :, 8 * joint_number : 8 * (joint_number + 1)], lean_of(once))
 

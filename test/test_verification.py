@@ -118,7 +118,7 @@ def test_moves_between_rests_alone_tell_scale_factors_of_gyros() -> None:
     table, plan = load_table('three_axis'), at_one_rate(PLAN)
     observation = observe(segmented(0, table, plan=plan), paper_imu(), SITE, plan, table)
     observation = replace(observation, evidence=replace(observation.evidence, turns=()))
-    assert len(observation.evidence.links) == 5
+    assert len(observation.evidence.used_moves) == 5
     (gyros, _) = verify(calibration(), observation).triads
     assert gyros.verdict is Verdict.PASS
     assert abs(gyros.chi_square - gyros.freedom) < 5 * np.sqrt(2 * gyros.freedom)

@@ -187,8 +187,10 @@ class Turning:
             SimpleNamespace(up=np.array(up), position=str(k), rate=lambda k=k: np.radians(10.0 * k))
             for k, up in enumerate(ups)
         ]
-        links = SimpleNamespace(links=[])
-        return SimpleNamespace(turns=turns, layout=OutputLayout(0, 8), segments=[], links=links)
+        moves = SimpleNamespace(linked=[])
+        return SimpleNamespace(
+            turns=turns, layout=OutputLayout(0, 8), segments=[], used_moves=moves
+        )
 
     def whitened(self, _: Floats) -> tuple[Floats, Floats]:
         # One unknown takes up the first output, unless others are told.
@@ -271,7 +273,7 @@ def test_what_may_be_an_outlier_is_named_with_its_rows() -> None:
         plan=SimpleNamespace(by_hand=False),
         segments=rests,
         turns=[turn],
-        links=SimpleNamespace(links=moves),
+        used_moves=SimpleNamespace(linked=moves),
         layout=OutputLayout(2, 1, 2, (0,), (1,)),
     )
     named = {name: rows.tolist() for name, rows in candidates(evidence, turns=True)}

@@ -287,7 +287,7 @@ def with_best_deviations(own: Forecast, joint: Forecast) -> Forecast:
     return replace(own, parameters=parameters, std=std, best=best)
 
 
-def is_changed_by_leaning(found: Forecast) -> bool:
+def is_widened_by_leaning_holds(found: Forecast) -> bool:
     """Return whether holds that lean add to the deviations: in the hand, by named attitudes."""
     return found.evidence.plan.by_hand and found.method != free_positions.NAME
 

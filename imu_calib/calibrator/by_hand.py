@@ -242,7 +242,7 @@ class HandCalibrator:
             units=setup.imu.units,
             free=True,
         )
-        links, variances = evidence.links.links, evidence.links.variances(walk)[:, :3]
+        links, variances = evidence.used_moves.linked, evidence.used_moves.variances(walk)[:, :3]
         kept = tuple(
             link.move
             for link, variance in zip(links, variances, strict=True)
@@ -255,7 +255,7 @@ class HandCalibrator:
     def _result(self, session: Segmented, evidence: Evidence, fit: FreeFit) -> Result:
         """Return a fit as a result, with its findings and provenance."""
         setup = self._setup
-        segments, turns = evidence.segments, len(evidence.links)
+        segments, turns = evidence.segments, len(evidence.used_moves)
         std = np.sqrt(evidence.variances())
         residuals = tuple(
             Residual(str(s.position), s.start, value, deviation)
@@ -298,7 +298,7 @@ class HandCalibrator:
 def _lost_turns(evidence: Evidence, session: Segmented) -> list[str]:
     """List the turns between holds that are not used, with reason and remedy."""
     segments = evidence.segments
-    linked = {link.first for link in evidence.links.links}
+    linked = {link.first for link in evidence.used_moves.linked}
     why = {lost.start: lost.reason for lost in session.lost_moves}
     lost = [k for k in range(len(segments) - 1) if k not in linked]
     if not lost:

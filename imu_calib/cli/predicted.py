@@ -10,7 +10,7 @@ import numpy as np
 
 from ..api.named import as_truth
 from ..api.predicting import (
-    is_changed_by_leaning,
+    is_widened_by_leaning_holds,
     predicted,
     setup_of,
     shortest,
@@ -129,7 +129,7 @@ def _show_forecast(
         rows.add_row(parameter.name, *cells, shown.unit)
     OUTPUT.print(rows)
     OUTPUT.print(f'\n{_ON_A_TABLE if on_a_table else _IN_THE_HAND}')
-    if is_changed_by_leaning(found):
+    if is_widened_by_leaning_holds(found):
         OUTPUT.print(_LEANING)
     relative_std = found.evidence.site.gravity_relative_std
     if relative_std:

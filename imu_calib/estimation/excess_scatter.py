@@ -313,8 +313,10 @@ def _variances(equations: Equations) -> Floats:
     evidence = equations.evidence
     at_rest = equations.own_variances[equations.layout.dwell[:, 3:]]
     sharpest = float(np.median(at_rest)) / evidence.site.gravity**2
-    if len(evidence.links):
-        sharpest = min(sharpest, float(np.median(evidence.links.variances(evidence.walk)[:, :3])))
+    if len(evidence.used_moves):
+        sharpest = min(
+            sharpest, float(np.median(evidence.used_moves.variances(evidence.walk)[:, :3]))
+        )
     return np.asarray(_POSITIONING_RATIOS * sharpest)
 
 
@@ -523,7 +525,7 @@ def _outputs_of_triad(
     The rows (k,) of the outputs are those of dwells and turns, then of moves, three for each.
     """
     evidence, layout = equations.evidence, equations.layout
-    turns, moves = list(evidence.turns), [link.move for link in evidence.links.links]
+    turns, moves = list(evidence.turns), [link.move for link in evidence.used_moves.linked]
     with_velocity = [moves[k] for k in layout.moves_with_accels]
     if first == 3:
         turns = [turns[k] for k in layout.turns_with_accels]

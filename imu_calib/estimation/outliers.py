@@ -109,7 +109,7 @@ def moves_that_fit(
         moves: All moves of the session.
     """
     evidence = resting.evidence.with_moves(moves)
-    if not len(evidence.links):
+    if not len(evidence.used_moves):
         return resting.evidence, ()
     scatter = excess(resting, state)
     kept: tuple[Move, ...] = ()
@@ -142,7 +142,7 @@ def led_by_moves(resting: Equations, state: Floats, moves: tuple[Move, ...]) -> 
     turned = tuple(replace(move, velocity_steps=None) for move in moves)
     evidence = resting.evidence.with_moves(turned)
     variances = np.diag(Information.of(resting.whitened(state)[0]).covariance)[own]
-    if not len(evidence.links) or (variances < _LOOSE**2).all():
+    if not len(evidence.used_moves) or (variances < _LOOSE**2).all():
         return state
     rows = np.zeros((len(own), len(state)))
     rows[np.arange(len(own)), own] = 1 / _LOOSE
@@ -184,7 +184,9 @@ def _judged(
         return bool(off @ np.linalg.solve(spread, off) <= scipy.special.chdtri(3, _ASTRAY))
 
     velocities = dict(zip(moving.layout.moves_with_accels, moving.layout.velocity, strict=True))
-    for k, (link, rows) in enumerate(zip(evidence.links.links, moving.layout.move, strict=True)):
+    for k, (link, rows) in enumerate(
+        zip(evidence.used_moves.linked, moving.layout.move, strict=True)
+    ):
         ends = [str(evidence.segments[end].position) for end in (link.first, link.second)]
         if not fits(rows):
             off = float(np.linalg.norm(predicted[rows]))
@@ -272,7 +274,7 @@ def candidates(evidence: Evidence, *, turns: bool) -> list[tuple[str, NDArray[np
             for k, mine in zip(rows.turns_with_accels, rows.turn_accels, strict=True)
         ]
     moved = []
-    for link in evidence.links.links:
+    for link in evidence.used_moves.linked:
         ends = [evidence.segments[end].position for end in (link.first, link.second)]
         moved.append(f'the move from position {ends[0]} to {ends[1]}')
     found += zip(moved, rows.move, strict=True)

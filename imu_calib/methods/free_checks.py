@@ -53,7 +53,7 @@ def check_turns(evidence: Evidence, model: SensorModel) -> None:
         InputError: Units or scale factor of the gyros differ from those of the recording.
         Contradiction: Axes are exchanged or mirrored; names them.
     """
-    if not len(evidence.links):
+    if not len(evidence.used_moves):
         return
     astray = _turned_gravity_error(evidence, model, np.eye(3))
     if astray < _ASTRAY:
@@ -124,14 +124,14 @@ def _signed_axes() -> list[Floats]:
 def _turned_gravity_error(evidence: Evidence, model: SensorModel, response: Floats) -> float:
     """Return the error of gravity turned by gyros of a response (3, 3), rad, root mean square."""
     tried = SensorModel(Triad(response - np.eye(3), model.gyro.bias), model.accel)
-    links, ups = evidence.links, evidence.attitudes()[:, 2]
+    used, ups = evidence.used_moves, evidence.attitudes()[:, 2]
     propagated_ups = np.array(
         [
             path.rotation @ ups[link.first]
-            for path, link in zip(links.paths(tried), links.links, strict=True)
+            for path, link in zip(used.paths(tried), used.linked, strict=True)
         ]
     )
-    cosines = np.einsum('ij,ij->i', propagated_ups, ups[[link.second for link in links.links]])
+    cosines = np.einsum('ij,ij->i', propagated_ups, ups[[link.second for link in used.linked]])
     missed = np.arccos(np.clip(cosines, -1.0, 1.0))
     return float(np.sqrt(np.mean(missed**2)))
 

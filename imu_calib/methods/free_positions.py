@@ -235,7 +235,7 @@ class _State:
     def without(self, wild: int) -> _State:
         """Return the state without a move: it splits a run in two, and north is estimated anew."""
         evidence = self.equations.evidence
-        link = evidence.links.links[wild]
+        link = evidence.used_moves.linked[wild]
         moves = tuple(move for move in evidence.moves if move is not link.move)
         equations = replace(self.equations, evidence=replace(evidence, moves=moves), inflation=None)
         values = equations.nominal()
@@ -511,7 +511,7 @@ def _check_observable(state: _State) -> None:
             words.append('turn it by a quarter turn or more about different axes between holds')
         raise NotObservable(
             f'{counted(len(evidence.segments), "hold")} and '
-            f'{counted(len(evidence.links), "turn")} do not determine '
+            f'{counted(len(evidence.used_moves), "turn")} do not determine '
             f'{", ".join(names)}: {"; ".join(words)}.'
         )
 

@@ -95,13 +95,13 @@ def _rejected_moves_finding(found: Estimate) -> list[str]:
     notes = []
     turned = [move for move in found.rejected_moves if not move.velocity]
     pushed = [move for move in found.rejected_moves if move.velocity]
-    links = found.equations.evidence.links
+    used = found.equations.evidence.used_moves
     if turned:
         off = max(move.misclosure for move in turned)
         unit, words = (DEG, 'deg') if off >= DEG else (ARCSEC, 'arcsec')
         angle = f'{significant(off / unit, 3)} {words}'
         notes.append(
-            f'By the gyros {len(turned)} of {len(turned) + len(links)} moves end elsewhere than by '
+            f'By the gyros {len(turned)} of {len(turned) + len(used)} moves end elsewhere than by '
             f'the encoders ({_names_of_moves(turned)}; {angle} at most): they are left out. '
             'Possible causes: rates beyond the range of the gyros, nonlinear gyros, samples that '
             'freeze on the way, and a table whose axes are not where its description says.'
@@ -109,7 +109,7 @@ def _rejected_moves_finding(found: Estimate) -> list[str]:
     if pushed:
         speed = max(move.misclosure for move in pushed)
         notes.append(
-            f'By the accelerometers {len(pushed)} of {len(pushed) + len(links.with_accels)} moves '
+            f'By the accelerometers {len(pushed)} of {len(pushed) + len(used.with_accels)} moves '
             f'do not end at rest ({_names_of_moves(pushed)}; {speed:.3g} m/s at most): their '
             'velocities are left out. Possible causes: nonlinear accelerometers, samples that '
             'freeze on the way, and a unit that vibrates in its mount.'

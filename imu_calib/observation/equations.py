@@ -155,7 +155,7 @@ class Equations(SessionModel):
             # The effect of lever arms and the accelerometers' delay on the velocities of moves.
             known = self.held | {p.kind for p in self.parameters}
             rate, model = self.surroundings(state).rate, self.model(state)
-            by_moves = evidence.links.shared_velocity_errors(model, rate, known)
+            by_moves = evidence.used_moves.shared_velocity_errors(model, rate, known)
             for source, in_moves in zip((Source.ARM, Source.DELAY), by_moves, strict=True):
                 found.append(Component(source, Factor(self._of_moves(in_moves))))
         if (by_table := self.by_table(state)).shape[1]:

@@ -156,7 +156,12 @@ class Evidence:
             raise ValueError('no table, and none of its errors')
         key = 'table', errors
         if key not in self.cache:
-            kept = _OF_DWELLS | {'positioning_attitude_errors', 'links', 'layout', 'state_cache'}
+            kept = _OF_DWELLS | {
+                'positioning_attitude_errors',
+                'used_moves',
+                'layout',
+                'state_cache',
+            }
             self.cache[key] = self._replaced(kept, table=replace(self.table, errors=errors))
         return cast(Evidence, self.cache[key])
 
@@ -209,7 +214,7 @@ class Evidence:
         return headings(self.turn_inputs[0])
 
     @cached_property
-    def links(self) -> Moves:
+    def used_moves(self) -> Moves:
         """The moves that are used as observations."""
         site = self.site
         return Moves.between(
@@ -229,9 +234,9 @@ class Evidence:
         return OutputLayout(
             len(self.segments),
             len(self.turns),
-            len(self.links),
+            len(self.used_moves),
             accel_turns,
-            self.links.with_accels,
+            self.used_moves.with_accels,
         )
 
     @cached_property
@@ -256,7 +261,7 @@ class Evidence:
             for turn, held in zip(self.turns, angles[dwells:], strict=True)
         ]
         # All at once: a call takes longer than the computation for one turn.
-        errors = self.table.leaning(np.concatenate([angles[:dwells], *turned]))
+        errors = self.table.attitude_errors(np.concatenate([angles[:dwells], *turned]))
         ends = dwells + np.cumsum([len(one) for one in turned], dtype=int)
         turning = [
             errors[end - len(one) : end].mean(axis=0)

@@ -41,7 +41,7 @@ class FreeEquations(Equations):
     def runs(self) -> Indices:
         """Index of the unbroken run of moves of each dwell, (s,)."""
         unlinked = np.ones(len(self.evidence.segments), dtype=np.intp)
-        unlinked[[link.second for link in self.evidence.links.links]] = 0
+        unlinked[[link.second for link in self.evidence.used_moves.linked]] = 0
         return np.asarray(np.cumsum(unlinked) - 1)
 
     @cached_property
@@ -89,7 +89,7 @@ class FreeEquations(Equations):
     def _derivatives(self, state: Floats) -> Floats:
         """Return the derivatives of `predict`, those by level Earth rate and rotations too."""
         result = super()._derivatives(state)
-        ends = [link.second for link in self.evidence.links.links]
+        ends = [link.second for link in self.evidence.used_moves.linked]
         run = np.append(self.runs, self.runs[ends])[self.layout.segment]
         by_level = self.by_world(state)[:, :2] * self._level_rate
         same = run[:, None] == np.arange(self.runs.max(initial=-1) + 1)
@@ -139,8 +139,8 @@ def at_headings_by_moves(evidence: Evidence, ups: Floats, model: SensorModel) ->
     """
     east, north = across(ups)
     attitudes = np.stack([east, north, ups], axis=1)
-    moves = evidence.with_attitudes(attitudes).links
-    for link, path in zip(moves.links, moves.paths(model), strict=True):
+    moves = evidence.with_attitudes(attitudes).used_moves
+    for link, path in zip(moves.linked, moves.paths(model), strict=True):
         up = ups[link.second]
         east = np.cross(path.rotation @ attitudes[link.first, 1], up)
         east = east / (np.linalg.norm(east) or 1.0)

@@ -128,7 +128,7 @@ def nominal_information(equations: Equations) -> Information:
     """
     ideal = replace(equations, evidence=with_nominal_attitudes(equations.evidence))
     found = Information.of(ideal.whitened(ideal.nominal())[0])
-    if found.observed.all() or not len(ideal.evidence.links):
+    if found.observed.all() or not len(ideal.evidence.used_moves):
         return found
     # Without noise moves are a million times as accurate as the levelling of the table: parameters
     # that depend on that are lost to rounding, though more evidence has no less information.

@@ -81,7 +81,7 @@ def spans(evidence: Evidence) -> tuple[Floats, Floats]:
 
 
 def _instants(evidence: Evidence) -> tuple[Stamps, Stamps]:
-    moves = [link.move for link in evidence.links.links]
+    moves = [link.move for link in evidence.used_moves.linked]
     parts: list[Segment | Turn | Move] = [*evidence.segments, *evidence.turns, *moves]
     starts = np.array([part.start for part in parts], dtype=np.int64)
     return starts, np.array([part.end for part in parts], dtype=np.int64)

@@ -98,13 +98,13 @@ class Moves:
     """The moves between segments whose attitudes are known from encoders.
 
     Attributes:
-        links: In order.
+        linked: In order.
         attitudes: (s, 3, 3) of all segments.
         gravity: m/s^2.
         approximate_sensors: Their outputs, to count pulses; None where the attitudes are unknown.
     """
 
-    links: tuple[LinkedMove, ...]
+    linked: tuple[LinkedMove, ...]
     attitudes: Floats
     gravity: float
     approximate_sensors: ApproximateSensors | None = None
@@ -172,12 +172,14 @@ class Moves:
         return cls(tuple(links), turned, gravity, sensors)
 
     def __len__(self) -> int:
-        return len(self.links)
+        return len(self.linked)
 
     @property
     def with_accels(self) -> tuple[int, ...]:
         """Which of them have accelerometers that are used."""
-        return tuple(k for k, link in enumerate(self.links) if link.move.velocity_steps is not None)
+        return tuple(
+            k for k, link in enumerate(self.linked) if link.move.velocity_steps is not None
+        )
 
     def paths(self, model: SensorModel) -> tuple[GyroPath, ...]:
         """Return the moves by a model's gyros."""
@@ -193,14 +195,14 @@ class Moves:
         """Integrate the moves."""
         motions = [
             (k.move.turned, k.move.seconds, self.gravity * self.attitudes[k.second, 2])
-            for k in self.links
+            for k in self.linked
         ]
         return GyroPath.of_each(motions, model)
 
     def _gained(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
         """Sum the specific forces of the moves."""
         paths = self.paths(model)
-        gained = [link.move.velocity_steps for link in self.links]
+        gained = [link.move.velocity_steps for link in self.linked]
         known = [one for one in gained if one is not None]
         computed = iter(
             VelocityIncrement.of_each(known, [paths[k] for k in self.with_accels], model)
@@ -219,7 +221,7 @@ class Moves:
     @cached_property
     def _ends(self) -> NDArray[np.intp]:
         """Indices of the segments at the start and end of moves, (2, m)."""
-        ends = [(link.first, link.second) for link in self.links]
+        ends = [(link.first, link.second) for link in self.linked]
         return np.array(ends, dtype=np.intp).reshape(-1, 2).T
 
     @property
@@ -236,7 +238,7 @@ class Moves:
             force: (3,) specific force at rest, likewise, m/s^2.
         """
         found = np.zeros((len(self), 6))
-        if not self.links:
+        if not self.linked:
             return found
         first, second = self._ends
         rates = np.broadcast_to(earth_rate, (len(self.attitudes), 3))[second]
@@ -356,7 +358,7 @@ class Moves:
             (m, 6, e).
         """
         found = np.zeros((len(self), 6, attitude_errors.shape[2]))
-        if not self.links:
+        if not self.linked:
             return found
         first, second = self._ends
         rotated = np.array([path.rotation for path in self.paths(model)])
@@ -422,7 +424,7 @@ class Moves:
         step adds to it like random walk.
         """
         found = np.zeros((len(self), 6))
-        for k, (link, turning) in enumerate(zip(self.links, self._turning, strict=True)):
+        for k, (link, turning) in enumerate(zip(self.linked, self._turning, strict=True)):
             ends, bent = _EDGES * link.move.pulse**2, link.coning_variance
             found[k, :3] = ends + link.rounding[:3] + bent + link.move.filled
             found[k, 3:] = turning[3:] * (ends.mean() / 4 + bent / 12 + link.move.filled / 4)
@@ -437,7 +439,7 @@ class Moves:
         """The covariances of velocities by the remainders of counters, (m, 3, 3) (m/s)^2."""
         found = np.zeros((len(self), 3, 3))
         for k in self.with_accels:
-            gained = self.links[k].move.velocity_steps
+            gained = self.linked[k].move.velocity_steps
             if gained is not None and gained.pulse.any():
                 accel_std = _FORESEEN * gained.pulse if gained.predicted else np.zeros(3)
                 found[k] = self._remainder_covariance(k, gained.pulse, accel_std)
@@ -454,14 +456,14 @@ class Moves:
         if self.approximate_sensors is None:
             return np.eye(3) * _EDGES * np.mean(pulse**2)
         path = self.paths(self.approximate_sensors.model)[index]
-        directions = self.attitudes[self.links[index].second] @ path.axes
+        directions = self.attitudes[self.linked[index].second] @ path.axes
         _, outputs = self.approximate_sensors.model.predict(path.rates, path.forces)
         accel_std = np.maximum(self.approximate_sensors.accel_std, least)
         return remainder_covariance(directions, path.seconds, outputs, accel_std, pulse)
 
     def encoders(self) -> Floats:
         """Return the variances of `misclosures` by the encoders' noise at both ends, (m, 6)."""
-        errors = np.array([link.encoders for link in self.links]).reshape(-1, 1)
+        errors = np.array([link.encoders for link in self.linked]).reshape(-1, 1)
         return np.asarray(errors * self._turning * np.repeat([1.0, 0.25], 3))
 
     def variances(self, walk: Floats) -> Floats:
@@ -471,7 +473,7 @@ class Moves:
     @cached_property
     def _seconds(self) -> Floats:
         """Their durations, (m,)."""
-        return np.array([link.move.duration for link in self.links], dtype=float)
+        return np.array([link.move.duration for link in self.linked], dtype=float)
 
     @property
     def _turning(self) -> Floats:

@@ -53,7 +53,7 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
 def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
     """Return `own_parts` without factors on the variances."""
     segments, turns, walk = evidence.segments, evidence.turns, evidence.walk
-    links = evidence.links
+    used = evidence.used_moves
     statistics = [s.statistics for s in segments]
     turned = [t.statistics for t in turns]
     site = evidence.site
@@ -62,7 +62,7 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
         rest, turn = (np.array(part).reshape(-1, 6) for part in (at_rest, turned))
         return evidence.layout.joined(rest, turn, moved)
 
-    by_gyros, by_accels = links.noise(walk)
+    by_gyros, by_accels = used.noise(walk)
     noise = joined(
         [walk**2 * s.walk_gain for s in statistics],
         [walk**2 * s.walk_gain for s in turned],
@@ -74,12 +74,12 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
     quantisation = joined(
         [s.quantisation_variance for s in statistics],
         [s.quantisation_variance for s in turned],
-        links.quantisation(),
+        used.quantisation(),
     )
     encoder = joined(
         [s.encoder_variance(site.gravity) for s in segments],
         [np.append(t.encoder_variance(), t.lean_variance(site.gravity)) for t in turns],
-        links.encoders(),
+        used.encoders(),
     )
     total = noise + by_rotation + quantisation + encoder
     quantisation = quantisation + np.maximum(SMALLEST_VARIANCE - total, 0.0)
@@ -93,9 +93,9 @@ def _without_inflation(evidence: Evidence) -> tuple[Component, ...]:
         Component(Source.QUANTISATION, Diagonal(quantisation)),
         Component(Source.ENCODER_NOISE, Diagonal(encoder)),
     ]
-    if held := links.with_accels:
+    if held := used.with_accels:
         # The remainder of a level channel is an error along both level axes.
-        across = links.by_remainders[list(held)] * (1 - np.eye(3))
+        across = used.by_remainders[list(held)] * (1 - np.eye(3))
         rows = np.array(evidence.layout.velocity)
         parts.append(Component(Source.QUANTISATION, Blocks(rows, across)))
     for k, segment in enumerate(segments):
@@ -169,7 +169,9 @@ def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component
         levelled: Standard deviation of the table's tilt about either axis, rad.
     """
     which, rows = evidence.arms.turns, evidence.layout.turn_accels
-    level_gravities = [evidence.turns[k].level * levelled * evidence.site.gravity for k in which]
+    level_gravities = [
+        evidence.turns[k].level_share * levelled * evidence.site.gravity for k in which
+    ]
     variances = np.zeros(len(evidence.layout))
     variances[rows] = np.square(level_gravities).reshape(-1, 1) * (1 - ups[which] ** 2)
     return Component(Source.NORTH, Diagonal(variances))
@@ -188,7 +190,7 @@ def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Componen
     """
     segments, turns = evidence.segments, evidence.turns
     by_hand = 1.0 if evidence.plan.by_hand and not evidence.free else 0.0
-    shares = np.array([*(by_hand for _ in segments), *(t.level for t in turns)])
+    shares = np.array([*(by_hand for _ in segments), *(t.level_share for t in turns)])
     across = np.eye(3) - ups[:, :, None] * ups[:, None, :]
     square = (shares * evidence.site.north_rate)[:, None, None] ** 2 / 2
     rows = np.vstack([evidence.layout.dwell[:, :3], evidence.layout.turn])

@@ -117,7 +117,7 @@ class SessionModel:
     def outputs(self) -> Floats:
         """Measured outputs, (m,) rad/s, m/s^2, rad and m/s: zero for the misclosures of moves."""
         turned = np.array([t.statistics.mean for t in self.evidence.turns]).reshape(-1, 6)
-        moved = np.zeros((len(self.evidence.links), 6))
+        moved = np.zeros((len(self.evidence.used_moves), 6))
         return self.layout.joined(self.evidence.outputs(), turned, moved)
 
     def nominal(self) -> Floats:
@@ -196,7 +196,7 @@ class SessionModel:
         """Return the outputs predicted from the session's mean parameters, (m,)."""
         around, model = self.surroundings(state), self.model(state)
         at_rest, turned = self.predicted_by_segment(state)
-        in_moves = self.evidence.links.misclosures(model, self.earth(state), around.force)
+        in_moves = self.evidence.used_moves.misclosures(model, self.earth(state), around.force)
         if state[self.clock_index]:
             in_moves = in_moves + self._by_clock(state) * state[self.clock_index]
         predicted = self.layout.joined(at_rest, turned, in_moves)
@@ -255,7 +255,7 @@ class SessionModel:
         model = self.model(state)
         at_rest = model.derivatives(rate, force, parameters)
         turned = mean_over_turn(model.derivatives(turning, turning_force, parameters))
-        in_moves = self.evidence.links.by_parameters(model, parameters)
+        in_moves = self.evidence.used_moves.by_parameters(model, parameters)
         result = self.layout.joined(at_rest, turned, in_moves)
         result[self._divided] /= 1 + state[self.clock_index]
         return result
@@ -278,9 +278,9 @@ class SessionModel:
         """Return the derivatives of the moves by the rate between the clocks, (m, 6)."""
         counted = self.evidence.units is Units.PULSES
         if counted and not self.evidence.clocks_compared:
-            return np.zeros((len(self.evidence.links), 6))
+            return np.zeros((len(self.evidence.used_moves), 6))
         force = self.surroundings(state).force
-        return self.evidence.links.by_clock(self.model(state), force, counted=counted)
+        return self.evidence.used_moves.by_clock(self.model(state), force, counted=counted)
 
     def columns(self, changes: Sequence[Change], derivatives: Floats) -> Floats:
         """Return the derivatives by coefficients of a session's terms, on or off, (m, k).
@@ -305,7 +305,7 @@ class SessionModel:
             (m, 6), both in the frame of the attitudes.
         """
         _, rate, force, turning, turning_force = self._inputs(state)
-        model, moves = self.model(state), self.evidence.links
+        model, moves = self.model(state), self.evidence.used_moves
         to_body = np.transpose(self.evidence.dwell_attitudes, (0, 2, 1))
         at_rest = model.slopes(rate, force) @ _for_rates_and_forces(to_body)
         turned = mean_over_turn(
@@ -348,7 +348,7 @@ class SessionModel:
             turned: (t, 3, e) of the turns.
         """
         s, by_each = len(at_rest), self._by_rotations(state)
-        in_moves = self.evidence.links.by_attitudes(self.model(state), at_rest)
+        in_moves = self.evidence.used_moves.by_attitudes(self.model(state), at_rest)
         return self.layout.joined(by_each[:s] @ at_rest, by_each[s:] @ turned, in_moves)
 
     def by_encoder_rates(self, state: Floats) -> Floats:

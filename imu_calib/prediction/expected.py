@@ -59,7 +59,7 @@ _BY_HAND_STILL = 2.0
 """s at rest before and after a turn by hand, which separate it from the moves around it. A choice,
 likewise."""
 
-_BY_HAND_LEVEL = 0.25
+_BY_HAND_LEVEL_SHARE = 0.25
 """Share of a level rate that such a turn does not average out: its rate rises and falls for a third
 of a second each."""
 
@@ -226,7 +226,14 @@ def _by_hand(setup: Setup) -> _Times:
             now += _BY_HAND_STILL
             interval = _interval(now, seconds)
             times.turns.append(
-                Turn(*interval, angle, None, position.up, position.id, level=_BY_HAND_LEVEL)
+                Turn(
+                    *interval,
+                    angle,
+                    None,
+                    position.up,
+                    position.id,
+                    level_share=_BY_HAND_LEVEL_SHARE,
+                )
             )
             now += seconds + _BY_HAND_STILL
         if position.dwell:
@@ -255,7 +262,7 @@ def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
         spec: Bias instabilities.
     """
     dwells, turns = evidence.segments, evidence.turns
-    moves = [link.move for link in evidence.links.links]
+    moves = [link.move for link in evidence.used_moves.linked]
     parts: list[Segment | Turn | Move] = [*dwells, *turns, *moves]
     begin, end = np.array([(p.start, p.end) for p in parts]).reshape(-1, 2).T * 1e-9
     none = np.zeros((len(parts), 3, 3)), np.zeros(len(parts), dtype=bool)

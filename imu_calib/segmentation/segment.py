@@ -174,9 +174,9 @@ class Turn:
         up_error: Standard deviation of `up` about either level axis by the encoders' noise, rad.
         skewed: Statistics of a skewed gyro, as first channel; None without one.
         each: (n, 3) gyro means of the single turns, (n, 4) with a skewed one; None for one turn.
-        level: Share of a level rate that does not average out: for whole turns at a constant rate
-            the error of cuts within samples, for turns from rest to rest the effect of the slow
-            parts.
+        level_share: Share of a level rate that does not average out: for whole turns at a constant
+            rate the error of cuts within samples, for turns from rest to rest the effect of the
+            slow parts.
         angles: (k,) mean joint angles, rad; None without joint states.
         joint: Index of the joint that turns.
         step: Of its encoder, rad, by its angles; 0 where they show none.
@@ -195,11 +195,16 @@ class Turn:
     up_error: float = 0.0
     skewed: Statistics | None = None
     each: Floats | None = None
-    level: float = 0.0
+    level_share: float = 0.0
     angles: Floats | None = None
     joint: int | None = None
     step: float = 0.0
     whole_way: RestToRest | None = None
+
+    @property
+    def level(self) -> float:
+        """`level_share`, by its former name."""
+        return self.level_share
 
     def encoder_variance(self) -> Floats:
         """Return the variances of the gyros' means by the encoders' noise, (3,)."""

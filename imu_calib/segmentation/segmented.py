@@ -48,14 +48,19 @@ class FreeMotion:
         end: Last instant, ns, IMU clock.
         statistics: Of its samples.
         turned: (3,) integral of the rates, rad.
-        level: Mean over the motion of exp(i angle), the angle turned since its start.
+        mean_phase: Mean over the motion of exp(i angle), the angle turned since its start.
     """
 
     start: int
     end: int
     statistics: Statistics
     turned: Floats
-    level: complex
+    mean_phase: complex
+
+    @property
+    def level(self) -> complex:
+        """`mean_phase`, by its former name."""
+        return self.mean_phase
 
 
 @dataclass(frozen=True, eq=False)

@@ -178,7 +178,7 @@ def _read_turn(
         up,
         rate_error=turns.rate_error,
         up_error=up_error,
-        level=_level_share(part, start, turns),
+        level_share=_level_share(part, start, turns),
         skewed=None if skewed is None else skewed[0],
         each=(each if skewed is not None else each[:, :3]) if count > 1 else None,
         angles=angles,

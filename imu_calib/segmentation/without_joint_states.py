@@ -134,8 +134,8 @@ def _joined_motion(first: FreeMotion, second: FreeMotion) -> FreeMotion:
         + share[1] ** 2 * b.quantisation_variance,
     )
     phase = np.exp(1j * np.linalg.norm(first.turned))
-    level = complex(share[0] * first.level + share[1] * phase * second.level)
-    return FreeMotion(first.start, second.end, statistics, first.turned + second.turned, level)
+    mean_phase = complex(share[0] * first.mean_phase + share[1] * phase * second.mean_phase)
+    return FreeMotion(first.start, second.end, statistics, first.turned + second.turned, mean_phase)
 
 
 def turn_without_encoder(motion: FreeMotion, plan: Plan) -> Turn | None:
@@ -158,6 +158,6 @@ def turn_without_encoder(motion: FreeMotion, plan: Plan) -> Turn | None:
                 None,
                 position.up,
                 position.id,
-                level=abs(motion.level),
+                level_share=abs(motion.mean_phase),
             )
     return None

@@ -215,7 +215,9 @@ def _omissions(calibration: Calibration, observed: Observed) -> list[str]:
         )
     elif not observed.evidence.turns:
         others = (
-            ' and in the moves between static dwells' if len(observed.evidence.links) else ' alone'
+            ' and in the moves between static dwells'
+            if len(observed.evidence.used_moves)
+            else ' alone'
         )
         notes.append(
             'No turns by an encoder: scale factors and misalignments of the gyros show in the '

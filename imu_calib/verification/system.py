@@ -160,7 +160,9 @@ class TriadSystem:
         rows = self.evidence.layout
         drifts = np.zeros(len(rows))
         drifts[rows.dwell] = self.bias_drift * self.reading
-        seconds = np.array([m.move.duration for m in self.evidence.links.links]).reshape(-1, 1)
+        seconds = np.array([m.move.duration for m in self.evidence.used_moves.linked]).reshape(
+            -1, 1
+        )
         drifts[rows.move] = self.bias_drift * self.reading * seconds
         durations = seconds[list(rows.moves_with_accels)]
         drifts[rows.velocity] = self.bias_drift * self.reading * durations
@@ -269,7 +271,7 @@ class TriadSystem:
     @cached_property
     def _without_moves(self) -> TriadSystem:
         """The system without moves, which are nonlinear for large errors."""
-        if not len(self.evidence.links):
+        if not len(self.evidence.used_moves):
             return self
         known, key = self.observed.evidence.cache, 'without moves'
         if key not in known:
