@@ -219,7 +219,7 @@ def test_what_is_left_is_that_of_generalised_least_squares() -> None:
     columns, residuals = rng.standard_normal((9, 3)), rng.standard_normal(9)
     covariance = np.cov(rng.standard_normal((9, 40)))
     precision = np.linalg.inv(covariance)
-    found = LeastSquares.weighed(columns, residuals, covariance)
+    found = LeastSquares.weighted(columns, residuals, covariance)
     wanted = np.linalg.inv(columns.T @ precision @ columns)
     np.testing.assert_allclose(found.covariance, wanted, rtol=1e-9)
     np.testing.assert_allclose(found.step, wanted @ columns.T @ precision @ residuals, rtol=1e-9)
@@ -228,7 +228,7 @@ def test_what_is_left_is_that_of_generalised_least_squares() -> None:
     assert found.freedom == 6
     # A column that says what another says takes no further degree of freedom, nor one of zeros.
     twice = np.column_stack([columns, 5 * columns[:, 0], np.zeros(9)])
-    again = LeastSquares.weighed(twice, residuals, covariance)
+    again = LeastSquares.weighted(twice, residuals, covariance)
     assert (again.square, again.freedom) == (pytest.approx(found.square), 6)
 
 

@@ -103,7 +103,7 @@ def test_joints_that_stop_err_once_for_all_units(units: Any, states: Any) -> Non
                     table = equations.evidence.table
                     lean[own, :, 0] = table.joint_axis(joint, ANGLES[k])
             # Of the turn the middle and inner joints are where they stopped last, in its mean.
-            wanted = equations.by_attitude_errors(state, lean, np.zeros((1, 3, 1)))[:, 0] * size
+            wanted = equations.attitude_error_effects(state, lean, np.zeros((1, 3, 1)))[:, 0] * size
             rows = equations.layout.dwell.ravel()
             np.testing.assert_allclose(column[rows], wanted[rows], atol=1e-18)
 
@@ -119,13 +119,13 @@ def test_stops_and_encoders_err_about_the_axes_of_the_table(units: Any, states: 
             lean = np.zeros((len(rests), 3, 9))
             for own, k in enumerate(rests):
                 lean[own, :, 3 * k : 3 * k + 3] = equations.evidence.table.mount.T * size
-            wanted = equations.by_attitude_errors(state, lean, np.zeros((1, 3, 9)))
+            wanted = equations.attitude_error_effects(state, lean, np.zeros((1, 3, 9)))
             np.testing.assert_allclose(columns[:, :9], wanted, atol=1e-18)
         extra = 0 if source is Source.STOPS else 3
         assert both[0].shape[1] <= 9 + extra
     turning = of(found, Source.ENCODER_NOISE)[0][units[0].layout.turn[0], 9:]
     lean = np.eye(3)[None] * 3e-6
-    wanted = units[0].by_attitude_errors(states[0], np.zeros((3, 3, 3)), lean)
+    wanted = units[0].attitude_error_effects(states[0], np.zeros((3, 3, 3)), lean)
     rows = units[0].layout.turn[0]
     kept = wanted[:, np.any(wanted != 0, axis=0)]
     np.testing.assert_allclose(turning, kept[rows], atol=1e-18)
@@ -134,15 +134,15 @@ def test_stops_and_encoders_err_about_the_axes_of_the_table(units: Any, states: 
 def test_latitude_table_and_rates_err_for_all(units: Any, states: Any) -> None:
     found = CommonTable(units, SIZES).of(states)
     # What neither unit sees is no unknown.
-    all_of = [u.by_table(s) for u, s in zip(units, states, strict=True)]
+    all_of = [u.table_error_effects(s) for u, s in zip(units, states, strict=True)]
     seen = np.any([columns.any(axis=0) for columns in all_of], axis=0)
     for k, (equations, state) in enumerate(zip(units, states, strict=True)):
         latitude = of(found, Source.LATITUDE)[k][:, 0]
-        np.testing.assert_allclose(latitude, equations.latitude_slope(state) * 1e-4)
+        np.testing.assert_allclose(latitude, equations.latitude_derivatives(state) * 1e-4)
         rates = of(found, Source.ENCODER_RATE)[k]
-        np.testing.assert_allclose(rates, equations.by_encoder_rates(state))
+        np.testing.assert_allclose(rates, equations.encoder_rate_effects(state))
         table = of(found, Source.TABLE)[k]
-        np.testing.assert_allclose(table, equations.by_table(state)[:, seen], atol=1e-18)
+        np.testing.assert_allclose(table, equations.table_error_effects(state)[:, seen], atol=1e-18)
 
 
 def test_sizes_are_those_that_a_unit_found(units: Any) -> None:

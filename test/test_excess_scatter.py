@@ -90,7 +90,7 @@ def test_cases_are_as_likely_as_their_densities_say() -> None:
     )
     joints, stops = (p @ p.T for p in there.positioning)
     base = np.eye(SIZE) + 0.3 * joints + 0.7 * stops
-    calm, beyond = there.weigh(0.3, 0.7)
+    calm, beyond = there.drift_likelihoods(0.3, 0.7)
     constant = normal(np.zeros(SIZE), np.eye(SIZE))
     wanted = [
         normal(there.residuals, base + s * there.stated_covariance) for s in (0, 1 / 16, 1 / 4, 1)
@@ -145,7 +145,7 @@ def weighed(calm: list[float], beyond: Any) -> Any:
     )
     answers = (np.array(calm), np.asarray(beyond, dtype=float))
     gains = iter((5.0, 8.0))
-    object.__setattr__(there, 'weigh', lambda joints, stops: answers)
+    object.__setattr__(there, 'drift_likelihoods', lambda joints, stops: answers)
     object.__setattr__(there, 'gain_by_larger_noise', lambda drift, joints, stops: next(gains))
     return there
 

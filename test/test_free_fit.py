@@ -23,7 +23,7 @@ from imu_calib.methods.free_positions import (
     _scatter,
     _scatter_limit,
     _State,
-    _weighed,
+    _with_estimated_noise,
     ellipsoid,
     in_frame_of_accelerometers,
     initial_equations,
@@ -132,7 +132,7 @@ def test_what_another_group_lends_by_wrong_weights_is_no_scatter() -> None:
     columns[[0, 1, 2, 6, 7, 8]] = columns[12:] = 1.0
     first = state(residuals, columns).settled()
     assert _scatter(first)[0][2] > 5
-    found = _weighed(first)
+    found = _with_estimated_noise(first)
     assert found.scatter[[0, 2]].tolist() == [1.0, 1.0]
     # 15100 / 6 about nearly nothing, and 6 / 4 of it: six degrees of freedom.
     assert found.scatter[1] ** 2 == pytest.approx(15200 / 6 * 6 / 4, rel=0.01)

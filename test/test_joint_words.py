@@ -234,7 +234,7 @@ def test_axes_and_units_are_held_to_the_world() -> None:
         first = 0 if triad == 'gyro' else 12
         state[first : first + 3] += 2.0
         with pytest.raises(InputError, match=f'3.* to {words}'):
-            joint._concluded(replace(there, state=state))
+            joint._checked_solution(replace(there, state=state))
 
 
 def test_a_latitude_that_is_wrong_is_refused_with_the_right_one() -> None:

@@ -345,7 +345,7 @@ def test_what_no_noise_explains_is_an_angle_and_a_velocity() -> None:
 def test_no_moves_are_off_by_nothing() -> None:
     none = Moves((), np.eye(3)[None], G)
     assert none.misclosures(MODEL, EARTH, FORCE).shape == (0, 6)
-    assert none.by_parameters(MODEL, PARAMETERS).shape == (0, 6, 24)
+    assert none.parameter_derivatives(MODEL, PARAMETERS).shape == (0, 6, 24)
     assert none.shared_velocity_errors(MODEL, EARTH)[0].shape == (0, 6, 12)
     assert VelocityIncrement.of_each([], [], MODEL) == ()
     assert GyroPath.of_each([], MODEL) == ()
@@ -378,17 +378,17 @@ def test_slopes_by_rate_and_force_are_difference_quotients() -> None:
         slope = quotient(
             moves, lambda m, h, d=more: m.misclosures(MODEL, EARTH + d * h, FORCE), 1e-6
         )
-        np.testing.assert_allclose(moves.by_rate()[0, :3, k], slope[0, :3], atol=1e-4)
+        np.testing.assert_allclose(moves.rate_derivatives()[0, :3, k], slope[0, :3], atol=1e-4)
         slope = quotient(
             moves, lambda m, h, d=more: m.misclosures(MODEL, EARTH, FORCE + d * h), 1e-3
         )
-        np.testing.assert_allclose(moves.by_force()[0, :, k], slope[0], atol=1e-9)
-    assert not moves.by_rate()[0, 3:].any()
+        np.testing.assert_allclose(moves.force_derivatives()[0, :, k], slope[0], atol=1e-9)
+    assert not moves.rate_derivatives()[0, 3:].any()
 
 
 def test_slopes_by_parameters_are_difference_quotients() -> None:
     moves = fitting()
-    found = moves.by_parameters(MODEL, PARAMETERS)
+    found = moves.parameter_derivatives(MODEL, PARAMETERS)
     assert found.shape == (1, 6, 24)
     for k, parameter in enumerate(PARAMETERS):
         step = 1e-5
@@ -419,7 +419,7 @@ def test_slopes_by_the_clock_are_difference_quotients(counted: bool) -> None:
         return replace(m, linked=links).misclosures(MODEL, EARTH, FORCE)
 
     slope = quotient(moves, changed, 1e-5)[0]
-    found = moves.by_clock(MODEL, FORCE, counted=counted)[0]
+    found = moves.clock_derivatives(MODEL, FORCE, counted=counted)[0]
     if counted:
         # What biases turn in a longer second is of no account beside the rest.
         assert found[3:] == pytest.approx(slope[3:], abs=2e-3 * np.abs(slope).max())
@@ -441,7 +441,7 @@ def test_slopes_by_attitudes_are_difference_quotients() -> None:
                 return replace(m, attitudes=attitudes).misclosures(MODEL, EARTH, FORCE)
 
             slope = quotient(moves, changed, 1e-5)[0]
-            found = moves.by_attitudes(MODEL, leaning)[0, :, 0]
+            found = moves.attitude_error_effects(MODEL, leaning)[0, :, 0]
             assert found[:3] == pytest.approx(slope[:3], abs=1e-4)
             # Gravity over half of the time, crossed with the lean of either end.
             lean = moves.attitudes[end][:, k] * (G * 0.5 / 2)

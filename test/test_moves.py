@@ -273,7 +273,7 @@ def test_a_clock_that_is_faster_shortens_moves(counted: bool) -> None:
     off = replace(led, linked=tuple(links)).misclosures(model, *world) - led.misclosures(
         model, *world
     )
-    slope = led.by_clock(model, SITE.specific_force, counted=counted)
+    slope = led.clock_derivatives(model, SITE.specific_force, counted=counted)
     # The Earth turns by so much less, which is left out, and gravity of that.
     assert slope[:, :3] == pytest.approx(off[:, :3] / faster, abs=5e-4)
     assert slope[:, 3:] == pytest.approx(off[:, 3:] / faster, abs=5e-4 * IN_A_MOVE)
@@ -291,7 +291,7 @@ def test_a_lean_of_a_rest_shows_in_the_moves_beside_it() -> None:
     found = (leaning.predict(state) - equations.predict(state))[equations.layout.moving]
     columns = np.zeros((12, 3, 1))
     columns[5, :, 0] = lean
-    short = evidence().used_moves.by_attitudes(truth().model, columns)[..., 0]
+    short = evidence().used_moves.attitude_error_effects(truth().model, columns)[..., 0]
     short = np.concatenate([short[:, :3].ravel(), short[:, 3:].ravel()])
     angles, velocities = np.split(short, 2)
     assert angles == pytest.approx(found[: len(angles)], abs=1e-3 * ARCSEC)
@@ -430,9 +430,13 @@ def test_other_errors_of_the_table_lead_no_move_again(monkeypatch) -> None:
     known, errors = evidence(), TableErrors(orthogonality=1e-3)
     state = Equations(known).nominal()
     Equations(known).jacobian(state)
-    fresh = Equations(replace(known, table=replace(known.table, errors=errors))).by_table(state)
+    fresh = Equations(
+        replace(known, table=replace(known.table, errors=errors))
+    ).table_error_effects(state)
     monkeypatch.setattr(GyroPath, 'of_each', None)
-    assert np.array_equal(Equations(known.with_table_errors(errors)).by_table(state), fresh)
+    assert np.array_equal(
+        Equations(known.with_table_errors(errors)).table_error_effects(state), fresh
+    )
     assert fresh.any()
 
 

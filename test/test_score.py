@@ -362,7 +362,7 @@ def chances(evidence: Evidence, *, drifting: bool = True) -> dict[str, float]:
             scatter = family.scatter(
                 equations, state, float(shapes_of(family, equations)[score.chosen])
             )
-            there = WhitenedResiduals.of(family.weighed(equations, scatter), state)
+            there = WhitenedResiduals.of(family.with_scatter(equations, scatter), state)
             score = there.score(family, patterns)
         found[course.value] = score.log_p
     return found

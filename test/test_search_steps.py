@@ -169,7 +169,7 @@ def test_drift_that_seems_absent_counts_in_full_beside_terms_of_the_session() ->
         (absent,),  # type: ignore[arg-type]
     )
     for family, extra in ((TREND, (there, absent)), (CUBIC, (there,)), (WOBBLE, (there,))):
-        found = family.weighed(equations, scatter)
+        found = family.with_scatter(equations, scatter)
         assert found.extra == extra
         assert found.positioning is scatter.positioning
         assert found.held == family.held
@@ -217,7 +217,7 @@ def test_patterns_are_what_the_largest_useful_coefficients_do() -> None:
     ((columns, sizes),) = found[WOBBLE]
     assert sizes == pytest.approx(np.full(columns.shape[1], ARCMIN))
     wobbling = stated(TableErrors(wobble=ARCMIN))
-    assert columns == pytest.approx(wobbling.by_table(state))
+    assert columns == pytest.approx(wobbling.table_error_effects(state))
     assert [len(found[f]) for f in (TREND, WARM_UP)] == [1, 11]
     assert len(found[STEP]) == len(shapes_of(STEP, equations))
     assert {columns.shape[1] for columns, _ in found[STEP]} == {6}
@@ -392,7 +392,7 @@ def test_families_are_tried_under_their_own_scatter_until_some_are_shown(
     monkeypatch.setattr(module, 'columns_of', lambda found, *_: {f: f.name for f in found})
     monkeypatch.setattr(module, 'scores_of', lambda *_: dict(plain))
     monkeypatch.setattr(Family, 'scatter', lambda *_: None)
-    monkeypatch.setattr(Family, 'weighed', lambda *_: None)
+    monkeypatch.setattr(Family, 'with_scatter', lambda *_: None)
     tried: list[str] = []
 
     def under(shown: str) -> dict[Family, Score]:
@@ -505,7 +505,9 @@ def test_what_is_not_confirmed_is_rejected_and_the_search_begins_again(
         module, '_confirmed', lambda *given: tuple(f for f in given[3] if f.family != SENSES)
     )
     monkeypatch.setattr(
-        module, '_concluded', lambda last, kept, plain, weigh: (last, kept, plain, weigh)
+        module,
+        '_search_of',
+        lambda last, kept, plain, weigh_drifts: (last, kept, plain, weigh_drifts),
     )
     start = _Model(first.equations.evidence, PARAMETERS)
     found: Any = _searched(start, first, find_terms=True)
@@ -613,7 +615,7 @@ def test_a_search_that_comes_to_no_end_is_said_to_be_broken_off(
 
     monkeypatch.setattr(_Model, 'estimate', lambda _: first)
     whole = Search(first, (), {}, 1e-4, np.zeros((24, 24)), {}, {}, first, np.zeros((24, 24)))
-    monkeypatch.setattr(module, '_concluded', lambda *_, **__: whole)
+    monkeypatch.setattr(module, '_search_of', lambda *_, **__: whole)
     monkeypatch.setattr(module, '_found_families', lambda *_: ())
     assert findings(search_terms(first.equations.evidence)) == []
     monkeypatch.setattr(module, '_found_families', refused)
@@ -679,7 +681,7 @@ def test_of_what_is_off_it_is_said_what_it_would_do(monkeypatch: pytest.MonkeyPa
         return plain
 
     monkeypatch.setattr(module, 'WhitenedResiduals', SimpleNamespace(of=residuals))
-    found = module._concluded(current, (Found(SENSES, -9.0),), current, weigh=True)
+    found = module._search_of(current, (Found(SENSES, -9.0),), current, weigh_drifts=True)
     # Drifts are tested beside what seems absent; what was found is no more off.
     assert beside == [(), absent]
     assert list(found.scores) == list(every)
@@ -697,7 +699,7 @@ def test_of_what_is_off_it_is_said_what_it_would_do(monkeypatch: pytest.MonkeyPa
     drifts = module.undecided({TREND: [(found.scores[TREND], found.leverage[TREND])]}, 24)
     assert found.by_drifts == pytest.approx(drifts.covariance)
     assert found.undecided_covariance == pytest.approx(drifts.covariance)
-    none = module._concluded(current, (), current, weigh=False)
+    none = module._search_of(current, (), current, weigh_drifts=False)
     assert none.probability == {}
     assert not none.by_drifts.any()
     assert list(none.scores) == [*every, SENSES]

@@ -105,7 +105,7 @@ def test_clocks_that_nothing_compares_count_in_timed_turns_alone() -> None:
 def test_the_earth_rate_and_the_latitude_enter_as_they_turn() -> None:
     evidence = some()
     equations, state = at(evidence)
-    by_rate = equations.by_world(state)[:, :3] * (1 + FASTER)
+    by_rate = equations.world_derivatives(state)[:, :3] * (1 + FASTER)
     for rows, segment in zip(equations.layout.dwell, evidence.segments, strict=True):
         wanted = MODEL.gyro.response @ segment.attitude.T
         np.testing.assert_allclose(by_rate[rows[:3]], wanted, atol=1e-12)
@@ -120,7 +120,7 @@ def test_the_earth_rate_and_the_latitude_enter_as_they_turn() -> None:
         return at(there)[0].predict(state)
 
     slope = (elsewhere(1e-5) - elsewhere(-1e-5)) / 2e-5
-    got = equations.latitude_slope(state)
+    got = equations.latitude_derivatives(state)
     gyros = equations.layout.gyros
     assert got[gyros] == pytest.approx(slope[gyros], rel=1e-5, abs=1e-9)
 
@@ -129,7 +129,7 @@ def test_a_unit_that_turned_in_its_mount_reads_as_attitudes_the_other_way() -> N
     evidence = some()
     equations, state = at(evidence)
     state[equations.arm_slice], state[equations.clock_index] = 0.0, 0.0
-    found = equations.by_mount(state)
+    found = equations.mount_derivatives(state)
     rate, force = world()
     for k in range(3):
         # The body's axes turn: what stands still turns the other way in them.
@@ -228,7 +228,7 @@ def part(equations: Equations, state: Floats, *sources: Source) -> Floats:
 def test_what_outputs_have_in_common_has_its_source() -> None:
     evidence = some()
     equations, state = at(evidence, positioning=PositioningErrors(3e-6, 7e-6))
-    joints, stops = equations.by_positioning(state)
+    joints, stops = equations.positioning_error_effects(state)
     got = part(equations, state, Source.POSITIONING_FOUND)
     np.testing.assert_allclose(got, 9e-12 * joints @ joints.T, atol=1e-20)
     got = part(equations, state, Source.STOPS)
@@ -240,7 +240,7 @@ def test_what_outputs_have_in_common_has_its_source() -> None:
     assert not part(stated, state, Source.POSITIONING_FOUND, Source.STOPS).any()
     site = replace(SITE, latitude_std=1e-3)
     doubtful, _ = at(replace(evidence, site=site))
-    slope = doubtful.latitude_slope(state) * 1e-3
+    slope = doubtful.latitude_derivatives(state) * 1e-3
     np.testing.assert_allclose(part(doubtful, state, Source.LATITUDE), np.outer(slope, slope))
     assert not part(equations, state, Source.LATITUDE).any()
 
@@ -248,7 +248,7 @@ def test_what_outputs_have_in_common_has_its_source() -> None:
 def test_parameters_in_doubt_count_with_their_deviations() -> None:
     doubted = PARAMETERS[24:26]
     equations, state = at(some(), considered=tuple(zip(doubted, (2e-5, 3e-5), strict=True)))
-    columns = equations.by_parameters(state, doubted) * [2e-5, 3e-5]
+    columns = equations.parameter_derivatives(state, doubted) * [2e-5, 3e-5]
     np.testing.assert_allclose(part(equations, state, Source.TERMS), columns @ columns.T)
 
 
@@ -260,12 +260,12 @@ def test_a_table_that_leaves_something_open_leans() -> None:
     segments = tuple(replace(s, angles=angles + k) for k, s in enumerate(held.segments))
     turns = tuple(replace(t, angles=angles, joint=0) for t in held.turns)
     equations, state = at(replace(held, segments=segments, turns=turns, table=table))
-    assert equations.by_table(state).shape[1] > 0
-    columns = equations.by_table(state)
+    assert equations.table_error_effects(state).shape[1] > 0
+    columns = equations.table_error_effects(state)
     np.testing.assert_allclose(part(equations, state, Source.TABLE), columns @ columns.T)
     # One deviation of an error turns the attitude of a rest by so much.
     state[equations.clock_index] = 0.0
-    columns = equations.by_table(state)
+    columns = equations.table_error_effects(state)
     lean = equations.evidence.table_attitude_errors[0][0, :, 0]
     rate, force = world()
     held = segments[0].attitude
@@ -274,7 +274,7 @@ def test_a_table_that_leaves_something_open_leans() -> None:
     # But for the second order of the lean.
     assert np.linalg.norm(lean) > 1e-5
     assert columns[:6, 0] == pytest.approx(seen - clean, abs=SITE.gravity * float(lean @ lean))
-    assert at(some())[0].by_table(state).shape == (len(at(some())[0].outputs), 0)
+    assert at(some())[0].table_error_effects(state).shape == (len(at(some())[0].outputs), 0)
 
 
 @pytest.mark.parametrize(('above', 'least'), [(5e-10, True), (5e-9, False)])
@@ -291,7 +291,7 @@ class Led:
     def __len__(self) -> int:
         return 3
 
-    def by_clock(self, model: Any, force: Any, *, counted: bool) -> Floats:
+    def clock_derivatives(self, model: Any, force: Any, *, counted: bool) -> Floats:
         assert (model, force) == ('model', 'force')
         return np.full((3, 6), 1.0 + counted)
 
@@ -316,5 +316,5 @@ def test_moves_feel_a_clock_but_where_pulses_are_compared_with_none(
         surroundings=lambda _: around,
         remembered=lambda _, state, method: method(session, state),
     )
-    found = SessionModel._by_clock(session, np.zeros(0))
+    found = SessionModel._clock_derivatives(session, np.zeros(0))
     assert (found == np.full((3, 6), wanted)).all()

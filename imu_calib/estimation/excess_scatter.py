@@ -121,7 +121,7 @@ class _Triad:
                 found += variance * (columns @ columns.T)
         return found
 
-    def weigh(self, joints: float = 0.0, stops: float = 0.0) -> tuple[Floats, Floats]:
+    def drift_likelihoods(self, joints: float = 0.0, stops: float = 0.0) -> tuple[Floats, Floats]:
         """Return log likelihoods for positioning errors of these variances, rad^2.
 
         (shares,) for shares of the drift stated, and (taus, ratios) for drift in addition to it.
@@ -252,7 +252,7 @@ class _Drift:
         Noise whose size is known from few blocks may be larger than it seems. Where a drift is
         needed, the gain by larger noise is subtracted.
         """
-        stated, further = triad.weigh(joints, stops)
+        stated, further = triad.drift_likelihoods(joints, stops)
         found = cls(stated + triad.log_odds, further - np.log(further.size))
         if not found.called_for:
             return found
@@ -453,7 +453,13 @@ def _triads(plain: Equations, state: Floats, odds: float, *, doubted: bool = Tru
     log_odds = np.log([*[1 / 3] * (len(_SHARES) - 1), odds]) - math.log(1 + odds)
     jacobian, residuals = plain.jacobian(state), plain.outputs - plain.predict(state)
     rising = plain.slopes(state)
-    parts = (jacobian, residuals, rising, plain.covariance(state), plain.by_positioning(state))
+    parts = (
+        jacobian,
+        residuals,
+        rising,
+        plain.covariance(state),
+        plain.positioning_error_effects(state),
+    )
     return [_triad(plain, first, parts, state, log_odds, doubted=doubted) for first in (0, 3)]
 
 

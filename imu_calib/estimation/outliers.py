@@ -340,8 +340,8 @@ def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
     root = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True)
     # Beside noise-free outputs the others may seem to observe nothing: they then absorb nothing.
     taken = np.nan_to_num(Information.of(jacobian).covariance)
-    weighed = root.T @ jacobian[: len(factor)]
-    return root.T @ residuals[: len(factor)], root.T @ root - weighed @ taken @ weighed.T
+    weighted = root.T @ jacobian[: len(factor)]
+    return root.T @ residuals[: len(factor)], root.T @ root - weighted @ taken @ weighted.T
 
 
 def _drop(

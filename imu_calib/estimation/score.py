@@ -132,7 +132,7 @@ class Family:
         """Kinds held at zero in its test; otherwise the covariance allows for them."""
         return frozenset(p.kind for p in motion_parameters(self.parameters))
 
-    def weighed(self, equations: Equations, scatter: ExcessScatter) -> Equations:
+    def with_scatter(self, equations: Equations, scatter: ExcessScatter) -> Equations:
         """Return the equations with the scatter under which the family is tested.
 
         For a term of the session, its course replaces random drift, which then seems less than the
@@ -163,7 +163,7 @@ def columns_of(
     """
     ideal = replace(equations, evidence=with_nominal_attitudes(equations.evidence))
     parameters = tuple(p for family in found for p in family.parameters)
-    slopes = ideal.by_parameters(state, (*parameters, *PARAMETERS))
+    slopes = ideal.parameter_derivatives(state, (*parameters, *PARAMETERS))
     result: dict[Family, tuple[Pattern, ...]] = {}
     for family in found:
         if family.course is not None:
@@ -179,7 +179,7 @@ def columns_of(
                 if family.name == 'zeros'
                 else max(_LARGEST_TABLE_ERROR, _LARGEST_OVER_STATED * stated)
             )
-            columns = family.freed(ideal, size, alone=True).by_table(state)
+            columns = family.freed(ideal, size, alone=True).table_error_effects(state)
             result[family] = ((columns, np.full(columns.shape[1], size)),)
         else:
             sizes = np.array([useful_limit(p) for p in family.parameters])

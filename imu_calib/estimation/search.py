@@ -245,9 +245,9 @@ def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> Search:
             continue
         kept = _confirmed(start, first, trial, found)
         if len(kept) == len(found):
-            return _concluded(trial, kept, first, weigh=True)
+            return _search_of(trial, kept, first, weigh_drifts=True)
         rejected |= {one.family for one in found} - {one.family for one in kept}
-    search = _concluded(first, (), first, weigh=find_terms and noisy)
+    search = _search_of(first, (), first, weigh_drifts=find_terms and noisy)
     return replace(search, broken_off=True) if broken_off else search
 
 
@@ -272,7 +272,7 @@ def _with_a_step(start: _Model) -> Search | None:
     kept = _confirmed(start, search.estimate, search.estimate, [step, *others])
     if not kept or kept[0].family != _STEP:
         return None
-    return _concluded(search.estimate, (kept[0], *search.found), first, weigh=True)
+    return _search_of(search.estimate, (kept[0], *search.found), first, weigh_drifts=True)
 
 
 def _akaike_criterion(search: Search) -> float:
@@ -389,7 +389,7 @@ def _under_own_scatter(
         ):
             return scores | {f: replace(scores[f], statistic=0.0) for f in suspect[k:]}
         shape = float(shapes_of(family, equations)[scores[family].chosen])
-        scattering = family.weighed(equations, family.scatter(equations, state, shape))
+        scattering = family.with_scatter(equations, family.scatter(equations, state, shape))
         scores[family] = WhitenedResiduals.of(scattering, state).score(family, columns[family])
     return scores
 
@@ -413,7 +413,7 @@ def _confirmed(
         # An erroneous table has as many patterns as outputs: only terms are alternatives.
         others = [f for f in families(without) if not f.of_table or f == one.family]
         columns = columns_of(others, without, state)
-        residuals = WhitenedResiduals.of(one.family.weighed(without, trial.scatter), state)
+        residuals = WhitenedResiduals.of(one.family.with_scatter(without, trial.scatter), state)
         scores = {f: residuals.score(f, columns[f]) for f in others}
         here, limit = scores[one.family], _log_chance_limit(families(without))
         if here.log_p >= limit:
@@ -451,8 +451,8 @@ def _assigned_sizes(
     return considered, *((wider * seen, seen) if family.of_table else (0.0, 0.0))
 
 
-def _concluded(
-    current: Estimate, found: tuple[Found, ...], plain: Estimate, *, weigh: bool
+def _search_of(
+    current: Estimate, found: tuple[Found, ...], plain: Estimate, *, weigh_drifts: bool
 ) -> Search:
     """Score the families that are off under the final weights, those of the current estimate.
 
@@ -466,7 +466,9 @@ def _concluded(
     of_session = [f for f in off if f.course is not None]
     with_drift = residuals
     if of_session and current.scatter.absent_drift:
-        with_drift = WhitenedResiduals.of(of_session[0].weighed(equations, current.scatter), state)
+        with_drift = WhitenedResiduals.of(
+            of_session[0].with_scatter(equations, current.scatter), state
+        )
     drifting = {f: with_drift.scores(f, columns[f]) for f in of_session}
     others = {f: columns[f] for f in off if f not in of_session}
     scores = scores_of(others, equations, state)
@@ -486,7 +488,7 @@ def _concluded(
     for one in found:
         undecided_covariance += _by_alternatives(current, one)
     drifts = UndecidedDrifts({}, np.zeros((n, n)))
-    if weigh:
+    if weigh_drifts:
         every = {f: list(zip(drifting[f], map(slopes, columns[f]), strict=True)) for f in drifting}
         drifts = undecided(every, n, interrupted(equations.evidence))
     return Search(

@@ -77,7 +77,7 @@ class LeastSquares:
         return cls(step, covariance, float(over @ over), len(residuals) - known)
 
     @classmethod
-    def weighed(cls, columns: Floats, residuals: Floats, covariance: Floats) -> LeastSquares:
+    def weighted(cls, columns: Floats, residuals: Floats, covariance: Floats) -> LeastSquares:
         """Solve (n, k) columns for (n,) outputs of a covariance (n, n)."""
         rows = np.column_stack([columns, residuals])
         rows = scipy.linalg.solve_triangular(np.linalg.cholesky(covariance), rows, lower=True)
@@ -257,9 +257,9 @@ def _fit(equations: Equations, state: Floats, first: int) -> _Fit:
     rows = equations.layout.dwell[:, first : first + 3].ravel()
     covariance = equations.covariance(state)[np.ix_(rows, rows)]
     offsets = np.tile(np.eye(3), (len(rows) // 3, 1))
-    columns = np.hstack([equations.by_world(state)[rows, first : first + 3], offsets])
+    columns = np.hstack([equations.world_derivatives(state)[rows, first : first + 3], offsets])
     residuals = (equations.outputs - equations.predict(state))[rows]
-    found = LeastSquares.weighed(columns, residuals, covariance)
+    found = LeastSquares.weighted(columns, residuals, covariance)
     tested, over = columns, residuals
     if first == 3:
         own = [k for k, p in enumerate(equations.parameters) if p.triad == 'a']
@@ -267,7 +267,7 @@ def _fit(equations: Equations, state: Floats, first: int) -> _Fit:
         free = np.array([*own, *tilts], dtype=np.intp)
         # Twice for second-order terms: tilts times errors of the closed form.
         moved = state.copy()
-        moved[free] += LeastSquares.weighed(
+        moved[free] += LeastSquares.weighted(
             equations.jacobian(state)[np.ix_(rows, free)], residuals, covariance
         ).step
         tested = equations.jacobian(moved)[np.ix_(rows, free)]
@@ -303,7 +303,7 @@ def _scatter(
 ) -> _Scatter:
     """Return the scatter of outputs about the free unknowns over their covariance."""
     noisy = equations.own_variances.max() > SMALLEST_VARIANCE
-    found = LeastSquares.weighed(columns, residuals, covariance)
+    found = LeastSquares.weighted(columns, residuals, covariance)
     if not noisy or not found.freedom:
         return _Scatter()
     chance = scipy.special.chdtrc(found.freedom, found.square)

@@ -266,17 +266,19 @@ def solve(evidence: Evidence) -> FreeFit:
     check_axes(model.accel.response, *_ACCELS)
     check_turns(start.equations.evidence, model)
     _check_observable(start)
-    state = _weighed(start)
+    state = _with_estimated_noise(start)
     chance = _chance(state, G_SENSITIVITY)
     if chance < _SHOWN:
         _check_latitude(state)
-        state = _weighed(start.with_terms((G_SENSITIVITY,)))
+        state = _with_estimated_noise(start.with_terms((G_SENSITIVITY,)))
     state, nonlinear = _with_nonlinearity(state)
     if nonlinear:
         # Without it the directions of gravity were off, and the turns contradicted them.
         linear = start.with_terms(tuple(one.term for one in nonlinear))
-        chance = _chance(_weighed(linear), G_SENSITIVITY)
-        state = _weighed(linear if chance >= _SHOWN else linear.with_terms((G_SENSITIVITY,)))
+        chance = _chance(_with_estimated_noise(linear), G_SENSITIVITY)
+        state = _with_estimated_noise(
+            linear if chance >= _SHOWN else linear.with_terms((G_SENSITIVITY,))
+        )
     _check_observable(state)
     equations, values = state.equations, state.values
     check_axes(equations.model(values).gyro.response, 'gyros', 'the turns between holds')
@@ -324,7 +326,7 @@ def _with_nonlinearity(state: _State) -> tuple[_State, tuple[Nonlinearity, ...]]
         best, *others = [f for f in scores if f is most or scores[f].statistic > least]
         assert best.term is not None
         try:
-            trial = _weighed(state.with_terms((best.term,)))
+            trial = _with_estimated_noise(state.with_terms((best.term,)))
             _check_observable(trial)
         except NotObservable:
             break
@@ -347,7 +349,7 @@ def _scores(state: _State) -> dict[Family, Score]:
         # The largest size in SI units: of f, of f^2 or of f^3.
         degrees = [len(one.factors) + len(one.absolute) for _, one in term.products]
         sizes = _LARGEST * STANDARD_GRAVITY ** (1.0 - np.array(degrees))
-        columns = equations.by_parameters(state.values, term.parameters) * sizes
+        columns = equations.parameter_derivatives(state.values, term.parameters) * sizes
         patterns[Family(term.name, term)] = ((columns, sizes),)
     return scores_of(patterns, equations, state.values)
 
@@ -364,7 +366,7 @@ def _tests(
     if chance < _SHOWN:
         tests.insert(0, TermTest.found(G_SENSITIVITY, float(np.log(max(chance, _LEAST_CHANCE)))))
     for family, score in _scores(state).items():
-        white = np.linalg.solve(root, equations.by_parameters(values, family.parameters))
+        white = np.linalg.solve(root, equations.parameter_derivatives(values, family.parameters))
         slopes = information.gain[sensors, outputs] @ white
         limit = _SHOWN / len(_NONLINEAR)
         tests.append(test_of(family, score, slopes, limit, equations.parameters, std, _AMOUNT))
@@ -457,7 +459,7 @@ def initial_equations(evidence: Evidence) -> tuple[FreeEquations, Floats]:
     return equations, values
 
 
-def _weighed(state: _State) -> _State:
+def _with_estimated_noise(state: _State) -> _State:
     """Return the least squares with noise enlarged by its scatter, and without outlying turns."""
     for _ in range(_ROUNDS):
         state = state.settled()

@@ -89,7 +89,7 @@ def concluded(search: Search, terms: tuple[Term, ...], changes: tuple[Change, ..
     Raises:
         NotObservable: The data contradicts itself.
     """
-    found = _concluded(search.estimate, confounded_errors(search))
+    found = _checked_solution(search.estimate, confounded_errors(search))
     return replace(
         found,
         covariance=found.covariance + search.undecided_covariance,
@@ -119,7 +119,7 @@ def provisional(
         InputError: Likewise.
     """
     found = estimate(evidence, parameters_of(terms), changes)
-    return replace(_concluded(found), shares=found.shares())
+    return replace(_checked_solution(found), shares=found.shares())
 
 
 def _check_that_no_latitude_explains(plain: Estimate) -> None:
@@ -155,7 +155,7 @@ def _check_that_no_latitude_converges(evidence: Evidence) -> None:
         return
 
 
-def _concluded(found: Estimate, confounded: Sequence[str] = ()) -> Solution:
+def _checked_solution(found: Estimate, confounded: Sequence[str] = ()) -> Solution:
     """Check an estimate: axes, latitude, residuals.
 
     `confounded` names errors of the table that positioning errors may be in fact.
@@ -254,7 +254,7 @@ def _with_scatter_at_any_latitude(found: Estimate) -> Equations:
 def _free_earth(plain: Equations, state: Floats) -> tuple[Floats, Floats]:
     """Return `observed_earth_rate` about a state (n,), by the covariance of `plain`."""
     sensors = plain.sensors
-    by_rate = plain.by_world(state)[:, :3]
+    by_rate = plain.world_derivatives(state)[:, :3]
     free = scipy.linalg.solve_triangular(plain.factor(state), by_rate, lower=True)
     jacobian, residuals = plain.whitened(state)
     # The heading is one of the three components that are now free.

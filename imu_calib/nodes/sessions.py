@@ -172,7 +172,7 @@ def concluded(
     Returns:
         A review of each, or the error that prevented it.
     """
-    each = [_concluded(calibrator) for calibrator in calibrators]
+    each = [_reviewed(calibrator) for calibrator in calibrators]
     if len(each) == 1:
         return each
     # In the order of names: floating-point sums depend on the order.
@@ -196,7 +196,7 @@ def _with(review: Review, result: Result | None) -> Review:
     )
 
 
-def _concluded(calibrator: AnyCalibrator) -> Review | ImuCalibError:
+def _reviewed(calibrator: AnyCalibrator) -> Review | ImuCalibError:
     try:
         return calibrator.conclude()
     except ImuCalibError as error:

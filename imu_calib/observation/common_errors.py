@@ -143,12 +143,14 @@ class CommonTable:
         """Return the effect of each kind of error on the outputs of a unit, (m, e) each."""
         evidence = unit.evidence
         assert evidence.table is not None
-        stopping = unit.by_attitude_errors(state, *self._joints.attitude_errors[k])
-        table = unit.by_attitude_errors(state, *self._table_attitude_errors[k])
-        latitude = unit.latitude_slope(state)[:, None] * evidence.site.latitude_std
-        rates = _summed(unit.by_encoder_rates(state), self._turns[k], _count(self._turns))
+        stopping = unit.attitude_error_effects(state, *self._joints.attitude_errors[k])
+        table = unit.attitude_error_effects(state, *self._table_attitude_errors[k])
+        latitude = unit.latitude_derivatives(state)[:, None] * evidence.site.latitude_std
+        rates = _summed(unit.encoder_rate_effects(state), self._turns[k], _count(self._turns))
         by_way = [n for n, t in zip(self._turns[k], evidence.turns, strict=True) if t.whole_way]
-        ways = _summed(unit.by_ways(state), np.array(by_way, dtype=np.intp), _count(self._turns))
+        ways = _summed(
+            unit.whole_way_effects(state), np.array(by_way, dtype=np.intp), _count(self._turns)
+        )
         # About the axes of the table's mounting, which all units have in common.
         inward = evidence.table.mount.T
         rests, turned = self._rests[k], self._turns[k]
@@ -160,8 +162,8 @@ class CommonTable:
         up_errors = np.array([t.up_error for t in evidence.turns])
         turning = _blocks(turned, _count(self._turns), up_errors, inward)
         only_dwells = np.zeros((len(evidence.turns), 3, stops.shape[2]))
-        of_dwells = unit.by_attitude_errors(state, noise, only_dwells)
-        of_turns = unit.by_attitude_errors(
+        of_dwells = unit.attitude_error_effects(state, noise, only_dwells)
+        of_turns = unit.attitude_error_effects(
             state, np.zeros((len(evidence.segments), 3, turning.shape[2])), turning
         )
         return [
@@ -170,7 +172,7 @@ class CommonTable:
             table,
             latitude,
             rates,
-            unit.by_attitude_errors(state, stops, only_dwells),
+            unit.attitude_error_effects(state, stops, only_dwells),
             np.hstack([of_dwells, of_turns]),
         ]
 

@@ -145,11 +145,11 @@ class Equations(SessionModel):
             unknown_north(evidence, ups, response),
             level_gravity(evidence, turning, float(self.prior[1][Nuisance.TILT_X])),
             *self.extra,
-            *self._by_positioning(state),
+            *self._positioning_error_parts(state),
         ]
         if self.considered:
             parameters, deviations = zip(*self.considered, strict=True)
-            columns = self.by_parameters(state, parameters) * np.array(deviations)
+            columns = self.parameter_derivatives(state, parameters) * np.array(deviations)
             found.append(Component(Source.TERMS, Factor(columns)))
         if self.layout.moves_with_accels:
             # The effect of lever arms and the accelerometers' delay on the velocities of moves.
@@ -158,10 +158,10 @@ class Equations(SessionModel):
             by_moves = evidence.used_moves.shared_velocity_errors(model, rate, known)
             for source, in_moves in zip((Source.ARM, Source.DELAY), by_moves, strict=True):
                 found.append(Component(source, Factor(self._of_moves(in_moves))))
-        if (by_table := self.by_table(state)).shape[1]:
+        if (by_table := self.table_error_effects(state)).shape[1]:
             found.append(Component(Source.TABLE, Factor(by_table)))
         if evidence.site.latitude_std:
-            slope = self.latitude_slope(state) * evidence.site.latitude_std
+            slope = self.latitude_derivatives(state) * evidence.site.latitude_std
             found.append(Component(Source.LATITUDE, Factor(slope[:, None])))
         if evidence.temperature is not None and evidence.thermal.any():
             # By the coefficients that the data sheet states.
@@ -210,7 +210,7 @@ class Equations(SessionModel):
             (Source.ARM, list(range(len(Nuisance), self.nuisances)), np.inf),
         )
 
-    def _by_positioning(self, state: Floats) -> list[Component]:
+    def _positioning_error_parts(self, state: Floats) -> list[Component]:
         """Return the parts of the covariance by positioning errors, stated and found."""
         found = self.positioning
         sizes = (
@@ -219,7 +219,7 @@ class Equations(SessionModel):
             (Source.STOPS, 1, found.stops),
         )
         parts = [
-            Component(source, Factor(self.by_positioning(state)[which] * size))
+            Component(source, Factor(self.positioning_error_effects(state)[which] * size))
             for source, which, size in sizes
             if size
         ]
@@ -233,7 +233,7 @@ class Equations(SessionModel):
         For tilts of variance s^2 about two level axes 1 - cos has the mean s^2, common to all
         holds and turns, and the standard deviation s^2 about it, independent for each.
         """
-        biases = self.by_parameters(state, BIASES) @ self.model(state).values(BIASES)
+        biases = self.parameter_derivatives(state, BIASES) @ self.model(state).values(BIASES)
         vertical = self.predict(state) - biases
         own = self.layout.segment[:, None] == np.arange(self.layout.dwells + self.layout.turns)
         return np.column_stack([vertical, vertical[:, None] * own])

@@ -91,14 +91,14 @@ class FreeEquations(Equations):
         result = super()._derivatives(state)
         ends = [link.second for link in self.evidence.used_moves.linked]
         run = np.append(self.runs, self.runs[ends])[self.layout.segment]
-        by_level = self.by_world(state)[:, :2] * self._level_rate
+        by_level = self.world_derivatives(state)[:, :2] * self._level_rate
         same = run[:, None] == np.arange(self.runs.max(initial=-1) + 1)
         result[:, self.north_slice] = (same[:, :, None] * by_level[:, None]).reshape(len(run), -1)
         dwells = len(self.runs)
         about = np.zeros((dwells, 3, dwells, 3))
         to_body = np.transpose(self.evidence.dwell_attitudes, (0, 2, 1))
         about[np.arange(dwells), :, np.arange(dwells)] = to_body
-        turned = self.by_attitude_errors(
+        turned = self.attitude_error_effects(
             state, about.reshape(dwells, 3, -1), np.zeros((0, 3, 3 * dwells))
         )
         result[:, self.north_slice.stop :] = turned[:, self._sought]

@@ -257,7 +257,9 @@ class Moves:
             found[mine, 3:] = _times(half_way, gained) - force * seconds[mine]
         return found
 
-    def by_parameters(self, model: SensorModel, parameters: tuple[Parameter, ...]) -> Floats:
+    def parameter_derivatives(
+        self, model: SensorModel, parameters: tuple[Parameter, ...]
+    ) -> Floats:
         """Return the derivatives of `misclosures` by parameters of the sensors, (m, 6, p)."""
         paths, by = self.paths(model), regressors(parameters)
         result = np.zeros((len(self), 6, len(parameters)))
@@ -302,7 +304,7 @@ class Moves:
         result[self._with_accels, 3:] = self._reached @ slopes
         return result
 
-    def by_clock(self, model: SensorModel, force: Floats, *, counted: bool) -> Floats:
+    def clock_derivatives(self, model: SensorModel, force: Floats, *, counted: bool) -> Floats:
         """Return the derivatives of `misclosures` by the rate of the clock, (m, 6).
 
         Args:
@@ -331,7 +333,7 @@ class Moves:
             found[mine, 3:] = _times(self._reached, np.array(leant))
         return found
 
-    def by_rate(self) -> Floats:
+    def rate_derivatives(self) -> Floats:
         """Return the derivatives of `misclosures` by the Earth rate, (m, 6, 3) rad per rad/s.
 
         In axes half way between both ends the rotation of the frame does not change the velocity.
@@ -340,13 +342,13 @@ class Moves:
         found[:, :3] = _transposed(self.attitudes[self._ends[1]]) * self._seconds[:, None, None]
         return found
 
-    def by_force(self) -> Floats:
+    def force_derivatives(self) -> Floats:
         """Return the derivatives of `misclosures` by the specific force at rest, (m, 6, 3) s."""
         found = np.zeros((len(self), 6, 3))
         found[:, 3:] = -self._seconds[:, None, None] * np.eye(3)
         return found
 
-    def by_attitudes(self, model: SensorModel, attitude_errors: Floats) -> Floats:
+    def attitude_error_effects(self, model: SensorModel, attitude_errors: Floats) -> Floats:
         """Return the derivatives of `misclosures` by errors of the attitudes at both ends.
 
         Args:

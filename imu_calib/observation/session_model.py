@@ -58,7 +58,8 @@ def cached_by_state(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Fl
 class SessionModel:
     """Predicts the outputs of a session.
 
-    The order of its outputs is that of `layout`.
+    The order of its outputs is that of `layout`. Methods named `..._derivatives` return derivatives
+    of `predict`, and those named `..._effects` what errors of a given size change in it.
 
     Attributes:
         evidence: The session, in the time of its table (`timebase`).
@@ -198,7 +199,7 @@ class SessionModel:
         at_rest, turned = self.predicted_by_segment(state)
         in_moves = self.evidence.used_moves.misclosures(model, self.earth(state), around.force)
         if state[self.clock_index]:
-            in_moves = in_moves + self._by_clock(state) * state[self.clock_index]
+            in_moves = in_moves + self._clock_derivatives(state) * state[self.clock_index]
         predicted = self.layout.joined(at_rest, turned, in_moves)
         predicted[self._divided] /= 1 + state[self.clock_index]
         return predicted
@@ -230,13 +231,13 @@ class SessionModel:
         )
         arms, by_force = self.evidence.arms, model.slopes(turning, turning_force)[..., 3:]
         turned[arms.turns, :, self.arm_slice] = mean_over_turn(by_force)[arms.turns] @ arms.slopes
-        in_moves[:, :, self.clock_index] = self._by_clock(state)
+        in_moves[:, :, self.clock_index] = self._clock_derivatives(state)
         result = self.layout.joined(at_rest, turned, in_moves)
         faster, divided = 1 + state[self.clock_index], self._divided
         result[divided] /= faster
         world = np.vstack([around.rate_slopes, around.force_slopes])
-        result[:, n : n + 3] = self.by_world(state) @ world
-        result[:, :n] = self.by_parameters(state, self.parameters)
+        result[:, n : n + 3] = self.world_derivatives(state) @ world
+        result[:, :n] = self.parameter_derivatives(state, self.parameters)
         answered = self.layout.joined(
             *self.predicted_by_segment(state), np.zeros_like(in_moves[:, :, 0])
         )
@@ -244,7 +245,7 @@ class SessionModel:
         result[:, self.change_slice] = self.columns(self.changes, result)
         return result
 
-    def by_parameters(self, state: Floats, parameters: tuple[Parameter, ...]) -> Floats:
+    def parameter_derivatives(self, state: Floats, parameters: tuple[Parameter, ...]) -> Floats:
         """Return the derivatives of `predict` by p parameters, (m, p).
 
         Args:
@@ -255,7 +256,7 @@ class SessionModel:
         model = self.model(state)
         at_rest = model.derivatives(rate, force, parameters)
         turned = mean_over_turn(model.derivatives(turning, turning_force, parameters))
-        in_moves = self.evidence.used_moves.by_parameters(model, parameters)
+        in_moves = self.evidence.used_moves.parameter_derivatives(model, parameters)
         result = self.layout.joined(at_rest, turned, in_moves)
         result[self._divided] /= 1 + state[self.clock_index]
         return result
@@ -274,13 +275,13 @@ class SessionModel:
         return self.layout.turn[self.evidence.turn_inputs[2]].ravel()
 
     @cached_by_state
-    def _by_clock(self, state: Floats) -> Floats:
+    def _clock_derivatives(self, state: Floats) -> Floats:
         """Return the derivatives of the moves by the rate between the clocks, (m, 6)."""
         counted = self.evidence.units is Units.PULSES
         if counted and not self.evidence.clocks_compared:
             return np.zeros((len(self.evidence.used_moves), 6))
         force = self.surroundings(state).force
-        return self.evidence.used_moves.by_clock(self.model(state), force, counted=counted)
+        return self.evidence.used_moves.clock_derivatives(self.model(state), force, counted=counted)
 
     def columns(self, changes: Sequence[Change], derivatives: Floats) -> Floats:
         """Return the derivatives by coefficients of a session's terms, on or off, (m, k).
@@ -298,7 +299,7 @@ class SessionModel:
         return np.asarray(found @ state[self.change_slice])
 
     @cached_by_state
-    def by_world(self, state: Floats) -> Floats:
+    def world_derivatives(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by Earth rate and gravity.
 
         Returns:
@@ -311,12 +312,12 @@ class SessionModel:
         turned = mean_over_turn(
             model.slopes(turning, turning_force) @ _for_rates_and_forces(self.evidence.headings)
         )
-        in_moves = np.concatenate([moves.by_rate(), moves.by_force()], axis=2)
+        in_moves = np.concatenate([moves.rate_derivatives(), moves.force_derivatives()], axis=2)
         result = self.layout.joined(at_rest, turned, in_moves)
         result[self._divided] /= 1 + state[self.clock_index]
         return result
 
-    def by_mount(self, state: Floats) -> Floats:
+    def mount_derivatives(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by rotations of the unit in its mount.
 
         Returns:
@@ -325,9 +326,9 @@ class SessionModel:
         every = len(self.evidence.segments), len(self.evidence.turns)
         # Attitudes lean opposite to the rotation of the unit.
         at_rest, turned = (np.broadcast_to(-np.eye(3), (count, 3, 3)) for count in every)
-        return self.by_attitude_errors(state, at_rest, turned)
+        return self.attitude_error_effects(state, at_rest, turned)
 
-    def by_table(self, state: Floats) -> Floats:
+    def table_error_effects(self, state: Floats) -> Floats:
         """Return the effect of the table's stated errors on the outputs, (m, e): one deviation."""
         at_rest, turning = self.evidence.table_attitude_errors
         if not at_rest.shape[2]:
@@ -336,10 +337,10 @@ class SessionModel:
         # Trials with other errors of the table share the results of the session.
         what = 'table', self.evidence.table.errors
         return self.remembered(
-            what, state, lambda me, there: me.by_attitude_errors(there, at_rest, turning)
+            what, state, lambda me, there: me.attitude_error_effects(there, at_rest, turning)
         )
 
-    def by_attitude_errors(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
+    def attitude_error_effects(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
         """Return the effect of e errors of attitudes on the outputs, (m, e).
 
         Args:
@@ -347,25 +348,27 @@ class SessionModel:
             at_rest: (s, 3, e) rotations of the static dwells about the body axes, rad.
             turned: (t, 3, e) of the turns.
         """
-        s, by_each = len(at_rest), self._by_rotations(state)
-        in_moves = self.evidence.used_moves.by_attitudes(self.model(state), at_rest)
+        s, by_each = len(at_rest), self._rotation_derivatives(state)
+        in_moves = self.evidence.used_moves.attitude_error_effects(self.model(state), at_rest)
         return self.layout.joined(by_each[:s] @ at_rest, by_each[s:] @ turned, in_moves)
 
-    def by_encoder_rates(self, state: Floats) -> Floats:
+    def encoder_rate_effects(self, state: Floats) -> Floats:
         """Return the effect of one deviation of the encoder's rate in each turn, (m, t)."""
         walk = self.evidence.walk
-        return self._by_rates(state, np.array([t.rate_std(walk) for t in self.evidence.turns]))
+        return self._rate_error_effects(
+            state, np.array([t.rate_std(walk) for t in self.evidence.turns])
+        )
 
-    def by_ways(self, state: Floats) -> Floats:
+    def whole_way_effects(self, state: Floats) -> Floats:
         """Return the effect of positioning errors on rates by whole motions, (m, w) per rad.
 
         Either end of a motion has an error, and the next may begin with the error of this one's
         end.
         """
         relative, some = self.evidence.whole_ways
-        return self._by_rates(state, relative)[:, some]
+        return self._rate_error_effects(state, relative)[:, some]
 
-    def _by_rates(self, state: Floats, relative: Floats) -> Floats:
+    def _rate_error_effects(self, state: Floats, relative: Floats) -> Floats:
         evidence, response = self.evidence, self.model(state).gyro.response
         result = np.zeros((len(self.layout), len(evidence.turns)))
         turning, pulled = evidence.turn_inputs[1], self._pulled(state)
@@ -373,13 +376,13 @@ class SessionModel:
             result[rows, turns[:, None]] = seen
         return result
 
-    def latitude_slope(self, state: Floats) -> Floats:
+    def latitude_derivatives(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by the latitude, (m,) per rad."""
-        by_rate = self.by_world(state)[:, :3]
+        by_rate = self.world_derivatives(state)[:, :3]
         return np.asarray(by_rate @ self.surroundings(state).rate_by_latitude)
 
     @cached_by_state
-    def by_positioning(self, state: Floats) -> tuple[Floats, Floats]:
+    def positioning_error_effects(self, state: Floats) -> tuple[Floats, Floats]:
         """Return the effect of positioning errors on the outputs: (m, errors), per rad.
 
         Those of joints, then those of each stop.
@@ -389,12 +392,12 @@ class SessionModel:
             np.concatenate(parts, axis=2)
             for parts in zip(*((one.at_rest, one.turning) for one in both), strict=True)
         )
-        effects = self.by_attitude_errors(state, at_rest, turning)
+        effects = self.attitude_error_effects(state, at_rest, turning)
         joints, stops = np.split(effects, [both[0].at_rest.shape[2]], axis=1)
-        return np.hstack([joints, self.by_ways(state)]), stops
+        return np.hstack([joints, self.whole_way_effects(state)]), stops
 
     @cached_by_state
-    def _by_rotations(self, state: Floats) -> Floats:
+    def _rotation_derivatives(self, state: Floats) -> Floats:
         """Return the derivatives by rotations about the body axes, (s + t, 6, 3); without moves."""
         _, rate, force, turning, turning_force = self._inputs(state)
         seen = [

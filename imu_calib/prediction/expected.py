@@ -272,6 +272,6 @@ def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
     figures = [t.bias_instability for t in (*triads(spec), spec.skewed or TriadSpec())]
     session = SessionModel(evidence)
     # A move rotates the axes of its biases; all other outputs contain their own bias.
-    answers = session.by_parameters(session.nominal(), BIASES)
+    answers = session.parameter_derivatives(session.nominal(), BIASES)
     by_bias = scipy.linalg.block_diag(answers, np.ones((len(askew), 1))) * figures
     return np.asarray(means[np.ix_(which, which)] * (by_bias @ by_bias.T))

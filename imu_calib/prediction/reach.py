@@ -105,7 +105,10 @@ def reach(
             weights = _weights(now, truth, found.evidence)[rows] ** 2
         gravities = gravity_variances(found, truth)[rows]
         wide = targets / _SLACK
-        before, plan = plan, _shorter(plan, found, weights, rows, wide, gravities, weighed=joint)
+        before, plan = (
+            plan,
+            _shorter(plan, found, weights, rows, wide, gravities, weights_follow=joint),
+        )
         pairs = zip(plan.positions, before.positions, strict=True)
         if max(abs(p.dwell - q.dwell) - _CLOSE * q.dwell for p, q in pairs) <= 0:
             break
@@ -120,13 +123,13 @@ def _shorter(
     targets: Floats,
     gravities: Floats,
     *,
-    weighed: bool,
+    weights_follow: bool,
 ) -> Plan:
     """Choose dwells from the variances of one forecast.
 
     `rows` are the k wanted parameters among the forecast ones; `weights` (k, outputs) the squared
-    weights of the outputs, which depend on the dwells if `weighed`; `targets` (k,) the wanted
-    standard deviations; `gravities` (k,) the variances from the uncertainty of gravity.
+    weights of the outputs, which depend on the dwells if `weights_follow`; `targets` (k,) the
+    wanted standard deviations; `gravities` (k,) the variances from the uncertainty of gravity.
     """
     evidence = found.evidence
     names = list(dict.fromkeys(str(s.position) for s in evidence.segments))
@@ -146,7 +149,7 @@ def _shorter(
     short = [
         name for name, most, rest in zip(wanted, targets**2, fixed, strict=True) if rest >= most
     ]
-    if short and weighed and dwells.min() < LONGEST:
+    if short and weights_follow and dwells.min() < LONGEST:
         # With weights for short dwells, turns count more than they will with long ones.
         longer = np.minimum(np.maximum(dwells, SHORTEST) * _LONGER, LONGEST)
         return _with_dwells(plan, dict(zip(names, longer, strict=True)))

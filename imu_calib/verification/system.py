@@ -245,8 +245,8 @@ class TriadSystem:
             return self._share_by_lengths(values)
         # Moves read no difference and do not determine the factor.
         seen = self.equations.outputs[self._mine]
-        weighed = seen / np.diagonal(self.spread(values), axis1=1, axis2=2).ravel()
-        return float(weighed @ self.predicted(values).ravel() / (weighed @ seen))
+        weighted = seen / np.diagonal(self.spread(values), axis1=1, axis2=2).ravel()
+        return float(weighted @ self.predicted(values).ravel() / (weighted @ seen))
 
     def _share_by_lengths(self, values: Floats) -> float:
         bias = Triad.from_vector(values).bias
@@ -329,7 +329,7 @@ class TriadSystem:
         except NotObservable:
             # If nothing fits nearby, chi-square at the start rejects the hypothesis.
             converged = False
-        found = self._concluded(*system(point), point, factor)
+        found = self._fit_at(*system(point), point, factor)
         return replace(found, converged=converged)
 
     def _allowing(self, values: Floats, factor: Floats) -> _System:
@@ -389,7 +389,9 @@ class TriadSystem:
             if mount.any():
                 equations = replace(equations, evidence=_mounted(self.evidence, mount))
             turned = (
-                equations.by_mount(state) if len(mount) else np.zeros((len(equations.layout), 0))
+                equations.mount_derivatives(state)
+                if len(mount)
+                else np.zeros((len(equations.layout), 0))
             )
             predicted = equations.predict(state)
             residuals, derivatives = equations.outputs - predicted, equations.jacobian(state)
@@ -404,7 +406,7 @@ class TriadSystem:
         rows = np.vstack([rows, below])
         return rows[:, :-1], rows[:, -1]
 
-    def _concluded(self, columns: Floats, residuals: Floats, point: Floats, factor: Floats) -> Fit:
+    def _fit_at(self, columns: Floats, residuals: Floats, point: Floats, factor: Floats) -> Fit:
         k, count = factor.shape[1], len(self._kinds)
         found = Information.of(columns)
         spare = 1 - np.einsum('ij,ji->i', columns[:count], found.gain[:, :count])
