@@ -21,8 +21,81 @@ _APART = 10_000_000_000
 """ns by which joint states may outlast the samples of a recording. A judgement: an operator ends
 both recordings within seconds."""
 
-_TWICE = 'dropped as duplicates'
-_SKEW_TWICE = 'of the skewed gyro dropped as duplicates'
+
+class _Losses:
+    """Counts the samples that are not used, of each kind, and when the first was."""
+
+    def __init__(self) -> None:
+        self._found: dict[str, tuple[int, int]] = {}
+
+    def note(self, what: str, lost: Stamps) -> None:
+        """Count losses of a kind at stamps (n,), ns."""
+        if len(lost):
+            count, first = self._found.get(what, (0, int(lost[0])))
+            self._found[what] = (count + len(lost), first)
+
+    def without_nan(self, what: str, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
+        """Return the rows without NaN or infinity; count the others."""
+        finite = np.isfinite(values)
+        if finite.all():
+            return stamp, values
+        mask: NDArray[np.bool_] = np.asarray(finite.all(axis=1))
+        self.note(what, stamp[~mask])
+        return stamp[mask], values[mask]
+
+    def sentences(self) -> list[str]:
+        """Return a sentence on each kind."""
+        return [
+            f'{counted(count, "sample")} {what}, the first at {at(first)}'
+            for what, (count, first) in self._found.items()
+        ]
+
+
+class _Samples:
+    """Samples of one sensor: finite, once each and in order when they are buffered.
+
+    Args:
+        rows: Where they are buffered; None if they are not expected.
+        rate: Samples per second as stated; None if not stated.
+        losses: Counts what is dropped.
+        of: The sensor in sentences; empty for the IMU.
+
+    Attributes:
+        clock: Where its stamps go back; it takes the samples first.
+        shared: Counts the stamps that samples share.
+        first: Stamp of the first one, ns; None before it.
+        last: Stamp of the last one, likewise.
+    """
+
+    def __init__(
+        self, rows: RowBuffer | None, rate: float | None, losses: _Losses, of: str = ''
+    ) -> None:
+        self.clock = SetBackClock(6)
+        self.shared = SharedStamps(rate)
+        self.first: int | None = None
+        self.last: int | None = None
+        self._rows, self._losses, self._of = rows, losses, of
+        self._order = StampOrder(6)
+
+    def take(self, stamp: Stamps, values: Floats) -> None:
+        """Take (n,) stamps as `clock` returns them with (n, 6) values."""
+        what = f'left out for values{self._of} that are not numbers'
+        what += '' if self._of else ' (NaN or infinite)'
+        rows = self.shared.take(*self._losses.without_nan(what, stamp, values))
+        self._losses.note(f'{self._of} dropped as duplicates'.strip(), rows[2])
+        self._append(self._order.take(*rows[:2]))
+
+    def finish(self) -> None:
+        """End the stream: buffer the sample that waits."""
+        self._append(self._order.finish())
+
+    def _append(self, ordered: Ordered) -> None:
+        what = f'left out for stamps{self._of} that jump or stand still'
+        self._losses.note(what, ordered.lost)
+        if self._rows is not None and len(ordered.stamp):
+            self.first = int(ordered.stamp[0]) if self.first is None else self.first
+            self.last = int(ordered.stamp[-1])
+            self._rows.append(ordered.stamp, ordered.values)
 
 
 class StreamBuffer:
@@ -40,8 +113,6 @@ class StreamBuffer:
         imu_clock: Where the stamps of the IMU go back.
         joint_clock: Where those of the joint states do.
         samples: Number of IMU samples received.
-        first_stamp: Of the IMU, ns; None before the first.
-        last_stamp: Likewise.
     """
 
     def __init__(self, table: Table | None, *, skewed: bool, rate: float | None = None) -> None:
@@ -49,24 +120,32 @@ class StreamBuffer:
         self.skew = RowBuffer(6) if skewed else None
         self.interruptions = Interruptions()
         self.samples = 0
-        self.first_stamp: int | None = None
-        self.last_stamp: int | None = None
         self._table = table
-        self._imu_order, self._skew_order = StampOrder(6), StampOrder(6)
+        self._losses = _Losses()
+        self._imu = _Samples(self.imu, rate, self._losses)
+        self._skew = _Samples(self.skew, rate, self._losses, ' of the skewed gyro')
+        self.imu_clock = self._imu.clock
         self._joint_order = StampOrder(len(table.names) if table else 0)
-        self.imu_clock, self._skew_clock = SetBackClock(6), SetBackClock(6)
         self.joint_clock = SetBackClock(len(table.names) if table else 0)
-        self._imu_stamps, self._skew_stamps = SharedStamps(rate), SharedStamps(rate)
         self._setpoints: list[tuple[Setpoint, int]] = []
         """The first of every run of equal ones, and how often their stamps had gone back."""
         self._last_setpoint: int | None = None
         self._setpoints_back = 0
-        self._dropped: dict[str, tuple[int, int]] = {}
         self._of_the_table = 0
         self._first_joint: int | None = None
         self._last_joint: int | None = None
         self._strange: dict[str, int] = {}
         self._further_joints: set[str] = set()
+
+    @property
+    def first_stamp(self) -> int | None:
+        """Of the IMU, ns; None before the first."""
+        return self._imu.first
+
+    @property
+    def last_stamp(self) -> int | None:
+        """Of the IMU, ns; None before the first."""
+        return self._imu.last
 
     @property
     def duration(self) -> float:
@@ -77,31 +156,20 @@ class StreamBuffer:
 
     def take_imu(self, block: ImuBlock) -> None:
         """Add samples."""
-        stamp = block.stamp
-        self.samples += len(stamp)
-        self._take_imu(
-            *self.imu_clock.take(stamp, np.concatenate([block.gyro, block.accel], axis=1))
-        )
+        self.samples += len(block.stamp)
+        values = np.concatenate([block.gyro, block.accel], axis=1)
+        self._take_imu(*self.imu_clock.take(block.stamp, values))
 
     def _take_imu(self, stamp: Stamps, values: Floats) -> None:
         self.interruptions.feed(stamp)
-        what = 'values that are not numbers (NaN or infinite)'
-        rows = self._imu_stamps.take(*self._finite(what, stamp, values))
-        self._note(_TWICE, rows[2])
-        self._add_imu(self._imu_order.take(*rows[:2]))
+        self._imu.take(stamp, values)
 
     def take_skew(self, block: SkewBlock) -> None:
         """Add the skewed gyro's samples."""
         # It is handled as the first channel of an IMU.
         imu = block.as_imu()
         values = np.hstack([imu.gyro, imu.accel])
-        self._take_skew(*self._skew_clock.take(block.stamp, values))
-
-    def _take_skew(self, stamp: Stamps, values: Floats) -> None:
-        what = 'values of the skewed gyro that are not numbers'
-        rows = self._skew_stamps.take(*self._finite(what, stamp, values))
-        self._note(_SKEW_TWICE, rows[2])
-        self._add_skew(self._skew_order.take(*rows[:2]))
+        self._skew.take(*self._skew.clock.take(block.stamp, values))
 
     def take_joints(self, block: JointBlock) -> Ordered:
         """Add joint states; return those in final order, columns as the table's.
@@ -117,8 +185,9 @@ class StreamBuffer:
             return self._joint_order.take(block.stamp[:0], np.empty((0, len(self._table.names))))
         self._of_the_table += len(joints)
         self._further_joints.update(set(block.names) - set(joints.names))
-        what = 'joint positions that are not numbers'
-        rows = self.joint_clock.take(*self._finite(what, joints.stamp, joints.position))
+        what = 'left out for joint positions that are not numbers'
+        rows = self._losses.without_nan(what, joints.stamp, joints.position)
+        rows = self.joint_clock.take(*rows)
         return self._counted(self._joint_order.take(*rows))
 
     @property
@@ -158,9 +227,9 @@ class StreamBuffer:
     def finish(self) -> Ordered:
         """End of all streams; return the last joint states."""
         self._take_imu(*self.imu_clock.finish())
-        self._add_imu(self._imu_order.finish())
-        self._take_skew(*self._skew_clock.finish())
-        self._add_skew(self._skew_order.finish())
+        self._imu.finish()
+        self._skew.take(*self._skew.clock.finish())
+        self._skew.finish()
         waiting = self._counted(self._joint_order.take(*self.joint_clock.finish()))
         ends = self._counted(self._joint_order.finish())
         return Ordered(
@@ -183,11 +252,8 @@ class StreamBuffer:
 
     def losses(self, ahead: int = 0) -> list[str]:
         """Return sentences on losses; the IMU's clock is `ahead` (ns) of the table's."""
-        lost = [
-            f'{counted(count, "sample")} {_loss_words(what)}, the first at {at(first)}'
-            for what, (count, first) in self._dropped.items()
-        ]
-        lost += self._imu_stamps.words() + self._skew_stamps.words(' of the skewed gyro')
+        lost = self._losses.sentences() + self._imu.shared.words()
+        lost += self._skew.shared.words(' of the skewed gyro')
         cut = 'a motion that this falls into is left out'
         if self._table is not None:
             cut = f'a static dwell is cut in two there, and {cut}'
@@ -228,52 +294,16 @@ class StreamBuffer:
             ]
         return []
 
-    def _add_imu(self, ordered: Ordered) -> None:
-        """Append samples in order, and record the range of their stamps."""
-        self._note('stamps that jump or stand still', ordered.lost)
-        stamp = ordered.stamp
-        if not len(stamp):
-            return
-        if self.first_stamp is None:
-            self.first_stamp = int(stamp[0])
-        self.last_stamp = int(stamp[-1])
-        self.imu.append(stamp, ordered.values)
-
-    def _add_skew(self, ordered: Ordered) -> None:
-        self._note('stamps of the skewed gyro that jump or stand still', ordered.lost)
-        if self.skew is not None and len(ordered.stamp):
-            self.skew.append(ordered.stamp, ordered.values)
-
     def _counted(self, joints: Ordered) -> Ordered:
         """Return joint states; record their first and last stamp, and what was dropped."""
-        self._note('joint stamps that jump or stand still', joints.lost)
+        self._losses.note('left out for joint stamps that jump or stand still', joints.lost)
         if len(joints.stamp):
             if self._first_joint is None:
                 self._first_joint = int(joints.stamp[0])
             self._last_joint = int(joints.stamp[-1])
         return joints
 
-    def _finite(self, what: str, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
-        """Drop the rows with NaN or infinity, and record how many and from when."""
-        finite = np.isfinite(values)
-        if finite.all():
-            return stamp, values
-        mask: NDArray[np.bool_] = np.asarray(finite.all(axis=1))
-        self._note(what, stamp[~mask])
-        return stamp[mask], values[mask]
-
-    def _note(self, what: str, lost: Stamps) -> None:
-        """Count a kind of loss at stamps (n,), ns."""
-        if len(lost):
-            count, first = self._dropped.get(what, (0, int(lost[0])))
-            self._dropped[what] = (count + len(lost), first)
-
 
 def _request(setpoint: Setpoint) -> tuple[object, ...]:
     """Return what repeated setpoints have in common."""
     return setpoint.step, setpoint.mode, setpoint.position, setpoint.plan
-
-
-def _loss_words(what: str) -> str:
-    """Return a kind of loss as a part of its sentence."""
-    return what if what in {_TWICE, _SKEW_TWICE} else f'left out for {what}'
