@@ -119,24 +119,18 @@ class Compensation:
         self._highest = float('inf') if highest is None else _BEYOND * float(highest)
         self._single: SingleSample | None = None
         if channels is None and model.linear and len(self._levers) == len(_LINEAR):
-            self._single = self._for_single_samples()
-
-    def _for_single_samples(self) -> SingleSample:
-        """Return the same compensation for one sample at a time."""
-        channels = (self._scale, self._bias, self._limit, self._full)
-        noise = (self._power, self._quantisation_variance)
-        return SingleSample(
-            self._units is Units.PULSES,
-            self._clock_ratio,
-            list(zip(*(of.tolist() for of in channels), strict=True)),
-            self._to_inputs.T.tolist(),
-            self._highest,
-            self._factors.T.tolist(),
-            list(zip(*(of.tolist() for of in noise), strict=True)),
-            self._covariance,
-            self._known_force,
-            self._unmarked[:1],
-        )
+            self._single = SingleSample(
+                self._units is Units.PULSES,
+                self._clock_ratio,
+                np.column_stack([self._scale, self._bias, self._limit, self._full]).tolist(),
+                self._to_inputs.T.tolist(),
+                self._highest,
+                self._factors.T.tolist(),
+                np.column_stack([self._power, self._quantisation_variance]).tolist(),
+                self._covariance,
+                self._known_force,
+                self._unmarked[:1],
+            )
 
     def noise(self, interval: Floats) -> Floats:
         """Return the variances of single samples from noise and quantisation, (n, channels) SI."""

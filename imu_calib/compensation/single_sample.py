@@ -34,11 +34,11 @@ class SingleSample:
 
     pulses: bool
     clock_ratio: float
-    channels: list[tuple[float, ...]]
+    channels: list[list[float]]
     to_inputs: list[list[float]]
     highest: float
     products: list[list[int]]
-    variances: list[tuple[float, ...]]
+    variances: list[list[float]]
     covariance: Floats
     known_force: bool
     marks: Marks

@@ -79,17 +79,15 @@ class Found:
             else:
                 self.rejected.append(one)
 
-    def reject_dwells(self, reason: str, are_spoiled: Callable[[Segment], bool]) -> None:
-        """Reject the spoiled dwells for a reason."""
-        spoiled = [one for one in self.segments if are_spoiled(one)]
-        self.rejected += [Rejected(one.start, one.end, reason) for one in spoiled]
+    def reject(
+        self, reason: str, are_spoiled: Callable[[Segment | Turn], bool], *, turns: bool = True
+    ) -> None:
+        """Reject the spoiled dwells, and turns if asked for, for a reason."""
+        for one in filter(are_spoiled, [*self.segments, *(self.turns if turns else ())]):
+            of_turn = isinstance(one, Turn)
+            self.rejected.append(Rejected(one.start, one.end, reason, turn=of_turn))
         self.segments = [one for one in self.segments if not are_spoiled(one)]
-
-    def reject_turns(self, reason: str, are_spoiled: Callable[[Turn], bool]) -> None:
-        """Reject the spoiled turns for a reason."""
-        spoiled = [one for one in self.turns if are_spoiled(one)]
-        self.rejected += [Rejected(one.start, one.end, reason, turn=True) for one in spoiled]
-        self.turns = [one for one in self.turns if not are_spoiled(one)]
+        self.turns = [one for one in self.turns if not (turns and are_spoiled(one))]
 
     def retime(self, pace: Pace) -> None:
         """Retime everything with the sample interval of the whole session."""

@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..stream import Floats
 from .intake import StreamBuffer
 from .moves import MoveReader
 from .reading import IntervalReader
@@ -44,8 +43,7 @@ def reject_untimed(reader: IntervalReader, intake: StreamBuffer) -> None:
         def is_within(one: Segment | Turn, first: int = first, last: int = last) -> bool:
             return first <= one.start < last
 
-        reader.found.reject_dwells(reason, is_within)
-        reader.found.reject_turns(reason, is_within)
+        reader.found.reject(reason, is_within)
 
 
 def reject_hidden(reader: IntervalReader) -> tuple[int, int]:
@@ -65,8 +63,19 @@ def reject_hidden(reader: IntervalReader) -> tuple[int, int]:
     repetitions = [one.repetition for one in motions]
     unseen = np.maximum(angles, times) < SEEN
     frozen = _repeat_one_sample(repetitions) & unseen
-    if frozen.any():
-        _reject_frozen(reader, instants, frozen, repetitions)
+
+    def is_frozen(dwell: Segment | Turn) -> bool:
+        """Return whether a dwell repeats the sample of a frozen motion next to it.
+
+        One that repeats one sample may otherwise be that of a sensor without noise.
+        """
+        after = int(np.searchsorted(instants, (dwell.start + dwell.end) / 2))
+        adjacent = range(max(after - 1, 0), min(after + 1, len(frozen)))
+        mean = dwell.statistics.mean
+        return any(frozen[k] and repetitions[k].continues_in(mean) for k in adjacent)
+
+    reason = 'its samples are frozen, repeating the one of the motion next to it'
+    found.reject(reason, is_frozen, turns=False)
     unseen = np.concatenate([[False], unseen & ~frozen, [False]])
 
     def is_near_hidden(instant: float) -> bool:
@@ -74,39 +83,13 @@ def reject_hidden(reader: IntervalReader) -> tuple[int, int]:
         return bool(unseen[after] or unseen[after + 1])
 
     found.mount_shifts = [slip for slip in found.mount_shifts if not is_near_hidden(slip.instant)]
-    found.reject_dwells(
+    found.reject(
         'the gyros do not show the motion next to it that the joint states show '
         '(clocks that jump, or are about a second apart)',
-        lambda segment: is_near_hidden((segment.start + segment.end) / 2),
+        lambda one: is_near_hidden((one.start + one.end) / 2),
+        turns=False,
     )
     return int(frozen.sum()), round(float(instants[frozen][0])) if frozen.any() else 0
-
-
-def _reject_frozen(
-    reader: IntervalReader,
-    instants: Floats,
-    frozen: NDArray[np.bool_],
-    repetitions: list[Repetition],
-) -> None:
-    """Reject dwells that repeat the sample of a frozen motion next to them.
-
-    A dwell that repeats one sample may otherwise be that of a sensor without noise.
-
-    Args:
-        reader: What was found.
-        instants: (m,) middles of the motions, ns.
-        frozen: (m,) which of them are frozen.
-        repetitions: Repeated samples of each.
-    """
-
-    def is_frozen(segment: Segment) -> bool:
-        after = int(np.searchsorted(instants, (segment.start + segment.end) / 2))
-        adjacent = range(max(after - 1, 0), min(after + 1, len(frozen)))
-        mean = segment.statistics.mean
-        return any(frozen[k] and repetitions[k].continues_in(mean) for k in adjacent)
-
-    reason = 'its samples are frozen, repeating the one of the motion next to it'
-    reader.found.reject_dwells(reason, is_frozen)
 
 
 def _repeat_one_sample(repetitions: list[Repetition]) -> NDArray[np.bool_]:
@@ -123,7 +106,6 @@ def _repeat_one_sample(repetitions: list[Repetition]) -> NDArray[np.bool_]:
 def reject_all(reader: IntervalReader) -> None:
     """Reject all that was cut by clocks of unknown offset: its positions and rates are wrong."""
     reason = 'no clock offset brings the motions by the gyros and by the table into agreement'
-    reader.found.reject_dwells(reason, lambda _: True)
-    reader.found.reject_turns(reason, lambda _: True)
+    reader.found.reject(reason, lambda _: True)
     reader.found.mount_shifts = []
     reader.moves = MoveReader(reader.sensor)
