@@ -34,7 +34,8 @@ _UPHILL = 1e-3
 it. A judgement; growth by one is also allowed, which is less than its noise."""
 
 _ROUNDING = 4 * float(np.finfo(float).eps)
-"""Of the longest column: remainder of a step when parameters of size one are rounded."""
+"""Of the longest column: remainder of a step when parameters of size one are rounded. A judgement:
+four units in the last place."""
 
 _NO_NEARER = 0.9
 """Of the step before: a step of this length or longer that gains nothing, a thousandth of what the
@@ -58,7 +59,7 @@ _ARRIVED = 1e-4
 few of them, a hundredth of what `_SETTLED` allows."""
 
 _STRONGEST = 1e12
-"""Beyond this a step is the gradient (by columns of norm one) over the damping, without effect."""
+"""The damping beyond which a step, by columns of norm one, has no effect: 1e-12 of the gradient."""
 
 State = TypeVar('State')
 
