@@ -147,6 +147,18 @@ class Table:
         """Joint names in order."""
         return tuple(joint.name for joint in self.joints)
 
+    def check_limited(self, needs: str) -> None:
+        """Refuse joints without limits of rate and acceleration; `needs` says what needs them.
+
+        Raises:
+            InputError: Names table, joint and limits.
+        """
+        for joint in self.joints:
+            if not (math.isfinite(joint.max_rate) and math.isfinite(joint.max_acceleration)):
+                raise InputError(
+                    f'Table {self.name}, joint {joint.name}: {needs} max_rate and max_acceleration.'
+                )
+
     def attitude(self, angles: Floats) -> Floats:
         """Return R_nb: columns are the body axes in east, north, up of the table's own azimuth.
 

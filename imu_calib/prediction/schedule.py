@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..courses import travel_time
-from ..errors import InputError
 from ..plan import Step
 from ..stream import Floats, Mode
 from ..turntable import TURN, Table
@@ -47,12 +46,7 @@ def schedule(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> 
         InputError: A joint has no limit of rate or acceleration: its motions have no known
             duration.
     """
-    for joint in table.joints:
-        if not (math.isfinite(joint.max_rate) and math.isfinite(joint.max_acceleration)):
-            raise InputError(
-                f'Table {table.name}, joint {joint.name}: the time that a plan takes needs '
-                'max_rate and max_acceleration.'
-            )
+    table.check_limited('the time that a plan takes needs')
     visits: list[Visit] = []
     now, angles = 0.0, steps[0].angles
     for step in steps:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum, auto
@@ -58,11 +57,7 @@ class Sequencer:
     def __init__(self, plan: Plan, table: Table, rules: Rules | None = None) -> None:
         if plan.by_hand:
             raise InputError(f'Plan {plan.name} is for a unit in the hand, without a table.')
-        for joint in table.joints:
-            if not (math.isfinite(joint.max_rate) and math.isfinite(joint.max_acceleration)):
-                raise InputError(
-                    f'Table {table.name}, joint {joint.name}: needs max_rate and max_acceleration.'
-                )
+        table.check_limited('needs')
         self.plan = plan
         self.table = table
         self.rules = rules or Rules()

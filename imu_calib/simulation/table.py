@@ -91,12 +91,7 @@ class SimulatedTable:
         Raises:
             InputError: A joint has no limit of rate or acceleration.
         """
-        for joint in table.joints:
-            if not (math.isfinite(joint.max_rate) and math.isfinite(joint.max_acceleration)):
-                raise InputError(
-                    f'Table {table.name}, joint {joint.name}: '
-                    'the simulation needs max_rate and max_acceleration.'
-                )
+        table.check_limited('the simulation needs')
         self.table = table
         self.options = options or TableOptions()
         self.epoch = epoch
