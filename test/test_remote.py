@@ -50,6 +50,12 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str]]:
         yield here, bucket
 
 
+@pytest.fixture(scope='module')
+def alone(lab: tuple[Path, str]) -> imu_calib.Calibration:
+    """By the recording that is here."""
+    return imu_calib.calibrate(lab[0] / 'rec').calibration
+
+
 @pytest.fixture
 def fetched(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Bytes of each answer, as they come."""
@@ -73,14 +79,13 @@ def size(recording: Path) -> int:
 
 
 def test_calibrate_gives_the_same_bits_and_fetches_no_byte_twice(
-    lab: tuple[Path, str], fetched: list[int], tmp_path: Path
+    lab: tuple[Path, str], alone: imu_calib.Calibration, fetched: list[int], tmp_path: Path
 ) -> None:
     here, bucket = lab
     out = tmp_path / 'out.yaml'
     assert main(['calibrate', f'{bucket}/rec', '-o', str(out)]) == 0
     # Read, and hashed as a whole: what the calibration says of its recording.
     assert sum(fetched) == size(here / 'rec')
-    alone = imu_calib.calibrate(here / 'rec').calibration
     there = imu_calib.Calibration.load(out)
     assert np.array_equal(there.values, alone.values)
     assert np.array_equal(there.covariance, alone.covariance)
@@ -91,11 +96,14 @@ def test_calibrate_gives_the_same_bits_and_fetches_no_byte_twice(
 
 
 def test_every_command_that_reads_a_recording_takes_a_url(
-    lab: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    lab: tuple[Path, str],
+    alone: imu_calib.Calibration,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     here, bucket = lab
     own = tmp_path / 'own.yaml'
-    imu_calib.calibrate(here / 'rec').calibration.save(own)
+    alone.save(own)
     url = f'{bucket}/one.mcap'
     assert main(['info', url]) == 0
     output = capsys.readouterr().out
