@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dask_cluster import Cluster, first_last, refused
+from extent import again as repeated
 from loopback import CHECKOUT, patience, until
 from test_montecarlo import study
 
@@ -125,7 +126,8 @@ def test_what_callbacks_of_dask_raise_is_not_logged(
 
 
 @pytest.mark.parametrize(
-    ('where', 'again'), [('jobs', None), ('jobs', 0.01), ('jobs', 0.02), ('scheduler', 0.01)]
+    ('where', 'again'),
+    [('jobs', None), ('jobs', 0.01), repeated('jobs', 0.02), ('scheduler', 0.01)],
 )
 def test_ctrl_c_ends_a_study(
     where: str, again: float | None, request: pytest.FixtureRequest

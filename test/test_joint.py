@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from bound import bound
+from extent import again
 from scipy.signal import lfilter
 from scipy.stats import chi2, norm
 from sessions import (
@@ -254,7 +255,7 @@ def on_a_tilted_table(tilt: tuple[float, float], plan: str = 'twelve_position') 
     return simulated(at_one_rate(quick_plan(plan, DWELL)), options, 1, table=table, spec=spec)
 
 
-@pytest.mark.parametrize('tilt', [(0.1, 0.0), (0.07, -0.07)])
+@pytest.mark.parametrize('tilt', [again((0.1, 0.0)), (0.07, -0.07)])
 def test_a_tilted_table_contradicts_no_latitude(tilt: tuple[float, float]) -> None:
     evidence = on_a_tilted_table((tilt[0] * DEG, tilt[1] * DEG))
     found, closed = joint.solve(evidence), twelve_position.solve(evidence)

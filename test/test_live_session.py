@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from extent import ALL
+from extent import ALL, again
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from loopback import patience, until
@@ -169,7 +169,7 @@ def test_terms_are_looked_for_when_a_session_ends_and_not_at_every_review(wire):
     assert np.array_equal(plain.covariance + drifts, searched.covariance)
 
 
-@pytest.mark.parametrize('killed_at', [0.1, 0.55, 0.93])
+@pytest.mark.parametrize('killed_at', [0.1, again(0.55), 0.93])
 def test_after_a_crash_it_goes_on_from_the_journal_and_names_the_gap(tmp_path, wire, killed_at):
     folder = tmp_path / 'journal'
     crashed = begin(folder)

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from extent import again
+from extent import ALL, again
 from sessions import Named, at_one_rate, calibrate, paper_imu, quick_plan, session, stand
 from test_calibration_session import recut
 
@@ -226,7 +226,7 @@ def test_cuts_and_interleaving_do_not_change_a_bit(of: object) -> None:
     assert callable(of)
     blocks = of()
     whole = calibrate(blocks, plan()).calibration.to_yaml()
-    for seed in (1, 2):
+    for seed in (1, 2) if ALL else (1,):
         assert calibrate(recut(blocks, seed), plan()).calibration.to_yaml() == whole
 
 

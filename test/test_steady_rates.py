@@ -228,7 +228,7 @@ def slow_table(monkeypatch: pytest.MonkeyPatch) -> type[SlowTable]:
 @pytest.mark.parametrize(
     ('rates', 'joint_state_rate', 'noise'),
     [
-        ((90.0,), 100.0, 0.0),
+        again((90.0,), 100.0, 0.0),
         ((100.0,), 50.0, 0.0),
         ((40.0, 80.0, 120.0), 50.0, 0.0),
         ((20.0, 50.0, 90.0), 25.0, 7.0),
