@@ -13,6 +13,7 @@ from test_free_positions import held, unit
 
 from imu_calib.errors import NotObservable
 from imu_calib.methods import free_positions
+from imu_calib.methods.free_drift import Drift, DriftKind
 from imu_calib.methods.free_positions import (
     ESTIMATES,
     FREE,
@@ -311,6 +312,7 @@ def test_terms_are_told_by_their_largest_coefficient_and_their_chance() -> None:
         model=SensorModel(g_sensitivity=g),
         chance=3e-7,
         nonlinear=(),
+        drifts=(),
     )
     (sentence,) = term_words(fit)
     assert 'by up to 0.02 deg/s per g: g_sensitivity is estimated besides' in sentence
@@ -319,6 +321,29 @@ def test_terms_are_told_by_their_largest_coefficient_and_their_chance() -> None:
     assert 'probability 1e-99)' in term_words(fit)[0]
     fit.parameters = PARAMETERS
     assert term_words(fit) == []
+
+
+def test_drifts_are_told_by_their_size_and_their_chance() -> None:
+    gyros = Drift('trend:D_g', -30.0, 0.25 * DEG)
+    accels = Drift('trend:D_a', -20.0, 0.03 * STANDARD_GRAVITY)
+    fit: Any = SimpleNamespace(nonlinear=(), parameters=PARAMETERS, drifts=(gyros, accels))
+    (sentence,) = term_words(fit)
+    assert sentence.startswith(
+        'Biases drift evenly during the session, of the gyros by up to 0.25 deg/s (trend:D_g, by '
+        'chance once in 10^13 sessions) and of the accelerometers by up to 30 mg (trend:D_a, by '
+        'chance once in 10^9 sessions): this is estimated, and the biases stated are those of its '
+        'middle. Let the unit run'
+    )
+    fit.drifts = (replace(accels, kind=DriftKind.UNEVEN), replace(gyros, kind=DriftKind.WANDER))
+    wander, uneven = term_words(fit)
+    assert wander.startswith(
+        'Biases wander during the session, of the gyros by up to 0.25 deg/s: the standard '
+        'deviations allow for it. Let the unit run'
+    )
+    assert uneven.startswith(
+        'Biases drift unevenly during the session, of the accelerometers by up to 30 mg (by chance '
+        'once in 10^9 sessions): no term describes this'
+    )
 
 
 # Clear by one step
@@ -550,6 +575,9 @@ def test_a_hand_that_trembles_widens_by_what_its_holds_scatter() -> None:
     # 1e-3 rad/s where 2e-5 are stated, of 42 outputs.
     assert found.scatter[1] == pytest.approx(50, rel=0.3)
     assert found.scatter[[0, 2]].tolist() == [1.0, 1.0]
+    # It is new at every hold, which no bias is that drifts.
+    assert found.drifts == ()
+    assert found.changes is None
 
 
 def test_it_needs_what_table_sessions_lack() -> None:

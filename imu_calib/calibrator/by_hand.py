@@ -284,6 +284,7 @@ class HandCalibrator:
             findings=tuple(findings),
             parameters=fit.parameters,
             shares=fit.shares,
+            changes=fit.changes,
             tests=fit.tests,
         )
         origin = provenance(setup, evidence, session, solution)

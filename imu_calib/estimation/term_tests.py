@@ -402,19 +402,25 @@ def _below_detection(
 
 
 def _hidden(one: TermTest) -> str:
-    """Report parameters that hold only if scale factors do not change, with the possible change."""
+    """Report parameters that hold only if others do not change, with the possible change.
+
+    Of all changes it is scale factors that are tested; in the hand it is biases, by name.
+    """
     seen = [
         (change, least, moved)
         for change, least, moved in zip(one.changes, one.smallest, one.moved, strict=False)
-        if moved is not None and change.of_scale_factor
+        if moved is not None and (change.of_scale_factor or change.by_name)
     ]
     if not seen:
         return ''
     names = list(dict.fromkeys(moved[0].name for *_, moved in seen))
     changes, smallest, _ = zip(*seen, strict=True)
+    most: dict[Parameter, float] = {}
+    for _, least, (moved, slope) in seen:
+        most[moved] = max(most.get(moved, 0.0), abs(slope) * least)
     by = [
-        f'{moved.name} by {significant(abs(slope) * least / moved.unit.scale)} {moved.unit.shown}'
-        for _, least, (moved, slope) in seen
+        f'{moved.name} by {significant(size / moved.unit.scale)} {moved.unit.shown}'
+        for moved, size in most.items()
     ]
     may = f'{largest(changes, smallest)} below detection; would bias {" and ".join(by)}'
     if one.probability is not None:
@@ -428,7 +434,7 @@ def _hidden(one: TermTest) -> str:
 
 def _power(one: TermTest) -> str:
     if one.changes:
-        return f'{one.name} {largest(one.changes, one.smallest)}'
+        return f'{one.name.partition(":")[0]} {largest(one.changes, one.smallest)}'
     unit = one.parameters[0].unit
     largest_seen = max(v for v in one.smallest if np.isfinite(v))
     return f'{one.name} {significant(largest_seen / unit.scale)} {unit.shown}'

@@ -2,8 +2,8 @@
 
 The equations are those of every session (`observation/free.py`), with estimated attitudes. All is
 one weighted least squares: the uncertainty of a direction by the accelerometers enters the
-parameters of the gyros. G-sensitivity of the gyros and nonlinearity of the accelerometers are
-estimated too, where the session shows them.
+parameters of the gyros. G-sensitivity of the gyros, nonlinearity of the accelerometers and biases
+that drift are estimated too, where the session shows them.
 
 The frame is that of the accelerometers, as in imu_tk: X along the input axis of channel x, the
 input axis of channel y in the plane of X and Y, so that E_axy = E_axz = E_ayz = 0.
@@ -20,12 +20,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy
 
-from ..budget import Share, Shares
+from ..budget import Share, Shares, Source
+from ..changes import Changes
 from ..errors import InputError, NotObservable
 from ..estimation.converge import least_squares
 from ..estimation.estimate import shares
-from ..estimation.score import Family, Score, scores_of
-from ..estimation.term_tests import TermTest, test_of
+from ..estimation.score import Family, Score, log_f, scores_of
+from ..estimation.term_tests import TermState, TermTest, test_of
 from ..model import (
     G_SENSITIVITY,
     PARAMETERS,
@@ -37,15 +38,19 @@ from ..model import (
     indices_of,
     terms_of,
 )
+from ..model.session_terms import Change, Course
 from ..model.terms import ACCEL_ASYMMETRY, ACCEL_CUBIC, ACCEL_QUADRATIC
+from ..observation.components import Component, Factor
 from ..observation.evidence import Evidence
 from ..observation.free import FreeEquations, at_headings_by_moves
 from ..observation.information import Information
 from ..observation.layout import Indices
+from ..observation.modulation import spans
 from ..stream import Floats
 from ..units import DEG, STANDARD_GRAVITY, counted, significant
 from .checks import check_axes
 from .free_checks import check_turns, contradicts_latitude, other_latitudes, wrong_latitude
+from .free_drift import DRIFT_SHOWN, LARGEST_DRIFT, TRENDS, Drift, DriftKind, drift_words
 from .solution import Solution
 
 NAME = 'free_positions'
@@ -100,6 +105,8 @@ _SHOWN = 1e-3
 """Probability of chance below which a term is in the model (docs/mathematics.md, 'Free
 positions')."""
 
+_LOG_SHOWN = float(np.log(_SHOWN))
+
 _LEAST_CHANCE = 1e-99
 """Least probability that is reported: smaller ones are beyond the approximations."""
 
@@ -114,6 +121,13 @@ percent at 1 g, as of a usual chip."""
 _APART = 9.0
 """Difference of chi-square below which two terms explain a session equally well: a factor of 90 in
 the likelihood (as in `estimation.search`)."""
+
+_WANDERS = 2.0 ** np.arange(1, 11)
+"""Grid of the size of a wander, of the noise of a hold: the likelihood is flat within a factor of
+two."""
+_DEGREES = 3
+"""Highest degree of the polynomials of time by which an uneven drift is looked for. A judgement: a
+unit that warms up or wanders shows most of its drift in them, and they leave the holds a test."""
 
 _USELESS = 0.05
 """Standard deviation of a ratio from which on it is useless: data sheets are better."""
@@ -146,6 +160,8 @@ class FreeFit:
         rejected_moves: Indices of the holds before turns that were left out.
         shares: The covariance by source.
         chance: Probability of so significant a g-sensitivity by chance; 1 without it.
+        drifts: Drifts of biases that the session shows.
+        changes: Their coefficients; None without an even one.
         nonlinear: Terms of the accelerometers that are on, in the order in which they were found.
         tests: Of the terms of the accelerometers.
     """
@@ -160,6 +176,8 @@ class FreeFit:
     rejected_moves: tuple[int, ...]
     shares: Shares
     chance: float = 1.0
+    drifts: tuple[Drift, ...] = ()
+    changes: Changes | None = None
     nonlinear: tuple[Nonlinearity, ...] = ()
     tests: tuple[TermTest, ...] = ()
 
@@ -189,6 +207,7 @@ class _State:
         scatter: (3,) factors on the noise, as in `FreeFit`.
         rejected_moves: Likewise.
         scatter_chances: Likewise.
+        wanders: Biases that wander, by the name of their drift, and by how much: in the covariance.
     """
 
     equations: FreeEquations
@@ -196,6 +215,7 @@ class _State:
     scatter: Floats
     rejected_moves: tuple[int, ...] = ()
     scatter_chances: Floats = field(default_factory=lambda: np.ones(3))
+    wanders: tuple[tuple[str, float], ...] = ()
 
     @property
     def groups(self) -> tuple[Indices, ...]:
@@ -232,16 +252,56 @@ class _State:
         values = np.insert(self.values, len(self.equations.parameters), np.zeros(len(more)))
         return replace(self, equations=equations, values=values)
 
+    def with_changes(self, changes: tuple[Change, ...]) -> _State:
+        """Return the state with coefficients of a session's terms, initially zero."""
+        equations = replace(self.equations, changes=(*self.equations.changes, *changes))
+        values = np.insert(self.values, self.equations.change_slice.stop, np.zeros(len(changes)))
+        return replace(self, equations=equations, values=values)
+
+    def wandering(self, name: str, size: float) -> _State:
+        """Return the state with biases of a triad that wander, by so much during the session.
+
+        The covariance is that of a random walk about its mean, by its Karhunen-Loeve expansion.
+        """
+        equations = self.equations
+        starts, ends = spans(equations.evidence)
+        time = (starts + ends) / (2 * ends.max())
+        order = np.pi * np.arange(1, len(equations.evidence.segments))
+        columns = self.drifting(name, np.sqrt(2) * np.cos(order * time[:, None]) / order) * size
+        extra = (*equations.extra, Component(Source.BIAS_FOUND, Factor(columns)))
+        return replace(
+            self,
+            equations=replace(equations, extra=extra),
+            wanders=(*self.wanders, (name, size)),
+        )
+
+    def drifting(self, name: str, courses: Floats) -> Floats:
+        """Return the effect on the outputs of biases that drift, (m, 3 k).
+
+        Args:
+            name: Of the term.
+            courses: (s + t, k) in each hold and turn.
+        """
+        equations = self.equations
+        biases = [equations.parameters.index(c.parameters[0]) for c in TRENDS[name]]
+        slopes = equations.jacobian(self.values)[:, biases]
+        own = courses[equations.layout.segment]
+        return np.asarray((slopes[:, :, None] * own[:, None]).reshape(len(own), -1))
+
     def without(self, wild: int) -> _State:
         """Return the state without a move: it splits a run in two, and north is estimated anew."""
         evidence = self.equations.evidence
         link = evidence.used_moves.linked[wild]
         moves = tuple(move for move in evidence.moves if move is not link.move)
-        equations = replace(self.equations, evidence=replace(evidence, moves=moves), inflation=None)
+        evidence = replace(evidence, moves=moves)
+        equations = replace(self.equations, evidence=evidence, inflation=None, extra=())
         values = equations.nominal()
         values[: equations.sensors] = self.values[: equations.sensors]
         dropped = tuple(sorted((*self.rejected_moves, link.first)))
-        return _State(equations, values, np.ones(3), dropped)
+        state = _State(equations, values, np.ones(3), dropped)
+        for name, size in self.wanders:
+            state = state.wandering(name, size)
+        return state
 
 
 def solve(evidence: Evidence) -> FreeFit:
@@ -266,19 +326,15 @@ def solve(evidence: Evidence) -> FreeFit:
     check_axes(model.accel.response, *_ACCELS)
     check_turns(start.equations.evidence, model)
     _check_observable(start)
-    state = _with_estimated_noise(start)
-    chance = _chance(state, G_SENSITIVITY)
-    if chance < _SHOWN:
-        _check_latitude(state)
-        state = _with_estimated_noise(start.with_terms((G_SENSITIVITY,)))
-    state, nonlinear = _with_nonlinearity(state)
+    choice = _chosen(start)
+    if choice.chance < _SHOWN:
+        _check_latitude(_with_estimated_noise(start.with_changes(choice.state.equations.changes)))
+    state, nonlinear = _with_nonlinearity(choice.state)
     if nonlinear:
         # Without it the directions of gravity were off, and the turns contradicted them.
-        linear = start.with_terms(tuple(one.term for one in nonlinear))
-        chance = _chance(_with_estimated_noise(linear), G_SENSITIVITY)
-        state = _with_estimated_noise(
-            linear if chance >= _SHOWN else linear.with_terms((G_SENSITIVITY,))
-        )
+        choice = _chosen(start.with_terms(tuple(one.term for one in nonlinear)))
+        state = choice.state
+    chance = choice.chance
     _check_observable(state)
     equations, values = state.equations, state.values
     check_axes(equations.model(values).gyro.response, 'gyros', 'the turns between holds')
@@ -307,9 +363,222 @@ def solve(evidence: Evidence) -> FreeFit:
             for source, share in found.items()
         },
         chance if chance < _SHOWN else 1.0,
+        (*choice.drifts, *_uneven(state)),
+        _changes(state, information, len(parameters), own),
         nonlinear,
-        _tests(state, chance, nonlinear, information),
+        _tests(state, choice, nonlinear, information),
     )
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """A fit with g-sensitivity and even drifts on or off.
+
+    Attributes:
+        state: The least squares.
+        chance: Probability of so significant a g-sensitivity by chance, where that was tested.
+        drifts: The drifts that are on: even ones, and wanders.
+    """
+
+    state: _State
+    chance: float
+    drifts: tuple[Drift, ...] = ()
+
+
+def _chosen(start: _State) -> _Choice:
+    """Add g-sensitivity of the gyros and drifts of biases, where the session shows them.
+
+    In a few holds either may explain the other: the likelier one is taken.
+    """
+    plain = _with_estimated_noise(start)
+    chance = _chance(plain, G_SENSITIVITY)
+    sensitive = start.with_terms((G_SENSITIVITY,))
+    found = [_Choice(plain if chance >= _SHOWN else _with_estimated_noise(sensitive), chance)]
+    if chance < _SHOWN or _may_drift(plain):
+        drifting = _with_trends(start)
+        if drifting.drifts:
+            found.append(drifting)
+        if chance < _SHOWN or _chance(drifting.state, G_SENSITIVITY) < _SHOWN:
+            both = _with_trends(sensitive)
+            if both.drifts and both.chance < _SHOWN:
+                found.append(both)
+    return _with_wander(min(found, key=lambda choice: _misfit(choice.state)))
+
+
+def _may_drift(state: _State) -> bool:
+    """Return whether outputs scatter, or one step from a fit shows drifts."""
+    if (state.scatter_chances < _WIDENED).any():
+        return True
+    trial = state.with_changes(tuple(c for changes in TRENDS.values() for c in changes))
+    jacobian, residuals = trial.whitened()
+    information = Information.of(jacobian)
+    with np.errstate(invalid='ignore'):
+        trial = replace(trial, values=trial.values + information.gain @ residuals)
+    return min(_log_chances(trial, information).values()) < _LOG_SHOWN
+
+
+def _with_trends(start: _State) -> _Choice:
+    """Let biases drift evenly; drifts that are not significant are taken out again, worst first."""
+    names = list(TRENDS)
+    while names:
+        try:
+            state = _with_estimated_noise(
+                start.with_changes(tuple(c for n in names for c in TRENDS[n]))
+            )
+            _check_observable(state)
+        except NotObservable:
+            # A few holds may determine no drift of the accelerometers.
+            names.pop()
+            continue
+        information = Information.of(state.whitened()[0])
+        logs = _log_chances(state, information)
+        # Where the gyros drift the accelerometers are likely to.
+        likely = logs.get('trend:D_g', 0.0) < _LOG_SHOWN
+        beyond = {n: logs[n] - np.log(_SHOWN if likely else DRIFT_SHOWN[n]) for n in names}
+        worst = max(names, key=lambda name: beyond[name])
+        if beyond[worst] < 0:
+            known = state.equations.parameters
+            chance = 1.0
+            if G_SENSITIVITY in terms_of(known):
+                places = np.array(indices_of(G_SENSITIVITY.parameters, known))
+                chance = float(np.exp(_log_chance(state, information, places, 'g')))
+            drifts = tuple(Drift(n, logs[n], _drifted(state, TRENDS[n])) for n in names)
+            return _Choice(state, chance, drifts)
+        names.remove(worst)
+    return _Choice(_with_estimated_noise(start), 1.0)
+
+
+def _log_chances(state: _State, information: Information) -> dict[str, float]:
+    """Return the logarithms of the probabilities by chance of the drifts that are on."""
+    start, changes = state.equations.change_slice.start, state.equations.changes
+    found = {}
+    for name, mine in TRENDS.items():
+        if mine[0] in changes:
+            places = np.array([start + changes.index(c) for c in mine])
+            triad = mine[0].parameters[0].triad
+            found[name] = _log_chance(state, information, places, triad)
+    return found
+
+
+def _log_chance(state: _State, information: Information, places: Indices, triad: str) -> float:
+    """Return the logarithm of the probability by chance of unknowns of a triad that are on.
+
+    The F test under the scatter with them (`places` in the state), which is known by the degrees of
+    freedom of the groups that show them: at rest, and the turns.
+    """
+    covariance = information.covariance[np.ix_(places, places)]
+    groups = (0, 2) if triad == 'a' else (1, 2)
+    freedom = sum(_square_and_freedom(state, k)[1] for k in groups)
+    if not np.isfinite(covariance).all() or freedom < _DETERMINED:
+        return 0.0
+    values = state.values[places]
+    square = float(values @ np.linalg.solve(covariance, values))
+    return min(0.0, log_f(square / len(places), len(places), freedom))
+
+
+def _misfit(state: _State) -> float:
+    """Return minus twice the log of the likelihood, with the penalty of Schwarz for unknowns.
+
+    A turn that is left out counts as one of the least size for that.
+
+    Source: Schwarz 1978, Annals of Statistics 6, 461.
+    """
+    equations, out = state.equations, len(state.rejected_moves)
+    spread = 0.0 if equations.inflation is None else float(np.log(equations.inflation).sum())
+    unknowns = equations.sensors + len(equations.changes)
+    penalty = unknowns * float(np.log(len(equations.layout)))
+    return _square(state) + spread + penalty + out * _OUTLYING**2
+
+
+def _drifted(state: _State, changes: Sequence[Change]) -> float:
+    """Return the largest change of a bias during the session, rad/s or m/s^2."""
+    equations = state.equations
+    start = equations.change_slice.start
+    rates = [state.values[start + equations.changes.index(c)] for c in changes]
+    return float(np.abs(rates).max() * spans(equations.evidence)[1].max())
+
+
+def _changes(
+    state: _State, information: Information, count: int, places: list[int]
+) -> Changes | None:
+    """Return the coefficients of drifts, and how they vary with `count` parameters.
+
+    Those of the state have `places` among these.
+    """
+    equations = state.equations
+    if not equations.changes:
+        return None
+    own = equations.change_slice
+    cross = np.zeros((count, len(equations.changes)))
+    cross[places] = information.covariance[: equations.sensors, own]
+    return Changes(
+        equations.changes,
+        state.values[own],
+        information.covariance[own, own],
+        cross,
+    )
+
+
+def _with_wander(choice: _Choice) -> _Choice:
+    """Let biases wander where that explains scatter better than holds and turns of their own."""
+    state, drifts = choice.state, choice.drifts
+    # Turns compare directions of gravity by the accelerometers.
+    for name, at_rest, groups in (('trend:D_g', 1, [1]), ('trend:D_a', 0, [0, 2])):
+        if (state.scatter[groups] == 1).all():
+            continue
+        quiet = state.scattering(np.where(np.isin(np.arange(3), groups), 1.0, state.scatter))
+        variances = np.diag(quiet.equations.covariance(state.values))[state.groups[at_rest]]
+        sizes = np.sqrt(np.median(variances)) * _WANDERS
+        tried = [quiet.wandering(name, size) for size in sizes.tolist()]
+        least = [_restricted(one) for one in tried]
+        best = int(np.argmin(least))
+        gained = _restricted(state) - least[best]
+        # A drift is seldom even, and where one triad drifts the other is likely to.
+        if gained > (0.0 if drifts else _LIKELIER):
+            state = _with_estimated_noise(tried[best])
+            drifts = (*drifts, Drift(name, -gained / 2, float(sizes[best]), DriftKind.WANDER))
+    return replace(choice, state=state, drifts=drifts)
+
+
+def _restricted(state: _State) -> float:
+    """Return minus twice the logarithm of the restricted likelihood of a covariance.
+
+    Source: Patterson and Thompson 1971, Biometrika 58, 545.
+    """
+    jacobian, residuals = state.whitened()
+    norms = np.linalg.norm(jacobian, axis=0)
+    jacobian, norms = jacobian[:, norms > 0], norms[norms > 0]
+    basis, upper = np.linalg.qr(jacobian / norms)
+    left = residuals - basis @ (basis.T @ residuals)
+    roots = np.diag(state.equations.factor(state.values))
+    logs = np.log(norms).sum() + np.log(np.abs(np.diag(upper))).sum() + np.log(roots).sum()
+    return float(left @ left + 2 * logs)
+
+
+def _uneven(state: _State) -> tuple[Drift, ...]:
+    """Return drifts of biases that are no line: polynomials of time in what residuals remain.
+
+    Those of biases that wander are in the covariance. A hand that trembles scatters from hold to
+    hold, a bias that drifts is much the same at the next. They are tested under the scatter, which
+    is theirs, and are not estimated.
+    """
+    equations, values = state.equations, state.values
+    starts, ends = spans(equations.evidence)
+    time = (starts + ends) / ends.max() - 1
+    courses = np.polynomial.legendre.legvander(time, _DEGREES)[:, 1:]
+    patterns = {}
+    for name in (name for name in TRENDS if name not in dict(state.wanders)):
+        size = LARGEST_DRIFT[name] * max(1.0, state.scatter.max())
+        columns = state.drifting(name, courses) * size
+        family = Family(name, course=Course.TREND)
+        patterns[family] = ((columns, np.full(columns.shape[1], size)),)
+    found = []
+    for family, score in scores_of(patterns, equations, values).items():
+        if score.log_p < _LOG_SHOWN:
+            drift = courses @ score.estimate.reshape(-1, _DEGREES).T
+            largest = float(np.ptp(drift, axis=0).max())
+            found.append(Drift(family.name, score.log_p, largest, DriftKind.UNEVEN))
+    return tuple(found)
 
 
 def _with_nonlinearity(state: _State) -> tuple[_State, tuple[Nonlinearity, ...]]:
@@ -355,7 +624,7 @@ def _scores(state: _State) -> dict[Family, Score]:
 
 
 def _tests(
-    state: _State, chance: float, found: Sequence[Nonlinearity], information: Information
+    state: _State, choice: _Choice, found: Sequence[Nonlinearity], information: Information
 ) -> tuple[TermTest, ...]:
     """Return the terms that are on, and what the session shows of those of the accelerometers."""
     equations, values = state.equations, state.values
@@ -363,14 +632,34 @@ def _tests(
     std = np.sqrt(np.diag(information.covariance)[sensors])
     root = np.linalg.cholesky(equations.covariance(values))
     tests = [TermTest.found(one.term, one.log_p) for one in found]
-    if chance < _SHOWN:
-        tests.insert(0, TermTest.found(G_SENSITIVITY, float(np.log(max(chance, _LEAST_CHANCE)))))
-    for family, score in _scores(state).items():
-        white = np.linalg.solve(root, equations.parameter_derivatives(values, family.parameters))
-        slopes = information.gain[sensors, outputs] @ white
-        limit = _SHOWN / len(_NONLINEAR)
+    for one in (drift for drift in choice.drifts if drift.kind is DriftKind.EVEN):
+        log10_p = one.log_p / float(np.log(10))
+        tests.append(TermTest(one.name, TermState.FOUND, log10_p, changes=TRENDS[one.name]))
+    if choice.chance < _SHOWN:
+        log_p = float(np.log(max(choice.chance, _LEAST_CHANCE)))
+        tests.insert(0, TermTest.found(G_SENSITIVITY, log_p))
+    for family, score in {**_scores(state), **_trend_scores(state)}.items():
+        if family.term is None:
+            columns = equations.columns(family.changes, equations.jacobian(values))
+        else:
+            columns = equations.parameter_derivatives(values, family.parameters)
+        slopes = information.gain[sensors, outputs] @ np.linalg.solve(root, columns)
+        limit = DRIFT_SHOWN[family.name] if family.term is None else _SHOWN / len(_NONLINEAR)
         tests.append(test_of(family, score, slopes, limit, equations.parameters, std, _AMOUNT))
     return tuple(tests)
+
+
+def _trend_scores(state: _State) -> dict[Family, Score]:
+    """Test the even drifts that are off, under the scatter."""
+    equations, values = state.equations, state.values
+    whole = float(spans(equations.evidence)[1].max())
+    patterns = {}
+    for name, changes in TRENDS.items():
+        if changes[0] not in equations.changes:
+            sizes = np.full(len(changes), LARGEST_DRIFT[name] / whole)
+            columns = equations.columns(changes, equations.jacobian(values)) * sizes
+            patterns[Family(name, course=Course.TREND)] = ((columns, sizes),)
+    return scores_of(patterns, equations, values)
 
 
 def _check_latitude(state: _State) -> None:
@@ -543,6 +832,7 @@ def scatter_words(fit: FreeFit) -> list[str]:
 def term_words(fit: FreeFit) -> list[str]:
     """Report the terms that the session showed, and their significance."""
     words = [_nonlinear_words(one, fit) for one in fit.nonlinear]
+    words += drift_words(fit.drifts)
     if not set(G_SENSITIVITY.parameters) & set(fit.parameters):
         return words
     largest = np.abs(fit.model.g_sensitivity).max() * STANDARD_GRAVITY / DEG
