@@ -194,6 +194,20 @@ def test_turns_beyond_the_range_are_left_out_and_said() -> None:
     assert square < chi2.isf(1e-4, FREE.sum())
 
 
+@pytest.mark.parametrize(('step', 'said'), [(2.0, True), (0.0, False)])
+def test_gyros_whose_bias_stepped_are_said_to_stand_at_two_rates(step: float, said: bool) -> None:
+    sensors = Hand(100, 1.0, 0.0).session()[1]
+    block = sensors.block
+    gyro = block.gyro.copy()
+    gyro[len(gyro) // 2 :, 0] += step * DEG / SCALES[0]
+    found = calibrated(replace(sensors, block=replace(block, gyro=gyro))).calibration.findings
+    told = [one for one in found if 'differs from that at rest' in one]
+    assert len(told) == said
+    if said:
+        words = told[0].split('by up to ')[1]
+        assert float(words.split()[0]) == pytest.approx(step, abs=0.2)
+
+
 def g_sensitive_session(size: float) -> tuple[SensorModel, Result]:
     """A session with gyros that feel gravity by up to a given rate per g, deg/s."""
     sensitivity = size * DEG / STANDARD_GRAVITY * np.random.default_rng(8).uniform(-1, 1, (3, 3))

@@ -120,7 +120,7 @@ class HandCalibrator:
         return self._evidence(session.segments, session.moves)
 
     def _solve(self, session: Segmented) -> Result:
-        lost = [f'{loss}.' for loss in session.losses]
+        lost = [*self._other_offsets(), *(f'{loss}.' for loss in session.losses)]
         if not session.segments:
             text = f'The unit never stood still in {session.duration:.0f} s: there is no hold.'
             raise NotObservable(' '.join([text, *self._least_motion(), *lost]))
@@ -163,6 +163,17 @@ class HandCalibrator:
             f'and {seen.tolerance.force / STANDARD_GRAVITY:.2g} g, by the noise of this session, '
             f'for a second or more. Hold the unit still for {HOLD_SECONDS:.0f} s in each attitude, '
             'the hand propped on something firm, and turn it by a quarter turn or more between.'
+        ]
+
+    def _other_offsets(self) -> list[str]:
+        """Report further rates at which the gyros stood: of two, one is not that at rest."""
+        return [
+            f'In {attitudes} attitudes the gyros stood at a rate that differs from that at rest by '
+            f'up to {np.abs(apart).max() / DEG:.2g} deg/s: their biases stepped (a restart, '
+            'another range, an automatic zero), or the unit turned evenly. Holds at one rate may '
+            'count as turned, and the biases are those of the holds that were found. Switch '
+            'automatic zeros off, and record the session in one run of the unit.'
+            for apart, attitudes in self._segmenter.other_offsets
         ]
 
     def snapshot(self) -> HandCalibrator:
@@ -271,7 +282,8 @@ class HandCalibrator:
         if fit.rejected_moves:
             names = ', '.join(f'{k + 1} to {k + 2}' for k in fit.rejected_moves)
             findings.append(f'Outliers, left out: turns from hold {names}.')
-        findings += [*_noisy_holds(evidence), *(f'{loss}.' for loss in session.losses)]
+        findings += [*_noisy_holds(evidence), *self._other_offsets()]
+        findings += [f'{loss}.' for loss in session.losses]
         solution = Solution(
             fit.model,
             fit.covariance,

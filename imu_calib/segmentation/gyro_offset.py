@@ -128,6 +128,19 @@ class GyroOffset:
         level = self._level
         return ASSUMED_SPREAD if level is None else level.spread
 
+    @property
+    def others(self) -> list[tuple[Floats, int]]:
+        """Further rates (3,) at which the gyros stood, rad/s, each with its number of attitudes.
+
+        A rate counts if it was steady in half as many attitudes as the offset, and in enough of
+        them: motions that are slow by chance are not alike so often.
+        """
+        if self._level is None:
+            return []
+        enough = max(_ATTITUDES, len(self._level.ups) / 2)
+        found = [one for one in self._levels if len(one.ups) >= enough]
+        return [(one.rate, len(one.ups)) for one in found if one is not self._level]
+
     def feed(self, mean: Floats) -> None:
         """Add the mean (6,) of a window of a tenth of a second, rad/s and m/s^2."""
         self._sum += mean

@@ -11,6 +11,7 @@ from ..imu import ImuSpec
 from ..instants import at
 from ..stream import (
     Block,
+    Floats,
     ImuBlock,
     JointBlock,
     SetpointBlock,
@@ -95,6 +96,11 @@ class Segmenter:
     def quietest(self) -> Quietest | None:
         """The two seconds of least deviation, for a unit without a table."""
         return None if self._stillness is None else self._stillness.quietest
+
+    @property
+    def other_offsets(self) -> list[tuple[Floats, int]]:
+        """`StillnessTracker.other_offsets` of a unit without a table."""
+        return [] if self._stillness is None else self._stillness.other_offsets
 
     @property
     def still(self) -> tuple[int, int] | None:

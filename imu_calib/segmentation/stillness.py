@@ -95,6 +95,12 @@ class StillnessTracker:
         self._least: tuple[float, float] | None = None
 
     @property
+    def other_offsets(self) -> list[tuple[Floats, int]]:
+        """By how much the gyros stood elsewhere too, (3,) rad/s, and in how many attitudes."""
+        value = self._offset.value
+        return [(rate - value, attitudes) for rate, attitudes in self._offset.others]
+
+    @property
     def quietest(self) -> Quietest | None:
         """The two seconds of least deviation so far; None before two seconds have come in."""
         return None if self._least is None else Quietest(*self._least, self._tolerance)
