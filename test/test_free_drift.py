@@ -22,6 +22,8 @@ from imu_calib.model import ParameterKind, SensorModel
 from imu_calib.plan import load_plan
 from imu_calib.stream import Floats
 from imu_calib.units import DEG
+from imu_calib.verification.judgement import verify
+from imu_calib.verification.observed import observe
 
 SITE = Site.at(float(LATITUDE), gravity=GRAVITY)
 EVENLY = r'Biases drift evenly during the session, of the gyros by up to ([0-9.]+) deg/s'
@@ -100,6 +102,19 @@ def test_a_drift_is_among_the_terms_and_in_the_file() -> None:
     assert names == ['D_gx', 'D_gy', 'D_gz', 'D_ax', 'D_ay', 'D_az']
     assert found.calibration.changes is not None
     assert read.changes.values == pytest.approx(found.calibration.changes.values)
+
+
+@pytest.mark.parametrize(
+    ('drift', 'seed', 'names'), [(GYROS, 1, 'D_gx, D_gy, D_gz'), (NONE, 0, '')]
+)
+def test_verify_says_which_parameters_changed(
+    drift: tuple[float, float], seed: int, names: str
+) -> None:
+    holds = 16 if names else 10
+    found = session(drift, holds, seed)
+    observed = observe(found.session, IMU, SITE, load_plan('free_positions'), None)
+    changed = [f for f in verify(found.calibration, observed).findings if 'changed during' in f]
+    assert [f.partition(' changed')[0] for f in changed] == [names] * bool(names)
 
 
 def test_biases_that_stay_have_no_drift() -> None:

@@ -21,6 +21,7 @@ from ..earth import Site
 from ..gravity import gravity_covariance, same_place, without_gravity
 from ..model import Parameter, ParameterKind, SensorModel, indices_of, terms_of
 from ..model.motion import has_motion_terms
+from ..model.session_terms import Course
 from ..observation.lengths import Sensors, Up, noise_at_rest
 from ..segmentation.segmented import Move
 from ..stream import Floats
@@ -145,7 +146,8 @@ class Verification:
         if self.own_recording:
             return (
                 'REJECTED: the recording contradicts the calibration, which was made from it. '
-                'Something is stated otherwise than then (latitude, gravity, IMU, table, plan).'
+                'Something is stated otherwise than then (latitude, gravity, IMU, table, plan), or '
+                'parameters changed during it.'
             )
         return _OUTCOMES[self.verdict]
 
@@ -229,6 +231,14 @@ def _omissions(calibration: Calibration, observed: Observed) -> list[str]:
         notes.append('The recording has turns alone: the accelerometers are not verified.')
     if calibration.model.skewed is not None:
         notes.append('The skewed gyro is not verified.')
+    changed = () if calibration.changes is None else calibration.changes.changes
+    names = list(dict.fromkeys(c.name for c in changed if c.course is not Course.THERMAL))
+    if names:
+        notes.append(
+            f'{", ".join(names)} changed during the session of the calibration (session_terms of '
+            'its file): the recording is compared with their means. Such a change is not told from '
+            'a wrong value.'
+        )
     return notes
 
 
