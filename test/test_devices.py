@@ -19,8 +19,10 @@ from imu_calib.config import Section
 from imu_calib.devices import (
     CATALOGUE,
     Checksums,
+    Chunk,
     Decoder,
     DeviceClock,
+    Reception,
     Source,
     Sum,
     Xor,
@@ -28,7 +30,9 @@ from imu_calib.devices import (
     read_format,
 )
 from imu_calib.devices.format import DeviceTime, FrameCounter, Number
+from imu_calib.devices.health import Severity
 from imu_calib.errors import InputError
+from imu_calib.imu import load_imu
 from imu_calib.simulation.frames import pack
 from imu_calib.stream import ImuBlock
 
@@ -187,6 +191,48 @@ def test_a_damaged_frame_counts_once_though_sync_bytes_stand_within_it():
     decoder, blocks = decoded([b''.join(sent)])
     assert counters(blocks) == [0, 1, 3, 4]
     assert (decoder.counts.bad, decoder.counts.skipped, decoder.counts.lost) == (1, 44, 1)
+
+
+def test_what_comes_before_the_first_frame_is_counted_by_itself_too():
+    sent = frames(6)
+    for k in (0, 3):
+        sent[k] = sent[k][:20] + bytes([sent[k][20] ^ 1]) + sent[k][21:]
+    line = b'boot' + sent[0] + sent[1] + sent[2] + sent[3] + b'junk' + sent[4]
+    for pieces in ([line], [line[k : k + 1] for k in range(len(line))]):
+        counts = decoded(pieces)[0].counts
+        assert (counts.bad, counts.early_bad, counts.later_bad) == (2, 1, 1)
+        assert (counts.skipped, counts.early_skipped, counts.later_skipped) == (96, 48, 48)
+    # Without a frame nothing is later than the first.
+    counts = decoded([line[:48], bytes(100)])[0].counts
+    assert (counts.bad, counts.later_bad, counts.later_skipped) == (1, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ('line', 'said'),
+    [
+        (b''.join(frames(9)[2:]), 'Frames come in.'),
+        (b'boot' + frames(9)[1][5:] + b''.join(frames(9)[2:]), 'Frames come in.'),
+        (b''.join([*frames(4), *frames(4, first=5)]), 'Frames are lost on the way.'),
+        (b''.join([*frames(4), frames(4)[-1]]), 'Frames come twice.'),
+        (
+            b''.join([*frames(4), frames(5)[-1][:-1] + b'?', *frames(4, first=5)]),
+            'Frames are damaged on the way.',
+        ),
+        (
+            b''.join([*frames(4), b'????', *frames(4, first=4)]),
+            'Bytes are received that belong to no frame.',
+        ),
+    ],
+)
+def test_damage_is_said_of_a_line_that_was_read_at_once(tmp_path, line, said):
+    """As the whole of a file is, before its first report."""
+    (tmp_path / 'line').write_bytes(b'')
+    state = Source(str(tmp_path / 'line'), lambda: 0).state
+    reception = Reception(SIMULATED, load_imu('fog_medium'), 1000.0, live=False)
+    reception.take([Chunk(line, NS, NS)], NS, 1.0)
+    (stream,) = (s for s in reception.statuses(state, NS, 1.0) if s.part == 'stream')
+    assert stream.text.startswith(said)
+    assert (stream.severity is Severity.OK) == (said == 'Frames come in.')
 
 
 def test_a_flipped_bit_never_becomes_a_sample():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,6 +59,9 @@ class Counts:
         repeated: Repeated frames, used once.
         restarts: Number of times that the counter went back.
         unusable: Frames with a NaN in a channel.
+        early_bad: Of `bad`, those before the first frame.
+        early_skipped: Of `skipped`, those before the first frame: the rest of an earlier one, or a
+            greeting of the device.
     """
 
     frames: int = 0
@@ -68,6 +72,18 @@ class Counts:
     repeated: int = 0
     restarts: int = 0
     unusable: int = 0
+    early_bad: int = 0
+    early_skipped: int = 0
+
+    @property
+    def later_bad(self) -> int:
+        """Number of frames since the first whose checksum is wrong."""
+        return self.bad - self.early_bad
+
+    @property
+    def later_skipped(self) -> int:
+        """Number of bytes since the first frame that belong to none."""
+        return self.skipped - self.early_skipped
 
 
 class Decoder:
@@ -97,25 +113,29 @@ class Decoder:
         """Take the next bytes; return the samples of the frames that they complete."""
         buffer = np.frombuffer(self._tail + data, np.uint8)
         length = self._format.length
-        step = self._in_step(buffer)
-        starts = length * np.arange(step)
-        if (step + 1) * length <= len(buffer):
-            starts = np.concatenate([starts, self._search(buffer, step * length)])
+        starts, bad = self._starts(buffer)
+        self._count_bad(bad, starts)
         rows = _frames(buffer, starts, length)
         end = self._begin + starts + length
         cut = max(int(starts[-1]) + length if len(starts) else 0, len(buffer) - length + 1, 0)
-        counted = self._between(buffer[:cut], starts)
+        counted, known = self._between(buffer[:cut], starts)
+        if not self._taken and len(starts):
+            self.counts.early_skipped = self._begin + int(starts[0]) - known
         self._tail = buffer[cut:].tobytes()
         self._begin += cut
         self._taken += len(starts)
         self._count_skipped()
         return self._columns(*self._without_repetitions(rows, end, counted))
 
-    def _between(self, buffer: Bytes, starts: Indices) -> Indices:
-        """Find other messages; return how many before each frame its counter counts."""
-        counted = np.zeros(len(starts), np.int64)
+    def _between(self, buffer: Bytes, starts: Indices) -> tuple[Indices, int]:
+        """Find other messages.
+
+        Returns:
+            How many before each frame its counter counts, and the bytes of those before the first.
+        """
+        counted, known = np.zeros(len(starts), np.int64), 0
         if not self._others.kinds:
-            return counted
+            return counted, known
         ends = np.concatenate([[0], starts + self._format.length])
         apart = starts != ends[:-1]
         # The first frame ends an incomplete message before it.
@@ -123,12 +143,15 @@ class Decoder:
         for k in np.flatnonzero(apart).tolist():
             self._others.take(buffer[ends[k] : starts[k]].tobytes())
             counted[k] = self._others.close()
+            known = known if k else self._others.size
         self._others.take(buffer[ends[-1] :].tobytes())
-        return counted
+        return counted, known
 
     def _count_skipped(self) -> None:
         known = self._format.length * self._taken + self._others.size + self._others.undecided
         self.counts.skipped = self._begin - known
+        if not self._taken:
+            self.counts.early_skipped = self.counts.skipped
         self.counts.others = self._others.found
 
     def _in_step(self, buffer: Bytes) -> int:
@@ -138,14 +161,17 @@ class Decoder:
         good = self._good(buffer[: count * length].reshape(count, length))
         return count if good.all() else int(good.argmin())
 
-    def _search(self, buffer: Bytes, first: int) -> Indices:
-        """Return the starts of good frames, at `first` or later."""
+    def _starts(self, buffer: Bytes) -> tuple[Indices, Indices]:
+        """Return the starts of good frames, and where only the checksum does not hold."""
         length = self._format.length
-        candidates = self._candidates(buffer, first)
+        step = self._in_step(buffer)
+        starts = length * np.arange(step)
+        if (step + 1) * length > len(buffer):
+            return starts, np.empty(0, np.int64)
+        candidates = self._candidates(buffer, step * length)
         good = self._holds(_frames(buffer, candidates, length))
-        starts = _apart(candidates[good], length)
-        self._count_bad(candidates[~good], starts)
-        return starts
+        found = _apart(candidates[good], length)
+        return np.concatenate([starts, found]), candidates[~good]
 
     def _candidates(self, buffer: Bytes, first: int) -> Indices:
         """Return where the constant bytes match."""
@@ -176,12 +202,15 @@ class Decoder:
     def _count_bad(self, bad: Indices, starts: Indices) -> None:
         """Count damaged frames, each once, even with sync bytes within."""
         length = self._format.length
+        first = self._begin + int(starts[0]) if len(starts) else math.inf
+        early = not self._taken
         before = np.searchsorted(starts, bad, side='right') - 1
         outside = before < 0
         outside[~outside] = bad[~outside] >= starts[before[~outside]] + length
         for start in (self._begin + bad[outside]).tolist():
             if start >= self._bad_until:
                 self.counts.bad += 1
+                self.counts.early_bad += early and start < first
                 self._bad_until = start + length
 
     def _without_repetitions(

@@ -200,24 +200,22 @@ class Health:
 
     def _note_events(self, counts: Counts, steady: float) -> None:
         seen, self._seen = self._seen, replace(counts)
-        if seen.frames:
-            # The bytes before the first frame are the rest of an earlier one.
-            happened = {
-                'lost': (counts.lost > seen.lost, 'Frames are lost on the way.'),
-                'bad': (counts.bad > seen.bad, 'Frames are damaged on the way.'),
-                'skipped': (
-                    counts.skipped > seen.skipped,
-                    'Bytes are received that belong to no frame.',
-                ),
-                'repeated': (counts.repeated > seen.repeated, 'Frames come twice.'),
-                'unusable': (
-                    counts.unusable > seen.unusable,
-                    'Frames are received with channels that are not numbers.',
-                ),
-            }
-            for name, (new, text) in happened.items():
-                if new:
-                    self._events[name] = text, steady
+        happened = {
+            'lost': (counts.lost > seen.lost, 'Frames are lost on the way.'),
+            'bad': (counts.later_bad > seen.later_bad, 'Frames are damaged on the way.'),
+            'skipped': (
+                counts.later_skipped > seen.later_skipped,
+                'Bytes are received that belong to no frame.',
+            ),
+            'repeated': (counts.repeated > seen.repeated, 'Frames come twice.'),
+            'unusable': (
+                counts.unusable > seen.unusable,
+                'Frames are received with channels that are not numbers.',
+            ),
+        }
+        for name, (new, text) in happened.items():
+            if new:
+                self._events[name] = text, steady
         if self._gap is not None:
             self._events['gap'] = f'Frames are missing for {self._gap:.3g} s.', steady
             self._gap = None
