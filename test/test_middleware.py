@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from imu_calib.stream import ImuBlock
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib import middleware as ros
+    from imu_calib.middleware import running
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -695,6 +697,26 @@ def test_two_nodes_of_one_name_are_said(domain):
     for process in processes:
         process.send_signal(signal.SIGINT)
         finish(process)
+
+
+def test_a_node_that_is_discovered_late_is_said_once(domain, monkeypatch):
+    """As on a busy machine: the others are there, and not yet known at the first search."""
+    monkeypatch.setattr(running, '_FIRST_SEARCH', 0.01)
+    seen, said = [], []
+
+    class Table(ros.Node):
+        def __init__(self):
+            super().__init__('table')
+            self.create_timer(0.005, lambda: None)
+            self.get_logger = lambda: SimpleNamespace(warning=said.append)
+
+        def get_node_names_and_namespaces(self):
+            seen.append(1 if len(seen) < 2 else 3)
+            return [('table', '/')] * seen[-1] + [('other', '/')]
+
+    assert ros.run(Table, args=[], done=lambda _: len(seen) == 5)
+    assert seen == [1, 1, 3, 3, 3]
+    assert [text.partition(';')[0] for text in said] == ['3 nodes are called /table']
 
 
 def test_run_ends_when_its_node_is_done(domain):

@@ -47,8 +47,11 @@ _TICK = 0.05
 """s that a node waits for events between two checks for its end."""
 _ACKNOWLEDGE_TIMEOUT = 2.0
 """s for readers to acknowledge the last messages as a node ends; a choice."""
-_LOOK_AROUND = 2.0
-"""s between two checks that the network is still there."""
+_FIRST_SEARCH = 2.0
+"""s after which a node looks for others of its name; the interval then doubles. A choice: discovery
+takes less on an idle machine, and longer on one where a whole stand starts."""
+_LAST_SEARCH = 120.0
+"""s after which it does not look any more: a namesake that starts later finds this one."""
 
 
 def run(
@@ -81,12 +84,10 @@ def run(
     try:
         node = node_factory()
         try:
-            next_search = time.monotonic() + _LOOK_AROUND
+            namesakes = _Namesakes(node)
             while ok() and not stop.is_set and not (done is not None and done(node)):
                 spin_once(node, timeout_sec=_TICK)
-                if time.monotonic() > next_search:
-                    next_search = math.inf
-                    _warn_of_namesakes(node)
+                namesakes.look()
         except ExternalShutdownException:
             pass
         finally:
@@ -110,15 +111,28 @@ def _handle(handler: Callable[..., None]) -> dict[signal.Signals, Any]:
     return {n: signal.signal(n, handler) for n in numbers}
 
 
-def _warn_of_namesakes(node: Any) -> None:
-    """Warn if another node has the same name: both would answer to the same services."""
-    own = node.get_name(), node.get_namespace()
-    same = [n for n in node.get_node_names_and_namespaces() if n == own]
-    if len(same) > 1:
-        node.get_logger().warning(
-            f'{len(same)} nodes are called {node.get_fully_qualified_name()}; rename one of them '
-            'with --ros-args -r __node:=NAME.'
-        )
+class _Namesakes:
+    """Warns if other nodes have the same name: all would answer to the same services."""
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+        self._known = 1
+        self._begun = time.monotonic()
+        self._after = _FIRST_SEARCH
+
+    def look(self) -> None:
+        """Search when it is time; warn when there are more than at the search before."""
+        if time.monotonic() < self._begun + self._after:
+            return
+        self._after = 2 * self._after if self._after < _LAST_SEARCH else math.inf
+        own = self._node.get_name(), self._node.get_namespace()
+        count = self._node.get_node_names_and_namespaces().count(own)
+        if count > self._known:
+            self._node.get_logger().warning(
+                f'{count} nodes are called {self._node.get_fully_qualified_name()}; rename one of '
+                'them with --ros-args -r __node:=NAME.'
+            )
+        self._known = max(count, self._known)
 
 
 def _stop_node(node: Any) -> bool:
