@@ -15,7 +15,7 @@ def day(date: np.datetime64) -> str:
     """Return a date as text.
 
     Examples:
-        >>> day(np.datetime64('2026-03-02T14:30')), day(np.datetime64('NaT'))
+        >>> day(np.datetime64('2026-03-02T14:30')), day(np.datetime64('NaT', 's'))
         ('2026-03-02', 'no date')
     """
     return NO_DATE if np.isnat(date) else str(date.astype('M8[D]'))
