@@ -483,7 +483,7 @@ def _triad(
     biases = indices_of(BIASES[first : first + 3], equations.parameters)
     slopes = _Slopes.of(segments, rising[rows].reshape(-1, 3), evidence.walk, first)
     drift = BiasDrift.over(
-        (starts - starts.min()) * 1e-9,
+        np.asarray((starts - starts.min()) * 1e-9),
         durations,
         jacobian[np.ix_(rows, np.array(biases))].reshape(-1, 3, 3),
         np.append(slopes.used, np.zeros(len(moves), dtype=bool)),

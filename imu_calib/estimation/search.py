@@ -227,7 +227,7 @@ def search_terms(
 
 def _searched(start: _Model, first: Estimate, *, find_terms: bool) -> Search:
     """Search as `search_terms` does, from the estimate by the model alone."""
-    noisy = first.equations.own_variances.max() > SMALLEST_VARIANCE
+    noisy = bool(first.equations.own_variances.max() > SMALLEST_VARIANCE)
     rejected = set[Family]()
     broken_off = False
     while find_terms and noisy:

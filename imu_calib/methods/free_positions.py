@@ -565,7 +565,7 @@ def _uneven(state: _State) -> tuple[Drift, ...]:
     equations, values = state.equations, state.values
     starts, ends = spans(equations.evidence)
     time = (starts + ends) / ends.max() - 1
-    courses = np.polynomial.legendre.legvander(time, _DEGREES)[:, 1:]
+    courses = np.asarray(np.polynomial.legendre.legvander(time, _DEGREES)[:, 1:], dtype=float)
     patterns = {}
     for name in (name for name in TRENDS if name not in dict(state.wanders)):
         size = LARGEST_DRIFT[name] * max(1.0, state.scatter.max())
@@ -978,7 +978,7 @@ def _outstanding_turn(state: _State, basis: Floats, residuals: Floats, limit: fl
     return worst if sizes[worst] > limit * max(1 / float(state.scatter[2]), usual) else None
 
 
-def _studentised(kept: Floats, residuals: Floats) -> tuple[Floats, Floats]:
+def _studentised(kept: Floats, residuals: Floats) -> tuple[Floats, Indices]:
     """Return the sizes (k,) of residuals (k, 3) of covariances (k, 3, 3), and their dimensions.
 
     About the vertical the residual of a turn is zero, as headings are estimated. The dimensions are

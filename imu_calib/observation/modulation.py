@@ -77,7 +77,7 @@ def spans(evidence: Evidence) -> tuple[Floats, Floats]:
     """Return start and end of each dwell, turn and move, (s + t + m,) s since the first began."""
     starts, ends = _instants(evidence)
     origin = starts.min(initial=np.iinfo(np.int64).max)
-    return (starts - origin) * 1e-9, (ends - origin) * 1e-9
+    return np.asarray((starts - origin) * 1e-9), np.asarray((ends - origin) * 1e-9)
 
 
 def _instants(evidence: Evidence) -> tuple[Stamps, Stamps]:
