@@ -7,6 +7,7 @@ of 21 ln(2) halves every standard deviation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import product
@@ -19,6 +20,7 @@ from ..observation.evidence import Evidence
 from ..observation.free import FreeEquations
 from ..observation.ideal_moves import ideal_move_by_hand, next_hold
 from ..observation.information import Information, log_determinant
+from ..segmentation.segment import Segment
 from ..stream import Floats
 from ..units import ARCMIN, DEG, PPM
 
@@ -102,14 +104,10 @@ def guide(
     equations, values = initial_equations(evidence)
     base = equations.whitened(values)[0]
     base = np.vstack([np.eye(len(ESTIMATES), base.shape[1]) / _widths()[:, None], base])
-    now = log_determinant(base.T @ base, len(ESTIMATES))
     std[FREE] = _deviations(base) if reached is None else reached
-    found = []
-    for words, up in _directions():
-        further = _further(equations, values, up)
-        extended = np.vstack([np.pad(base, ((0, 0), (0, 3))), further])
-        gain = (log_determinant(extended.T @ extended, len(ESTIMATES)) - now) / 2
-        found.append(Candidate(words, up, gain))
+    directions = _directions()
+    gains = _gains(base, equations, values, [up for _, up in directions])
+    found = [Candidate(*one, gain) for one, gain in zip(directions, gains, strict=True)]
     found.sort(key=lambda c: -c.gain)
     scale = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in PARAMETERS])
     angle = np.array([p.kind is ParameterKind.MISALIGNMENT for p in PARAMETERS])
@@ -157,26 +155,59 @@ def _directions() -> list[tuple[str, Floats]]:
     return sorted(found, key=lambda f: len(f[0]))
 
 
-def _further(equations: FreeEquations, values: Floats, up: Floats) -> Floats:
-    """Return the rows that a further hold with (3,) `up` and the turn to it would add.
+def _gains(
+    base: Floats, equations: FreeEquations, values: Floats, ups: Sequence[Floats]
+) -> list[float]:
+    """Return the gain by a further hold with each of k (3,) `ups`, and the turn to it, (k,).
 
-    (9, n + 3) in standard deviations; the rotations of the further hold come last. North is taken
-    as known by then, and so is the heading of the last hold.
+    Args:
+        base: (m, n) rows of the session in standard deviations, priors included.
+        equations: Of the session.
+        values: (n,) its state.
+        ups: In body axes, unit vectors.
     """
-    evidence = equations.evidence
+    # A further hold adds to the sensors and to the tilt of the last hold: the rest is eliminated.
+    state = np.arange(equations.size)
+    kept = np.append(state[: equations.sensors], state[equations.last_tilt_slice])
+    others = np.setdiff1d(state, kept)
+    triangle = np.asarray(np.linalg.qr(base[:, np.append(others, kept)], mode='r'))
+    root = triangle[len(others) :, len(others) :]
+    now = log_determinant(root.T @ root, equations.sensors)
+    root = np.pad(root, ((0, 0), (0, 3)))
+    extended = (np.vstack([root, rows]) for rows in _further(equations, values, ups))
+    return [(log_determinant(rows.T @ rows, equations.sensors) - now) / 2 for rows in extended]
+
+
+def _further(equations: FreeEquations, values: Floats, ups: Sequence[Floats]) -> Floats:
+    """Return the rows that a further hold with each of k (3,) `ups` and the turn to it would add.
+
+    (k, 9, p + 5) in standard deviations: derivatives by the sensors, by the tilt of the last hold
+    and by the rotations of the further one. North is taken as known by then, and so is the heading
+    of the last hold.
+    """
+    evidence, model = equations.evidence, equations.model(values)
     last = evidence.segments[-1]
-    further = next_hold(last, up, HOLD_SECONDS)
-    move = ideal_move_by_hand(last, further, equations.model(values), evidence.site)
-    pair = replace(evidence, segments=(last, further), moves=(move,))
-    two = replace(equations, evidence=pair)
-    state = two.nominal()
-    state[: two.sensors] = values[: two.sensors]
-    rows = two.whitened(state)[0][6:15]
-    result = np.zeros((len(rows), equations.size + 3))
-    result[:, : two.sensors] = rows[:, : two.sensors]
-    result[:, equations.last_tilt_slice] = rows[:, -5:-3]
-    result[:, -3:] = rows[:, -3:]
-    return result
+    holds: list[Segment] = []
+    moves = []
+    for up in ups:
+        further = next_hold(last, up, HOLD_SECONDS)
+        moves.append(ideal_move_by_hand(last, further, model, evidence.site))
+        holds += [last, further]
+        # Stamps tell which holds a move links: one pair follows the other.
+        later = further.end - last.start
+        last = replace(last, start=last.start + later, end=last.end + later)
+    evidence = replace(evidence, segments=tuple(holds), moves=tuple(moves))
+    pairs = replace(equations, evidence=evidence)
+    state = pairs.nominal()
+    state[: pairs.sensors] = values[: pairs.sensors]
+    rows = np.hstack([pairs.layout.dwell.reshape(len(ups), -1), pairs.layout.move])
+    # Each pair has two tilts and three rotations: the heading of its first hold is a choice.
+    rotations = np.arange(pairs.north_slice.stop, pairs.size).reshape(len(ups), -1)
+    sensors = np.tile(np.arange(pairs.sensors), (len(ups), 1))
+    columns = np.hstack([sensors, rotations])
+    jacobian = pairs.jacobian(state)[rows[:, :, None], columns[:, None]]
+    root = np.linalg.cholesky(pairs.covariance(state)[rows[:, :, None], rows[:, None]])
+    return np.asarray(np.linalg.solve(root, jacobian)[:, 6:])
 
 
 def _widths() -> Floats:
