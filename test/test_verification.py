@@ -413,6 +413,18 @@ def test_by_lengths_what_cannot_explain_a_session_is_not_fitted(
     assert len(compared) < 4 * len(list(mistakes(sensors, values)))
 
 
+@pytest.mark.parametrize('name', ['gyro matrix transposed', 'accelerometer biases negated'])
+def test_mistakes_are_ruled_out_together_as_one_by_one(name: str) -> None:
+    spoil, gyros, words = DEFECTS[name]
+    trial = _Trial.of(spoil(), observed(), gyros=gyros)
+    seen, values, factor = trial.system, trial.values, trial.factor
+    likely = seen.likely(values, factor, 1e-5)
+    tried = [m for m in mistakes(seen.sensors, values) if m.reading == 1]
+    together = [m.when for m in tried if likely(m.values)]
+    assert together == [m.when for m in tried if seen.fit_likely(m.values, factor, 1e-5)]
+    assert words in together and len(together) < 10 < len(tried)
+
+
 def counting(function: Callable[..., Any], calls: list[None]) -> Callable[..., Any]:
     def counted(*arguments: Any) -> Any:
         calls.append(None)

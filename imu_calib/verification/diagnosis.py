@@ -239,6 +239,7 @@ def _fit(
 
 def _mistaken(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tried]:
     """Fit mistakes in the calibration file and in the reading of the outputs."""
+    likely = system.likely(values, factor, _EXPLAINED)
     for mistake in (*mistakes(system.sensors, values), *_readings(system, values)):
         if mistake.of_body_axes and system.up is not None:
             continue
@@ -246,6 +247,8 @@ def _mistaken(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_
         read = system
         if mistake.reading != 1:
             read = replace(system, reading=system.reading * mistake.reading)
+        elif not likely(mistake.values):
+            continue
         if fit := _fit(read, mistake.values, factor):
             yield _Tried(Diagnosis(mistake.why), mistake.when, fit)
 

@@ -312,9 +312,44 @@ class TriadSystem:
         """
         system = self._allowing(values, factor)
         point, square = self._begun(system, values, factor)
-        if scipy.special.chdtrc(len(self._without_moves._kinds), square / 2) < chance:
-            return None
-        return self._fitted(point, system, factor)
+        return self._fitted(point, system, factor) if self._likely(square, chance) else None
+
+    def likely(self, values: Floats, factor: Floats, chance: float) -> Callable[[Floats], bool]:
+        """Return a function that says of other values whether `fit_likely` would go on to fit them.
+
+        Without moves, the predictions and their derivatives by the unknowns are linear in the
+        parameters: p + 1 points give them for all values. With lengths all are likely.
+
+        Args:
+            values: (p,) of the parameters, about which the equations are evaluated.
+            factor: As in `fit_likely`.
+            chance: Likewise.
+        """
+        if self.up is not None:
+            return lambda _: True
+        resting, k = self._without_moves, factor.shape[1]
+        first = [one[k:] for one in resting._first(k)]
+
+        def rows_of(values: Floats) -> Floats:
+            return resting._rows(resting.equations, *(np.append(values, one) for one in first))
+
+        origin = rows_of(values)
+        slopes = np.array([rows_of(values + one) - origin for one in np.eye(len(values))])
+
+        def tested(other: Floats) -> bool:
+            rows = origin + np.tensordot(other - values, slopes, axes=1)
+            try:
+                found = resting._by_noise(resting.equations, np.append(other, first[0]), rows)
+            except np.linalg.LinAlgError:
+                return False
+            return self._likely(_linear(*_with_errors(*found, factor, np.zeros(k)))[1], chance)
+
+        return tested
+
+    def _likely(self, square: float, chance: float) -> bool:
+        """Return whether half of chi-square by dwells and turns is not too large for `chance`."""
+        freedom = len(self._without_moves._kinds)
+        return bool(scipy.special.chdtrc(freedom, square / 2) >= chance)
 
     def _begun(self, system: _System, values: Floats, factor: Floats) -> tuple[Floats, float]:
         """Return the start of `fit` and the linear chi-square there, by dwells and turns."""
@@ -342,11 +377,8 @@ class TriadSystem:
             key = b''.join(one.tobytes() for one in (point, *opposite))
             if key not in known:
                 others = [one[k:] for one in opposite]
-                columns, residuals = self._whitened(values + factor @ point[:k], point[k:], *others)
-                by_parameters, further = np.split(columns, [len(values)], axis=1)
-                columns = np.hstack([by_parameters @ factor, further])
-                prior = np.eye(k, columns.shape[1])
-                known[key] = np.vstack([columns, prior]), np.append(residuals, -point[:k])
+                found = self._whitened(values + factor @ point[:k], point[k:], *others)
+                known[key] = _with_errors(*found, factor, point[:k])
             return known[key]
 
         return system
@@ -357,18 +389,23 @@ class TriadSystem:
         An unknown heading starts at the best fit of the level Earth rate of free size: the
         equations are linear in its components, which change sign with half a turn.
         """
-        point = np.zeros(k + len(self._free))
-        point[k : k + len(self._known)] = self._known if self.seen is None else self.seen
-        azimuth = k + Nuisance.AZIMUTH
-        headed = self.up is None and bool(self._free[Nuisance.AZIMUTH])
-        opposite = []
-        if headed:
-            point[azimuth] = 0.0
-            opposite = [point + np.pi * (np.arange(len(point)) == azimuth)]
+        point, *opposite = self._first(k)
         step, square = _linear(*system(point, *opposite))
-        if headed:
+        if opposite:
+            azimuth = k + Nuisance.AZIMUTH
             point[azimuth] = np.arctan2(step[azimuth], 1 + step[-1])
         return point, square
+
+    def _first(self, k: int) -> list[Floats]:
+        """Return the (k + u,) point where `_start` is linear; and the one opposite, if headed."""
+        point = np.zeros(k + len(self._free))
+        point[k : k + len(self._known)] = self._known if self.seen is None else self.seen
+        if self.up is not None or not self._free[Nuisance.AZIMUTH]:
+            return [point]
+        point[k + Nuisance.AZIMUTH] = 0.0
+        opposite = point.copy()
+        opposite[k + Nuisance.AZIMUTH] = np.pi
+        return [point, opposite]
 
     def _whitened(
         self, values: Floats, unknown: Floats, *opposite: Floats
@@ -382,25 +419,30 @@ class TriadSystem:
             jacobian, residuals, covariance = compare_lengths(
                 self.sensors, values, self.outputs, noise, self.up, site
             )
-            rows, below = np.column_stack([jacobian, residuals]), np.zeros((0, len(values) + 1))
-        else:
-            nuisances, mount = np.split(unknown, [len(self._known)])
-            equations, state = self.equations, np.append(values, nuisances)
-            if mount.any():
-                equations = replace(equations, evidence=_mounted(self.evidence, mount))
-            turned = (
-                equations.mount_derivatives(state)
-                if len(mount)
-                else np.zeros((len(equations.layout), 0))
-            )
-            predicted = equations.predict(state)
-            residuals, derivatives = equations.outputs - predicted, equations.jacobian(state)
-            others = (np.append(values, other[: len(nuisances)]) for other in opposite)
-            halves = [(predicted - equations.predict(other)) / 2 for other in others]
-            rows = np.column_stack([derivatives, turned, *halves, residuals])[self._mine]
-            without = [-1] * (len(mount) + len(halves))
-            below = np.insert(equations.prior_rows(state), without, 0.0, axis=1)
-            covariance = equations.covariance(state)[np.ix_(self._mine, self._mine)]
+            none = np.zeros((0, len(values) + 1))
+            return self._scaled(np.column_stack([jacobian, residuals]), covariance, none)
+        equations, mount = self.equations, unknown[len(self._known) :]
+        if mount.any():
+            equations = replace(equations, evidence=_mounted(self.evidence, mount))
+        states = [np.append(values, one[: len(self._known)]) for one in (unknown, *opposite)]
+        return self._by_noise(equations, states[0], self._rows(equations, *states))
+
+    def _rows(self, equations: Equations, state: Floats, *opposite: Floats) -> Floats:
+        """Return derivatives and residuals (m, p + u + 1) as `_whitened`, not divided by noise."""
+        turned = [equations.mount_derivatives(state)] if self.mount_free else []
+        predicted = equations.predict(state)
+        halves = [(predicted - equations.predict(other)) / 2 for other in opposite]
+        columns = [equations.jacobian(state), *turned, *halves, equations.outputs - predicted]
+        return np.column_stack(columns)[self._mine]
+
+    def _by_noise(self, equations: Equations, state: Floats, rows: Floats) -> tuple[Floats, Floats]:
+        """Return `_rows` in standard deviations, priors last."""
+        prior = equations.prior_rows(state)
+        below = np.insert(prior, [-1] * (rows.shape[1] - prior.shape[1]), 0.0, axis=1)
+        covariance = equations.covariance(state)[np.ix_(self._mine, self._mine)]
+        return self._scaled(rows, covariance, below)
+
+    def _scaled(self, rows: Floats, covariance: Floats, below: Floats) -> tuple[Floats, Floats]:
         factor = np.linalg.cholesky(covariance) * self._widened[:, None]
         rows = scipy.linalg.solve_triangular(factor, rows, lower=True, check_finite=False)
         rows = np.vstack([rows, below])
@@ -442,6 +484,16 @@ def _linear(columns: Floats, residuals: Floats) -> tuple[Floats, float]:
     """Return the least-squares step, and the sum of squared residuals after it if linear."""
     step = linear_step(columns, residuals)
     return step, float(((residuals - columns @ step) ** 2).sum())
+
+
+def _with_errors(
+    columns: Floats, residuals: Floats, factor: Floats, errors: Floats
+) -> tuple[Floats, Floats]:
+    """Return equations for multiples (k,) of a factor's columns (p, k), with their prior."""
+    count, k = factor.shape
+    columns = np.hstack([columns[:, :count] @ factor, columns[:, count:]])
+    prior = np.eye(k, columns.shape[1])
+    return np.vstack([columns, prior]), np.append(residuals, -errors)
 
 
 def _mounted(evidence: Evidence, small: Floats) -> Evidence:
