@@ -11,9 +11,9 @@ import pytest
 from imu_calib.segmentation.counter import (
     best_passages,
     block_edges,
-    block_rates,
     end_points,
     first_passages,
+    mean_and_blocks,
     mean_rate,
     passages,
     rate_between,
@@ -217,7 +217,8 @@ def test_blocks_are_equal_and_long_enough() -> None:
 
 def test_a_quick_counter_is_cut_into_equal_times() -> None:
     pulses = counted(40.37, 100)
-    found = block_rates(pulses, PERIOD, 1.0, 0.5)
+    mean, found = mean_and_blocks(pulses, PERIOD, 1.0, 0.5)
+    assert mean == mean_rate(pulses, PERIOD, 1.0)
     assert [middle for middle, _ in found] == pytest.approx([0.25, 0.75, 1.25, 1.75])
     for (_, rate), (a, b) in zip(found, pairwise([0, 25, 50, 75, 100]), strict=True):
         assert rate == mean_rate(pulses[a:b], PERIOD, 1.0)
@@ -227,7 +228,8 @@ def test_a_quick_counter_is_cut_into_equal_times() -> None:
 def test_a_slow_counter_is_cut_where_it_passes_a_new_count(whole: float) -> None:
     pulses = counted(0.0501, 1000, 0.96)
     walk, seconds = 1e-4, 3.0
-    found = block_rates(pulses + whole, PERIOD, walk, seconds)
+    mean, found = mean_and_blocks(pulses + whole, PERIOD, walk, seconds)
+    assert mean == mean_rate(pulses + whole, PERIOD, walk)
     index = [k for k in range(1000) if pulses[k]]
     cuts = [index[0]]
     for k in index:

@@ -82,13 +82,24 @@ def mean_rate(pulses: Floats, period: float, walk: float) -> MeanRate:
     Returns:
         The estimate with the smallest expected variance at such a rate, pulses/s.
     """
-    # A whole number of pulses per sample has no information on the fraction: once subtracted, a
-    # fast counter behaves like a slow one.
+    return _mean_and_passages(pulses, period, walk)[0]
+
+
+def _mean_and_passages(
+    pulses: Floats, period: float, walk: float
+) -> tuple[MeanRate, Passages | None]:
+    """Return `mean_rate`, and the first passages if it is estimated from them.
+
+    A whole number of pulses per sample has no information on the fraction: once subtracted, a fast
+    counter behaves like a slow one. The passages are those of what remains.
+    """
     whole = float(np.rint(pulses.mean()))
     remainder = pulses - whole
     other = _by_all_samples(remainder, period, walk)
-    best = best_passages(remainder, period, walk, other) or other
-    return replace(best, rate=best.rate + whole / period)
+    found = passages(remainder, period, walk)
+    best = found and _if_best(_from_end_to_end(found, period), remainder, period, walk, other)
+    mean = best or other
+    return replace(mean, rate=mean.rate + whole / period), found if best else None
 
 
 def best_passages(
@@ -358,10 +369,10 @@ def _powers(numbers: NDArray[np.complex128], count: int) -> NDArray[np.complex12
     return np.asarray(np.cumprod(found, axis=1), dtype=complex)
 
 
-def block_rates(
+def mean_and_blocks(
     pulses: Floats, period: float, walk: float, seconds: float
-) -> list[tuple[float, MeanRate]]:
-    """Estimate the mean rates of blocks of at least `seconds`, independent of each other.
+) -> tuple[MeanRate, list[tuple[float, MeanRate]]]:
+    """Estimate the mean rate, and those of blocks of at least `seconds`, independent of each other.
 
     A slow counter is cut where it passes a new value, any other into equal times.
 
@@ -372,25 +383,24 @@ def block_rates(
         seconds: Shortest block, s.
 
     Returns:
-        For each block its middle, s after the first sample began, and its rate.
+        `mean_rate`, and for each block its middle, s after the first sample began, and its rate.
     """
+    mean, found = _mean_and_passages(pulses, period, walk)
+    if found is None:
+        edges = block_edges(len(pulses), period, seconds)
+        rates = [((a + b) / 2 * period, mean_rate(pulses[a:b], period, walk)) for a, b in edges]
+        return mean, rates
     whole = float(np.rint(pulses.mean()))
-    remainder = pulses - whole
-    found = passages(remainder, period, walk)
-    passed = None if found is None else _from_end_to_end(found, period)
-    if found and passed and _if_best(passed, remainder, period, walk):
-        cuts = [0]
-        for k in range(1, len(found.index)):
-            if (found.index[k] - found.index[cuts[-1]]) * period >= seconds:
-                cuts.append(k)
-        parts = [_between(found, a, b, period) for a, b in pairwise(cuts)]
-        middles = [(found.index[a] + found.index[b]) / 2 + 1 for a, b in pairwise(cuts)]
-        return [
-            (m * period, replace(p, rate=p.rate + whole / period))
-            for m, p in zip(middles, parts, strict=True)
-        ]
-    edges = block_edges(len(pulses), period, seconds)
-    return [((a + b) / 2 * period, mean_rate(pulses[a:b], period, walk)) for a, b in edges]
+    cuts = [0]
+    for k in range(1, len(found.index)):
+        if (found.index[k] - found.index[cuts[-1]]) * period >= seconds:
+            cuts.append(k)
+    parts = [_between(found, a, b, period) for a, b in pairwise(cuts)]
+    middles = [(found.index[a] + found.index[b]) / 2 + 1 for a, b in pairwise(cuts)]
+    return mean, [
+        (m * period, replace(p, rate=p.rate + whole / period))
+        for m, p in zip(middles, parts, strict=True)
+    ]
 
 
 def block_edges(samples: int, period: float, seconds: float) -> list[tuple[int, int]]:

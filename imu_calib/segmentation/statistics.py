@@ -14,7 +14,14 @@ from ..allan import allan_sums
 from ..gaussian import MAD_TO_STD
 from ..imu import ImuSpec
 from ..stream import Floats, Stamps, Units
-from .counter import END_POINT_VARIANCE, MeanRate, block_edges, block_rates, mean_rate, rate_between
+from .counter import (
+    END_POINT_VARIANCE,
+    MeanRate,
+    block_edges,
+    mean_and_blocks,
+    mean_rate,
+    rate_between,
+)
 from .grid import read_grid
 from .pace import Timing
 from .segment import Statistics
@@ -40,6 +47,9 @@ _SMALLEST_VARIANCE = 1e-100
 """Prevents division by zero for noise-free blocks."""
 _SAMPLES_FOR_GRID = 4096
 """Samples whose values are searched for the smallest difference. A choice."""
+
+_Blocks = list[tuple[float, MeanRate]]
+"""The middle of each block, s after the first sample began, and its mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,9 +168,11 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
     used = len(samples.stamp)
     gap_variance = samples.gaps * samples.bridged / (used * samples.period) ** 2
     span = round((samples.stamp[-1] - samples.stamp[0]) * 1e-9 / samples.period) + 1
-    means = [[_channel_mean(part, c, walk[c]) for c in range(6)] for part in parts]
-    best = [_combine([row[c] for row in means], walk[c]) for c in range(6)]
-    blocks = _blocks(parts, walk)
+    seconds = _block_seconds(parts)
+    found = [[_of_channel(part, c, walk[c], seconds) for c in range(6)] for part in parts]
+    best = [_combine([row[c][0] for row in found], walk[c]) for c in range(6)]
+    starts = [float(part.stamp[0] - parts[0].stamp[0]) * 1e-9 for part in parts]
+    blocks = tuple(_joined(starts, [row[c][1] for row in found]) for c in range(6))
     drift, drift_std = _drifts(blocks)
     return Statistics(
         samples=used,
@@ -222,11 +234,30 @@ def _between(samples: Samples, channel: int, first: float, last: float, walk: fl
     return rate_between(pulses, samples.period, first, last, walk / pulse).scaled(pulse)
 
 
-def _channel_mean(samples: Samples, channel: int, walk: float) -> MeanRate:
+def _of_channel(
+    samples: Samples, channel: int, walk: float, seconds: float
+) -> tuple[MeanRate, _Blocks]:
+    """Return the mean of a channel, and the middles and means of its blocks.
+
+    A run that is shorter than half a block has none: their means would have little weight.
+    """
     increments, pulse = samples.increments[:, channel], float(samples.pulse[channel])
+    count, period = len(increments), samples.period
+    short = 2 * count * period < seconds
     if pulse == 0.0:
-        return _uncounted(samples, channel, increments.sum(), len(increments) * samples.period)
-    return mean_rate(np.rint(increments / pulse), samples.period, walk / pulse).scaled(pulse)
+        edges = [] if short else block_edges(count, period, seconds)
+        return _uncounted(samples, channel, increments.sum(), count * period), [
+            (
+                (a + b) / 2 * period,
+                _uncounted(samples, channel, increments[a:b].sum(), (b - a) * period),
+            )
+            for a, b in edges
+        ]
+    pulses, walk = np.rint(increments / pulse), walk / pulse
+    if short:
+        return mean_rate(pulses, period, walk).scaled(pulse), []
+    mean, blocks = mean_and_blocks(pulses, period, walk, seconds)
+    return mean.scaled(pulse), [(middle, one.scaled(pulse)) for middle, one in blocks]
 
 
 def _uncounted(samples: Samples, channel: int, gained: float, duration: float) -> MeanRate:
@@ -267,43 +298,21 @@ def _combine(means: list[MeanRate], walk: float) -> MeanRate:
     )
 
 
-def _blocks(parts: list[Samples], walk: Floats) -> tuple[Floats, ...]:
-    """Cut the runs into blocks and estimate each block's mean: per channel (b, 4).
-
-    Runs between gaps that are shorter than half a block are left out: their means have little
-    weight.
-    """
+def _block_seconds(parts: list[Samples]) -> float:
+    """Return the length of the blocks into which runs between gaps are cut, s."""
     whole = sum(len(part.stamp) for part in parts) * parts[0].period
     enough = whole >= _MINIMUM_BLOCKS * BLOCK_SECONDS
-    seconds = BLOCK_SECONDS if enough else whole / _MINIMUM_BLOCKS
-    rows: list[list[tuple[float, float, float, float]]] = [[] for _ in range(6)]
-    for part in parts:
-        if 2 * len(part.stamp) * part.period < seconds:
-            continue
-        after = float(part.stamp[0] - parts[0].stamp[0]) * 1e-9
-        for c in range(6):
-            rows[c] += [
-                (m.rate, m.walk_gain, m.quantisation_variance, after + middle)
-                for middle, m in _channel_blocks(part, c, walk[c], seconds)
-            ]
-    return tuple(np.array(row).reshape(-1, 4) for row in rows)
+    return BLOCK_SECONDS if enough else whole / _MINIMUM_BLOCKS
 
 
-def _channel_blocks(
-    samples: Samples, channel: int, walk: float, seconds: float
-) -> list[tuple[float, MeanRate]]:
-    increments, pulse = samples.increments[:, channel], float(samples.pulse[channel])
-    period = samples.period
-    if pulse == 0.0:
-        return [
-            (
-                (a + b) / 2 * period,
-                _uncounted(samples, channel, increments[a:b].sum(), (b - a) * period),
-            )
-            for a, b in block_edges(len(increments), period, seconds)
-        ]
-    blocks = block_rates(np.rint(increments / pulse), period, walk / pulse, seconds)
-    return [(middle, mean.scaled(pulse)) for middle, mean in blocks]
+def _joined(starts: list[float], blocks: list[_Blocks]) -> Floats:
+    """Return the blocks of the runs of a channel, which begin at `starts`, s: (b, 4)."""
+    rows = [
+        (m.rate, m.walk_gain, m.quantisation_variance, start + middle)
+        for start, run in zip(starts, blocks, strict=True)
+        for middle, m in run
+    ]
+    return np.array(rows).reshape(-1, 4)
 
 
 def _drifts(blocks: tuple[Floats, ...]) -> tuple[Floats, Floats]:
