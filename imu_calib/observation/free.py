@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..budget import Source
-from ..directions import across
+from ..directions import across, cross
 from ..model import SensorModel
 from ..rotations import rotations
 from ..stream import Floats
@@ -142,7 +142,7 @@ def at_headings_by_moves(evidence: Evidence, ups: Floats, model: SensorModel) ->
     moves = evidence.with_attitudes(attitudes).used_moves
     for link, path in zip(moves.linked, moves.paths(model), strict=True):
         up = ups[link.second]
-        east = np.cross(path.rotation @ attitudes[link.first, 1], up)
+        east = cross(path.rotation @ attitudes[link.first, 1], up)
         east = east / (np.linalg.norm(east) or 1.0)
-        attitudes[link.second] = east, np.cross(up, east), up
+        attitudes[link.second] = east, cross(up, east), up
     return evidence.with_attitudes(attitudes)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..courses import Course, moving
-from ..directions import across
+from ..directions import across, cross
 from ..earth import Site
 from ..model import SensorModel
 from ..rotations import rotation, rotation_vectors, rotations
@@ -120,7 +120,7 @@ def shortest(last: Segment, up: Floats) -> Floats:
     """Return the attitude (3, 3) with (3,) `up` up, by the shortest rotation."""
     assert last.attitude is not None
     rising = last.attitude[2]
-    axis = np.cross(up, rising)
+    axis = cross(up, rising)
     sine, cosine = float(np.linalg.norm(axis)), float(up @ rising)
     if sine < _PARALLEL:
         # Half a turn may go about any level axis; rounding must not choose it.

@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..directions import cross
 from ..errors import NotObservable
 from ..imu import ImuSpec
 from ..segmentation.segment import Segment, Statistics
@@ -125,7 +126,7 @@ def _sliding(statistics: Statistics, up: Floats, bias: Floats) -> float:
     slope = across @ time / (time @ time)
     if slope @ slope * (time @ time) < _STEADILY * (across**2).sum():
         return 0.0
-    apart = slope + np.cross(statistics.mean[:3] - bias, statistics.mean[3:])
+    apart = slope + cross(statistics.mean[:3] - bias, statistics.mean[3:])
     if np.linalg.norm(apart) > _AGREES * np.linalg.norm(slope):
         return 0.0
     return float(np.linalg.norm(slope) / np.linalg.norm(statistics.mean[3:]))

@@ -548,5 +548,5 @@ def coning_variance(move: Move) -> float:
     twelfth of it is the coning term: a joint that starts or stops, and directions that turn, change
     it. Each step may have that error, independently.
     """
-    crossed = np.cross(move.turned[:-1], move.turned[1:])
+    crossed = cross(move.turned[:-1], move.turned[1:])
     return float((np.diff(crossed, axis=0) ** 2).sum()) / 12**2

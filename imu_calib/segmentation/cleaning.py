@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..directions import cross
 from ..gaussian import FIVE_SIGMA, MAD_TO_STD
 from ..stream import Floats
 from ..units import DEG, MICRO_G, significant
@@ -218,7 +219,7 @@ class _Means:
         if min(map(len, ends)) < _FEWEST_WINDOWS:
             return None
         mean = ends[0].mean(axis=0)
-        tilt = -np.cross(turned, mean)
+        tilt = -cross(turned, mean)
         wanted = float(np.linalg.norm(tilt))
         along = tilt / max(wanted, _TINY)
         std = float(np.linalg.norm(along * self.scatter[3:])) * np.sqrt(
