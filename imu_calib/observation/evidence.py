@@ -307,9 +307,19 @@ class Evidence:
         return replace(changed, walk=walk)
 
     def with_attitudes(self, attitudes: Floats) -> Evidence:
-        """Return the session in other attitudes, (s, 3, 3) R_nb."""
+        """Return the session in other attitudes, (s, 3, 3) R_nb.
+
+        Results that do not depend on them are kept: those of turns, and of a unit in the hand the
+        choice of moves and the outputs' own noise, which there are taken without attitudes.
+        """
         pairs = zip(self.segments, attitudes, strict=True)
-        return replace(self, segments=tuple(replace(s, attitude=a) for s, a in pairs))
+        segments = tuple(replace(s, attitude=a) for s, a in pairs)
+        found = self._replaced(_OF_DWELLS - {'dwell_attitudes'} | {'layout'}, segments=segments)
+        if self.free:
+            moves = replace(self.used_moves, attitudes=found.dwell_attitudes)
+            vars(found)['used_moves'] = moves
+            found.cache.update({key: self.cache[key] for key in self.cache.keys() & {'own'}})
+        return found
 
     def outputs(self) -> Floats:
         """Return the mean outputs at rest, (s, 6)."""
