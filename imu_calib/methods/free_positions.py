@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -227,6 +228,16 @@ class _State:
         """Return derivatives and residuals in standard deviations."""
         return self.equations.whitened(self.values)
 
+    @cached_property
+    def information(self) -> Information:
+        """The information of the equations."""
+        return Information.of(self.whitened()[0])
+
+    @cached_property
+    def basis(self) -> Floats:
+        """Orthonormal columns (m, n) that span the derivatives in standard deviations."""
+        return np.asarray(np.linalg.qr(self.whitened()[0])[0])
+
     def moved(self, step: Floats) -> _State:
         """Return the state after a step (n,), in attitudes turned by it."""
         equations, values = self.equations.moved(self.values, step)
@@ -338,7 +349,7 @@ def solve(evidence: Evidence) -> FreeFit:
     _check_observable(state)
     equations, values = state.equations, state.values
     check_axes(equations.model(values).gyro.response, 'gyros', 'the turns between holds')
-    information = Information.of(state.whitened()[0])
+    information = state.information
     parameters = tuple(dict.fromkeys((*PARAMETERS, *equations.parameters)))
     own = [parameters.index(p) for p in equations.parameters]
 
@@ -410,10 +421,9 @@ def _may_drift(state: _State) -> bool:
     if (state.scatter_chances < _WIDENED).any():
         return True
     trial = state.with_changes(tuple(c for changes in TRENDS.values() for c in changes))
-    jacobian, residuals = trial.whitened()
-    information = Information.of(jacobian)
+    information = trial.information
     with np.errstate(invalid='ignore'):
-        trial = replace(trial, values=trial.values + information.gain @ residuals)
+        trial = replace(trial, values=trial.values + information.gain @ trial.whitened()[1])
     return min(_log_chances(trial, information).values()) < _LOG_SHOWN
 
 
@@ -430,7 +440,7 @@ def _with_trends(start: _State) -> _Choice:
             # A few holds may determine no drift of the accelerometers.
             names.pop()
             continue
-        information = Information.of(state.whitened()[0])
+        information = state.information
         logs = _log_chances(state, information)
         # Where the gyros drift the accelerometers are likely to.
         likely = logs.get('trend:D_g', 0.0) < _LOG_SHOWN
@@ -789,8 +799,7 @@ def _chance(state: _State, term: Term) -> float:
 def _check_observable(state: _State) -> None:
     """Raise if attitudes and turns do not determine all parameters."""
     parameters, evidence = state.equations.parameters, state.equations.evidence
-    covariance = Information.of(state.whitened()[0]).covariance
-    std = np.sqrt(np.diag(covariance)[: len(parameters)])
+    std = np.sqrt(np.diag(state.information.covariance)[: len(parameters)])
     ratio = np.array([p.kind is not ParameterKind.BIAS for p in parameters])
     lost = ~np.isfinite(std) | (ratio & (std > _USELESS))
     if lost.any():
@@ -915,7 +924,9 @@ def _scatter(state: _State) -> tuple[Floats, Floats, Floats]:
     factors, freedom, chances = np.ones(3), np.full(3, np.inf), np.ones(3)
     for k in range(3):
         as_known = np.where(np.arange(3) == k, 1.0, state.scatter)
-        square, free = _square_and_freedom(state.scattering(as_known), k)
+        alike = np.array_equal(as_known, state.scatter)
+        known = state if alike else state.scattering(as_known)
+        square, free = _square_and_freedom(known, k)
         if free > _DETERMINED:
             chances[k] = scipy.special.chdtrc(free, square)
         if chances[k] < _WIDENED:
@@ -926,9 +937,7 @@ def _scatter(state: _State) -> tuple[Floats, Floats, Floats]:
 
 def _square_and_freedom(state: _State, group: int) -> tuple[float, float]:
     """Return the sum of squared residuals of a group, and its degrees of freedom."""
-    jacobian, residuals = state.whitened()
-    basis = np.linalg.qr(jacobian)[0]
-    rows = state.groups[group]
+    basis, residuals, rows = state.basis, state.whitened()[1], state.groups[group]
     own = residuals[rows] - basis[rows] @ (basis.T @ residuals)
     return float(own @ own), float(len(rows) - (basis[rows] ** 2).sum())
 
@@ -947,8 +956,7 @@ def _scatter_limit(freedom: Floats) -> Floats:
 
 def _wild_turn(state: _State) -> int | None:
     """Find the turn that is an outlier, if any."""
-    jacobian, residuals = state.whitened()
-    return _outstanding_turn(state, np.linalg.qr(jacobian)[0], residuals, _OUTLYING)
+    return _outstanding_turn(state, state.basis, state.whitened()[1], _OUTLYING)
 
 
 def _outstanding_turn(state: _State, basis: Floats, residuals: Floats, limit: float) -> int | None:
