@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 import tempfile
@@ -34,6 +35,8 @@ from imu_calib.middleware import messages
 from imu_calib.nodes import qos
 from imu_calib.plan import load_plan
 from imu_calib.share import named_file
+from imu_calib.simulation import StandOptions
+from imu_calib.units import ARCSEC
 
 GROWN = 4.0
 """MB for each session: pages kept by an allocator; the samples of a static dwell would be three
@@ -130,11 +133,25 @@ def plan_of(seconds: float, folder: Path) -> Path:
     return path
 
 
+def table_as_it_is(folder: Path) -> Path:
+    """Write the simulated table with the errors of arrival that the stand gives it.
+
+    Its file states none: of dwells of minutes nothing else is left, and the worst parameter is off
+    by three to five deviations.
+    """
+    arrival = StandOptions().positioning_error / math.sqrt(3) / ARCSEC
+    text = named_file('tables', 'three_axis').read_text(encoding='utf-8')
+    path = folder / 'table.yaml'
+    path.write_text(text.replace('positioning: 0 arcsec', f'positioning: {arrival:.2f} arcsec'))
+    return path
+
+
 def parameters(folder: Path, plan: Path, rate: float) -> dict[str, dict[str, Any]]:
     """Return the parameters of each node."""
     port = free_port()
     clock = {'use_sim_time': True}
-    described = {'imu': 'fog_medium', 'table': 'three_axis', 'latitude': 34.65, 'height': 0.0}
+    table = str(table_as_it_is(folder))
+    described = {'imu': 'fog_medium', 'table': table, 'latitude': 34.65, 'height': 0.0}
     return {
         'stand_node': {**described, 'truth': TRUTH, 'sample_rate': rate, 'seed': 1, 'port': port},
         'imu_node': {
@@ -154,7 +171,7 @@ def parameters(folder: Path, plan: Path, rate: float) -> dict[str, dict[str, Any
         'turntable_node': {
             **clock,
             'plan': str(plan),
-            'table': 'three_axis',
+            'table': table,
             'watchdog_timeout': 10.0,
             'calibrator_timeout': 10.0,
             'state_folder': str(folder / 'state'),
