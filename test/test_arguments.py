@@ -1,6 +1,7 @@
 """Arguments of a wrong type, given to any function of the package, are refused in a sentence."""
 
 import inspect
+import itertools
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
@@ -28,13 +29,9 @@ def functions() -> dict[str, Callable[..., Any]]:
     return {**chosen, 'Catalogue': imu_calib.Catalogue}
 
 
-def arguments() -> list[tuple[str, str]]:
-    return [
-        (name, argument)
-        for name, function in functions().items()
-        for argument in inspect.signature(function).parameters
-        if argument not in {'self', 'create'}
-    ]
+def arguments(name: str) -> list[inspect.Parameter]:
+    known = inspect.signature(functions()[name]).parameters.values()
+    return [one for one in known if one.name not in {'self', 'create'}]
 
 
 def call(name: str, argument: str, value: object) -> object:
@@ -51,14 +48,16 @@ def call(name: str, argument: str, value: object) -> object:
     return function(**{**given, argument: value})
 
 
-@pytest.mark.parametrize(('name', 'argument'), arguments())
+WRONG = [(None, 'None'), (3, '3'), (object(), 'a value of the type object')]
+
+
+@pytest.mark.parametrize('name', functions())
 def test_any_argument_of_a_wrong_type_is_refused_in_a_sentence(
-    name: str, argument: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    parameter = inspect.signature(functions()[name]).parameters[argument]
-    kinds = str(parameter.annotation).split(' | ')
-    for value, found in ((None, 'None'), (3, '3'), (object(), 'a value of the type object')):
+    for parameter, (value, found) in itertools.product(arguments(name), WRONG):
+        argument, kinds = parameter.name, str(parameter.annotation).split(' | ')
         if value is None and 'None' in kinds:
             continue
         with pytest.raises(ImuCalibError) as caught:
