@@ -10,6 +10,7 @@ also spreads the turn of 360 deg over the samples by the gyro itself, where ours
 """
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,7 @@ from imu_calib.segmentation.turns import Around, read_free_motion
 from imu_calib.share import named_file
 from imu_calib.simulation import ImuOptions
 from imu_calib.simulation.hand import as_planned
-from imu_calib.stream import Units
+from imu_calib.stream import Block, Units
 from imu_calib.turntable import TURN
 from imu_calib.units import DEG
 
@@ -95,18 +96,28 @@ def quiet_unit() -> ImuSpec:
     return ImuSpec('quiet', Units.SI, 100.0, gyro, TriadSpec(random_walk=0.03 / 60))
 
 
+QUIET_SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
+
+
+@cache
+def quiet_session(seed: int) -> list[Block]:
+    """A session of that unit in the hand, which each method solves."""
+    plan = load_plan('six_position_by_hand')
+    truth = Calibration.load(named_file('truths', 'mems_counts')).model
+    held = as_planned(plan, np.random.default_rng([seed, 1]))
+    options = ImuOptions(bias_instability=False)
+    return list(held.blocks(quiet_unit(), truth, QUIET_SITE, options, seed))
+
+
 @pytest.mark.parametrize('method', ['joint', 'six_position'])
 def test_an_earth_rate_from_anywhere_is_in_the_deviations(method: str) -> None:
     runs, spec, plan = 16, quiet_unit(), load_plan('six_position_by_hand')
     truth = Calibration.load(named_file('truths', 'mems_counts')).model
-    site = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
-    setup = Setup(spec, plan, None, site, method)
+    setup = Setup(spec, plan, None, QUIET_SITE, method)
     square, variance = np.zeros(24), np.zeros(24)
     for seed in range(runs):
         calibrator = Calibrator(setup)
-        held = as_planned(plan, np.random.default_rng([seed, 1]))
-        options = ImuOptions(bias_instability=False)
-        for block in held.blocks(spec, truth, setup.site, options, seed):
+        for block in quiet_session(seed):
             calibrator.feed(block)
         found = calibrator.finish().calibration
         assert not any('scatter' in finding for finding in found.findings)
