@@ -156,13 +156,24 @@ DAMAGED = {
 WORLDS |= DAMAGED
 
 
+ONCE = [
+    'lever arm',
+    'tilted by 0.1 deg',
+    'in bunches, frozen',
+    'in bunches of 20, clocks 2 s apart',
+]
+"""What is amiss with the unit, the table, the samples and both clocks, by either grade."""
 CASES = [
     *((name, 'medium') for name in WORLDS if name not in DAMAGED),
     *((name, 'navigation') for name in WORLDS if 'slow ramps' in name or 'tilted' in name),
     *((name, 'navigation') for name in DAMAGED),
 ]
 if not ALL:
-    CASES = CASES[::3]
+    CASES = [
+        (name, grade)
+        for name, grade in CASES
+        if name in ONCE and (name, grade) != ('tilted by 0.1 deg', 'medium')
+    ]
 
 
 @pytest.mark.parametrize(('name', 'grade'), CASES)
@@ -224,7 +235,8 @@ TABLES = {
 
 OF_TABLES = [(name, grade) for name in TABLES for grade in ('navigation', 'medium')]
 if not ALL:
-    OF_TABLES = OF_TABLES[::5]
+    # What stands wrong, stops wrong, is read wrong, and shakes.
+    OF_TABLES = [OF_TABLES[k] for k in (0, 10, 15, 20)]
 
 
 @pytest.fixture(scope='module')
@@ -331,7 +343,8 @@ def ninth_dwell() -> Segment:
 
 
 @pytest.mark.parametrize(
-    ('by', 'until'), [(-0.0241, 9.9), (0.0859, 4.9), (0.2763, 23.6), (-0.0185, None)]
+    ('by', 'until'),
+    [(-0.0241, 9.9), again(0.0859, 4.9), (0.2763, 23.6), (-0.0185, None)],
 )
 def test_a_clock_that_is_set_within_a_dwell_puts_no_parameter_off(
     monkeypatch: pytest.MonkeyPatch, by: float, until: float | None

@@ -232,7 +232,7 @@ def slow_table(monkeypatch: pytest.MonkeyPatch) -> type[SlowTable]:
         ((100.0,), 50.0, 0.0),
         ((40.0, 80.0, 120.0), 50.0, 0.0),
         ((20.0, 50.0, 90.0), 25.0, 7.0),
-        ((20.0, 50.0, 90.0), 200.0, 7.0),
+        again((20.0, 50.0, 90.0), 200.0, 7.0),
     ],
 )
 def test_sessions_on_slow_ramps_are_as_good_as_they_say(
