@@ -35,9 +35,9 @@ MOVES = (State.MOVING, State.TURNING)
 Progress = messages.CalibrationProgress
 
 
-def short_plan(folder, dwell=3.0, rates=(240, -240)):
-    """Write the twelve positions with short dwells and one rate as a plan of its own."""
-    plan = yaml.safe_load(named_file('plans', 'twelve_position').read_text())
+def short_plan(folder, dwell=3.0, rates=(240, -240), name='twelve_position'):
+    """Write the positions of a plan with short dwells and one rate as a plan of its own."""
+    plan = yaml.safe_load(named_file('plans', name).read_text())
     plan['name'] = 'short'
     plan['dwell'] = f'{dwell} s'
     plan['rate_test']['rates'] = [f'{rate} deg/s' for rate in rates]

@@ -29,7 +29,7 @@ try:
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
-TURN = 9
+TURN = 7
 """At which step the session is interrupted, a turn: some positions are done, most are not."""
 BEGINS = 'Nothing is started.'
 """What the leader of the table says first."""
@@ -38,7 +38,7 @@ BEGINS = 'Nothing is started.'
 def begin(tmp_path, *options, name='my stand'):
     """Start a simulated stand in a process group of its own; return it and its folder."""
     folder = tmp_path / name
-    words = ['stand', str(short_plan(tmp_path)), '-o', str(folder), *options]
+    words = ['stand', str(short_plan(tmp_path, name='six_position')), '-o', str(folder), *options]
     return command(words), folder
 
 
@@ -154,24 +154,24 @@ def test_what_is_interrupted_torn_off_and_killed_is_gone_on_with_time_after_time
     # Files that a person edits meanwhile are no matter.
     (tmp_path / 'short.yaml').write_text('name: another\n')
     process = command(shlex.split(last)[1:])
-    comes_to(process, folder, TURN + 4, run=2)
+    comes_to(process, folder, TURN + 2, run=2)
     kill_everything(process, folder)
     tear(folder)
     process = command(['stand', '--resume', str(folder)])
-    comes_to(process, folder, TURN + 7, word='Turning', run=3)
+    comes_to(process, folder, TURN + 5, word='Turning', run=3)
     # Its nodes stop the table and end by themselves: what goes on waits for that.
     assert stop_count(folder) == 1
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     process = command(['stand', '--resume', str(folder)])
-    comes_to(process, folder, TURN + 9, run=4)
+    comes_to(process, folder, TURN + 6, run=4)
     assert stop_count(folder) == 2
     output = finishes(process, folder)
     assert 'The IMU stream was interrupted' in output
     parts = runs(folder)
     assert len(parts) == 4
     assert parts[0] == list(range(1, parts[0][-1] + 1))
-    assert parts[3][-1] == 21
+    assert parts[3][-1] == 15
     for before, after in itertools.pairwise(parts):
         # The step that was interrupted, and what was in memory alone, are run again, and no more:
         # one step after Ctrl-C, five seconds of the stand and a chunk after a power cut.
@@ -199,7 +199,7 @@ def interrupted(process, number):
 def test_free_positions_in_a_simulated_hand_go_on_too(tmp_path):
     folder = tmp_path / 'hand'
     # Slow enough that holds are left when a busy machine looks; it may skip a word here and there.
-    process = command(['stand', 'free_positions', '-o', str(folder), '--speed', '10'])
+    process = command(['stand', 'free_positions', '-o', str(folder), '--speed', '15'])
     log = folder / 'nodes' / 'calibrator_node.log'
 
     def held():
