@@ -47,7 +47,7 @@ def test_two_publishers_or_an_emergency_stop_the_table_and_spoofed_words_complet
     """
     waits = {'watchdog_timeout': LEASE + 10.0, 'feedback_timeout': LEASE + 10.0}
     with Stand(
-        tmp_path, '--speed', '30', stand_node={'clock_drift': 100.0}, turntable_node=waits
+        tmp_path, '--speed', '12', stand_node={'clock_drift': 100.0}, turntable_node=waits
     ) as stand:
         for topic in KINDS:
             assert stand.reaches(*MOVES, step=1)
