@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import importlib.util
 import re
+from collections.abc import Iterator
+from contextlib import ExitStack
 from decimal import Decimal
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import processes
 import pytest
 from installed import needs_modules
 from loopback import CHECKOUT
@@ -63,10 +66,18 @@ def output_texts(cell: Any) -> list[str]:
     return texts
 
 
+@pytest.fixture(scope='module')
+def kernel() -> Iterator[Any]:
+    with ExitStack() as started:
+        with processes.kept():
+            manager = started.enter_context(RUN.kernel())
+        yield manager
+
+
 @pytest.mark.parametrize('name', NAMES)
-def test_a_notebook_runs_and_prints_what_is_committed(name: str) -> None:
+def test_a_notebook_runs_and_prints_what_is_committed(name: str, kernel: Any) -> None:
     committed = RUN.read(name).cells
-    for cell, before in zip(RUN.executed(name).cells, committed, strict=True):
+    for cell, before in zip(RUN.executed(name, kernel).cells, committed, strict=True):
         now, then = output_texts(cell), output_texts(before)
         assert not [text for text in now if text.startswith('stderr')], cell.source
         assert len(now) == len(then), f'{cell.source}\n{now}'

@@ -10,11 +10,14 @@ from __future__ import annotations
 import argparse
 import base64
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import nbformat
+from jupyter_client.manager import KernelManager
 from nbclient import NotebookClient
 from nbformat import NotebookNode
 from PIL import Image
@@ -35,29 +38,45 @@ def read(name: str) -> NotebookNode:
     return nbformat.read(FOLDER / f'{name}.ipynb', as_version=4)
 
 
-def executed(name: str) -> NotebookNode:
-    """Run a notebook in a kernel of its own and an empty folder; return it with new outputs.
+@contextmanager
+def kernel() -> Iterator[KernelManager]:
+    """A kernel for one notebook after the other: to start one takes longer than most cells."""
+    with TemporaryDirectory() as folder:
+        # Settings of the person's own do not count.
+        environment = {**os.environ, 'IPYTHONDIR': folder, 'OMP_NUM_THREADS': '1'}
+        manager = KernelManager(kernel_name='python3')
+        manager.start_kernel(env=environment, cwd=folder)
+        try:
+            yield manager
+        finally:
+            manager.shutdown_kernel(now=True)
+
+
+def executed(name: str, manager: KernelManager) -> NotebookNode:
+    """Run a notebook in an empty folder, without a name that another one left; return it.
 
     Raises:
         nbclient.exceptions.CellExecutionError: A cell raises.
     """
     notebook = read(name)
-    with TemporaryDirectory() as folder:
-        # Settings of the person's own do not count, nor do time stamps: what changes in a file is
-        # what its outputs say.
-        environment = {**os.environ, 'IPYTHONDIR': f'{folder}/ipython', 'OMP_NUM_THREADS': '1'}
-        work = Path(folder, 'work')
-        work.mkdir()
-        NotebookClient(
+    with TemporaryDirectory() as work:
+        begin = nbformat.v4.new_code_cell(f'import os\nos.chdir({work!r})\n%reset -f')
+        notebook.cells.insert(0, begin)
+        client = NotebookClient(
             notebook,
+            km=manager,
             timeout=_CELL_SECONDS,
             startup_timeout=_CELL_SECONDS,
-            kernel_name='python3',
+            # Time stamps do not count: what changes in a file is what its outputs say.
             record_timing=False,
             # What a busy machine prints in two goes is one text.
             coalesce_streams=True,
-            resources={'metadata': {'path': str(work)}},
-        ).execute(env=environment)
+        )
+        try:
+            client.execute()
+        finally:
+            client.kc.stop_channels()
+        notebook.cells.remove(begin)
     return cleared(notebook)
 
 
@@ -97,9 +116,11 @@ def main() -> None:
     """Execute and write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('names', nargs='*', metavar='NAME', default=names())
-    for name in parser.parse_args().names:
-        nbformat.write(executed(name), FOLDER / f'{name}.ipynb')
-        print(f'{name}: executed')
+    wanted = parser.parse_args().names
+    with kernel() as manager:
+        for name in wanted:
+            nbformat.write(executed(name, manager), FOLDER / f'{name}.ipynb')
+            print(f'{name}: executed')
 
 
 if __name__ == '__main__':
