@@ -4,6 +4,7 @@ import inspect
 import itertools
 from collections.abc import Callable
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ METHODS = ('Calibration.load', 'Calibration.save', 'Calibration.from_yaml')
 METHODS += ('ThermalCalibration.save', 'UnitResults.save', 'Catalogue.query', 'Catalogue.selected')
 
 
+@cache
 def functions() -> dict[str, Callable[..., Any]]:
     """Return all exported functions, the methods that read and write, and the catalogue."""
     found = {name: getattr(imu_calib, name) for name in imu_calib.__all__}

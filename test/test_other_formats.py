@@ -3,6 +3,7 @@
 import argparse
 import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,7 @@ STATED = {
 """What the arguments beside the file are, where they are read before it."""
 
 
+@cache
 def commands() -> dict[str, argparse.ArgumentParser]:
     parser = build_parser()
     (found,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))

@@ -2,6 +2,7 @@
 
 import re
 import struct
+from functools import cache
 
 import numpy as np
 import pytest
@@ -75,8 +76,12 @@ DEVICES = {
 IMUS = {'kvh_1750': 'kvh_1750', 'stim300': 'stim300', 'xsens_mti': 'xsens_mti_300'}
 
 
+# Hundreds of lines are decoded.
+format_of = cache(load_format)
+
+
 def decoded(name, *pieces):
-    decoder = Decoder(load_format(name))
+    decoder = Decoder(format_of(name))
     return decoder.counts, [decoder.feed(piece) for piece in pieces]
 
 

@@ -561,24 +561,25 @@ def test_a_step_is_likelier_where_the_stream_was_interrupted() -> None:
     gyro = tuple(0.1 * v * DEG_H for v in (1.0, -0.7, 1.2))
     accel = tuple(20 * v * MICRO_G for v in (1.0, -0.7, 1.2))
 
-    def searched(step: BiasStep, *, told: bool) -> tuple[list[str], float]:
+    def silent(step: BiasStep) -> Evidence:
         evidence, _ = stepped_session('fog_medium', step, 5, (600.0, 606.0))
         ((last, begins),) = evidence.interruptions
         assert (begins - last) * 1e-9 == pytest.approx(6.0, abs=0.1)
-        found = solve(
-            evidence if told else replace(evidence, interruptions=()), find_terms=True
-        ).search
+        return evidence
+
+    def searched(evidence: Evidence) -> tuple[list[str], float]:
+        found = solve(evidence, find_terms=True).search
         assert found is not None
         likely = {family.course: p for family, p in found.probability.items()}
         return [one.family.name for one in found.found], likely.get(Course.STEP, 1.0)
 
-    stepping = BiasStep(603.0, gyro, accel)
-    assert searched(stepping, told=True)[0] == ['step']
+    stepping = silent(BiasStep(603.0, gyro, accel))
+    assert searched(stepping)[0] == ['step']
     # Among all instants it is not significant, and one in a thousand beforehand.
-    names, likely = searched(stepping, told=False)
+    names, likely = searched(replace(stepping, interruptions=()))
     assert names == []
     assert likely < 0.5
     # Nothing is said of a unit that went on as it was.
-    names, likely = searched(BiasStep(603.0), told=True)
+    names, likely = searched(silent(BiasStep(603.0)))
     assert names == []
     assert likely < 0.5

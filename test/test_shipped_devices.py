@@ -5,6 +5,7 @@ import itertools
 import struct
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 
 import numpy as np
 import pytest
@@ -176,8 +177,12 @@ def line_of(name, count=300, **keys):
     return [DEVICES[name].write(k, **keys) for k in range(count)]
 
 
+# Thousands of lines are decoded.
+format_of = cache(load_format)
+
+
 def decoded(name, *pieces):
-    decoder = Decoder(load_format(name))
+    decoder = Decoder(format_of(name))
     return decoder.counts, [decoder.feed(piece) for piece in pieces]
 
 
