@@ -91,7 +91,7 @@ def test_a_wrong_name_counts_unless_the_right_one_stands_beside_it() -> None:
         # scatter of the accelerometers, joints and stops.
         ('tilt 0.1 deg, six positions', 'mems_counts', 1),
         # Cheap gyros whose biases drift as stated were said to see north elsewhere.
-        again('tilt 20 arcsec, six positions', 'mems_counts', 3),
+        ('tilt 20 arcsec, six positions', 'mems_counts', 3),
         # A rest that leaned did not fit, and nobody said how.
         ('attitude errors of stops 2 arcsec', 'fog_medium', 0),
         # Rates by readings in steps alone were known to 29 ppm.
@@ -99,7 +99,7 @@ def test_a_wrong_name_counts_unless_the_right_one_stands_beside_it() -> None:
         # By chance a session seemed calm, and the drift of the data sheet was taken back.
         ('perfect', 'mems_counts', 7),
         # Of right angles 3 arcsec were assumed where nobody states them: off without a word.
-        again('orthogonality 60 arcsec', 'mems_counts', 13),
+        ('orthogonality 60 arcsec', 'mems_counts', 13),
         # Of zeros 20 arcsec, those of one levelling: 6.5 deviations off, by the frame alone.
         ('zeros 60 arcsec', 'mems_counts', 14),
         pytest.param('g_sensitivity', 'fog_navigation', 0, marks=pytest.mark.repeats),
