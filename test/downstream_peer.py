@@ -105,6 +105,7 @@ def listen_and_drive(target, patience):
                 'frames': [message.header.frame_id, message.child_frame_id],
                 'orientation': [q.x, q.y, q.z, q.w],
                 'velocity': [v.x, v.y, v.z],
+                'turning': message.twist.twist.angular.z,
             }
         )
 

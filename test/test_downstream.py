@@ -28,8 +28,14 @@ NOISE = 5 * MRAD
 """What imu_filter_madgwick does at its gain of 0.1: each step turns by 2 * 0.1 rad/s * 10 ms, that
 is 2 mrad, towards the force of one sample, which itself is off by 2 mrad: pulses of 0.5 mm/s."""
 
+MISSED = 0.1
+"""s without samples that a busy machine may cost a filter."""
+
 GAP = 10 * MRAD
-"""Samples dropped for 0.1 s while the turn speeds up: half of 2 rad/s^2 times its square."""
+"""Samples dropped for so long while the turn speeds up: half of 2 rad/s^2 times its square."""
+
+BEHIND = 2.0 * MISSED
+"""rad/s by which a filter is off then that goes on at the last rate that it knew."""
 
 SETTLED = 1.5
 """From the tilt of one sample to that, with the dead time of the first 33 samples, s."""
@@ -57,9 +63,22 @@ def run(tmp_path_factory):
 
 
 def held_up(run):
-    """Whether a filter has missed more than 0.1 s of the motion, or a fifth of all samples."""
+    """Whether a filter has missed more than `MISSED` of the motion, or a fifth of all samples.
+
+    The EKF publishes all the time: without samples it goes on as before, and what comes too late
+    it does not take.
+    """
     few = len(run.imu) < 0.8 * len(robot.pulses().stamp)
-    return few or any(_longest_gap(run.epoch, m) > 0.1 for m in (run.imu, run.odometry))
+    gaps = [_longest_gap(run.epoch, m) for m in (run.imu, run.odometry)]
+    return few or max(gaps) > MISSED or _furthest_behind(run) > BEHIND
+
+
+def _furthest_behind(run):
+    """Return by how much the EKF is off in the rate of the turn at most, rad/s."""
+    time = np.array([message['stamp'] - run.epoch for message in run.odometry]) * 1e-9
+    before, now = (Rotation.from_matrix(robot.motion().attitude(t)) for t in (time - PERIOD, time))
+    true = (before.inv() * now).as_rotvec()[:, 2] / PERIOD
+    return np.abs(true - [message['turning'] for message in run.odometry]).max()
 
 
 def _longest_gap(epoch, messages):
