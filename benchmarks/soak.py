@@ -136,8 +136,8 @@ def plan_of(seconds: float, folder: Path) -> Path:
 def table_as_it_is(folder: Path) -> Path:
     """Write the simulated table with the errors of arrival that the stand gives it.
 
-    Its file states none: of dwells of minutes nothing else is left, and the worst parameter is off
-    by three to five deviations.
+    Its file states none. With dwells of 340 s the worst parameter was off by 2.3 to 4.6 deviations
+    in twelve simulated sessions then, by 1.6 to 3.5 in eight where they are stated.
     """
     arrival = StandOptions().positioning_error / math.sqrt(3) / ARCSEC
     text = named_file('tables', 'three_axis').read_text(encoding='utf-8')
