@@ -69,7 +69,8 @@ class Network:
         self.processes = {}
 
     def environ(self, **more):
-        return {**without_ros(), **self.own, 'PYTHONUNBUFFERED': '1', **more}
+        python = {'PYTHONUNBUFFERED': '1', 'PYTHONFAULTHANDLER': '1'}
+        return {**without_ros(), **self.own, **python, **more}
 
     def ros(self, *words):
         """Return a command line in the workspace."""
@@ -133,6 +134,23 @@ class Network:
             return all(sentence in self.log(name) for sentence in sentences)
 
         assert until(all_there, patience(seconds)), self.log(name)
+
+    def ended(self, name, seconds=60):
+        """Wait until a process has ended by itself; return its exit code.
+
+        Raises:
+            AssertionError: It goes on; what it was doing and all logs are said.
+        """
+        process = self.processes[name]
+        try:
+            process.wait(timeout=patience(seconds))
+        except subprocess.TimeoutExpired:
+            # Python then writes what its threads are at.
+            process.send_signal(signal.SIGABRT)
+            process.wait(timeout=patience())
+            logs = ''.join(f'\n--- {one} ---\n{self.log(one)}' for one in self.processes)
+            pytest.fail(f'{name} does not end.{logs}')
+        return self.processes.pop(name).returncode
 
     def stop(self, name):
         """End a process as a user does; return its log."""

@@ -3,6 +3,7 @@
 import os
 import select
 import signal
+import struct
 import sys
 import threading
 import time
@@ -137,6 +138,65 @@ def test_two_clients_get_their_own_answers(node):
     futures = [c.call_async(ros.Trigger.Request()) for c in clients]
     assert spun(node, lambda: all(f.done() for f in futures))
     assert sorted(f.result().message for f in futures) == ['0', '1']
+
+
+class LateClient:
+    """Asks before its reader is there: DDS announces the two ends of a client one by one."""
+
+    QOS = ros.QoSProfile(depth=10)
+    IDENTITY = 'clientid= 1.2.3;', 'service'
+
+    def __init__(self, node):
+        from imu_calib.middleware.dds import codec, wire
+
+        self.service = node.create_service(ros.Trigger, '/late', self.answer)
+        self.participant = self.service.reader.participant
+        self.wire = wire
+        self.answers = 0
+        kind = ros.Trigger.Request
+        self.writer = wire.Writer(
+            self.participant, 'rq/lateRequest', kind.TYPE_NAME, self.QOS, *self.IDENTITY
+        )
+        assert spun(node, self.writer.matched)
+        self.writer.write(codec.serialize_message(kind(), struct.pack('<Qq', 7, 1)))
+        assert spun(node, lambda: self.answers)
+
+    def answer(self, request, response):
+        self.answers += 1
+        response.message = 'for the late'
+        return response
+
+    def reader(self):
+        kind = ros.Trigger.Response.TYPE_NAME
+        return self.wire.Reader(self.participant, 'rr/lateReply', kind, self.QOS, *self.IDENTITY)
+
+
+ONLY_DDS = pytest.mark.skipif(ros.RUNTIME != 'dds', reason='of the runtime without ROS')
+
+
+@ONLY_DDS
+def test_an_answer_waits_for_the_reader_of_its_client(node):
+    client = LateClient(node)
+    spun(node, lambda: False, 0.1)
+    reader, got = client.reader(), []
+    assert spun(node, lambda: got.extend(reader.drain()) or got)
+    assert b'for the late' in got[0]
+    # And no longer than that.
+    assert not node.timers_
+    assert client.answers == 1
+
+
+@ONLY_DDS
+@pytest.mark.parametrize('leaves', ['client', 'service'])
+def test_no_answer_waits_where_one_side_has_left(leaves, node):
+    client = LateClient(node)
+    assert node.timers_
+    if leaves == 'client':
+        client.writer.delete()
+    else:
+        node.services_.remove(client.service)
+        client.service.destroy()
+    assert spun(node, lambda: not node.timers_)
 
 
 def test_nobody_serves(node):

@@ -6,7 +6,7 @@ import signal
 import processes
 import pytest
 from installed import has_package
-from loopback import patience, until
+from loopback import until
 from ros_stands import (
     GLOBAL,
     LATITUDE,
@@ -111,9 +111,8 @@ def test_the_table_stands_when_the_launcher_alone_is_ended(number, tmp_path):
         net.wait_for_text('table', 'No program reads the frames')
         net.start('launch', net.ros('ros2', 'launch', 'imu_calib', 'stand.launch.py', *words))
         net.wait_for_text('launch', 'Turning: step', seconds=120)
-        launcher = net.processes.pop('launch')
-        launcher.send_signal(number)
-        launcher.wait(timeout=patience())
+        net.processes['launch'].send_signal(number)
+        net.ended('launch')
         launched = ('imu_node', 'calibrator_node', 'turntable_node')
         assert until(
             lambda: not [n for n in launched for line in processes.running().values() if n in line]
@@ -154,8 +153,7 @@ def test_what_cannot_be_launched_is_refused_before_the_first_node(name, given, s
     words = [f'{k}:={v}' for k, v in given.items()]
     with nothing_left(net):
         net.start('launch', net.ros('ros2', 'launch', 'imu_calib', f'{name}.launch.py', *words))
-        process = net.processes.pop('launch')
-        assert process.wait(timeout=patience()) != 0
+        assert net.ended('launch') != 0
     assert sentence in net.log('launch')
     assert 'process started' not in net.log('launch')
 
@@ -165,7 +163,6 @@ def test_a_table_is_not_launched_in_the_default_domain(tmp_path):
     given = ['ros2', 'launch', 'imu_calib', 'ascii_table.launch.py', 'table_port:=/dev/ttyUSB9']
     with nothing_left(net):
         net.start('launch', net.ros(*given), ROS_DOMAIN_ID='0')
-        process = net.processes.pop('launch')
-        assert process.wait(timeout=patience()) != 0
+        assert net.ended('launch') != 0
     assert 'ROS_DOMAIN_ID is 0: a table is not led in the default domain' in net.log('launch')
     assert 'process started' not in net.log('launch')

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from installed import needs
-from loopback import CHECKOUT, patience
+from loopback import CHECKOUT
 from ros_stands import (
     BAG,
     CANCEL,
@@ -66,7 +66,7 @@ def session(tmp_path_factory):
         echoed = net.ask(*echo, *latched, '/calibration', 'imu_calib_msgs/msg/ImuCalibration')
         results.echoed = yaml.safe_load(echoed.split('\n---')[0])
         results.recorded = net.stop('record') if BAG else ''
-        assert net.processes.pop('goal').wait(timeout=patience()) == 0
+        assert net.ended('goal') == 0, net.log('goal')
         results.goal = net.log('goal')
         results.launched = net.stop('launch')
     results.live = Calibration.load(net.folder / 'calibration.yaml')
@@ -153,12 +153,12 @@ def test_the_tool_of_ros_cancels_a_goal_of_a_node_without_ros(tmp_path):
             net.start(name, [sys.executable, *words], **alone)
         net.wait_for_text('turntable_node', 'Joint states are received.')
         net.start('refused', net.ros('ros2', *GOAL, '{plan: another}'))
-        assert net.processes.pop('refused').wait(timeout=patience()) == 0
+        assert net.ended('refused') == 0, net.log('refused')
         net.start('goal', net.ros('ros2', *GOAL, '{plan: short}'))
         net.wait_for_text('goal', 'phase: 3')
         # No identity and no time: all goals.
         net.ask('service', 'call', f'{GOAL[3]}/_action/cancel_goal', CANCEL, '{}')
-        net.processes.pop('goal').wait(timeout=patience())
+        net.ended('goal')
         net.wait_for_text('turntable_node', 'Cancelled by the client of run_calibration.')
         rates = one_joint_state(net)[1]
         logs = [net.stop(name) for name in ('turntable_node', 'imu_node', 'stand_node')]
@@ -178,8 +178,7 @@ def test_the_stand_passes_its_launch_test(tmp_path):
     with nothing_left(net):
         file = str(CHECKOUT / 'test' / 'stand_launch.py')
         net.start('test', net.ros('launch_test', file, *words))
-        process = net.processes.pop('test')
-        assert process.wait(timeout=patience(300)) == 0, net.log('test')
+        assert net.ended('test', 300) == 0, net.log('test')
     assert net.log('test').count('OK') == 2
 
 

@@ -288,6 +288,6 @@ def try_to_lead(net, name, secured, keys, wait=None):
 
 def came_to(net, name):
     """Return how far it came, as it says when it ends."""
-    net.processes.pop(name).wait(timeout=patience(120))
+    net.ended(name, 120)
     (line,) = [one for one in net.log(name).splitlines() if one.startswith('SAID ')]
     return json.loads(line.removeprefix('SAID '))

@@ -28,6 +28,9 @@ _TEND_PERIOD = 0.5
 """Seconds between two checks for peers with mismatched quality of service: each check reads every
 endpoint, which at ten per second took a fifth of an idle node's time."""
 
+_RETRY_PERIOD = 0.01
+"""As of rmw_cyclonedds, which waits for the reader of a client by such steps."""
+
 
 class Node:
     """A node with publishers, subscriptions, timers, services and parameters.
@@ -152,10 +155,21 @@ class Node:
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any]
     ) -> Service:
         """Create a service; peers on rmw_fastrtps cannot call it."""
-        service = Service(CONTEXT.joined(), srv_type, self.resolve_service_name(srv_name), callback)
+        name = self.resolve_service_name(srv_name)
+        service = Service(CONTEXT.joined(), srv_type, name, callback, self._retry)
         self.services_.append(service)
         CONTEXT.announce()
         return service
+
+    def _retry(self, attempt: Callable[[], bool]) -> None:
+        """Call a function periodically until it returns True."""
+
+        def on_timer() -> None:
+            if attempt():
+                self.destroy_timer(timer)
+
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        timer = self.create_timer(_RETRY_PERIOD, on_timer, clock=steady)
 
     def create_client(self, srv_type: Any, srv_name: str) -> Client:
         """Create a client; a service on rmw_fastrtps never answers."""

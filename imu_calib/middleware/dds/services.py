@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 import struct
 import time
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from .participant import Participant
 
 _REQUEST_ID = struct.Struct('<Qq')
+_CLIENT = re.compile(rb'clientid=[^;]*;')
+"""Marks both ends of one client in their user data."""
 
 
 class Trigger:
@@ -54,6 +57,13 @@ class Service:
     """Answers requests; the callback takes request and response and returns the response.
 
     It may return a future of the response instead.
+
+    Args:
+        participant: Participant of the node that serves.
+        srv_type: Class of the service.
+        srv_name: Absolute name.
+        callback: Answers a request.
+        retry: Called with a function that is to be called again and again until it returns True.
     """
 
     def __init__(
@@ -62,10 +72,12 @@ class Service:
         srv_type: Any,
         srv_name: str,
         callback: Callable[[Any, Any], Any],
+        retry: Callable[[Callable[[], bool]], None],
     ) -> None:
         self.srv_type = srv_type
         self.srv_name = srv_name
         self.callback = callback
+        self._retry = retry
         self.destroyed = False
         self.reader, self.writer = _ends(
             participant, srv_type, srv_name, True, secrets.token_bytes(16)
@@ -73,24 +85,45 @@ class Service:
 
     def execute(self, most: int) -> bool:
         """Answer pending requests; return whether there were any."""
-        payloads = self.reader.drain(most)
-        for payload in payloads:
+        requests = self.reader.drain_sources(most)
+        for payload, client in requests:
             request = deserialize_message(payload, self.srv_type.Request, skip=16)
             response = self.callback(request, self.srv_type.Response())
-            answer = partial(self._answer, _request_id(payload))
+            answer = partial(self._answer, client, _request_id(payload))
             if isinstance(response, Future):
                 response.add_done_callback(partial(_when_done, answer))
             else:
                 answer(response)
-        return bool(payloads)
+        return bool(requests)
 
-    def _answer(self, request_id: bytes, response: Any) -> None:
+    def _answer(self, client: bytes, request_id: bytes, response: Any) -> None:
         if not isinstance(response, self.srv_type.Response):
             raise TypeError(
                 f'The callback of {self.srv_name} returned {type(response).__name__}, '
                 f'expected {self.srv_type.Response.__name__}.'
             )
-        self.writer.write(serialize_message(response, request_id))
+        send = partial(self._send, client, serialize_message(response, request_id))
+        if not send():
+            self._retry(send)
+
+    def _send(self, client: bytes, answer: bytes) -> bool:
+        """Send an answer; return False while its client could not receive it.
+
+        DDS announces the writer and the reader of a client one after the other. An answer that is
+        sent between the two is lost: rmw_cyclonedds holds it back as well (rmw_send_response).
+        """
+        if self.destroyed:
+            return True
+        wanted = self.reader.user_data_of(client)
+        if wanted is None:
+            return True  # The client has left.
+        identity = _CLIENT.search(wanted)
+        if identity is not None and not any(
+            identity[0] in reader for reader in self.writer.user_data_of_readers()
+        ):
+            return False
+        self.writer.write(answer)
+        return True
 
     def destroy(self) -> None:
         """Leave the service's topics."""

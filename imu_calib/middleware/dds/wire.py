@@ -152,6 +152,13 @@ class Writer(Endpoint):
         """Return the number of matching readers."""
         return len(self.entity.get_matched_subscriptions())
 
+    def user_data_of_readers(self) -> list[bytes]:
+        """Return the user data of all matching readers."""
+        found = map(
+            self.entity.get_matched_subscription_data, self.entity.get_matched_subscriptions()
+        )
+        return [data for data in map(_user_data, found) if data is not None]
+
     def incompatible(self) -> QoSIncompatibleInfo | None:
         """Return mismatches since the last call, None without any."""
         return _incompatible(self.entity.get_offered_incompatible_qos_status())
@@ -186,7 +193,7 @@ class Reader(Endpoint):
                 break
         return payloads
 
-    def drain_sources(self) -> list[tuple[bytes, bytes]]:
+    def drain_sources(self, most: int = _BULK) -> list[tuple[bytes, bytes]]:
         """Return arrived messages, each with the number of its writer, 8 bytes.
 
         Raises:
@@ -194,9 +201,18 @@ class Reader(Endpoint):
         """
         return [
             (payload, info.publication_handle.to_bytes(8, 'little'))
-            for payload, info in self._taken(_BULK)
+            for payload, info in self._taken(min(most, _BULK))
             if info.valid_data
         ]
+
+    def user_data_of(self, source: bytes) -> bytes | None:
+        """Return the user data of a writer, None if it does not match (any more).
+
+        Args:
+            source: Its number, of `drain_sources`.
+        """
+        handle = int.from_bytes(source, 'little')
+        return _user_data(self.entity.get_matched_publication_data(handle))
 
     def _taken(self, room: int) -> list[Any]:
         taken = self._take(self.entity._ref, _ANY, room)
@@ -273,6 +289,15 @@ def _check(code: int) -> int:
     if code < 0:
         raise DDSException(code, 'while waiting for messages')
     return code
+
+
+def _user_data(endpoint: Any) -> bytes | None:
+    """Return the user data of a description of an endpoint, None if there is none of it."""
+    from cyclonedds.qos import Policy
+
+    if endpoint is None:
+        return None
+    return endpoint.qos[Policy.Userdata].data if Policy.Userdata in endpoint.qos else b''
 
 
 def _incompatible(status: Any) -> QoSIncompatibleInfo | None:
