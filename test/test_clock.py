@@ -176,7 +176,7 @@ def test_no_node_ends_whatever_the_clock_says(monkeypatch, tmp_path, name):
             state.header.stamp = stamp
             joints.publish(state)
             ros.publish_all(pulses, samples(seconds - 1).payloads())
-            message = M.CalibrationProgress(plan='twelve_position')
+            message = M.CalibrationProgress(plan='twelve_position', state=1)
             message.header.stamp = stamp
             progress.publish(message)
             messages.clear()

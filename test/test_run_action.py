@@ -220,7 +220,7 @@ def test_the_result_is_the_calibration_and_where_it_is(session):
     progress = ros.messages.CalibrationProgress
     calibration = ros.messages.ImuCalibration
     session.watcher.progress.publish(
-        progress(plan='tiny', parameter_names=['K_gx'], standard_deviations=[3e-6])
+        progress(plan='tiny', state=1, parameter_names=['K_gx'], standard_deviations=[3e-6])
     )
     _, ended = client.run(plan='tiny')
     session.reaches(Phase.DONE)
@@ -261,11 +261,14 @@ def test_of_several_units_the_result_has_all_in_their_order(session):
     assert result.file == said['file']
 
 
-def test_while_one_of_several_units_is_not_heard_nothing_starts(session):
+@pytest.mark.parametrize(
+    ('serial_numbers', 'text'),
+    [([], 'Waiting for /imu/pulses.'), (['A1', 'B2'], 'No samples come from B2.')],
+)
+def test_while_a_unit_is_not_heard_nothing_starts(session, serial_numbers, text):
     session.open(**SUPERVISED)
     kinds = ros.messages.CalibrationProgress
-    units = {'plan': 'tiny', 'serial_numbers': ['A1', 'B2']}
-    text = 'No samples come from B2.'
+    units = {'plan': 'tiny', 'serial_numbers': serial_numbers}
     session.watcher.progress.publish(kinds(**units, state=kinds.WAITING, text=text))
     assert session.until(lambda: session.watcher.has_report('calibrator', 1, text))
     done, words = session.press('start')
@@ -278,7 +281,7 @@ def test_while_one_of_several_units_is_not_heard_nothing_starts(session):
 
 def test_a_result_is_not_waited_for_for_ever(session):
     client = Client(session.open(**SUPERVISED, repeat_wait=0.1))
-    session.watcher.progress.publish(ros.messages.CalibrationProgress(plan='tiny'))
+    session.watcher.progress.publish(ros.messages.CalibrationProgress(plan='tiny', state=1))
     _, ended = client.run(result_timeout=0.2)
     status, result = client.end(ended)
     assert status is Status.ABORTED

@@ -178,7 +178,8 @@ class Watcher(ros.Node):
         return [p for k, p in enumerate(phases) if k == 0 or p is not phases[k - 1]]
 
     def calibrate(self, stamp, repeat_steps=(), plan='tiny'):
-        message = ros.messages.CalibrationProgress(plan=plan, repeat_steps=list(repeat_steps))
+        steps = list(repeat_steps)
+        message = ros.messages.CalibrationProgress(plan=plan, state=1, repeat_steps=steps)
         message.header.stamp = ros.Time(nanoseconds=stamp).to_msg()
         self.progress.publish(message)
 
@@ -362,7 +363,7 @@ def test_no_start_while_the_calibrator_cannot_go_on(session):
     say(kind.FINISHED)
     assert session.until(lambda: 'has finished its session' in session.press('start')[1])
     assert session.table.setpoints == []
-    say(kind.WAITING)
+    say(kind.COLLECTING)
     assert session.until(lambda: session.press('start')[0])
 
 
@@ -1092,7 +1093,7 @@ def test_progress_counts_of_one_publisher_only(alone):
     )
     diagnostics = SimpleNamespace(report=lambda *_: None)
     progress = CalibratorProgress(sequencer, diagnostics, 1.0, lambda _: alone)
-    message = ros.messages.CalibrationProgress(plan='tiny', step=4, repeat_steps=[2])
+    message = ros.messages.CalibrationProgress(plan='tiny', state=1, step=4, repeat_steps=[2])
     message.header.stamp.sec = 7
     assert progress.take(message, 10.0)
     assert messages == [('review', 7 * 10**9, [2]), ('done', 4, [2])] * alone

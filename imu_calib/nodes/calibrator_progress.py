@@ -61,7 +61,7 @@ class CalibratorProgress:
             )
             return False
         sequencer.set_calibrator_fault(fault)
-        level = Level.WARN if _lacks_units(progress) else Level.OK
+        level = Level.WARN if _lacks_samples(progress) else Level.OK
         self._diagnostics.report(
             'calibrator',
             Level.ERROR if failed else level,
@@ -88,12 +88,12 @@ def _fault_of(progress: Any) -> str:
         return f'The calibrator has failed: {progress.text}'
     if progress.state == progress.FINISHED:
         return 'The calibrator has finished its session: call ~/reset of calibrator_node first.'
-    if _lacks_units(progress):
+    if _lacks_samples(progress):
         # Every step would have to be repeated for a unit that sends no samples.
-        return f'Some units send no samples: {progress.text}'
+        return f'The calibrator lacks samples. {progress.text}'
     return ''
 
 
-def _lacks_units(progress: Any) -> bool:
-    """Return whether samples of some units are missing."""
-    return bool(progress.state == progress.WAITING and progress.serial_numbers)
+def _lacks_samples(progress: Any) -> bool:
+    """Return whether no samples of a unit have come to the calibrator."""
+    return bool(progress.state == progress.WAITING)
