@@ -28,12 +28,15 @@ def silent(monkeypatch):
 
 
 def configuration():
-    """Return what the runtime without ROS tells Cyclone DDS."""
+    """Return what the runtime without ROS tells Cyclone DDS besides its announcements."""
     try:
-        from imu_calib.middleware.domain import configuration
+        from imu_calib.middleware.domain import ANNOUNCEMENTS, configuration
     except ImuCalibError as error:
         pytest.skip(str(error))
-    return configuration()
+    # First, so that what is the user's has the last word.
+    announced, said = configuration().split(',', 1)
+    assert announced == ANNOUNCEMENTS
+    return said
 
 
 def test_without_ros_nodes_are_on_the_loopback_interface_until_another_is_named(
