@@ -307,6 +307,26 @@ def test_who_has_read_enough_is_not_told_of_an_error(folder: Path) -> None:
     assert refused.returncode == 2
 
 
+@pytest.mark.parametrize('words', [['info', 'nowhere', '--json'], ['plans'], ['--version']])
+def test_a_full_disk_or_a_closed_output_is_no_traceback(words: list[str]) -> None:
+    command = [sys.executable, '-m', 'imu_calib.cli.main', *words]
+    usual = 2 if words[0] == 'info' else 0
+    with Path('/dev/full').open('w') as full:
+        out = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, text=True, cwd=CHECKOUT, check=False
+        )
+        err = subprocess.run([*command[:3], 'info', '--x'], stderr=full, cwd=CHECKOUT, check=False)
+    closed = subprocess.run(
+        ['sh', '-c', '"$@" >&-', 'sh', *command], capture_output=True, cwd=CHECKOUT, check=False
+    )
+    assert 'Traceback' not in out.stderr
+    assert out.stderr.count('\n') == (words[0] != '--version')
+    # Help and version are not missed, as in other programs.
+    assert out.returncode == (0 if words[0] == '--version' else 2)
+    assert (err.returncode, closed.returncode) == (2, usual)
+    assert b'Traceback' not in closed.stderr
+
+
 def test_the_version_is_for_stdout(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(['--version'])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import os
 import re
 import sys
 from collections.abc import Sequence
@@ -17,7 +16,15 @@ from ..paths import user_path
 from ..units import point_for_comma
 from ..version import version
 from .interruption import INTERRUPTED, KIND, WORDS, clear_interrupt, end_once
-from .outcome import JSON, Outcome, error_document, kind_of, write_document
+from .outcome import (
+    JSON,
+    Outcome,
+    discard_output,
+    error_document,
+    kind_of,
+    write_document,
+    write_text,
+)
 from .terminal import ERRORS, OUTPUT, as_options
 
 COMMANDS = {
@@ -101,7 +108,11 @@ class _Version(argparse.Action):
     """Determines the version on request only: this loads slowly."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        sys.stdout.write(f'imu-calib {version()}\n')
+        try:
+            write_text(f'imu-calib {version()}\n')
+        except OSError:
+            # As argparse does with its help.
+            discard_output()
         parser.exit()
 
 
@@ -152,19 +163,15 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
         outcome = arguments.run(arguments) or Outcome()
         if as_json:
             write_document(command, outcome)
-            sys.stdout.flush()
     except ImuCalibError as error:
         code = _ended(command, as_json, error.exit_code, str(error), kind_of(error))
     except KeyboardInterrupt:
         code = _ended(command, as_json, INTERRUPTED, WORDS, KIND)
     except BrokenPipeError:
-        # The reader of the output has ended; suppress the interpreter's message at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard_output()
         return 0
     except OSError as error:
-        where = f'{error.filename}: ' if error.filename else ''
-        text = f'{where}{error.strerror or error}.'
-        code = _ended(command, as_json, InputError.exit_code, text, 'input')
+        code = _ended(command, as_json, InputError.exit_code, _sentence(error), 'input')
     else:
         if outcome.message:
             _print(command, outcome.message, style='red')
@@ -219,8 +226,17 @@ def _ended(command: str, as_json: bool, code: int, text: str, kind: str) -> int:
         clear_interrupt()
     _print(command, text, style='' if code == INTERRUPTED else 'red')
     if as_json:
-        write_document(command, Outcome(exit_code=code), error_document(as_options(text), kind))
+        outcome = Outcome(exit_code=code)
+        try:
+            write_document(command, outcome, error_document(as_options(text), kind))
+        except OSError:
+            discard_output()
     return code
+
+
+def _sentence(error: OSError) -> str:
+    where = f'{error.filename}: ' if error.filename else ''
+    return f'{where}{error.strerror or error}.'
 
 
 def _print(command: str, text: str, style: str) -> None:

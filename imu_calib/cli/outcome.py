@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -57,7 +58,11 @@ def add_json_option(parser: argparse.ArgumentParser) -> None:
 
 
 def write_document(command: str, outcome: Outcome, error: Mapping[str, str] | None = None) -> None:
-    """Write the document of --json to stdout."""
+    """Write the document of --json to stdout.
+
+    Raises:
+        OSError: It takes no more.
+    """
     document = {
         'format': FORMAT,
         'command': command,
@@ -65,8 +70,27 @@ def write_document(command: str, outcome: Outcome, error: Mapping[str, str] | No
         'error': error,
         'result': outcome.result,
     }
-    # Not by rich, which would break long lines; JSON has no value for non-finite numbers.
-    sys.stdout.write(json.dumps(finite(document), ensure_ascii=False, allow_nan=False) + '\n')
+    # JSON has no value for non-finite numbers.
+    write_text(json.dumps(finite(document), ensure_ascii=False, allow_nan=False) + '\n')
+
+
+def write_text(text: str) -> None:
+    """Write text to stdout if that is open: not by rich, which would break long lines.
+
+    Raises:
+        OSError: It takes no more.
+    """
+    if sys.stdout:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+
+
+def discard_output() -> None:
+    """Discard what stdout, whose reader has ended or whose disk is full, has not taken.
+
+    The interpreter would report it as it ends, and end with another exit code.
+    """
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def judged_outcome(result: Mapping[str, Any], found: Conformity | None) -> Outcome:

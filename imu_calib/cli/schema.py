@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 from ..share import share_folder
+from .outcome import write_text
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -18,5 +18,4 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Print a schema."""
     file = share_folder() / 'config' / 'schemas' / f'{arguments.kind}.json'
-    # Not by rich, which would break long lines.
-    sys.stdout.write(file.read_text(encoding='utf-8'))
+    write_text(file.read_text(encoding='utf-8'))

@@ -53,11 +53,18 @@ class _Output(_Console):
 
 
 class _Errors(_Console):
-    """Prints nothing after stderr is closed: the exit code still shows the outcome."""
+    """Prints nothing where stderr takes no more: the exit code still shows the outcome."""
 
     def on_broken_pipe(self) -> None:
         """Continue without output."""
         self.quiet = True
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print as rich does; of a full disk nothing is said, since there is no place for it."""
+        try:
+            super().print(*objects, **options)
+        except OSError:
+            self.quiet = True
 
 
 # Names by users are not emoji codes, even between colons.
