@@ -1,5 +1,7 @@
 """What others record: text files, bags of ROS 1, gyros and accelerometers on two topics."""
 
+import errno
+import os
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +28,12 @@ def write(path: Path, text: str) -> Path:
     return path
 
 
+WORDS = {'gyro': 'wx,wy,wz:deg/s', 'accel': 'ax,ay,az:g', 'stamp': 't:s'}
+
+
 def converted(path: Path, **stated: str) -> imu_calib.Columns:
-    words = {'gyro': 'wx,wy,wz:deg/s', 'accel': 'ax,ay,az:g', 'stamp': 't:s'} | stated
     out = path.with_suffix('.out')
-    imu_calib.convert(path, out, **words)  # type: ignore[arg-type]
+    imu_calib.convert(path, out, **WORDS | stated)  # type: ignore[arg-type]
     return imu_calib.read(out, '/imu/data_raw')
 
 
@@ -88,6 +92,28 @@ def test_tables_are_read_as_people_write_them(text: str, tmp_path: Path) -> None
     assert columns['angular_velocity.x'] == pytest.approx([np.pi / 2] * 2)
     assert columns['linear_acceleration.z'] == pytest.approx([9.80665] * 2)
     assert columns.units['angular_velocity.x'] == 'rad/s'
+
+
+def test_a_heading_in_the_code_page_of_windows_is_read(tmp_path: Path) -> None:
+    text = ROW.replace('wx', 'wx (°/s)') + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n'
+    (tmp_path / 'log.csv').write_bytes(text.encode('cp1252'))
+    assert len(converted(tmp_path / 'log.csv', gyro='wx (°/s),wy,wz:deg/s')) == 2
+
+
+def test_a_recording_that_cannot_be_completed_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    path = write(tmp_path / 'log.csv', ROW + '1.5,90,0,0,0,0,1\n1.6,90,0,0,0,0,1\n')
+    imu_calib.convert(path, tmp_path / 'bag', **WORDS)  # type: ignore[arg-type]
+    monkeypatch.setattr(RecordingWriter, 'write', full)
+    topics = {'gyro_topic': '/imu/data_raw', 'accel_topic': '/imu/data_raw'}
+    for source, words in ((path, WORDS), (tmp_path / 'bag', topics)):
+        with pytest.raises(OSError, match='No space left'):
+            imu_calib.convert(source, tmp_path / 'out', **words)  # type: ignore[arg-type]
+        assert not (tmp_path / 'out').exists()
 
 
 def test_a_table_in_utf_16_is_read_and_a_file_of_matlab_is_named(tmp_path: Path) -> None:

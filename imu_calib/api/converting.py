@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 from ..arguments import checked
@@ -16,6 +15,7 @@ from .converted import Converted
 from .from_text import from_text
 from .joining import joined
 from .named import Named
+from .outputs import removed_on_failure
 from .progress import Progress, silent
 from .text import read_text
 
@@ -73,7 +73,7 @@ def convert(
     columns = {'stamp': stamp, 'gyro': gyro, 'accel': accel, 'joints': joints}
     columns |= {'temperature': temperature, 'rate': rate, 'accel_stamp': accel_stamp}
     columns |= {'accel_file': None if accel_file is None else str(accel_file)}
-    if path.suffix.lower() == '.bag' or path.is_dir() or path.suffix in {'.mcap', '.db3'}:
+    if path.suffix.lower() == '.bag' or path.is_dir() or is_storage(path):
         given = [name for name, value in columns.items() if value is not None]
         if given:
             raise InputError(f'`{given[0]}` names columns of a text file; {path} is a recording.')
@@ -123,11 +123,11 @@ def _from_ros1(path: AnyPath, target: Path) -> Converted:
     stores = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
     types = [k.type_name for k in (Kind.IMU, Kind.JOINTS, Kind.TEMPERATURES)]
     try:
-        rewritten([local(path)], target, 'mcap', 9, None, 'none', *stores, [], [], [], types)
-        with open_recording(target) as recording:
-            counts = {topic.name: topic.count or 0 for topic in recording.topics}
+        with removed_on_failure(target):
+            rewritten([local(path)], target, 'mcap', 9, None, 'none', *stores, [], [], [], types)
+            with open_recording(target) as recording:
+                counts = {topic.name: topic.count or 0 for topic in recording.topics}
     except (ConverterError, RecordingError) as error:
-        shutil.rmtree(target, ignore_errors=True)
         raise InputError(
             f'{path}: cannot be converted: {error} Expected a bag of ROS 1 with one of '
             f'{", ".join(types)}.'

@@ -18,6 +18,7 @@ from .assumed import against_si
 from .converted import JOINTS, RAW, RAW_UNITS, SI, TEMPERATURE, Converted, described, write_imu
 from .joining import rate_of, read_at, resampling
 from .named import Named
+from .outputs import removed_on_failure
 from .text import Text
 
 _GYRO = {**Dimension.RATE.value, **RAW_UNITS}
@@ -102,7 +103,7 @@ def from_text(
         at, (celsius,) = _sound(stamps, celsius)
         encoded = encode_temperatures(TemperatureBlock(at, celsius[:, 0]))
         others.append((TEMPERATURE, Kind.TEMPERATURES, encoded, at))
-    with RecordingWriter(target, data) as writer:
+    with removed_on_failure(target), RecordingWriter(target, data) as writer:
         write_imu(writer, block, raw=bool(raw))
         for topic, kind, messages, at in others:
             writer.write(topic, kind.type_name, messages, at)

@@ -13,6 +13,7 @@ from ..stream import Floats, ImuBlock, Stamps
 from .columns import columns_of
 from .converted import RAW_UNITS, SI, Converted, described, write_imu
 from .named import Named
+from .outputs import removed_on_failure
 from .progress import Progress
 
 _SILENT = 2.5
@@ -70,7 +71,11 @@ def joined(
         if not np.isin(stamps, accel_at).all():
             data |= interpolation_description(SI, rate_of(accel_at))
             findings.insert(0, resampling(rates.stamp, accel_at, within))
-        with RecordingWriter(target, data) as writer, progress('converting') as show:
+        with (
+            removed_on_failure(target),
+            RecordingWriter(target, data) as writer,
+            progress('converting') as show,
+        ):
             write_imu(writer, block, raw=False)
             for one, messages, times in recording.messages(show):
                 if one.name not in taken:

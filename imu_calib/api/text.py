@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import csv
+import re
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -20,6 +21,8 @@ from ..units import counted
 _COMMENTS = ('#', '%', '//')
 _DELIMITERS = (';', '\t', ',')
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_CONTROLS = re.compile(rb'[\x00-\x08\x0e-\x1f]')
+"""Bytes that no text has, in any code page of one byte per character."""
 _LOOKED_AT = 100
 """Number of lines, spread over the file, that determine how many fields a row has: lines above a
 table and broken lines are few in comparison."""
@@ -118,7 +121,11 @@ def _decoded(path: AnyPath) -> str:
     try:
         return data.decode('utf-16' if data.startswith(_UTF_16) else 'utf-8-sig')
     except UnicodeDecodeError:
-        raise _no_table(path, 'is not a text file, expected a table of numbers.') from None
+        if _CONTROLS.search(data):
+            raise _no_table(path, 'is not a text file, expected a table of numbers.') from None
+        # A heading with degrees or micro of a Windows program in western Europe; of another
+        # code page names alone are misread, and the numbers are those of ASCII.
+        return data.decode('cp1252', 'replace')
 
 
 def _no_table(path: AnyPath, sentence: str) -> InputError:
