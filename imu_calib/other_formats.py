@@ -21,10 +21,23 @@ _FORMATS = {
         'it, and imu-calib convert a recording of that',
     ),
     **dict.fromkeys(('.csv', '.txt', '.tsv', '.dat'), _TEXT),
+    **{
+        ending: ('a packed file', f'{program} {{path}} unpacks it')
+        for ending, program in (
+            ('.gz', 'gunzip -k'),
+            ('.bz2', 'bunzip2 -k'),
+            ('.xz', 'unxz -k'),
+            ('.zip', 'unzip'),
+            ('.tar', 'tar -xf'),
+            ('.tgz', 'tar -xf'),
+        )
+    },
 }
 _RECORDINGS = ('.mcap', '.db3')
 CONVERTIBLE = tuple(ending for ending, (_, way) in _FORMATS.items() if way.startswith('imu-calib'))
 """Endings of files that imu-calib convert reads."""
+OTHERS = tuple(_FORMATS)
+"""Endings of files that are converted, or unpacked, before a command reads them."""
 
 
 class AnyFile(Protocol):

@@ -437,6 +437,7 @@ def test_a_device_in_place_of_a_file(cli: CommandLine, recorded: Path) -> None:
     cli.refuses(
         2, '/dev/null: a device or a pipe, expected a file', recorded, '--plan', '/dev/null'
     )
+    cli.refuses(2, '/dev/null: found a device or a pipe; expected a rosbag2', Path('/dev/null'))
 
 
 def test_an_output_folder_that_does_not_exist(cli: CommandLine, recorded: Path) -> None:

@@ -92,17 +92,31 @@ def test_sources_are_found(recordings: Path) -> None:
         find_jobs([str(recordings / 'x*')], Stated())
 
 
+def test_folders_that_link_to_themselves_are_searched_once(
+    recordings: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(recordings / 'a', tmp_path / 'day' / 'a')
+    shutil.copy(next((recordings / 'a').glob('*.mcap')), tmp_path / 'day' / 'RUN.MCAP')
+    # Two links in each folder double the number of ways at each level.
+    (tmp_path / 'day' / 'up').symlink_to('..')
+    (tmp_path / 'day' / 'here').symlink_to('.')
+    (tmp_path / 'latest').symlink_to('day')
+    (tmp_path / 'day' / 'gone.mcap').symlink_to('unmounted')
+    found = [Path(job.recording).relative_to(tmp_path) for job in find_jobs([tmp_path], Stated())]
+    assert list(map(str, found)) == ['day/RUN.MCAP', 'day/gone.mcap', 'day/a']
+
+
 def test_files_to_convert_are_counted(recordings: Path, tmp_path: Path) -> None:
     folder = tmp_path / 'folder'
     shutil.copytree(recordings / 'a', folder / 'a')
     (folder / 'a' / 'notes.txt').touch()
     (folder / 'list.csv').write_text('stand, recording\neast, a\n')
-    logs = [folder / 'log.CSV', folder / 'ros1.bag', folder / 'deeper' / 'log.txt']
+    logs = [folder / name for name in ('log.CSV', 'r.mcap.gz', 'ros1.bag', 'deeper/log.txt')]
     logs[-1].parent.mkdir()
     for log in logs:
         log.write_bytes(b'\xff\x00' * 3)
     assert convertible([folder]) == logs
-    assert convertible([folder / '*']) == [logs[2], *logs[:2]]
+    assert convertible([folder / '*']) == [logs[3], *logs[:3]]
     assert not convertible([folder / 'list.csv', folder / 'a', 's3://nowhere'])
 
 

@@ -19,6 +19,10 @@ FILES = {
     'run.bag': (b'#ROSBAG V2.0\n\x01\xff\xfe', 'is a bag of ROS 1.*imu-calib convert .*run.bag'),
     'run.csv': (b't,wx,wy\n0,1,2\n1,2,3\n', 'is a text file.*imu-calib convert .*run.csv -o'),
     'run.txt': (b't wx wy\n0 1 2\n1 2 3\n', 'is a text file.*imu-calib convert .*run.txt -o'),
+    'run.mcap.gz': (
+        b'\x1f\x8b\x08\x08' + bytes(9),
+        'is a packed file.*gunzip -k .*run.mcap.gz unp',
+    ),
     'run.mat': (b'MATLAB 5.0' + bytes(9) + b'\xff', 'is a file of MATLAB.*imu-calib convert'),
 }
 CONVERTED = {

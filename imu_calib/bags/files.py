@@ -68,7 +68,9 @@ def find_files(path: AnyPath, losses: Losses) -> Found:
             raise RecordingError(f'{path} describes a recording: give the folder that holds it.')
         return Found((path,), Metadata())
     if not path.is_dir():
-        raise RecordingError(f'{path}: no such recording; expected a rosbag2 folder or file.')
+        # A recording is read in several places.
+        found = 'found a device or a pipe' if path.exists() else 'no such recording'
+        raise RecordingError(f'{path}: {found}; expected a rosbag2 folder or file.')
     present = sorted((p for p in path.iterdir() if is_storage(p)), key=_natural)
     metadata = read_metadata(path)
     if not present:
@@ -107,8 +109,8 @@ def _listed(
 
 
 def is_storage(path: AnyPath) -> bool:
-    """Say whether a file has the name of a recording, compressed or not."""
-    return _bare(path.name).endswith(_STORAGE)
+    """Say whether a file has the name of a recording, compressed or not, also in capitals."""
+    return _bare(path.name.lower()).endswith(_STORAGE)
 
 
 def _bare(name: str) -> str:
@@ -144,7 +146,7 @@ def open_storage(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage:
             path = _unpack(path, scratch, losses)
             with path.open('rb') as file:
                 magic = file.read(16)
-        if magic.startswith(b'SQLite format 3') or (not magic and path.suffix == '.db3'):
+        if magic.startswith(b'SQLite format 3') or (not magic and path.suffix.lower() == '.db3'):
             # Imported here: it loads SQLite, which few recordings need.
             from .sqlite import SqliteStorage
 

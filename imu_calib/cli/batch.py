@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         are = 'is no recording' if count == 1 else 'are no recordings'
         OUTPUT.print(
             f'{counted(count, "file")} ({endings}) {are}; imu-calib convert makes recordings of '
-            'text files and of bags of ROS 1'
+            'text files and of bags of ROS 1, and imu-calib info FILE says the way for others'
         )
     OUTPUT.print(f'written to {done.catalogue}', markup=False)
     failed = done.failed + done.known_failed

@@ -16,13 +16,13 @@ import yaml
 from ..api.keywords import Session
 from ..api.stated import Stated
 from ..bags import AnyPath, RemotePath, is_url, located
+from ..bags.files import is_storage
 from ..errors import InputError
-from ..other_formats import CONVERTIBLE, other_format
+from ..other_formats import OTHERS, other_format
 from ..paths import user_path
 from ..units import point_for_comma
 from ..yaml_text import load
 
-_STORAGE = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd', '.mcap.zst', '.db3.zst')
 _METADATA = 'metadata.yaml'
 _MANIFESTS = ('.csv', '.yaml', '.yml')
 _RECORDING = 'recording'
@@ -103,7 +103,8 @@ def find_jobs(sources: Iterable[str | Path], stated: Stated, imus: str = '') -> 
         if not found:
             raise InputError(
                 f'{source}: holds no recording (folders of rosbag2, .mcap, .db3). imu-calib '
-                'convert makes recordings of text files and of bags of ROS 1.'
+                'convert makes recordings of text files and of bags of ROS 1; packed files (.gz, '
+                '.zip) are unpacked first.'
             )
         jobs.update(dict.fromkeys(found))
     return list(jobs)
@@ -122,7 +123,7 @@ def _jobs(source: str, usual: Job) -> Iterator[Job]:
         yield replace(usual, recording=str(path))
     elif glob.has_magic(source):
         for one in _matching(path):
-            if one.is_dir() or one.name.endswith(_STORAGE):
+            if one.is_dir() or is_storage(one):
                 yield from _jobs(str(one), usual)
     else:
         raise InputError(
@@ -147,25 +148,45 @@ def recordings_below(folder: AnyPath) -> Iterator[AnyPath | str]:
         yield from _among(folder.below())
         return
     for path in _below(folder):
-        if path.is_dir() or path.name.endswith(_STORAGE):
+        if path.is_dir() or is_storage(path):
             yield path
 
 
 def _below(folder: Path) -> Iterator[Path]:
-    """Yield folders of rosbag2, and all files outside such folders."""
+    """Yield folders of rosbag2, and all files outside such folders.
+
+    Links to folders are followed after all folders, each folder once: a link to a folder above it
+    would lead there without end.
+    """
+    seen: set[Path] = set()
+    links = [folder]
+    for link in links:
+        yield from _between_links(link, seen, links)
+
+
+def _between_links(folder: Path, seen: set[Path], links: list[Path]) -> Iterator[Path]:
+    """Yield the contents of a folder that is not in `seen`, and add its links to `links`."""
+    if folder.resolve() in seen:
+        return
+    seen.add(folder.resolve())
     inside = sorted(folder.iterdir())
-    files = [path for path in inside if path.is_file()]
-    if (folder / _METADATA) in files and any(path.name.endswith(_STORAGE) for path in files):
+    # A link that leads nowhere is a recording that is missing: it becomes a row with the reason.
+    files = [path for path in inside if path.is_file() or (is_storage(path) and not path.exists())]
+    if (folder / _METADATA) in files and any(map(is_storage, files)):
         yield folder
         return
     yield from files
     for path in inside:
-        if path.is_dir() and not path.name.startswith('.'):
-            yield from _below(path)
+        if path.name.startswith('.') or not path.is_dir():
+            continue
+        if path.is_symlink():
+            links.append(path)
+        else:
+            yield from _between_links(path, seen, links)
 
 
 def convertible(sources: Iterable[str | Path]) -> list[Path]:
-    """Return the files in local folders that are no recordings until they are converted.
+    """Return the files in local folders that are no recordings until converted or unpacked.
 
     Args:
         sources: As of `find_jobs`.
@@ -186,7 +207,7 @@ def convertible(sources: Iterable[str | Path]) -> list[Path]:
 
 def _is_convertible(path: Path) -> bool:
     """Return whether a file has such an ending, and is no manifest."""
-    if not path.is_file() or path.suffix.lower() not in CONVERTIBLE:
+    if not path.is_file() or path.suffix.lower() not in OTHERS:
         return False
     with path.open(encoding='utf-8-sig', errors='replace') as file:
         heading = file.readline(_LONGEST_HEADING)
@@ -197,7 +218,7 @@ def _among(files: Iterable[RemotePath]) -> Iterator[str]:
     """Yield the URLs of recordings among files, a folder before its contents."""
     names: dict[str, list[str]] = {}
     for file in files:
-        if file.name == _METADATA or file.name.endswith(_STORAGE):
+        if file.name == _METADATA or is_storage(file):
             folder, _, name = str(file).rpartition('/')
             names.setdefault(folder, []).append(name)
     whole = tuple(f'{f}/' for f, held in names.items() if _METADATA in held and len(held) > 1)

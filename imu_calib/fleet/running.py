@@ -48,7 +48,7 @@ class Batch:
         known_failed: Those among them without a calibration.
         seconds: Duration.
         convertible: Files in the folders of the sources that are no recordings until
-            `imu_calib.convert` makes some of them.
+            `imu_calib.convert` makes some of them, or until they are unpacked.
     """
 
     catalogue: Path
