@@ -784,6 +784,15 @@ def test_units_of_another_imu(cli: CommandLine, recorded: Path, imu: str) -> Non
     cli.refuses(2, sentence, recorded, '--imu', imu)
 
 
+def test_a_result_that_every_reader_would_refuse(
+    cli: CommandLine, recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Accelerometers that saturate below their stated range gave a file that `report` refused.
+    monkeypatch.setattr('imu_calib.plausibility._SCALE', (0.99, 1.01))
+    sentence = 'The result is not that of a strapdown IMU: accelerometer X answers 0.909.* times'
+    cli.refuses(1, sentence, recorded)
+
+
 def test_a_scale_factor_of_another_imu(cli: CommandLine, recorded: Path, tmp_path: Path) -> None:
     (tmp_path / 'imu.yaml').write_text(DATA['imu_calib.imu'].replace('7.8 arcsec', '5.2 arcsec'))
     code, text = cli.calibrate(recorded, '--imu', tmp_path / 'imu.yaml')

@@ -9,11 +9,13 @@ import numpy as np
 
 from ..budget import Budget
 from ..calibration import Calibration, ResidualRow
+from ..errors import InputError, NotObservable
 from ..estimation.term_tests import summary
 from ..gravity import with_gravity
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import Parameter, terms_of
+from ..plausibility import check_plausible
 from ..segmentation.labelling import Labelled
 from ..segmentation.segmented import Segmented
 from ..stamping import StampingClock
@@ -32,7 +34,11 @@ def calibrated(
     findings: tuple[str, ...],
     clock: StampingClock | None = None,
 ) -> Calibration:
-    """Return a solution as a calibration, with the uncertainty of gravity and its provenance."""
+    """Return a solution as a calibration, with the uncertainty of gravity and its provenance.
+
+    Raises:
+        NotObservable: Its parameters are not plausible: every reader of its file would refuse it.
+    """
     calibration = Calibration(
         setup.imu,
         solution.model,
@@ -49,7 +55,20 @@ def calibrated(
         solution.changes,
         clock,
     )
-    return with_gravity(calibration, setup.site)
+    calibration = with_gravity(calibration, setup.site)
+    try:
+        check_plausible(calibration, 'The result is not that of a strapdown IMU')
+    except InputError as error:
+        raise NotObservable(
+            ' '.join(
+                [
+                    f'{error} Sensors that saturate, and a description of another '
+                    'unit or table, are possible causes.',
+                    *findings,
+                ]
+            )
+        ) from None
+    return calibration
 
 
 @dataclass(frozen=True, eq=False)

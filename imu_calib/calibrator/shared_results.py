@@ -76,10 +76,10 @@ def estimate_together(alone: Sequence[Result | None], names: Sequence[str]) -> S
         found = replace(search, estimate=estimate)
         try:
             solution = joint.concluded(found, basis.setup.terms, basis.setup.changes)
+            results[place] = basis.concluded(solution)
         except ImuCalibError as error:
             left_out[place] = f'With what the units share it is refused: {error}'
             continue
-        results[place] = basis.concluded(solution)
         shared.append(place)
     for place in shared:
         others = [names[other] for other in shared if other != place]
