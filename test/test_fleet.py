@@ -144,10 +144,15 @@ def test_a_manifest_says_what_recordings_do_not(tmp_path: Path) -> None:
     csv.write_text('recording;latitude\none;48.1\n')
     (only,) = read_manifest(csv, Stated())
     assert only == Job(str(tmp_path / 'one'), Stated(latitude=48.1))
+    # As spreadsheets write it: names as people type them, empty rows and columns.
+    csv.write_text('Recording,Serial ,,\n,,,\none,007,,\n,,,\n')
+    assert list(read_manifest(csv, Stated())) == [replace(only, stated=Stated(serial='007'))]
+    assert not convertible([tmp_path])
     listed = tmp_path / 'list.yaml'
-    listed.write_text('- {recording: one, imu: fog_medium, date: 2026-03-01}\n')
+    listed.write_text('- {recording: one, imu: fog_medium, serial: 0012, date: 2026-03-01}\n')
     (third,) = find_jobs([str(listed)], Stated())
-    assert third.stated.imu == 'fog_medium'
+    # Octal by YAML 1.1: another unit's number.
+    assert (third.stated.imu, third.stated.serial) == ('fog_medium', '0012')
     assert third.labels.date == datetime(2026, 3, 1, tzinfo=timezone.utc)
 
 
@@ -162,6 +167,8 @@ def test_a_manifest_says_what_recordings_do_not(tmp_path: Path) -> None:
         ('recording,serial\n,A1\n', 'row 2: found no recording'),
         ('bag,serial\nx,A1\n', 'found the column .bag.*The column recording is missing'),
         ('recording;latitude\nx;48,1\n', 'row 2: latitude: found .48,1.* write 48.1.'),
+        ('recording,serial,serial\nx,A1,B1\n', 'found the column serial more than once'),
+        ('recording,serial\n\nx,A1,B1\n', 'row 3: found 3 entries, expected at most 2'),
     ],
 )
 def test_a_broken_manifest_gets_a_sentence(tmp_path: Path, text: str, sentence: str) -> None:

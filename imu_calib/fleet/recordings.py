@@ -211,7 +211,7 @@ def _is_convertible(path: Path) -> bool:
         return False
     with path.open(encoding='utf-8-sig', errors='replace') as file:
         heading = file.readline(_LONGEST_HEADING)
-    return _RECORDING not in [name.strip() for name in re.split('[,;\t]', heading)]
+    return _RECORDING not in [name.strip().lower() for name in re.split('[,;\t]', heading)]
 
 
 def _among(files: Iterable[RemotePath]) -> Iterator[str]:
@@ -258,14 +258,7 @@ def _rows(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
     except UnicodeDecodeError:
         raise InputError(f'{path}: found binary data, expected a table in UTF-8.') from None
     if path.suffix.lower() == '.csv':
-        lines = text.splitlines()
-        # If the comma is the decimal sign, spreadsheets use another delimiter.
-        parts = max(',;\t', key=lines[0].count) if lines else ','
-        table = csv.DictReader(lines, delimiter=parts, skipinitialspace=True)
-        if not set(COLUMNS) & set(table.fieldnames or ()):
-            # Not one column of a manifest: the text file of a recording.
-            raise InputError(str(other_format(path, f'a manifest with the column {_RECORDING}')))
-        rows: list[Any] = list(table)
+        rows = _rows_of_csv(path, text.splitlines())
         first = 2
     else:
         try:
@@ -275,7 +268,7 @@ def _rows(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
         first = 1
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise InputError(f'{path}: expected a list of recordings, each with keys and values.')
-    numbered = [(f'{path}, row {k}', row) for k, row in enumerate(rows, first)]
+    numbered = [(f'{path}, row {k}', row) for k, row in enumerate(rows, first) if row]
     for where, row in numbered:
         for name in row:
             if name not in COLUMNS:
@@ -284,6 +277,40 @@ def _rows(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
                     f'{where}: found the column {name!r}, expected of: {", ".join(COLUMNS)}.{lacks}'
                 )
     return numbered
+
+
+def _rows_of_csv(path: AnyPath, lines: list[str]) -> list[Any]:
+    """Return the rows of a table by its column names; of a row without an entry, nothing.
+
+    Raises:
+        InputError: No table of recordings, a column twice, or a row longer than the names.
+    """
+    # If the comma is the decimal sign, spreadsheets use another delimiter.
+    parts = max(',;\t', key=lines[0].count) if lines else ','
+    names, *table = [
+        [cell.strip() for cell in row]
+        for row in csv.reader(lines, delimiter=parts, skipinitialspace=True)
+    ] or [[]]
+    names = [name.lower() for name in names]
+    if not set(COLUMNS) & set(names):
+        # Not one column of a manifest: the text file of a recording.
+        raise InputError(str(other_format(path, f'a manifest with the column {_RECORDING}')))
+    twice = [name for name in names if name and names.count(name) > 1]
+    if twice:
+        raise InputError(f'{path}: found the column {twice[0]} more than once.')
+    for k, row in enumerate(table, 2):
+        if any(row[len(names) :]):
+            raise InputError(
+                f'{path}, row {k}: found {len(row)} entries, expected at most {len(names)}, as '
+                'many as there are columns; an entry with a comma stands in double quotes.'
+            )
+    # Spreadsheets add empty rows and columns.
+    return [
+        {name: cell for name, cell in zip(names, row, strict=False) if name or cell}
+        if any(row)
+        else {}
+        for row in table
+    ]
 
 
 def _job(
