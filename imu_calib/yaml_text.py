@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Hashable
 from typing import Any
 
 import yaml
@@ -20,10 +21,19 @@ _WHOLE_NUMBER = re.compile(r'[-+]?(?:0|[1-9][0-9_]*|0b[01_]+|0x[0-9a-fA-F_]+)$')
 
 
 class _Loader(SafeLoader):
-    """Reads 0012 and 12:30 as texts: by YAML 1.1 they are octal and sexagesimal, 10 and 750.
+    """Refuses a key that stands twice in a mapping, and reads 0012 and 12:30 as texts.
 
-    A serial number would silently become another.
+    Of two values the first would silently count for nothing. By YAML 1.1 these numbers are octal
+    and sexagesimal, 10 and 750: a serial number would silently become another.
     """
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        if twice := sorted({key for key in keys if keys.count(key) > 1}):
+            raise yaml.constructor.ConstructorError(
+                problem=f'found the key {twice[0]} more than once', problem_mark=node.start_mark
+            )
+        return super().construct_mapping(node, deep)
 
 
 _Loader.yaml_implicit_resolvers = {

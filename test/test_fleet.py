@@ -184,6 +184,16 @@ def test_the_page_names_every_column_of_a_manifest() -> None:
     assert not [name for name in COLUMNS if f'`{name}`' not in section]
 
 
+@pytest.mark.parametrize('serial', ['..', '.', 'A/B', 'ü' * 60])
+def test_any_serial_number_has_a_file_of_its_own(serial: str, tmp_path: Path) -> None:
+    values = {'status': 'calibrated', 'imu': '..', 'serial': serial, 'date': NOW}
+    catalogue = Catalogue(tmp_path / 'all', create=True)
+    catalogue.add([replace(a_row(1, **values), calibration='{}')])
+    files = [path.relative_to(tmp_path) for path in tmp_path.rglob('*.yaml')]
+    assert len(files) == 2
+    assert all(file.parts[:3] == ('all', 'calibrations', '%2E%2E') for file in files)
+
+
 def test_a_task_is_known_by_what_counts(recordings: Path, tmp_path: Path) -> None:
     imu = tmp_path / 'unit.yaml'
     shutil.copy(imu_calib.share.named_file('imus', 'fog_medium'), imu)

@@ -36,6 +36,11 @@ def test_what_is_no_quantity_of_the_kind_is_refused_with_key_and_units(text: obj
         parse(text, Dimension.ANGLE_PER_PULSE, 'gyro.scale')
 
 
+def test_a_key_that_stands_twice_is_refused() -> None:
+    with pytest.raises(InputError, match='found the key range more than once'):
+        Section.parse('gyro: {range: 1 deg/s, range: 2 deg/s}', 'my file')
+
+
 def test_a_misspelt_key_is_named() -> None:
     text = 'id: a\nunits: si\nsample_frequency: 100 Hz\n'
     with pytest.raises(InputError, match=r"my\.yaml: unknown key 'sample_frequency'; known are"):

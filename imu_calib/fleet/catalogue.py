@@ -17,6 +17,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timezone
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -40,6 +41,8 @@ lacks."""
 
 _VERSION_KEY = b'imu_calib.catalogue'
 _UNIT_KEY = b'unit'
+_LONGEST_NAME = 200
+"""Characters of a file name: file systems take 255 bytes, endings and random parts among them."""
 _UNNAMED = 'unnamed'
 _USUAL = ('imu', 'serial', 'stand', 'status')
 """Columns by which rows are selected most often."""
@@ -213,8 +216,8 @@ class Catalogue:
         if row['status'] != CALIBRATED:
             return row
         date = row['date'] or _NO_DATE
-        serial = quote(row['serial'], safe=' ') or _UNNAMED
-        kind = self.folder / 'calibrations' / quote(row['imu'], safe=' ')
+        serial = _file_name(row['serial']) or _UNNAMED
+        kind = self.folder / 'calibrations' / _file_name(row['imu'])
         own = kind / serial / f'{date:%Y-%m-%dT%H%M%SZ}_{one.key[:8]}.yaml'
         own.parent.mkdir(parents=True, exist_ok=True)
         write_whole(own, one.calibration)
@@ -293,6 +296,17 @@ def _make_room(folder: Path) -> None:
         raise InputError(f'{folder}: the folder {folder.parent} does not exist.')
     if folder.exists() and not folder.is_dir():
         raise InputError(f'{folder}: is a file, expected the name of a folder.')
+
+
+def _file_name(name: str) -> str:
+    """Return a file name for a serial number or a type.
+
+    Of dots alone it would be a folder above, and one that no file system takes would end the batch.
+    """
+    quoted = quote(name, safe=' ') if name.strip('.') else name.replace('.', '%2E')
+    if len(quoted) <= _LONGEST_NAME:
+        return quoted
+    return f'{quoted[:_LONGEST_NAME]}_{sha256(name.encode()).hexdigest()[:8]}'
 
 
 def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
