@@ -180,6 +180,26 @@ def stream_description(
     return {**kept, imu_key(topic): imu_text(imu)}
 
 
+def compensated_key(topic: str) -> str:
+    """Return the key of the own entry with the calibration by which a topic was computed."""
+    return f'{COMPENSATED}:{topic}'
+
+
+def compensated_already(data: Mapping[str, str], topic: str) -> list[str]:
+    """Return a sentence on samples that are no raw ones; none on others.
+
+    Args:
+        data: The recording's entries.
+        topic: The samples.
+    """
+    if (by := data.get(compensated_key(topic))) is None:
+        return []
+    return [
+        f'The samples of {topic} were compensated by {by}: a calibration made of the raw ones does '
+        'not apply to them, and one made of them not to the raw ones.'
+    ]
+
+
 def states_site(data: Mapping[str, str]) -> bool:
     """Return whether a recording states its site."""
     return _LATITUDE in data

@@ -11,6 +11,7 @@ from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin
 from sessions import truth
 from test_thermal import point
 
+import imu_calib
 from imu_calib.bags import RecordingWriter, open_recording
 from imu_calib.bags.metadata import dump, offered_profiles, qos_profile
 from imu_calib.calibration import Calibration
@@ -165,6 +166,7 @@ def test_a_combined_calibration_follows_the_recorded_temperature(tmp_path):
     [
         (['--imu', 'fog_navigation'], ['imu: found fog_medium, expected fog_navigation']),
         (['--output-topic', IMU], ['has a topic', '--output-topic']),
+        (['--output-topic', 'imu raw'], ['--output-topic: found', 'expected the name of a topic']),
         (['--imu-topic', 'nobody'], ['no such topic']),
         (['--calibration', 'both.yaml'], ['no topic of type sensor_msgs/msg/Temperature']),
     ],
@@ -234,3 +236,13 @@ def test_a_compensated_recording_is_read_as_what_it_is(tmp_path, monkeypatch, ca
     assert main(['calibrate', 'both', '-o', 'raw.yaml', '--imu-topic', 'imu/pulses']) == 0
     raw = Calibration.load(tmp_path / 'raw.yaml')
     assert (np.abs(raw.values - truth().values) < 4.5 * raw.std).all()
+    # What was compensated is said wherever samples are taken for raw ones, and of those alone.
+    said = 'were compensated by truth.yaml: a calibration made of the raw ones does not apply'
+    assert said in ' '.join(left.findings)
+    assert said not in ' '.join(raw.findings)
+    assert said in imu_calib.verify(left, 'out').findings[-1]
+    assert (
+        imu_calib.compensate('out', left, 'again')
+        .findings[0]
+        .endswith('and one made of them not to the raw ones.')
+    )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ..bags import AnyPath
 from ..calibrator import Calibrator, HandCalibrator, Result, calibrator_of
 from ..errors import NotObservable, NotStated
-from ..metadata import interpolated_from
+from ..metadata import compensated_already, interpolated_from
 from ..segmentation.segmented import Segmented
 from ..threads import by_one_thread
 from .assumed import ASSUMED_BY_HAND, ask_for_plan, is_hand_held
@@ -137,7 +137,8 @@ def documented(opened: Opened, result: Result) -> Result:
         **interpolated,
         **calibration.provenance,
     }
-    assumed = (*opened.assumed, *([] if rate is None else [_interpolated(rate)]))
+    already = compensated_already(opened.recording.custom_data, opened.streams.imu)
+    assumed = (*opened.assumed, *already, *([] if rate is None else [_interpolated(rate)]))
     findings = (*assumed, *calibration.findings, *opened.recording.losses)
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,7 +26,8 @@ from ..compensation.thermal import (
 from ..compensation.whole_stream import WholeStream
 from ..errors import InputError
 from ..imu import ImuSpec, compensated_imu
-from ..metadata import COMPENSATED, stream_description
+from ..metadata import COMPENSATED, compensated_already, compensated_key, stream_description
+from ..mounted import TOPIC
 from ..stream import ImuBlock, Stamps
 from ..units import counted
 from .named import Named, as_applied
@@ -128,7 +130,9 @@ def compensate(
             compensated_imu(spec, *noise_gains(first_of(loaded).model)),
             raw_is_kept=keep,
         )
-        data = {**meant, COMPENSATED: file or first_of(loaded).imu.id}
+        by = file or first_of(loaded).imu.id
+        data = {**meant, COMPENSATED: by, compensated_key(target): by}
+        already = compensated_already(recording.custom_data, topic.name)
         stream = _Stream(compensator, target, frame_id)
         with (
             RecordingWriter(written, data, compression) as writer,
@@ -152,7 +156,7 @@ def compensate(
             stream.samples_in,
             stream.samples_out,
             {mark: compensator.counts[mark] for mark in Mark if compensator.counts[mark]},
-            (*_findings(stream), *stamps.words(), *recording.losses),
+            (*already, *_findings(stream), *stamps.words(), *recording.losses),
         )
 
 
@@ -256,6 +260,11 @@ def _renamed(topic: str) -> str:
 def _target(wanted: str | None, recording: Recording, topic: Topic) -> str:
     """Return the topic to write, which must be new."""
     target = _renamed(topic.name) if wanted is None else wanted
+    if not re.fullmatch(TOPIC, target):
+        raise InputError(
+            f'`output_topic`: found {target!r}, expected the name of a topic: words of letters, '
+            'digits and underscores, with slashes between them.'
+        )
     target = target if target.startswith('/') else f'/{target}'
     if any(other.name == target for other in recording.topics):
         raise InputError(

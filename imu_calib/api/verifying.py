@@ -17,6 +17,7 @@ from ..compensation.thermal import (
 )
 from ..errors import InputError, NotStated
 from ..imu import ImuSpec
+from ..metadata import compensated_already
 from ..methods.free_positions import NAME as FREE_POSITIONS
 from ..plan import UNPLANNED
 from ..segmentation.segmenter import Segmenter
@@ -113,7 +114,8 @@ def _verify(
     session = segmenter.finish()
     calibration, notes = _at_temperature(loaded, session.temperature)
     observed = observe(session, imu, site, plan, table, calibration.clock)
-    found = judge(calibration, replace(observed, notes=(*notes, *observed.notes)))
+    already = compensated_already(recording.custom_data, streams.imu)
+    found = judge(calibration, replace(observed, notes=(*already, *notes, *observed.notes)))
     if calibration.provenance.get('sha256') != recording.sha256():
         return found
     return replace(found, findings=(_THE_SAME, *found.findings), own_recording=True)
