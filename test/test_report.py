@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand
+from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand, truth
 
+from imu_calib import report
 from imu_calib.api.simulating import serialised
 from imu_calib.bags import RecordingWriter
 from imu_calib.calibration import Calibration
@@ -309,6 +310,10 @@ def test_only_calibrations_of_one_unit_are_compared(contents: Contents) -> None:
         repeated([own, two], ['a.yaml', 'b.yaml'])
     again = moved(own, 1.0)
     assert repeated([own, again], ['a.yaml', 'b.yaml'])
+    with pytest.raises(
+        InputError, match=r't\.yaml: states no standard deviations, as a truth does'
+    ):
+        repeated([own, truth()], ['a.yaml', 't.yaml'])
     with pytest.raises(InputError, match=r'c\.yaml: is the same calibration as b\.yaml'):
         repeated([own, again, again], ['a.yaml', 'b.yaml', 'c.yaml'])
     scaled = replace(own, imu=replace(own.imu, accel=replace(own.imu.accel, scale_factor=0.02)))
@@ -319,6 +324,12 @@ def test_only_calibrations_of_one_unit_are_compared(contents: Contents) -> None:
     wrong = replace(again, provenance={**own.provenance, 'recorded': 'yesterday'})
     with pytest.raises(InputError, match='recorded: found'):
         repeated([own, wrong], ['a', 'b'])
+
+
+def test_a_report_is_not_called_a_pdf(contents: Contents, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match='a report is HTML, expected a name'):
+        report(contents.calibration, tmp_path / 'r.pdf')
+    assert not (tmp_path / 'r.pdf').exists()
 
 
 def test_compare_may_be_repeated(contents: Contents, tmp_path: Path) -> None:

@@ -78,6 +78,10 @@ def written(
 ) -> tuple[Path, ImuSpec | None]:
     """Write a report; return the file, and the unit's description if it is known."""
     path = output_path(output)
+    if path.suffix.lower() == '.pdf':
+        raise InputError(
+            f'{path}: a report is HTML, expected a name that ends in .html; a browser prints it.'
+        )
     combined = as_combined(calibration)
     if combined is not None:
         unit = None if imu is None else as_imu(imu)

@@ -36,6 +36,8 @@ _FEWEST_FOR_A_DRIFT = 3
 _BETTER = 6.0
 """Difference in chi-square from which a line explains values better than a step, or the reverse:
 strong evidence in Schwarz's criterion (Kass and Raftery 1995), since both have two parameters."""
+_LEAST = 1e-150
+"""Standard deviation that stands for none: the inverse of its square is a finite number."""
 _ALIKE = 1e-6
 """Relative: scale factors that differ by more define other parameters."""
 
@@ -84,7 +86,7 @@ class RepeatedParameter:
 
         Chi-square about the weighted mean.
         """
-        weights = 1 / np.maximum(self.std, 1e-300) ** 2
+        weights = 1 / np.maximum(self.std, _LEAST) ** 2
         mean = weights @ self.value / weights.sum()
         return float(scipy.special.chdtrc(len(self.value) - 1, weights @ (self.value - mean) ** 2))
 
@@ -97,7 +99,7 @@ class RepeatedParameter:
         """
         if self.days is None or len(set(self.days.tolist())) < _FEWEST_FOR_A_DRIFT:
             return None
-        weights = 1 / np.maximum(self.std, 1e-300) ** 2
+        weights = 1 / np.maximum(self.std, _LEAST) ** 2
         centred = self.days - weights @ self.days / weights.sum()
         information = weights @ centred**2
         slope = float(weights * centred @ self.value / information)
@@ -138,7 +140,7 @@ class RepeatedParameter:
 
     def _chi_square(self, course: NDArray[Any]) -> float:
         """Return chi-square about a mean and the multiple of a course that fit best."""
-        weights = 1 / np.maximum(self.std, 1e-300)
+        weights = 1 / np.maximum(self.std, _LEAST)
         design = np.column_stack([weights, weights * course])
         found = np.linalg.lstsq(design, weights * self.value, rcond=None)[0]
         return float(np.sum((weights * self.value - design @ found) ** 2))
@@ -172,32 +174,7 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
         InputError: They are of different units, have no parameter in common, or one is there twice.
     """
     first = calibrations[0]
-    for other, name in zip(calibrations[1:], names[1:], strict=True):
-        if other.imu.id != first.imu.id:
-            raise InputError(
-                f'{name}: is of unit {other.imu.id!r}, expected {first.imu.id!r} as {names[0]}.'
-            )
-        serials = first.serial_number, other.serial_number
-        if all(serials) and serials[0] != serials[1]:
-            raise InputError(
-                f'{name}: serial_number: found {serials[1]}, expected {serials[0]} as {names[0]}: '
-                'repeatability is that of one unit.'
-            )
-        scales = [
-            (c.imu.units.value, c.imu.gyro.scale_factor, c.imu.accel.scale_factor)
-            for c in (first, other)
-        ]
-        if scales[0][0] != scales[1][0] or not np.allclose(scales[0][1:], scales[1][1:], _ALIKE):
-            raise InputError(
-                f'{name}: its nominal scale factors or units are not those of {names[0]}: the '
-                'parameters cannot be compared.'
-            )
-    for (one, name), (other, again) in combinations(zip(calibrations, names, strict=True), 2):
-        if _same(one, other):
-            raise InputError(
-                f'{again}: is the same calibration as {name}: repeatability takes one of another '
-                'recording.'
-            )
+    _check_comparable(calibrations, names)
     dates = [date_of(c) for c in calibrations]
     known = [d for d in dates if d is not None]
     days = None
@@ -225,6 +202,43 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
     if not found:
         raise InputError(f'{", ".join(names)}: no parameter was estimated in all of them.')
     return found
+
+
+def _check_comparable(calibrations: Sequence[Calibration], names: Sequence[str]) -> None:
+    """Refuse calibrations of several units, one that is there twice, and one without deviations."""
+    first = calibrations[0]
+    for one, name in zip(calibrations, names, strict=True):
+        if not one.std.any():
+            raise InputError(
+                f'{name}: states no standard deviations, as a truth does: repeatability takes '
+                'calibrations of recordings. imu-calib compare shows the differences.'
+            )
+    for other, name in zip(calibrations[1:], names[1:], strict=True):
+        if other.imu.id != first.imu.id:
+            raise InputError(
+                f'{name}: is of unit {other.imu.id!r}, expected {first.imu.id!r} as {names[0]}.'
+            )
+        serials = first.serial_number, other.serial_number
+        if all(serials) and serials[0] != serials[1]:
+            raise InputError(
+                f'{name}: serial_number: found {serials[1]}, expected {serials[0]} as {names[0]}: '
+                'repeatability is that of one unit.'
+            )
+        scales = [
+            (c.imu.units.value, c.imu.gyro.scale_factor, c.imu.accel.scale_factor)
+            for c in (first, other)
+        ]
+        if scales[0][0] != scales[1][0] or not np.allclose(scales[0][1:], scales[1][1:], _ALIKE):
+            raise InputError(
+                f'{name}: its nominal scale factors or units are not those of {names[0]}: the '
+                'parameters cannot be compared.'
+            )
+    for (one, name), (other, again) in combinations(zip(calibrations, names, strict=True), 2):
+        if _same(one, other):
+            raise InputError(
+                f'{again}: is the same calibration as {name}: repeatability takes one of another '
+                'recording.'
+            )
 
 
 def _same(one: Calibration, other: Calibration) -> bool:
