@@ -306,7 +306,7 @@ class Calibration:
         """Draw the residuals of the static dwells by position; return the matplotlib Figure.
 
         Raises:
-            InputError: matplotlib is not installed.
+            InputError: matplotlib is not installed, or the calibration contains no residuals.
         """
         from .views import draw_residuals
 

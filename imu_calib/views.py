@@ -126,9 +126,14 @@ def draw_residuals(calibration: Calibration) -> Picture:
     """Draw the residuals of each static dwell, by position.
 
     Raises:
-        InputError: matplotlib is not installed.
+        InputError: matplotlib is not installed, or the calibration contains no residuals.
     """
     rows = calibration.residuals
+    if not rows:
+        raise InputError(
+            f'The calibration of {calibration.unit_name} carries no residuals: it was not made of '
+            'a recording.'
+        )
     figure = empty_figure(2 * _HEIGHT, _HEIGHT)
     for triad, axes in zip(TRIADS, figure.subplots(1, 2), strict=True):
         found = [r.gyro if triad.name == 'gyro' else r.accel for r in rows]

@@ -573,6 +573,11 @@ def test_noise_and_residuals_are_pictures_that_notebooks_show(result: imu_calib.
     assert picture._repr_png_().startswith(b'\x89PNG')
 
 
+def test_a_truth_has_no_residuals_to_draw(result: imu_calib.Result) -> None:
+    with pytest.raises(InputError, match='carries no residuals: it was not made of a recording'):
+        replace(result.calibration, residuals=()).plot_residuals()
+
+
 def test_no_more_names_are_below_an_axis_than_can_be_read(result: imu_calib.Result) -> None:
     rows = result.calibration.residuals
     many = replace(result.calibration, residuals=(rows * 9)[:70])
