@@ -216,6 +216,12 @@ UNPLANNED = Plan('', 'whatever the table did', '', 'joint', ())
 states, and dwells and turns are named by them."""
 
 
+_DAY = 86400.0
+"""s."""
+_LONGEST = 30 * _DAY
+"""s of all dwells: longer than any session; that of hours in place of seconds is beyond it."""
+
+
 @checked
 def load_plan(name: str | Path) -> Plan:
     """Read a plan's YAML file, shipped (by name) or the user's (by path).
@@ -240,6 +246,12 @@ def read_plan(section: Section) -> Plan:
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
         raise InputError(f'{section.key("positions")}: two positions have the id {twice[0]!r}.')
+    standing = sum(position.dwell for position in positions)
+    if standing > _LONGEST:
+        raise InputError(
+            f'{section.where}: its dwells last {standing / _DAY:.4g} days in all, expected at most '
+            f'{_LONGEST / _DAY:g}: is their unit right?'
+        )
     plan = Plan(
         section.text('name'),
         section.text('title'),

@@ -373,7 +373,10 @@ BEYOND_A_SCHEMA = {
         ({'clock': '1 %'}, 'clock: found .* ppm, expected at most 1000 ppm'),
         ({'joints__1__axis': [float('inf'), 0, 0]}, 'axis: found .*inf'),
     ],
-    'plan': [({'positions__1__id': 'x_up'}, 'positions: two positions have the id')],
+    'plan': [
+        ({'positions__1__id': 'x_up'}, 'positions: two positions have the id'),
+        ({'dwell': '1000 h'}, 'its dwells last .* days in all, expected at most 30'),
+    ],
     'imu': [
         ({'gyro__range': '1e999 deg/s'}, 'range: found .* expected a finite number'),
         ({'gyro__range': '1e-999 deg/s'}, 'range: found .* expected above 0'),

@@ -327,6 +327,18 @@ def test_a_full_disk_or_a_closed_output_is_no_traceback(words: list[str]) -> Non
     assert b'Traceback' not in closed.stderr
 
 
+def test_too_little_memory_is_said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run(_: object) -> None:
+        raise MemoryError('Unable to allocate 75 GiB')
+
+    monkeypatch.setattr('imu_calib.cli.info.run', run)
+    assert main(['info', 'x']) == 2
+    said = 'imu-calib info: There is not enough memory. Unable to allocate 75 GiB.'
+    assert said in capsys.readouterr().err
+
+
 def test_the_version_is_for_stdout(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(['--version'])

@@ -93,7 +93,12 @@ KEYS = [
         'the solver of the plan ([methods](../methods.md))',
         REQUIRED,
     ),
-    Key('dwell', quantity(D.TIME, 'above 0'), 'time to stand still at a position', REQUIRED),
+    Key(
+        'dwell',
+        quantity(D.TIME, 'above 0'),
+        'time to stand still at a position; 30 days in all at most',
+        REQUIRED,
+    ),
     Key('by_hand', flag(), 'turned by hand: the angle is known, the rate is not', default=False),
     Key(
         'rate_test',

@@ -172,6 +172,9 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
         return 0
     except OSError as error:
         code = _ended(command, as_json, InputError.exit_code, _sentence(error), 'input')
+    except MemoryError as error:
+        text = ' '.join(['There is not enough memory.', *([f'{error}.'] if str(error) else [])])
+        code = _ended(command, as_json, InputError.exit_code, text, 'input')
     else:
         if outcome.message:
             _print(command, outcome.message, style='red')
