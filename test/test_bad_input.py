@@ -547,6 +547,23 @@ def test_a_channel_that_is_never_a_number(cli: CommandLine) -> None:
     cli.refuses(1, sentence, good().with_imu(spoil))
 
 
+@pytest.mark.parametrize(
+    ('change', 'sentence'),
+    [
+        (lambda _, accel: accel.__setitem__((slice(None), 2), 9.0), 'accelerometer z reads 9 in'),
+        (lambda gyro, _: gyro.__setitem__((slice(None), 1), 0.0), 'gyro y reads 0 in every'),
+        (
+            lambda _, accel: accel.__setitem__((slice(None), 1), accel[:, 0]),
+            'accelerometers x and y read the same in every',
+        ),
+    ],
+)
+def test_a_channel_that_is_dead_or_named_twice(
+    cli: CommandLine, change: Callable[[Floats, Floats], object], sentence: str
+) -> None:
+    cli.refuses(1, sentence, good().with_imu(change))
+
+
 def test_a_second_of_saturation_in_a_dwell(cli: CommandLine) -> None:
     def saturate(gyro: Floats, accel: Floats) -> None:
         accel[middle_of_7() : middle_of_7() + 100, 1] = 98.0  # 10 g in pulses per sample

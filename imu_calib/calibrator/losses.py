@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
+import numpy as np
+
 from ..methods.solution import Solution
 from ..observation.evidence import Evidence
 from ..segmentation.labelling import Labelled
 from ..segmentation.segmented import Segmented
 from .setup import Setup
+
+_FEWEST_MEANS = 2
+"""Means of static dwells and turns: one cannot change."""
+_ROUNDING = 1e-12
+"""Relative difference of the means of equal numbers: double precision gives some 1e-14."""
 
 
 def losses_of_all_segments(session: Segmented, labelled: Labelled, setup: Setup) -> str:
@@ -29,6 +38,39 @@ def losses_of_all_segments(session: Segmented, labelled: Labelled, setup: Setup)
         text += f' {loose} static dwells fit no position of the plan.'
     sentences = [*(f'Left out: {reason}' for reason in reasons[:3]), *session.losses]
     return ' '.join([text, *(f'{sentence}.' for sentence in sentences)])
+
+
+def dead_channels(session: Segmented) -> list[str]:
+    """Return sentences on channels that never change, and on two that are always equal.
+
+    Said only of sessions that are refused: coarse accelerometers of a unit that always stands
+    upright read the same number, too.
+    """
+    at_rest = [segment.statistics.mean for segment in session.segments]
+    turning = [turn.statistics.mean for turn in session.turns]
+    means = np.array([*at_rest, *turning]).reshape(-1, 6)
+    if len(means) < _FEWEST_MEANS:
+        return []
+    sentences = []
+    for first, triad in enumerate(('gyro', 'accelerometer')):
+        # At rest gyros that count coarsely read nothing.
+        if triad == 'gyro' and not turning:
+            continue
+        one = means[:, 3 * first : 3 * first + 3]
+        limit = _ROUNDING * float(np.abs(one).max())
+        sentences += [
+            f'The {triad} {axis} reads {column[0]:.6g} in every static dwell and turn: its channel '
+            'is dead, or its column is that of something else.'
+            for axis, column in zip('xyz', one.T, strict=True)
+            if np.ptp(column) <= limit
+        ]
+        sentences += [
+            f'The {triad}s {"xyz"[j]} and {"xyz"[k]} read the same in every static dwell and turn: '
+            'one of the columns is named twice.'
+            for j, k in combinations(range(3), 2)
+            if np.abs(one[:, j] - one[:, k]).max() <= limit < np.ptp(one[:, j])
+        ]
+    return sentences
 
 
 def loss_findings(

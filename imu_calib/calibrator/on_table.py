@@ -23,7 +23,7 @@ from ..segmentation.segmenter import Segmenter
 from ..stream import Block
 from ..table_clock import clock_share
 from .basis import Basis
-from .losses import loss_findings, losses_of_all_segments
+from .losses import dead_channels, loss_findings, losses_of_all_segments
 from .results import Result, Review
 from .setup import Setup
 from .unsupported import unsupported_steps
@@ -197,6 +197,15 @@ class Calibrator:
             solver = self._solver if final else self._glance
             solution, comparison = self._estimate(evidence, labelled, session, solver)
         except NotObservable as error:
-            raise type(error)(' '.join([str(error), *lost])) from None
+            dead = dead_channels(session)
+            raise type(error)(' '.join([*dead, str(error), *lost])) from None
+        except InputError as error:
+            if dead := dead_channels(session):
+                raise NotObservable(' '.join([*dead, str(error)])) from None
+            raise
+        except np.linalg.LinAlgError as error:
+            # Channels without noise make covariances singular.
+            singular = f'The equations of the session have no solution ({error}).'
+            raise NotObservable(' '.join([*dead_channels(session), singular, *lost])) from None
         found = Basis(setup, evidence, session, labelled, comparison, tuple(lost), final)
         return found.concluded(solution)
