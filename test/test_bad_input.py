@@ -34,7 +34,16 @@ from imu_calib.plan import Plan, read_plan
 from imu_calib.share import named_file
 from imu_calib.simulation import SimulatedStand
 from imu_calib.simulation.options import Shock
-from imu_calib.stream import Block, Floats, ImuBlock, JointBlock, Mode, SetpointBlock, Stamps
+from imu_calib.stream import (
+    Block,
+    Floats,
+    ImuBlock,
+    JointBlock,
+    Mode,
+    SetpointBlock,
+    Stamps,
+    TemperatureBlock,
+)
 from imu_calib.turntable import load_table
 from imu_calib.units import DEG
 
@@ -793,6 +802,13 @@ def test_axes_that_are_not_the_plans(
     cli: CommandLine, change: Callable[[Floats, Floats], None], sentence: str
 ) -> None:
     cli.refuses(1, sentence, good().with_imu(change))
+
+
+def test_a_temperature_in_kelvin(cli: CommandLine) -> None:
+    stamp = good().imu.stamp[::100]
+    readings = TemperatureBlock(stamp, np.full(len(stamp), 298.15))
+    sentence = 'The temperature is 298.1.? degrees Celsius, hotter than any unit: 25.0 if it is in'
+    cli.uses_the_rest(sentence, {**good().columns, '/imu/temperature': readings})
 
 
 @pytest.mark.parametrize('imu', ['si', 'mems_counts'])

@@ -22,6 +22,9 @@ from .stated import Stated
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+_HOTTEST = 200.0
+"""degC, beyond the range of any unit (automotive parts: -40 to 125), as for a simulated one."""
+
 
 @with_keywords(Session)
 def calibrate(
@@ -139,9 +142,22 @@ def documented(opened: Opened, result: Result) -> Result:
     }
     already = compensated_already(opened.recording.custom_data, opened.streams.imu)
     assumed = (*opened.assumed, *already, *([] if rate is None else [_interpolated(rate)]))
+    assumed += tuple(_kelvin(calibration.provenance.get('temperature')))
     findings = (*assumed, *calibration.findings, *opened.recording.losses)
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)
+
+
+def _kelvin(temperature: object) -> list[str]:
+    """Return a sentence on a temperature that no unit has, but that in kelvin is a usual one."""
+    if not isinstance(temperature, dict) or not temperature['mean'] > _HOTTEST:
+        return []
+    mean = float(temperature['mean'])
+    return [
+        f'The temperature is {mean:.1f} degrees Celsius, hotter than any unit: {mean - 273.15:.1f} '
+        'if it is in kelvin. sensor_msgs/Temperature is in degrees Celsius; correct the driver '
+        'before calibrations are combined by it.'
+    ]
 
 
 def _interpolated(rate: float) -> str:
