@@ -20,11 +20,11 @@ from imu_calib.cdr import Kind
 from imu_calib.cli.main import main
 from imu_calib.config import Section
 from imu_calib.earth import Site
-from imu_calib.errors import InputError
+from imu_calib.errors import InputError, NotObservable
 from imu_calib.imu import read_imu
 from imu_calib.methods.free_positions import FREE, in_frame_of_accelerometers
 from imu_calib.share import named_file
-from imu_calib.stream import ImuBlock
+from imu_calib.stream import Floats, ImuBlock
 from imu_calib.units import DEG, STANDARD_GRAVITY
 from imu_calib.verification import Verdict
 
@@ -39,7 +39,9 @@ accelerometer: {velocity_random_walk: 300 ug/sqrt(Hz)}
 """
 
 
-def recorded(folder: Path, topic: str, holds: int = 24, scale: tuple[float, float] = (1, 1)) -> str:
+def recorded(
+    folder: Path, topic: str, holds: int = 24, scale: tuple[float, float | Floats] = (1, 1)
+) -> str:
     """A recording of a driver that publishes SI, times something where it does not."""
     unit = read_imu(Section.parse(UNIT, 'the unit'))
     session = spread_holds(holds, 1)
@@ -100,6 +102,12 @@ def test_verify_says_where_the_calibration_was_made(
     assert main(['verify', bag, '--calibration', made]) == 2
     errors = capsys.readouterr().err.replace('\n', ' ')
     assert f'calibration.yaml was made at latitude {LATITUDE:g}: the same place?' in errors
+
+
+def test_a_dead_accelerometer_is_named(tmp_path: Path) -> None:
+    hand = recorded(tmp_path / 'hand', '/imu', 12, (1, np.array([1.0, 1.0, 0.0])))
+    with pytest.raises(NotObservable, match='The accelerometer z reads 0 in every static dwell'):
+        imu_calib.calibrate(hand, imu='si', plan='free_positions', latitude=LATITUDE)
 
 
 def test_holds_too_short_for_an_allan_deviation_have_no_picture_of_it(made: str) -> None:

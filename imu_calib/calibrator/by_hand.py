@@ -36,6 +36,7 @@ from ..segmentation.segmenter import Segmenter
 from ..stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from ..units import DEG, STANDARD_GRAVITY, counted
 from .guidance import CHECKED, HOLD_SECONDS, Guidance, Stage, guide
+from .losses import dead_channels
 from .provenance import provenance
 from .results import Result, Review, calibrated
 from .setup import Setup
@@ -131,7 +132,8 @@ class HandCalibrator:
             self._refuse_other_lengths(evidence)
             few = self._least_motion() if len(evidence.segments) < FEWEST else []
             few += _lost_turns(evidence, session)
-            raise NotObservable(' '.join([str(error), *few, *lost])) from None
+            dead = dead_channels(session)
+            raise NotObservable(' '.join([*dead, str(error), *few, *lost])) from None
         return self._result(session, evidence, fit)
 
     def _refuse_other_lengths(self, evidence: Evidence) -> None:
