@@ -184,6 +184,15 @@ def test_the_page_names_every_column_of_a_manifest() -> None:
     assert not [name for name in COLUMNS if f'`{name}`' not in section]
 
 
+def test_a_copied_part_counts_once_and_hinders_nothing(tmp_path: Path) -> None:
+    catalogue = Catalogue(tmp_path / 'c', create=True)
+    catalogue.add([a_row(1), a_row(2)])
+    (part,) = (tmp_path / 'c' / 'rows').glob('*.parquet')
+    shutil.copy(part, part.with_name('part-000000 (conflicted copy).parquet'))
+    assert Catalogue(tmp_path / 'c').add([a_row(3)]) == 1
+    assert sorted(row['recording'] for row in rows(tmp_path / 'c')) == ['r1', 'r2', 'r3']
+
+
 @pytest.mark.parametrize('serial', ['..', '.', 'A/B', 'ü' * 60])
 def test_any_serial_number_has_a_file_of_its_own(serial: str, tmp_path: Path) -> None:
     values = {'status': 'calibrated', 'imu': '..', 'serial': serial, 'date': NOW}

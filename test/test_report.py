@@ -327,7 +327,7 @@ def test_only_calibrations_of_one_unit_are_compared(contents: Contents) -> None:
 
 
 def test_a_report_is_not_called_a_pdf(contents: Contents, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match='a report is HTML, expected a name'):
+    with pytest.raises(InputError, match='the page is HTML, expected a name'):
         report(contents.calibration, tmp_path / 'r.pdf')
     assert not (tmp_path / 'r.pdf').exists()
 

@@ -40,6 +40,20 @@ def new_folder(output: Named) -> Path:
     return path
 
 
+def page_path(output: Named) -> Path:
+    """Return the path of an HTML file to be written.
+
+    Raises:
+        InputError: As for `output_path`, or its name is that of a PDF.
+    """
+    path = output_path(output)
+    if path.suffix.lower() == '.pdf':
+        raise InputError(
+            f'{path}: the page is HTML, expected a name that ends in .html; a browser prints it.'
+        )
+    return path
+
+
 def output_or_default(output: str | None, default: str) -> str:
     """Return the path of -o, or the default if that does not exist yet.
 

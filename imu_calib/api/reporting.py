@@ -26,7 +26,7 @@ from ..reports.thermal_page import thermal_page
 from .calibrating import solve
 from .named import Named, as_calibration, as_combined, as_imu, as_list
 from .opening import recording_at, session_of
-from .outputs import output_path
+from .outputs import page_path
 from .progress import Progress, silent
 from .stated import NO_PLAN, Stated
 
@@ -77,11 +77,7 @@ def written(
     progress: Progress,
 ) -> tuple[Path, ImuSpec | None]:
     """Write a report; return the file, and the unit's description if it is known."""
-    path = output_path(output)
-    if path.suffix.lower() == '.pdf':
-        raise InputError(
-            f'{path}: a report is HTML, expected a name that ends in .html; a browser prints it.'
-        )
+    path = page_path(output)
     combined = as_combined(calibration)
     if combined is not None:
         unit = None if imu is None else as_imu(imu)

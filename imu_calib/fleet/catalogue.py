@@ -155,13 +155,17 @@ class Catalogue:
     def table(self) -> pa.Table:
         """Return all rows, in the order of their addition.
 
+        A row that is there twice, in a copied part for instance, counts once.
+
         Raises:
             InputError: A part is broken, or of a newer version.
         """
         import pyarrow as pa
 
         tables = [_read(part) for part in self._parts()]
-        return pa.concat_tables(tables) if tables else schema().empty_table()
+        table = pa.concat_tables(tables) if tables else schema().empty_table()
+        kept = {key: row for row, key in enumerate(table['key'].to_pylist())}
+        return table if len(kept) == len(table) else table.take(sorted(kept.values()))
 
     @checked
     def query(self, sql: str) -> pa.Table:
@@ -234,7 +238,9 @@ class Catalogue:
 
         if not rows:
             return
-        number = max((int(part.stem.split('-')[1]) for part in self._parts()), default=-1) + 1
+        # Copies of parts by other programs have further words in their names.
+        numbers = [part.stem.removeprefix('part-') for part in self._parts()]
+        number = max((int(text) for text in numbers if text.isdecimal()), default=-1) + 1
         table = pa.Table.from_pylist(rows, schema())
         self._write(self._rows / f'part-{number:06d}.parquet', table)
 

@@ -12,7 +12,7 @@ from urllib.parse import quote
 import numpy as np
 
 from ..api.named import Named
-from ..api.outputs import output_path
+from ..api.outputs import page_path
 from ..api.progress import Progress, silent
 from ..arguments import checked
 from ..extras import require
@@ -83,7 +83,7 @@ def written(
     progress: Progress,
 ) -> tuple[Path, Fleet]:
     """Write the page; return the file and its contents."""
-    path = output_path(output)
+    path = page_path(output)
     require('bokeh', 'A page on a catalogue', 'fleet')
     found = catalogue if isinstance(catalogue, Catalogue) else Catalogue(catalogue)
     with progress('looking back') as show:
