@@ -32,6 +32,11 @@ def user_path(name: str | Path) -> Path:
     return path
 
 
+def printable(text: str) -> str:
+    """Return a text as UTF-8 can hold it: names of files may have bytes of another encoding."""
+    return text.encode('utf-8', 'backslashreplace').decode('utf-8')
+
+
 def write_whole(path: Path, text: str) -> None:
     """Write a file whole or not at all; a link is kept, and its target is written.
 
@@ -45,9 +50,9 @@ def write_whole(path: Path, text: str) -> None:
     temporary = target.with_name(target.name + '.part')
     try:
         if path.exists() and not path.is_file() and not path.is_dir():
-            path.write_text(text, encoding='utf-8')
+            path.write_text(text, encoding='utf-8', errors='backslashreplace')
             return
-        temporary.write_text(text, encoding='utf-8')
+        temporary.write_text(text, encoding='utf-8', errors='backslashreplace')
         temporary.replace(target)
     except OSError as error:
         with suppress(OSError):

@@ -193,7 +193,7 @@ def test_a_copied_part_counts_once_and_hinders_nothing(tmp_path: Path) -> None:
     assert sorted(row['recording'] for row in rows(tmp_path / 'c')) == ['r1', 'r2', 'r3']
 
 
-@pytest.mark.parametrize('serial', ['..', '.', 'A/B', 'ü' * 60])
+@pytest.mark.parametrize('serial', ['..', '.', 'A/B', 'ü' * 60, 'M\udce4rz'])
 def test_any_serial_number_has_a_file_of_its_own(serial: str, tmp_path: Path) -> None:
     values = {'status': 'calibrated', 'imu': '..', 'serial': serial, 'date': NOW}
     catalogue = Catalogue(tmp_path / 'all', create=True)

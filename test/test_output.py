@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -325,6 +326,23 @@ def test_a_full_disk_or_a_closed_output_is_no_traceback(words: list[str]) -> Non
     assert out.returncode == (0 if words[0] == '--version' else 2)
     assert (err.returncode, closed.returncode) == (2, usual)
     assert b'Traceback' not in closed.stderr
+
+
+@pytest.mark.parametrize('encoding', ['ascii', 'utf-8'])
+def test_a_name_in_any_encoding_ends_no_command(
+    folder: Path, tmp_path: Path, encoding: str
+) -> None:
+    # 'März' of a disk that was written in Latin-1.
+    odd = os.fsdecode(bytes(tmp_path) + b'/M\xe4rz')
+    shutil.copytree(folder / 'one', odd)
+    places = {**os.environ, 'PYTHONIOENCODING': encoding}
+    for words in (['info', odd], ['info', odd, '--json'], ['calibrate', odd, '-o', f'{odd}.yaml']):
+        command = [sys.executable, '-m', 'imu_calib.cli.main', *words]
+        ended = subprocess.run(command, env=places, capture_output=True, cwd=CHECKOUT, check=False)
+        assert ended.returncode == 0, ended.stderr
+        if '--json' in words:
+            assert json.loads(ended.stdout)['result']['path'] == odd
+    assert Calibration.load(f'{odd}.yaml').provenance['recording'] == r'M\udce4rz'
 
 
 def test_too_little_memory_is_said(

@@ -9,6 +9,7 @@ from ..bags import AnyPath
 from ..calibrator import Calibrator, HandCalibrator, Result, calibrator_of
 from ..errors import NotObservable, NotStated
 from ..metadata import compensated_already, interpolated_from
+from ..paths import printable
 from ..segmentation.segmented import Segmented
 from ..threads import by_one_thread
 from .assumed import ASSUMED_BY_HAND, ask_for_plan, is_hand_held
@@ -134,7 +135,7 @@ def documented(opened: Opened, result: Result) -> Result:
     rate = interpolated_from(opened.recording.custom_data, opened.streams.imu)
     interpolated = {} if rate is None else {'accel_interpolated_from_hz': rate}
     provenance = {
-        'recording': opened.recording.path.name,
+        'recording': printable(opened.recording.path.name),
         'sha256': opened.recording.sha256(),
         'topics': sorted(opened.streams.kinds()),
         **interpolated,
@@ -144,6 +145,7 @@ def documented(opened: Opened, result: Result) -> Result:
     assumed = (*opened.assumed, *already, *([] if rate is None else [_interpolated(rate)]))
     assumed += tuple(_kelvin(calibration.provenance.get('temperature')))
     findings = (*assumed, *calibration.findings, *opened.recording.losses)
+    findings = tuple(map(printable, findings))
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)
 

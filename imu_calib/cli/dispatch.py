@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import io
 import re
 import sys
 from collections.abc import Sequence
@@ -150,6 +151,7 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
     OUTPUT.stderr = as_json
     if alone:
         end_once()
+        _take_any_text()
     try:
         arguments = (_loaded if alone else _parsed)(argv)
     except KeyboardInterrupt:
@@ -181,6 +183,12 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
         return outcome.exit_code
     _print_closing_line(arguments)
     return code
+
+
+def _take_any_text() -> None:
+    """Let stdout take what its encoding lacks, as stderr does: a name of a file ends no command."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors='backslashreplace')
 
 
 def _parsed(argv: Sequence[str]) -> argparse.Namespace:

@@ -71,7 +71,12 @@ def write_document(command: str, outcome: Outcome, error: Mapping[str, str] | No
         'result': outcome.result,
     }
     # JSON has no value for non-finite numbers.
-    write_text(json.dumps(finite(document), ensure_ascii=False, allow_nan=False) + '\n')
+    text = json.dumps(finite(document), ensure_ascii=False, allow_nan=False)
+    try:
+        text.encode(getattr(sys.stdout, 'encoding', None) or 'utf-8')
+    except UnicodeEncodeError:
+        text = json.dumps(finite(document), allow_nan=False)
+    write_text(f'{text}\n')
 
 
 def write_text(text: str) -> None:

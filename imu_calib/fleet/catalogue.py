@@ -28,7 +28,7 @@ from ..extras import require
 from ..histories.sentences import listed
 from ..model import PARAMETER_NAMES, PARAMETERS
 from ..other_formats import other_format
-from ..paths import user_path, write_whole
+from ..paths import printable, user_path, write_whole
 from ..units import counted
 from .task import CALIBRATED, Done
 
@@ -216,7 +216,7 @@ class Catalogue:
             one: With a row.
             newest: Name of the newest file in each folder of a unit; filled in as they are listed.
         """
-        row = dict(one.row or {})
+        row = {k: printable(v) if isinstance(v, str) else v for k, v in (one.row or {}).items()}
         if row['status'] != CALIBRATED:
             return row
         date = row['date'] or _NO_DATE
