@@ -230,6 +230,8 @@ def test_pulses_stay_pulses_and_need_a_description(tmp_path: Path) -> None:
         ('', {}, 'holds no lines'),
         (ROW, {}, 'log.csv: no row of numbers found'),
         (ROW + '1,2,3,4,5,6,7\n', {'gyro': 'wx,wy:deg/s'}, r'expected NAME,NAME,NAME:UNIT'),
+        (ROW + '1,2,3,4,5,6,7\n', {'gyro': 'wx,wx,wz:deg/s'}, '`gyro`: .* names column wx twice'),
+        (ROW + '1,2,3,4,5,6,7\n', {'joints': 'ax,ax:deg'}, '`joints`: .* names column ax twice'),
         (ROW + '1,2,3,4,5,6,7\n', {'gyro': 'wx,wy,wz:furlong'}, 'the unit one of rad/s'),
         (ROW + '1,2,3,4,5,6,7\n', {'accel': 'a,b,c:g'}, "no column 'a'; it has: t, wx, wy"),
         (ROW + '1,2,3,4,5,6,7\n', {'rate': '9 Hz'}, 'both say when the rows were'),

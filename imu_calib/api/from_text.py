@@ -229,6 +229,8 @@ def _columns(
             f'{option}: found {stated!r}, expected {form}:UNIT, with the unit one of '
             f'{", ".join(units)}.'
         )
+    if twice := [name for name in parts if parts.count(name) > 1]:
+        raise InputError(f'{option}: found {stated!r}, which names column {twice[0]} twice.')
     values = np.column_stack([text.column(name, option) for name in parts])
     empty = [name for name, column in zip(parts, values.T, strict=True) if np.isnan(column).all()]
     if empty:
