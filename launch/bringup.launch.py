@@ -63,6 +63,12 @@ def generate_launch_description() -> LaunchDescription:
 
 def _nodes(context: LaunchContext) -> list:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    raw, output = (_full(given[name], given) for name in ('imu_topic', 'output_topic'))
+    if raw == output:
+        raise BringupError(
+            f'imu_topic and output_topic: found {raw} for both. Give another output_topic, for '
+            'example output_topic:=imu/data_calibrated.'
+        )
     compensator = {'calibration': str(_calibration(given)), 'serial_number': given['serial']}
     nodes = []
     if given['port']:
@@ -77,6 +83,12 @@ def _nodes(context: LaunchContext) -> list:
     if given['frame_id']:
         compensator['frame_id'] = given['frame_id']
     return [*nodes, _node('compensator_node', given, compensator)]
+
+
+def _full(topic: str, given: dict[str, str]) -> str:
+    """Return the name of a topic from the root on."""
+    space = given['namespace'].strip('/')
+    return topic if topic.startswith('/') else f'{space and "/"}{space}/{topic}'
 
 
 def _calibration(given: dict[str, str]) -> Path | str:

@@ -62,6 +62,11 @@ def test_a_port_brings_the_imu_node(folder):
         ({'serial': ''}, 'needs serial'),
         ({'serial': 'A1', 'calibration': 'x.yaml'}, 'either calibration'),
         ({'serial': 'A1', 'port': '/dev/null'}, 'give device and imu too'),
+        ({'serial': 'A1', 'imu_topic': 'imu/data_raw'}, 'found /imu/data_raw for both'),
+        (
+            {'serial': 'A1', 'namespace': '/robot/', 'imu_topic': '/robot/imu/data_raw'},
+            'found /robot/imu/data_raw for both',
+        ),
     ],
 )
 def test_what_cannot_be_used_is_said_in_a_sentence(folder, arguments, sentence):
