@@ -107,6 +107,10 @@ class Bench:
         return part in self.words and all(word in self.words[part].message for word in words)
 
 
+def figures_of(bench, part):
+    return {v.key: v.value for v in bench.words[part].values}
+
+
 @pytest.fixture
 def file(tmp_path):
     path = tmp_path / 'unit.yaml'
@@ -202,7 +206,9 @@ def test_a_calibration_comes_by_topic_if_it_is_good_and_of_this_unit(monkeypatch
         other = calibration_message(result(), M.ImuCalibration.VALID, 'imu_link', now)
         other.imu_id = 'another'
         send(other)
-        words = 'imu: found another, expected fog_medium as in /calibration'
+        words = (
+            'imu: found another, expected fog_medium as in the calibration in use (/calibration)'
+        )
         assert bench.until(lambda: bench.has_status('calibration offered', words))
         assert bench.has_status('calibration', '/calibration is applied')
 
@@ -354,3 +360,62 @@ def test_an_override_changes_its_own_topic_alone(monkeypatch, file):
     with Bench(monkeypatch, calibration=file):
         usual = ros.qos_profile_sensor_data
         assert (usual.reliability, usual.depth) == (ros.ReliabilityPolicy.BEST_EFFORT, 5)
+
+
+def test_a_node_does_not_compensate_its_own_output(monkeypatch, file):
+    with pytest.raises(InputError, match='found one topic /imu/data_raw for both'):
+        Bench(monkeypatch, calibration=file, topic='imu/data_raw')
+    ros.try_shutdown()
+
+
+def test_a_file_that_is_replaced_by_that_of_another_unit_is_refused(monkeypatch, tmp_path):
+    file = tmp_path / 'unit.yaml'
+    replace(truth(), serial_number='A1').save(file)
+    with Bench(monkeypatch, calibration=file) as bench:
+        assert bench.until(lambda: bench.has_status('calibration', 'is applied'))
+        replace(truth(), serial_number='B2').save(file)
+        refused = ['found B2, expected A1', 'calibration in use', 'start the node again']
+        assert bench.until(lambda: bench.has_status('calibration offered', *refused))
+        calibration = replace(truth(), serial_number='A1')
+        other = replace(calibration, imu=replace(calibration.imu, id='another'))
+        other.save(file)
+        assert bench.until(lambda: bench.has_status('calibration offered', 'found another'))
+        assert figures_of(bench, 'calibration')['serial_number'] == 'A1'
+        calibration.save(file)
+        assert bench.until(lambda: bench.has_status('calibration offered', 'is used'))
+
+
+def test_a_file_that_is_damaged_or_removed_is_named_and_what_was_read_stays(monkeypatch, file):
+    with Bench(monkeypatch, calibration=file) as bench:
+        assert bench.until(lambda: bench.has_status('calibration', 'is applied'))
+        file.unlink()
+        stays = 'What was read before stays applied.'
+        assert bench.until(
+            lambda: bench.has_status('calibration offered', f'{file} is not there any more', stays)
+        )
+        file.write_text('a: [')
+        assert bench.until(lambda: bench.has_status('calibration offered', 'not YAML', stays))
+        assert bench.has_status('calibration', 'is applied')
+        bench.send(encode_imu(block(100)).payloads())
+        assert bench.until(lambda: len(bench.payloads) == 100)
+
+
+def test_it_says_why_nothing_is_published_yet(monkeypatch, file):
+    with Bench(monkeypatch, calibration=file) as bench:
+        payloads = encode_imu(block(40)).payloads()
+        bench.send(payloads[:20])
+        waits = 'not known yet: it takes 33 samples'
+        assert bench.until(lambda: bench.has_status('stream', waits))
+        figures = figures_of(bench, 'stream')
+        assert figures['sample interval'] == 'not known yet'
+        assert 'age of the latest sample' not in figures
+        bench.send(payloads[20:])
+        assert bench.until(lambda: len(bench.payloads) == 40)
+
+
+def test_stamps_that_tell_no_interval_are_named(monkeypatch, file):
+    with Bench(monkeypatch, calibration=file) as bench:
+        samples = block(100)
+        same = replace(samples, stamp=np.zeros_like(samples.stamp))
+        bench.send(encode_imu(same).payloads())
+        assert bench.until(lambda: bench.has_status('stream', 'stamps do not show it'))

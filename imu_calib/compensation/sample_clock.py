@@ -14,6 +14,8 @@ from ..stream import Floats, Stamps
 
 _LEARNT = 32
 """Intervals that determine the usual one: their median holds with ten of them late."""
+INTERVAL_KNOWN_AFTER = _LEARNT + 1
+"""Samples that show the interval, unless they come in bunches."""
 _WINDOW = 1024
 """Intervals averaged: the jitter of one stamp is reduced to a thousandth."""
 _FEW = 4

@@ -86,9 +86,7 @@ class AppliedCalibration:
             calibration = by_temperature(calibration_of(message), self._topic)
             # The message must state the serial number of this node or of the applied calibration.
             self._check_serial(calibration, self._topic, stated=True)
-            if self.compensator is not None:
-                applied = self.compensator.calibration
-                check_same_unit(calibration, self._topic, applied, self._source)
+            self._check_same(calibration, self._topic)
             self._use(calibration, self._topic, stamp.sec + stamp.nanosec * 1e-9)
         except ImuCalibError as error:
             self._diagnostics.report('calibration offered', Level.WARN, str(error))
@@ -101,6 +99,8 @@ class AppliedCalibration:
             found = self._file.stat()
         except OSError:
             # Another process may still be writing it.
+            if self._version is not None:
+                self._refuse(Level.WARN, f'{self._file} is not there any more.')
             self._version = None
             return
         version = found.st_mtime_ns, found.st_size
@@ -109,11 +109,16 @@ class AppliedCalibration:
         self._version = version
         try:
             calibration = load_calibration(self._file)
-            if self._serial:
-                self._check_serial(calibration, str(self._file), stated=False)
+            self._check_serial(calibration, str(self._file), stated=False)
+            self._check_same(calibration, str(self._file))
             self._use(calibration, str(self._file), found.st_mtime)
         except ImuCalibError as error:
-            self._diagnostics.report('calibration offered', Level.ERROR, str(error))
+            self._refuse(Level.ERROR, str(error))
+
+    def _refuse(self, level: Level, reason: str) -> None:
+        """Report why the file is not applied, and what is."""
+        stays = '' if self.compensator is None else ' What was read before stays applied.'
+        self._diagnostics.report('calibration offered', level, reason + stays)
 
     def report(self) -> None:
         """Report which calibration is applied, or from where one is expected."""
@@ -141,17 +146,25 @@ class AppliedCalibration:
             method=str(single.provenance.get('method', 'not stated')),
         )
 
+    def _check_same(self, calibration: AnyCalibration, name: str) -> None:
+        """Refuse the calibration of another type of IMU, or of other units."""
+        if self.compensator is not None:
+            used = f'the calibration in use ({self._source})'
+            check_same_unit(calibration, name, self.compensator.calibration, used)
+
     def _check_serial(self, calibration: AnyCalibration, name: str, *, stated: bool) -> None:
         """Refuse the calibration of another unit."""
         expected, who = self._serial, 'the parameter serial_number says'
+        remedy = 'Give the calibration of this unit'
         if not expected and self.compensator is not None:
             expected = first_of(self.compensator.calibration).serial_number
-            who = f'{self._source} says'
+            who = f'the calibration in use ({self._source}) says'
+            remedy += '; if it was replaced, start the node again'
         found = first_of(calibration).serial_number
         if expected and found != expected and (found or stated):
             raise InputError(
                 f'{name}: serial_number: found {found or "none"}, expected {expected} as {who}: '
-                'it is not applied. Give the calibration of this unit.'
+                f'it is not applied. {remedy}.'
             )
 
     def _use(self, calibration: AnyCalibration, source: str, made_at: float) -> None:

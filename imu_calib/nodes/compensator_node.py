@@ -10,6 +10,7 @@ import numpy as np
 from .. import middleware as ros
 from ..cdr import ImuDecoder, Messages, decode_skew, decode_temperatures, rates_payloads
 from ..compensation.compensator import Compensator, Reading
+from ..errors import InputError
 from ..middleware import messages
 from ..paths import user_path
 from ..stream import ImuBlock
@@ -60,8 +61,17 @@ class CompensatorNode(ros.ManagedNode):
             follows=follows,
             serial_number=serial,
         )
-        topics = [self.resolve_topic_name(name) for name in ('imu/pulses', 'imu/temperature')]
-        self._reports = CompensatorReports(self._diagnostics, *topics)
+        raw, output, temperature = (
+            self.resolve_topic_name(name)
+            for name in ('imu/pulses', 'imu/data_raw', 'imu/temperature')
+        )
+        if raw == output:
+            # It would compensate its own output, again and again.
+            raise InputError(
+                f'imu/pulses and imu/data_raw: found one topic {raw} for both, raw samples and '
+                'output. Remap imu/data_raw to another name, for example imu/data_calibrated.'
+            )
+        self._reports = CompensatorReports(self._diagnostics, raw, temperature)
         self._decoder = ImuDecoder()
         self._two_since: float | None = None
         self._mixed = False

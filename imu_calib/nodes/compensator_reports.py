@@ -9,6 +9,7 @@ import numpy as np
 
 from ..cdr import Malformed
 from ..compensation.compensator import Compensator
+from ..compensation.sample_clock import INTERVAL_KNOWN_AFTER
 from ..compensation.samples import Mark
 from ..compensation.thermal import ThermalCalibration
 from .diagnostics import Diagnostics, Level
@@ -23,6 +24,19 @@ _WORDS = {
     Mark.PARITY: 'four gyros that contradict each other',
     Mark.NO_NUMBER: 'values that are not numbers',
 }
+
+
+def _why_unknown(waiting: int) -> str:
+    """Return why the sample interval is not known."""
+    if waiting < INTERVAL_KNOWN_AFTER:
+        return (
+            f'The sample interval is not known yet: it takes {INTERVAL_KNOWN_AFTER} samples, '
+            f'{waiting} are here.'
+        )
+    return (
+        f'The sample interval is not known: the stamps do not show it in {waiting} samples. Each '
+        'sample needs the time at which it was taken.'
+    )
 
 
 @dataclass
@@ -115,7 +129,8 @@ class CompensatorReports:
         }
         level, text = Level.OK, f'{topic} is received and compensated.'
         if compensator is not None:
-            figures['sample interval'] = f'{compensator.period * 1e3:.6f} ms'
+            period = compensator.period
+            figures['sample interval'] = f'{period * 1e3:.6f} ms' if period else 'not known yet'
             figures['irregular intervals between stamps'] = str(compensator.irregular_steps)
             figures['waiting'] = str(compensator.waiting)
             figures['left out'] = str(compensator.dropped)
@@ -125,6 +140,7 @@ class CompensatorReports:
             figures['latency in the node'] = (
                 f'{np.median(work):.0f} us, at most {work.max():.0f} us'
             )
+        if self._second.given:
             figures['age of the latest sample'] = f'{(now - self._second.newest) * 1e-6:.3f} ms'
         if mixed:
             level, text = Level.ERROR, f'Two publishers on {topic}: stop one of them.'
@@ -134,6 +150,8 @@ class CompensatorReports:
             level, text = Level.WARN, f'There are no messages on {topic}.'
         elif compensator is not None and not self._second.given:
             level, text = Level.WARN, f'{topic} is received, but nothing is published.'
+            if not compensator.period:
+                text += f' {_why_unknown(compensator.waiting)}'
         self._diagnostics.report('stream', level, text, **figures)
 
     def _report_range(self, compensator: Compensator) -> None:
