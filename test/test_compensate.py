@@ -140,6 +140,18 @@ def test_a_malformed_message_is_left_out_and_said(tmp_path, calibration, capsys)
     assert times == np.delete(SESSION[IMU].stamp, 700).tolist()
 
 
+@pytest.mark.parametrize('gravity', [True, False])
+def test_samples_without_gravity_are_named(tmp_path, calibration, capsys, gravity):
+    # At 200 Hz.
+    pulses = 9.8 / 200 / truth().imu.accel.scale_factor * gravity
+    samples = replace(SESSION[IMU], accel=np.tile([0.0, 0.0, pulses], (len(SESSION[IMU]), 1)))
+    with RecordingWriter(tmp_path / 'bag') as writer:
+        writer.write(IMU, Kind.IMU.type_name, encode_imu(samples), samples.stamp)
+    words = ['compensate', str(tmp_path / 'bag'), '--calibration', calibration]
+    assert main([*words, '-o', str(tmp_path / 'out')]) == 0
+    assert ('expected gravity' in ' '.join(capsys.readouterr().out.split())) is not gravity
+
+
 def test_a_combined_calibration_follows_the_recorded_temperature(tmp_path):
     both = combine([point(-40.0, 0.0), point(60.0, 1e-3)], ['a', 'b'])
     both.save(tmp_path / 'both.yaml')

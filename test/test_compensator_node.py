@@ -419,3 +419,26 @@ def test_stamps_that_tell_no_interval_are_named(monkeypatch, file):
         same = replace(samples, stamp=np.zeros_like(samples.stamp))
         bench.send(encode_imu(same).payloads())
         assert bench.until(lambda: bench.has_status('stream', 'stamps do not show it'))
+
+
+def test_samples_without_gravity_are_named(monkeypatch, file):
+    # Other units, or a driver that subtracts gravity: a message states neither.
+    monkeypatch.setattr('imu_calib.nodes.compensator_reports._GRAVITY', 2)
+    with Bench(monkeypatch, calibration=file) as bench:
+        pulses = 9.8 * 1e-3 / truth().imu.accel.scale_factor
+        sent = 0
+
+        def said(up, *words):
+            def sends():
+                nonlocal sent
+                stamp = STAMP[0] + (sent + np.arange(50)) * 1_000_000
+                sent += 50
+                samples = ImuBlock(stamp, np.zeros((50, 3)), np.tile([0.0, 0.0, up], (50, 1)), '')
+                bench.send(encode_imu(samples).payloads())
+                return bench.has_status('gravity', *words)
+
+            return bench.until(sends)
+
+        assert said(0.0, 'expected gravity', 'not in the units of the calibration (pulses)')
+        assert bench.words['gravity'].level in {b'\x01', 1}
+        assert said(pulses, 'about gravity')

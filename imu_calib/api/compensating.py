@@ -313,6 +313,8 @@ def _findings(stream: _Stream) -> list[str]:
     known = [
         f'{compensator.counts[m]} samples: {_WORDS[m]}.' for m in Mark if compensator.counts[m]
     ]
+    if not compensator.gravity.is_gravity:
+        known.append(compensator.gravity.contradiction(first_of(compensator.calibration).imu))
     if compensator.alone:
         known.append(f"{compensator.alone} samples went without the skewed gyro's value.")
     if compensator.repeats:

@@ -13,6 +13,7 @@ from ..calibration import Calibration
 from ..segmentation.shared_stamps import SharedStamps
 from ..stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
 from .apply import Compensation
+from .gravity_seen import GravitySeen
 from .in_motion import Applied, InMotion
 from .sample_clock import SampleClock, Times
 from .samples import CompensatedSamples, Mark, concatenated
@@ -89,6 +90,7 @@ class Compensator:
     Attributes:
         celsius: The latest temperature, degrees Celsius; NaN before the first.
         counts: Number of samples with each `Mark`.
+        gravity: What the accelerometers read.
         dropped: Samples that waited too long for the first temperature, or could not be timed.
         alone: Samples compensated without the expected value of a skewed gyro.
         repeats: Repeated samples.
@@ -98,6 +100,7 @@ class Compensator:
     def __init__(self, calibration: AnyCalibration, instants: Stamps | None = None) -> None:
         self.celsius = float('nan')
         self.counts: Counter[Mark] = Counter()
+        self.gravity = GravitySeen()
         self.alone = self.repeats = 0
         self.kept: NDArray[np.bool_] | None = None
         self._instants, self._used_instants = instants, 0
@@ -321,6 +324,7 @@ class Compensator:
             values = self._ready[False].apply(block.gyro, block.accel, interval)
         else:
             values = self._with_skewed(block, interval)
+        self.gravity.take(values)
         if np.count_nonzero(values.marks):
             for mark in Mark:
                 self.counts[mark] += int(np.count_nonzero(values.marks & mark))

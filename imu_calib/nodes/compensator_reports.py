@@ -9,11 +9,14 @@ import numpy as np
 
 from ..cdr import Malformed
 from ..compensation.compensator import Compensator
+from ..compensation.gravity_seen import GravitySeen
 from ..compensation.sample_clock import INTERVAL_KNOWN_AFTER
 from ..compensation.samples import Mark
-from ..compensation.thermal import ThermalCalibration
+from ..compensation.thermal import ThermalCalibration, first_of
 from .diagnostics import Diagnostics, Level
 
+_GRAVITY = 10
+"""s in each of which the accelerations must be far from gravity: a free fall does not last."""
 _STALE = 10.0
 """s without a temperature: ten times the period of the slowest thermometers in use, 1 Hz."""
 _WORDS = {
@@ -79,11 +82,14 @@ class CompensatorReports:
         self._temperature = temperature
         self._temperature_at = time.monotonic()
         self._counted: dict[Mark, int] = dict.fromkeys(Mark, 0)
+        self._gravity = GravitySeen()
+        self._far_from_gravity = 0
         self._second = _Second()
 
     def begin_counts(self) -> None:
-        """Reset the counts of marks, as a new compensator does."""
+        """Reset what is counted, as a new compensator does."""
         self._counted = dict.fromkeys(Mark, 0)
+        self._gravity, self._far_from_gravity = GravitySeen(), 0
 
     def take(self, count: int) -> None:
         """Count incoming samples."""
@@ -113,6 +119,7 @@ class CompensatorReports:
         self._report_stream(compensator, now, mixed=mixed)
         if compensator is not None:
             self._report_range(compensator)
+            self._report_gravity(compensator)
             if isinstance(compensator.calibration, ThermalCalibration):
                 self._report_temperature(compensator)
         self._second = _Second()
@@ -167,6 +174,22 @@ class CompensatorReports:
         if compensator.alone:
             figures["without the skewed gyro's value"] = str(compensator.alone)
         self._diagnostics.report('range', level, text, **figures)
+
+    def _report_gravity(self, compensator: Compensator) -> None:
+        """Report whether the accelerations of the last second are about gravity."""
+        fresh = compensator.gravity.since(self._gravity)
+        self._gravity = compensator.gravity.copy()
+        if not fresh.count:
+            return
+        if fresh.is_gravity:
+            self._far_from_gravity = 0
+            text = 'The accelerations are about gravity.'
+            self._diagnostics.report('gravity', Level.OK, text)
+            return
+        self._far_from_gravity += 1
+        if self._far_from_gravity == _GRAVITY:
+            text = fresh.contradiction(first_of(compensator.calibration).imu)
+            self._diagnostics.report('gravity', Level.WARN, text)
 
     def _report_temperature(self, compensator: Compensator) -> None:
         """Report the temperature on which the calibration depends."""
