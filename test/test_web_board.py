@@ -237,6 +237,15 @@ def test_the_time_left_is_by_the_clock_on_the_wall(expected):
     assert board.snapshot(9.0).share == pytest.approx(180 / 600)
 
 
+@pytest.mark.parametrize('phase', [Phase.IDLE, Phase.ABORTED])
+def test_what_has_not_begun_is_not_done(expected, phase):
+    board = Board(expected)
+    board.take_state(state(100.0), 0.0)
+    board.take_state(state(200.0, phase, seconds_left=0.0), 1.0)
+    assert time_left(board.snapshot(1.0), NOON) == ('the whole plan', 'once it is started')
+    assert board.snapshot(1.0).share == 0.0
+
+
 def test_pace_is_one_until_it_is_known_and_follows_a_change():
     pace = Pace()
     pace.note(5.0, 0.0)

@@ -10,7 +10,7 @@ from ..devices.health import Severity
 from ..reports.remaining import ends_at, in_words
 from ..sequencing import Phase
 from ..units import DEG
-from .snapshot import Outcome, Snapshot, TableState
+from .snapshot import NOT_BEGUN, Outcome, Snapshot, TableState
 
 _WHOLE = 2.0
 """Ratio to real time from which a session is called faster. A choice: it is said in whole
@@ -121,9 +121,10 @@ def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
     remaining = shown.wall_seconds_left
     if shown.table is None or math.isnan(remaining):
         return 'time left not known', ''
-    if shown.table.phase in {Phase.PAUSED, Phase.ABORTED, Phase.IDLE}:
-        paused = shown.table.phase is Phase.PAUSED
-        return in_words(remaining), 'once it goes on' if paused else 'once it is started'
+    if shown.table.phase in NOT_BEGUN:
+        return 'the whole plan', 'once it is started'
+    if shown.table.phase is Phase.PAUSED:
+        return in_words(remaining), 'once it goes on'
     text = f'ends at {ends_at(remaining, now)}'
     if shown.speed > _WHOLE:
         text += f' ({shown.speed:.0f} times real time)'

@@ -44,6 +44,10 @@ class Sentence:
         return dict(self.figures).get(name, '')
 
 
+NOT_BEGUN = frozenset({Phase.IDLE, Phase.ABORTED})
+"""In these a start begins the plan with its first step."""
+
+
 @dataclass(frozen=True)
 class PlannedStep:
     """A step of the plan: its target, and its action as text."""
@@ -164,5 +168,7 @@ class Snapshot:
         seconds = math.nan if self.table is None else self.table.seconds_left
         if self.table is not None and self.table.phase is Phase.DONE:
             return 1.0
+        if self.table is not None and self.table.phase in NOT_BEGUN:
+            return 0.0
         whole = self.elapsed + seconds
         return self.elapsed / whole if whole > 0 else 0.0
