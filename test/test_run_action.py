@@ -197,7 +197,7 @@ def test_a_goal_that_is_refused_leaves_what_was_paused(session):
     assert (status, result.message) == (Status.ABORTED, 'The door is open.')
     session.reaches(Phase.PAUSED)
     session.node._sequencer.forbid('door', '')
-    assert session.press('start') == (True, 'Resumes with step 1.')
+    assert session.press('start') == (True, 'Resumes with step 2.')
 
 
 def finished(session, state, status):

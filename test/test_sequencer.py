@@ -476,7 +476,7 @@ def test_an_interrupted_turn_is_repeated_from_where_it_starts():
     assert stand.phase(Phase.PAUSED).reason == 'Paused on request.'
     assert not stand.sequencer.state().fault
     assert stand.stands()
-    assert stand.sequencer.start() == 'Resumes with step 1.'
+    assert stand.sequencer.start() == 'Resumes with step 2.'
     stand.phase(Phase.DONE)
     assert modes(stand, 1) == [Mode.RATE, Mode.HOLD, Mode.POSITION, Mode.RATE]
     assert stand.refusals == []
@@ -705,7 +705,7 @@ def test_a_start_while_it_runs_or_without_joint_states_is_refused():
     with pytest.raises(InputError, match='no joint states'):
         stand.sequencer.start()
     stand.started()
-    with pytest.raises(InputError, match='is running, at step 0'):
+    with pytest.raises(InputError, match='is running, at step 1'):
         stand.sequencer.start()
 
 

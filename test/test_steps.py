@@ -43,7 +43,7 @@ def test_a_turn_needs_the_acceleration_to_run_up_and_down_within_a_turn(rate, se
     assert f'to {sense * rate / DEG:g} deg/s and back within a turn joint outer' in message
     assert f'needs {needed / DEG:.4g} deg/s^2' in message
     assert f'allows {0.999 * needed / DEG:g} deg/s^2' in message
-    assert 'Step 3, position 9' in message
+    assert 'Step 4, position 9' in message
 
 
 def test_a_step_ends_where_its_turns_and_the_turn_to_run_up_and_down_in_end():

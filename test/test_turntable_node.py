@@ -341,7 +341,7 @@ def test_the_services_start_pause_resume_and_abort(session):
     assert session.press('pause') == (True, 'Paused on request.')
     session.reaches(Phase.PAUSED)
     assert session.ends_stopped()
-    assert session.press('start') == (True, 'Resumes with step 1.')
+    assert session.press('start') == (True, 'Resumes with step 2.')
     session.reaches(Phase.TURNING)
     assert session.press('abort') == (True, 'Aborted on request.')
     session.reaches(Phase.ABORTED)

@@ -96,7 +96,7 @@ class Sequencer:
         if found.emergency:
             return found.emergency
         if self.running:
-            return f'The plan is running, at step {self._run.itinerary.index}.'
+            return f'The plan is running, at step {self._run.itinerary.index + 1}.'
         uncommanded = self.idle.text if self.idle.is_moving else ''
         return found.forbidden or uncommanded or found.feedback or found.calibrator
 
@@ -130,7 +130,7 @@ class Sequencer:
             return f'Waits for {CALIBRATOR}.'
         self._go()
         index = self._run.itinerary.index
-        return f'Resumes with step {index}.' if resumes else f'Runs {self.plan.name}.'
+        return f'Resumes with step {index + 1}.' if resumes else f'Runs {self.plan.name}.'
 
     def resume(self) -> None:
         """Make the first start run only the steps that the calibrator lacks, in its old session.

@@ -42,7 +42,7 @@ def check(step: Step, table: Table) -> None:
     Raises:
         InputError: Names joint, value and limit.
     """
-    where = f'Step {step.index}, position {step.position or "of the start"}'
+    where = f'Step {step.index + 1}, position {step.position or "of the start"}'
     table.check(step.angles, step.rates, where)
     table.check(end_of(step), step.rates, where)
     for joint, rate in zip(table.joints, step.rates, strict=True):

@@ -420,4 +420,6 @@ def _repeats(setpoint: Setpoint, earlier: Setpoint) -> bool:
 
 
 def _where(setpoint: Setpoint) -> str:
-    return f'Setpoint of step {setpoint.step} ({setpoint.mode.name}, position {setpoint.position})'
+    return (
+        f'Setpoint of step {setpoint.step + 1} ({setpoint.mode.name}, position {setpoint.position})'
+    )

@@ -153,4 +153,4 @@ class Follower:
 
 
 def _where(setpoint: Setpoint) -> str:
-    return f'Setpoint of step {setpoint.step} ({setpoint.mode.name})'
+    return f'Setpoint of step {setpoint.step + 1} ({setpoint.mode.name})'
