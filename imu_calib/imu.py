@@ -9,6 +9,7 @@ from typing import Any
 
 from .arguments import checked
 from .config import Section
+from .errors import InputError
 from .specification import Specification, read_specification
 from .stream import Units
 from .units import DEG, PPM, Dimension
@@ -236,3 +237,17 @@ def _read_triad(parent: Section, name: str, kind: _Kind, units: Units) -> TriadS
     )
     section.finish()
     return spec
+
+
+def check_live(spec: ImuSpec) -> None:
+    """Refuse a unit that cannot be simulated live: the simulated device sends whole numbers.
+
+    Raises:
+        InputError: Its samples are in SI units.
+    """
+    if spec.units is Units.SI:
+        raise InputError(
+            f'IMU {spec.id}: units: found {spec.units.value}, expected pulses or counts: a '
+            'simulated device sends whole numbers. Simulate another one, for example mems_counts '
+            'or fog_medium; imu-calib simulate makes a recording of this one.'
+        )

@@ -20,6 +20,7 @@ from imu_calib.cli.by_hand import reached, view
 from imu_calib.cli.main import main
 from imu_calib.devices import Decoder, load_format
 from imu_calib.earth import Site, normal_gravity
+from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
 from imu_calib.methods.free_positions import FREE
 from imu_calib.model import PARAMETER_NAMES, ParameterKind
@@ -236,3 +237,16 @@ def test_six_holds_and_three_turns_by_hand_live_are_those_of_the_recording(tmp_p
     ended(session)
     assert session.phase is SessionPhase.FINISHED, session.failure
     assert np.array_equal(session.calibration.values, offline.finish().calibration.values)
+
+
+@pytest.mark.parametrize('plan', ['free_positions', 'twelve_position'])
+def test_a_unit_that_sends_si_values_is_not_simulated_live(tmp_path, capsys, plan):
+    # The frames hold whole numbers: the node of the hardware stopped, and the stand waited.
+    folder = tmp_path / 'stand'
+    assert main(['stand', plan, '--imu', 'si', '-o', str(folder)]) == 2
+    said = ' '.join(capsys.readouterr().err.split())
+    assert 'units: found si, expected pulses or counts' in said
+    assert not folder.exists()
+    spec = load_imu('si')
+    with pytest.raises(InputError, match='units: found si'):
+        HeldHardware(spec, TRUTH.model, SITE, ImuOptions())

@@ -12,7 +12,7 @@ from ..calibration import Calibration
 from ..devices import Baud, FrameFormat, check_port, choose_baud, is_serial, load_format, too_slow
 from ..earth import LUOYANG
 from ..errors import InputError
-from ..imu import ImuSpec, load_imu
+from ..imu import ImuSpec, check_live, load_imu
 from ..paths import user_path
 from ..plan import load_plan
 from ..share import shipped
@@ -206,7 +206,9 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
     site = options.stated(arguments).site(LUOYANG)
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
     table = None if plan.by_hand else load_table(arguments.table)
-    if arguments.port:
+    if not arguments.port:
+        check_live(imu)
+    else:
         network_of_hardware(arguments.network, alone=plan.by_hand)
         baud = choose_baud(arguments.baud, frames)
         if is_serial(arguments.port):
@@ -241,7 +243,10 @@ def _check_several(arguments: argparse.Namespace, reports: NodeReports) -> dict[
     from . import stand_session
 
     for name in dict.fromkeys(unit.imu for unit in several.units_of(arguments)):
-        stand_session.check(arguments, load_imu(name), plan, table, site)
+        imu = load_imu(name)
+        if not real:
+            check_live(imu)
+        stand_session.check(arguments, imu, plan, table, site)
     return {} if real else several.truths(arguments)
 
 

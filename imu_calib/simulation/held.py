@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..earth import Site
-from ..imu import ImuSpec
+from ..imu import ImuSpec, check_live
 from ..model import SensorModel
 from ..stream import Floats
 from ..units import DEG
@@ -56,6 +56,7 @@ class HeldHardware:
         seed: int | tuple[int, ...] = 0,
         epoch: int = 0,
     ) -> None:
+        check_live(imu)
         imu_rng, self._rng = np.random.default_rng(seed).spawn(2)
         self._imu = SimulatedImu(imu, model, site, options, imu_rng, epoch=epoch)
         self._options = options

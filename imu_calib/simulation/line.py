@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..earth import Site
+from ..imu import check_live
 from ..stream import Floats, ImuBlock
 from .faults import LineFaults
 from .frames import pack
@@ -39,6 +40,7 @@ class ImuLine:
         imu_rng: np.random.Generator,
         line_rng: np.random.Generator,
     ) -> None:
+        check_live(unit.spec)
         own = replace(options, lever=unit.lever)
         self.faults = LineFaults()
         self.frames = 0
