@@ -7,6 +7,7 @@ from loopback import environment, patience, start, until
 from imu_calib.bags import Journal, open_recording
 from imu_calib.cdr import Kind, encode_imu
 from imu_calib.errors import ImuCalibError
+from imu_calib.sequencing import Phase
 from imu_calib.stream import ImuBlock
 
 try:
@@ -219,3 +220,33 @@ def test_a_reset_that_is_refused_leaves_the_session_running(monkeypatch, tmp_pat
         # The next folder is free.
         assert bench.node._on_reset(None, ros.Trigger.Response()).success
         assert bench.node._sessions.journal.path.name == 'journal_3'
+
+
+def test_while_the_plan_runs_no_new_session_begins(monkeypatch, tmp_path):
+    # It would lack the steps before, and end without a calibration.
+    with Bench(monkeypatch, tmp_path) as bench:
+        bench.set_time(1)
+        before = bench.node._sessions
+
+        def reset_in(phase):
+            bench.states.publish(
+                M.TurntableState(plan='twelve_position', phase=int(phase), seconds_left=9.0)
+            )
+            assert bench.until(lambda: bench.node._turntable.phase == phase)
+            return bench.node._on_reset(None, ros.Trigger.Response())
+
+        refused = reset_in(Phase.TURNING)
+        assert not refused.success
+        assert 'The table runs its plan' in refused.message
+        assert bench.node._sessions is before
+        agreed = reset_in(Phase.PAUSED)
+        assert agreed.success
+        assert 'abort it to run all steps' in agreed.message
+        assert reset_in(Phase.ABORTED).success
+        # A session that is over lacks nothing more.
+        bench.node._sessions.all[0].fail('Two publishers.')
+        assert reset_in(Phase.DWELLING).success
+        # Nor does it depend on the last word of a node that is gone.
+        assert not reset_in(Phase.DWELLING).success
+        bench.peer.destroy_publisher(bench.states)
+        assert bench.until(lambda: bench.node._on_reset(None, ros.Trigger.Response()).success)

@@ -320,8 +320,15 @@ class CalibratorNode(ros.Node):
         return response
 
     def _on_reset(self, _: Any, response: Any) -> Any:
-        """Begin a new session with a new journal."""
-        before = self._sessions
+        """Begin a new session with a new journal, unless the table is in the middle of one."""
+        before, turntable = self._sessions, self._turntable
+        if turntable.runs and not before.is_over and self.count_publishers(turntable.topic):
+            response.success = False
+            response.message = (
+                'The table runs its plan, and a new session would lack the steps before. Abort '
+                'the plan at turntable_node, call ~/reset, and start it anew.'
+            )
+            return response
         try:
             self._sessions = self._new_sessions()
         except InputError as error:
@@ -331,6 +338,11 @@ class CalibratorNode(ros.Node):
             before.close()
             response.success = True
             response.message = f'A new session is written to {self._sessions.journal.path}.'
+            if turntable.paused:
+                response.message += (
+                    ' The plan is paused, and resuming it would run the rest alone: abort it to '
+                    'run all steps.'
+                )
         self._publish_progress()
         return response
 

@@ -15,6 +15,13 @@ from .sessions import Sessions
 
 STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
 
+_RUNS = (
+    messages.TurntableState.MOVING,
+    messages.TurntableState.SETTLING,
+    messages.TurntableState.TURNING,
+    messages.TurntableState.DWELLING,
+)
+
 
 class TurntableStateIntake:
     """Passes to sessions whether the table runs, is done, or runs another plan; records the state.
@@ -28,11 +35,13 @@ class TurntableStateIntake:
     Attributes:
         topic: Full name.
         seconds_left: Remaining time of the plan as the table states, s; else NaN.
+        phase: Of the table, a constant of TurntableState; None before the first message.
     """
 
     def __init__(self, node: Node, plan: Plan, steps: int, diagnostics: Diagnostics) -> None:
         self.topic = node.resolve_topic_name('turntable/state')
         self.seconds_left = math.nan
+        self.phase: int | None = None
         self._plan = plan
         self._diagnostics = diagnostics
         self._publisher = OnePublisher(node, self.topic)
@@ -67,7 +76,7 @@ class TurntableStateIntake:
                     f'The table runs plan {state.plan}, this calibrator expects {self._plan.name}.'
                 )
             return True
-        self.seconds_left = float(state.seconds_left)
+        self.seconds_left, self.phase = float(state.seconds_left), state.phase
         if state.phase != messages.TurntableState.DONE:
             self._done.deny()
             for session in sessions.all:
@@ -90,3 +99,13 @@ class TurntableStateIntake:
             text if refusal else f'{self.topic} says DONE.',
         )
         return False
+
+    @property
+    def runs(self) -> bool:
+        """Whether the table is at a step of the plan."""
+        return self.phase in _RUNS
+
+    @property
+    def paused(self) -> bool:
+        """Whether the plan is interrupted, and may be resumed."""
+        return self.phase == messages.TurntableState.PAUSED
