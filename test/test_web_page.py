@@ -197,6 +197,11 @@ def test_a_session_is_watched_stopped_and_gone_on_with_from_the_page(shown):
     for viewer in (desk, phone):
         assert viewer.sees(lambda v: v.phase == 'done', stand), viewer.text
         assert viewer.sees(lambda v: v.page.get_by_text('Open the report').is_visible(), stand)
+    # On paper the bar, the signs and the steps keep the colours that they consist of.
+    adjusted = 'getComputedStyle(document.querySelector(".bar div")).printColorAdjust'
+    desk.page.emulate_media(media='print')
+    assert desk.page.evaluate(adjusted) == 'exact'
+    desk.page.emulate_media(media='screen')
     link = desk.page.get_by_text('Open the report').get_attribute('href')
     desk.page.goto(f'http://127.0.0.1:{port}{link}')
     assert 'Calibration of fog_medium' in desk.page.inner_text('h1')

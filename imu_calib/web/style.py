@@ -152,4 +152,9 @@ details[open] > .title { margin-bottom: 8px; }
   .parameters td.course { padding-left: 1px; padding-right: 1px; }
   .parameters .badge { font-size: 10px; padding: 0 2px; }
 }
+@media print {
+  .stand, .stand * { -webkit-print-color-adjust: exact; print-color-adjust: exact; }
+  .stand .channels dd span { display: block; margin-left: 0; }
+  .card, .banner, tr { break-inside: avoid; }
+}
 """
