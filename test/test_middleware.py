@@ -741,6 +741,24 @@ def test_a_node_that_nobody_hears_ends_all_the_same(domain):
     finish(process)
 
 
+MISSPELT = """
+from imu_calib.middleware import *
+class Table(Node):
+    def __init__(self):
+        super().__init__('table')
+        self.declare_parameter('stop_required', False)
+words = '-p stop_requird:=true -p other:=1 -p stop_required:=true'.split()
+run(Table, args=['--ros-args', *words], done=lambda node: True)
+"""
+
+
+def test_a_misspelt_parameter_is_named(domain):
+    # ROS ignores it, and the node runs with the default.
+    _, said = finish(start(MISSPELT))
+    assert 'There is no parameter stop_requird, and its value is ignored: is stop_required' in said
+    assert said.count('There is no parameter') == 1
+
+
 def test_two_nodes_of_one_name_are_said(domain):
     processes = [start(LAST_WORD) for _ in range(2)]
     assert [p.stdout.readline() for p in processes] == ['ready\n'] * 2

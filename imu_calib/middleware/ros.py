@@ -93,6 +93,7 @@ __all__ = [
     'ok',
     'open_drain',
     'open_stream',
+    'parameter_names',
     'publish_all',
     'qos_profile_sensor_data',
     'serialize_message',
@@ -232,3 +233,8 @@ def publish_all(publisher: Any, payloads: Iterable[bytes]) -> None:
 def acknowledged(publisher: Any, timeout_sec: float) -> bool:
     """Wait until all reliable subscriptions have all messages; return whether they have."""
     return bool(publisher.wait_for_all_acked(Duration(seconds=timeout_sec)))
+
+
+def parameter_names(node: Any) -> tuple[list[str], list[str]]:
+    """Return the names of a node's parameters: those given, and those declared."""
+    return list(node._parameter_overrides), list(node._parameters)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import signal
 import threading
@@ -13,6 +14,7 @@ from .chosen import (
     acknowledged,
     init,
     ok,
+    parameter_names,
     spin_once,
     try_shutdown,
 )
@@ -47,6 +49,9 @@ _TICK = 0.05
 """s that a node waits for events between two checks for its end."""
 _ACKNOWLEDGE_TIMEOUT = 2.0
 """s for readers to acknowledge the last messages as a node ends; a choice."""
+_SIMILAR = 0.8
+"""difflib's ratio of two names of which one is probably a slip of the other: one letter of five,
+two swapped of eight. A choice."""
 _FIRST_SEARCH = 2.0
 """s after which a node looks for others of its name; the interval then doubles. A choice: discovery
 takes less on an idle machine, and longer on one where a whole stand starts."""
@@ -84,6 +89,7 @@ def run(
     try:
         node = node_factory()
         try:
+            _name_misspelt(node)
             namesakes = _Namesakes(node)
             while ok() and not stop.is_set and not (done is not None and done(node)):
                 spin_once(node, timeout_sec=_TICK)
@@ -109,6 +115,19 @@ def _handle(handler: Callable[..., None]) -> dict[signal.Signals, Any]:
     if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
         numbers.append(signal.SIGHUP)
     return {n: signal.signal(n, handler) for n in numbers}
+
+
+def _name_misspelt(node: Any) -> None:
+    """Warn of given parameters that the node has not, and has by a similar name.
+
+    ROS ignores what is not declared: a file may hold parameters of many nodes.
+    """
+    given, declared = parameter_names(node)
+    for name in sorted(set(given) - set(declared)):
+        for meant in difflib.get_close_matches(name, declared, 1, _SIMILAR):
+            node.get_logger().warning(
+                f'There is no parameter {name}, and its value is ignored: is {meant} meant?'
+            )
 
 
 class _Namesakes:

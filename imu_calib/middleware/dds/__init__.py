@@ -16,7 +16,7 @@ from .executor import (
 )
 from .managed import ManagedNode
 from .message_classes import message_class
-from .node import Node
+from .node import Node, parameter_names
 from .node_parameters import (
     FloatingPointRange,
     IntegerRange,
@@ -76,6 +76,7 @@ __all__ = [
     'ok',
     'open_drain',
     'open_stream',
+    'parameter_names',
     'publish_all',
     'qos_profile_sensor_data',
     'serialize_message',

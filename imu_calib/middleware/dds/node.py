@@ -291,3 +291,8 @@ class Node:
 
     def _on_clock(self, msg: Any) -> None:
         self._clock.simulated = msg.clock.sec * NS + msg.clock.nanosec
+
+
+def parameter_names(node: Node) -> tuple[list[str], list[str]]:
+    """Return the names of a node's parameters: those given, and those declared."""
+    return node._parameters.names()

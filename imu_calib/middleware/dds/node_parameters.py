@@ -102,6 +102,10 @@ class Parameters:
         self._values[name] = Parameter(name, found)
         return self._values[name]
 
+    def names(self) -> tuple[list[str], list[str]]:
+        """Return the names given, and those declared."""
+        return list(self._overrides), list(self._values)
+
     def get(self, name: str) -> Parameter:
         """Return a parameter.
 
