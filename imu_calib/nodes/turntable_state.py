@@ -108,4 +108,4 @@ class TurntableStateIntake:
     @property
     def paused(self) -> bool:
         """Whether the plan is interrupted, and may be resumed."""
-        return self.phase == messages.TurntableState.PAUSED
+        return bool(self.phase == messages.TurntableState.PAUSED)
