@@ -250,3 +250,16 @@ def test_a_unit_that_sends_si_values_is_not_simulated_live(tmp_path, capsys, pla
     spec = load_imu('si')
     with pytest.raises(InputError, match='units: found si'):
         HeldHardware(spec, TRUTH.model, SITE, ImuOptions())
+
+
+def test_a_unit_of_other_units_is_told_so_and_not_to_hold_still():
+    # Counts taken for m/s^2: no hold is ever found.
+    session = Session()
+    other = Setup(load_imu('si'), load_plan('free_positions'), None, SITE)
+    session.calibrator = HandCalibrator(other)
+    for _ in range(20):
+        session.goes_on(1.0)
+    review = session.calibrator.snapshot().review()
+    for text in (review.guidance.text, review.refusal):
+        assert 'in the quietest two seconds read 2' in text
+        assert 'units or the scale factor' in text

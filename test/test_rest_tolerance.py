@@ -306,6 +306,7 @@ def test_the_quietest_two_seconds_are_told() -> None:
         found = tracker.quietest
         assert found is not None
         assert (found.rate, found.force) == pytest.approx(least)
+        assert found.length == pytest.approx(9.8, rel=0.01)
     brief = StillnessTracker(0.01)
     brief.feed(stamp[:199], rows[:199])
     assert brief.quietest is None

@@ -123,6 +123,8 @@ class HandCalibrator:
     def _solve(self, session: Segmented) -> Result:
         lost = [*self._other_offsets(), *(f'{loss}.' for loss in session.losses)]
         if not session.segments:
+            if other := self._other_length():
+                raise InputError(other)
             text = f'The unit never stood still in {session.duration:.0f} s: there is no hold.'
             raise NotObservable(' '.join([text, *self._least_motion(), *lost]))
         evidence = self.evidence(session)
@@ -142,13 +144,27 @@ class HandCalibrator:
         Applied to sessions that cannot be solved: the others are judged by their solution.
         """
         forces = np.array([s.statistics.mean[3:] for s in evidence.segments])
-        length = float(np.median(np.linalg.norm(forces, axis=1))) / evidence.site.gravity
+        length = float(np.median(np.linalg.norm(forces, axis=1)))
+        if text := self._not_gravity(length, 'at rest'):
+            raise InputError(text)
+
+    def _other_length(self) -> str:
+        """Return why no hold can be found: by its description the unit does not read gravity.
+
+        A hand does not move so that the mean over the quietest two seconds is off by as much.
+        """
+        seen = self._segmenter.quietest
+        return '' if seen is None else self._not_gravity(seen.length, 'in the quietest two seconds')
+
+    def _not_gravity(self, force: float, when: str) -> str:
+        """Return why a mean force, m/s^2, is not gravity in the stated units; empty if it is."""
+        length = force / self._setup.site.gravity
         if 1 / SCALE_LIMIT < length < SCALE_LIMIT:
-            return
+            return ''
         counts = self._setup.imu.units is Units.COUNTS
         zero = ', and that counts are those from zero (an ADC has it in the middle: subtract it)'
-        raise InputError(
-            f'The accelerometers at rest read {length:.3g} times the gravity of the site: check '
+        return (
+            f'The accelerometers {when} read {length:.3g} times the gravity of the site: check '
             'that the columns are those of the accelerometers, and that the units or the scale '
             f"factor of the IMU's description are those of the recording{zero if counts else ''}."
         )
@@ -197,6 +213,8 @@ class HandCalibrator:
         # Further holds do not reduce the uncertainty of gravity: guidance counts noise alone.
         reached = None if result is None else result.solution.std[: len(PARAMETERS)][FREE]
         guidance = self._guidance(session, still, reached)
+        if not session.segments and (other := self._other_length()):
+            guidance = replace(guidance, stage=Stage.HOLD, text=other)
         relative_std = self._setup.site.gravity_relative_std
         share = np.diag(gravity_covariance(SensorModel(), PARAMETERS, relative_std))
         std = np.sqrt(guidance.std**2 + share)[FREE]

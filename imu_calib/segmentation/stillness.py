@@ -50,11 +50,13 @@ class Quietest:
     Attributes:
         rate: Of the gyros, the largest of three axes, rad/s.
         force: Of the accelerometers, m/s^2.
+        length: Of the mean specific force, m/s^2.
         tolerance: Tolerance of a dwell by the session's last minutes.
     """
 
     rate: float
     force: float
+    length: float
     tolerance: RestTolerance
 
 
@@ -92,7 +94,7 @@ class StillnessTracker:
         self._reference: list[float] | None = None
         self._start: int | None = None
         self._span: Floats = np.empty((0, 6))
-        self._least: tuple[float, float] | None = None
+        self._least: tuple[float, float, float] | None = None
 
     @property
     def other_offsets(self) -> list[tuple[Floats, int]]:
@@ -168,9 +170,11 @@ class StillnessTracker:
         if len(means) < _WINDOWS_OF_SPAN:
             return
         spans = sliding_window_view(means, _WINDOWS_OF_SPAN, axis=0)
-        strayed = np.abs(spans - spans.mean(axis=2, keepdims=True)).max(axis=2)
+        middles = spans.mean(axis=2, keepdims=True)
+        strayed = np.abs(spans - middles).max(axis=2)
         rates, forces = strayed[:, :3].max(axis=1).tolist(), strayed[:, 3:].max(axis=1).tolist()
-        found = min(zip(rates, forces, strict=True))
+        lengths = np.linalg.norm(middles[:, 3:, 0], axis=1).tolist()
+        found = min(zip(rates, forces, lengths, strict=True))
         self._least = min(found, self._least or found)
 
     def _judge_next(self) -> list[Rest | Motion]:
