@@ -50,7 +50,8 @@ class Quietest:
     Attributes:
         rate: Of the gyros, the largest of three axes, rad/s.
         force: Of the accelerometers, m/s^2.
-        length: Of the mean specific force, m/s^2.
+        length: Mean length of the specific forces of tenths of a second, m/s^2: a unit that turns
+            reads gravity too.
         tolerance: Tolerance of a dwell by the session's last minutes.
     """
 
@@ -170,10 +171,9 @@ class StillnessTracker:
         if len(means) < _WINDOWS_OF_SPAN:
             return
         spans = sliding_window_view(means, _WINDOWS_OF_SPAN, axis=0)
-        middles = spans.mean(axis=2, keepdims=True)
-        strayed = np.abs(spans - middles).max(axis=2)
+        strayed = np.abs(spans - spans.mean(axis=2, keepdims=True)).max(axis=2)
         rates, forces = strayed[:, :3].max(axis=1).tolist(), strayed[:, 3:].max(axis=1).tolist()
-        lengths = np.linalg.norm(middles[:, 3:, 0], axis=1).tolist()
+        lengths = np.linalg.norm(spans[:, 3:], axis=1).mean(axis=1).tolist()
         found = min(zip(rates, forces, lengths, strict=True))
         self._least = min(found, self._least or found)
 
