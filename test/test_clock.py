@@ -250,3 +250,11 @@ def test_while_the_plan_runs_no_new_session_begins(monkeypatch, tmp_path):
         assert not reset_in(Phase.DWELLING).success
         bench.peer.destroy_publisher(bench.states)
         assert bench.until(lambda: bench.node._on_reset(None, ros.Trigger.Response()).success)
+
+
+def test_without_a_result_saving_says_that_nothing_is_written(monkeypatch, tmp_path):
+    with Bench(monkeypatch, tmp_path) as bench:
+        answer = bench.node._on_save(None, ros.Trigger.Response())
+        assert not answer.success
+        assert answer.message.startswith('Nothing is written: there is no result yet.')
+        assert not (tmp_path / 'calibration.yaml').exists()

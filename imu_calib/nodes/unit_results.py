@@ -109,7 +109,7 @@ class UnitResults:
     def save(self, session: LiveSession) -> str:
         """Write the result; return why that failed, else empty."""
         if session.calibration is None:
-            return session_sentence(session)
+            return f'Nothing is written: there is no result yet. {session_sentence(session)}'
         try:
             session.calibration.save(self.output)
         except InputError as error:
