@@ -24,6 +24,7 @@ from .motion import Motion, Rest
 from .moves import MoveReader
 from .pace import Pace
 from .repeated_samples import Repetition
+from .rounding import Rounding
 from .segment import Segment, Turn
 from .segmented import FreeMotion, MountShift, Rejected
 from .sensor import Sensor
@@ -113,6 +114,7 @@ class IntervalReader:
         moves: Reader of the moves between the segments.
         pace: The sample interval by all that was read.
         late: Counts of late samples.
+        rounding: Static dwells in which samples in SI units take few values.
         offset_ns: IMU clock minus table clock by the last motion, ns.
         offset_known: Whether a motion has given it.
         large_offset_ns: The one at the first interval if it is more than half a second, ns; else 0.
@@ -143,6 +145,7 @@ class IntervalReader:
         self.moves = MoveReader(sensor, by_hand=table is None)
         self.pace = Pace()
         self.late = Lateness()
+        self.rounding = Rounding(sensor.spec)
         self.offset_ns = offset_ns
         self.offset_known = offset_known
         self.large_offset_ns = offset_ns if abs(offset_ns) > NEAR * 1e9 else 0
@@ -178,6 +181,7 @@ class IntervalReader:
             whole = bridged(came, self.sensor.walk)
             self._note_lost(whole, start, end)
             delivered = whole.values(values[piece])
+            self.rounding.take(delivered)
             found = read_dwell(
                 self.sensor, whole.samples, delivered, rest.angles, attitude, rest.angle_error
             )

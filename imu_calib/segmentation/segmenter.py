@@ -320,6 +320,7 @@ class Segmenter:
                 'table, by the pattern of the motions: the stamps are corrected by it'
             )
         lost += reader.late.words(self._intake.samples)
+        lost += reader.rounding.sentences
         if reader.bridged:
             share = reader.bridged / (self._intake.samples + reader.bridged)
             lost.append(

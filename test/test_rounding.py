@@ -1,0 +1,114 @@
+"""Samples in SI units that are rounded more coarsely than their noise."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import erf, exp, pi, sqrt
+
+import numpy as np
+import pytest
+from sessions import Named, calibrate, quick_plan, session
+
+from imu_calib.imu import TriadSpec, load_imu
+from imu_calib.segmentation.rounding import Rounding
+from imu_calib.stream import Floats, ImuBlock
+
+SI = load_imu('si')
+XSENS = load_imu('xsens_mti_300')
+PLAN = quick_plan('six_position', 3.0)
+
+
+def rounded(step: float, noise: float, means: Floats | None = None) -> Floats:
+    """Return dwells of 400 samples, gyros exact, accelerometers rounded, (n, 400, 6)."""
+    rng = np.random.default_rng(5)
+    at = np.linspace(-9.8, 9.8, 7)[:, None, None] if means is None else means
+    values = rng.normal(0.0, noise, (len(at), 400, 6)) + at
+    values[..., 3:] = step * np.round(values[..., 3:] / step)
+    return np.asarray(values)
+
+
+def sentences(dwells: Floats, spec: object = SI) -> list[str]:
+    rounding = Rounding(spec)
+    for values in dwells:
+        rounding.take(values)
+    return rounding.sentences
+
+
+@pytest.mark.parametrize(('ratio', 'most'), [(0.1, 0.286), (0.2, 0.144), (0.3, 0.054)])
+def test_the_mean_of_rounded_noise_is_off_by_what_is_stated(ratio: float, most: float) -> None:
+    """Each whole number is as likely as the noise from half a step below to half a step above."""
+
+    def mean(centre: float) -> float:
+        def below(x: float) -> float:
+            return 0.5 * (1 + erf((x - centre) / (ratio * sqrt(2))))
+
+        return sum(k * (below(k + 0.5) - below(k - 0.5)) for k in range(-4, 6))
+
+    worst = max(abs(mean(centre) - centre) for centre in np.linspace(0, 0.5, 501))
+    assert worst == pytest.approx(most, rel=0.01)
+    # The further terms of the series are a tenth where there is little noise.
+    assert worst == pytest.approx(exp(-2 * (pi * ratio) ** 2) / pi, rel=0.1)
+
+
+def test_few_values_are_named_with_their_step() -> None:
+    (said,) = sentences(rounded(0.05, 0.005))
+    assert said.startswith('The accelerometers x, y, z read one value, or two, in a static dwell')
+    assert ', 0.05 m/s^2 apart: ' in said
+
+
+def test_one_value_in_each_dwell_shows_no_step() -> None:
+    (said,) = sentences(rounded(0.2, 1e-9, np.array([0.2, 9.8, -9.8])[:, None, None]))
+    assert 'in a static dwell: the samples' in said
+
+
+def test_of_one_channel_that_one_is_named() -> None:
+    dwells = rounded(0.05, 0.005)
+    dwells[..., (3, 5)] = dwells[..., :2]
+    (said,) = sentences(dwells)
+    assert said.startswith('The accelerometer y reads one value')
+
+
+@pytest.mark.parametrize('noise', [0.025, 0.05])
+def test_noise_of_half_a_step_averages_the_rounding(noise: float) -> None:
+    assert not sentences(rounded(0.05, noise))
+
+
+def test_a_channel_that_never_changes_is_not_called_rounded() -> None:
+    dwells = rounded(0.05, 0.05)
+    dwells[..., 4] = 1.0
+    assert not sentences(dwells)
+
+
+def test_too_few_samples_and_lost_ones_show_nothing() -> None:
+    dwells = rounded(0.05, 0.005)
+    assert not sentences(dwells[:, :99])
+    dwells[:, ::2] = np.nan
+    assert sentences(dwells)
+    dwells[:, 1::4] = np.nan
+    assert sentences(dwells)
+    dwells[:, 3::8] = np.nan
+    assert not sentences(dwells)
+
+
+def test_pulses_counts_and_values_made_of_pulses_are_not_looked_at() -> None:
+    dwells = rounded(0.05, 0.005)
+    assert not sentences(dwells, load_imu('fog_medium'))
+    assert not sentences(dwells, load_imu('mems_counts'))
+    pulsed = TriadSpec(pulse=0.05)
+    assert not sentences(dwells, replace(SI, accel=pulsed))
+
+
+def test_a_session_of_rounded_samples_says_so() -> None:
+    def steps(step: float) -> Iterator[Named]:
+        for topic, block in session(PLAN, spec=XSENS):
+            if isinstance(block, ImuBlock):
+                block = replace(block, accel=step * np.round(block.accel / step))  # noqa: PLW2901
+            yield topic, block
+
+    def findings(step: float) -> list[str]:
+        found = calibrate(steps(step), PLAN, spec=XSENS).calibration.findings
+        return [one for one in found if 'rounded more coarsely' in one]
+
+    # 60 ug/sqrt(Hz) at 400 Hz are 0.012 m/s^2 a sample.
+    assert not findings(0.02)
+    (said,) = findings(0.1)
+    assert said.endswith('Record more digits.')
