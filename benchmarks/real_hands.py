@@ -488,6 +488,9 @@ def _row(name: str, first: str, found: Sequence[Dealing]) -> str:
     """
     cells = []
     for which, unit in ((0, 1e-3), (1, DEG)):
+        if not found:
+            cells.append(' | | ')
+            continue
         rms = np.array([[score.rms()[which] for score in d] for d in found]) / unit
         squares = np.array([[score[which] ** 2 for score in d] for d in found])
         seen = np.isfinite(squares).all(axis=1)
