@@ -13,6 +13,7 @@ import numpy as np
 
 from ..imu import ImuSpec
 from ..stream import Floats, Units
+from ..units import DEG, STANDARD_GRAVITY
 
 _SAMPLES = 1000
 """Of a static dwell that are looked at."""
@@ -22,7 +23,9 @@ _VALUES = 2
 """Values of which a channel takes no more at rest if its noise is below some 0.15 to 0.3 steps,
 since 1000 samples lie within 3.3 deviations of their mean. With 0.2 steps the mean is off by up to
 14 % of a step, without noise by up to a half."""
-_NOWHERE: Floats = np.empty(0)
+_SMALLEST = np.repeat([1e-3 * DEG / 3600, 1e-6 * STANDARD_GRAVITY], 3)
+"""Steps, rad/s and m/s^2, that matter: biases of navigation grade repeat to more, and samples
+without noise, of a simulation, differ by the rounding of double precision."""
 
 
 class Rounding:
@@ -38,7 +41,6 @@ class Rounding:
         is_si = spec.units is Units.SI
         triads = (spec.gyro, spec.accel)
         self._channels = [k for k in range(6) if is_si and triads[k // 3].pulse == 0]
-        self._values = [_NOWHERE] * 6
         self._steps = [math.inf] * 6
 
     def take(self, values: Floats) -> None:
@@ -59,27 +61,25 @@ class Rounding:
             if len(np.unique(column[:_FEWEST])) > _VALUES:
                 continue
             distinct = np.unique(column)
-            if len(distinct) > _VALUES:
+            if len(distinct) != _VALUES:
                 continue
-            self._values[channel] = np.union1d(self._values[channel], distinct)
-            if len(distinct) > 1:
-                step = float(distinct[1] - distinct[0])
+            step = float(distinct[1] - distinct[0])
+            if step > _SMALLEST[channel]:
                 self._steps[channel] = min(self._steps[channel], step)
 
     @property
     def sentences(self) -> list[str]:
-        """What was seen, without a full stop; of a channel that never changes, nothing."""
+        """What was seen, without a full stop: of one value alone the step is not known."""
         found = []
         for first, triad, unit in ((0, 'gyro', 'rad/s'), (3, 'accelerometer', 'm/s^2')):
-            coarse = [k for k in range(first, first + 3) if len(self._values[k]) > 1]
+            coarse = [k for k in range(first, first + 3) if math.isfinite(self._steps[k])]
             if not coarse:
                 continue
             step = min(self._steps[k] for k in coarse)
-            apart = f', {step:.2g} {unit} apart' if math.isfinite(step) else ''
             axes = ', '.join('xyz'[k - first] for k in coarse)
             channels = f'{triad}s {axes} read' if len(coarse) > 1 else f'{triad} {axes} reads'
             found.append(
-                f'The {channels} one value, or two, in a static dwell{apart}: the samples are '
+                f'The {channels} two values in a static dwell, {step:.2g} {unit} apart: they are '
                 'rounded more coarsely than their noise, and their means may be off by up to half '
                 'a step, which the standard deviations do not contain. Record more digits'
             )
