@@ -26,6 +26,12 @@ judgement."""
 SCALE_LIMIT = 1.9
 """Ratio: larger differences are other units; sensors differ by percents. Twice the rate of the
 samples, and the next range of a converter, are a factor of 2, less 3 % of the cheapest units."""
+GRAVITY_FACTOR = 3.0
+"""Ratio to gravity, or its inverse, beyond which accelerations are in other units: more than the
+error of the worst accelerometer with the motion of a fast table or a vehicle, less than the ratio
+of units that are confused: g and m/s^2 (9.8), g and mg (1000)."""
+COLDEST, HOTTEST = -100.0, 200.0
+"""degC, beyond the range of any unit (automotive parts: -40 to 125)."""
 NEARLY = 0.999
 """Share of the range above which a reading counts as saturated: ranges are stated to three digits,
 and ADCs clip slightly early. A judgement."""

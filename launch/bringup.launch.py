@@ -87,8 +87,7 @@ def _nodes(context: LaunchContext) -> list:
 
 def _full(topic: str, given: dict[str, str]) -> str:
     """Return the name of a topic from the root on."""
-    space = given['namespace'].strip('/')
-    return topic if topic.startswith('/') else f'{space and "/"}{space}/{topic}'
+    return topic if topic.startswith('/') else f'/{given["namespace"]}/{topic}'.replace('//', '/')
 
 
 def _calibration(given: dict[str, str]) -> Path | str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from ..bags import AnyPath
 from ..calibrator import Calibrator, HandCalibrator, Result, calibrator_of
 from ..errors import NotObservable, NotStated
+from ..imu import HOTTEST
 from ..metadata import compensated_already, interpolated_from
 from ..paths import printable
 from ..segmentation.segmented import Segmented
@@ -22,9 +23,6 @@ from .stated import Stated
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
-
-_HOTTEST = 200.0
-"""degC, beyond the range of any unit (automotive parts: -40 to 125), as for a simulated one."""
 
 
 @with_keywords(Session)
@@ -152,7 +150,7 @@ def documented(opened: Opened, result: Result) -> Result:
 
 def _kelvin(temperature: object) -> list[str]:
     """Return a sentence on a temperature that no unit has, but that in kelvin is a usual one."""
-    if not isinstance(temperature, dict) or not temperature['mean'] > _HOTTEST:
+    if not isinstance(temperature, dict) or not temperature['mean'] > HOTTEST:
         return []
     mean = float(temperature['mean'])
     return [

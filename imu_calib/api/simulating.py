@@ -16,7 +16,7 @@ from ..calibration import Calibration
 from ..cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints, encode_temperatures
 from ..earth import LUOYANG
 from ..errors import InputError
-from ..imu import ImuSpec
+from ..imu import COLDEST, HOTTEST, ImuSpec
 from ..instants import YEAR_2200
 from ..metadata import describe
 from ..methods import check_plan
@@ -47,8 +47,6 @@ TRUTH = 'truth.yaml'
 """File in a simulated recording: the true parameters of the unit."""
 
 _TABLE = 'three_axis'
-_COLDEST, _HOTTEST = -100.0, 200.0
-"""degC, beyond the range of any unit (automotive parts: -40 to 125)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,9 +215,9 @@ def _with_date_and_temperature(
     if start is not None:
         options = replace(options, start_time=_stamp_of(start))
     if temperature is not None:
-        if not _COLDEST <= temperature <= _HOTTEST:
+        if not COLDEST <= temperature <= HOTTEST:
             raise InputError(
-                f'`temperature`: found {temperature:g} degC, expected {_COLDEST:g} to {_HOTTEST:g}.'
+                f'`temperature`: found {temperature:g} degC, expected {COLDEST:g} to {HOTTEST:g}.'
             )
         above = temperature - options.warming.reference
         options = replace(options, warming=replace(options.warming, offset=above))

@@ -7,13 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..imu import ImuSpec
+from ..imu import GRAVITY_FACTOR, ImuSpec
 from ..units import STANDARD_GRAVITY
 from .samples import CompensatedSamples, Mark
 
-FACTOR = 3.0
-"""More than a vehicle's mean acceleration and vibration add to gravity, less than the ratio of
-units that are confused: g and m/s^2 (9.8). `devices/gravity` uses the same."""
 _UNKNOWN = np.uint8(Mark.ACCEL_RANGE | Mark.NO_NUMBER)
 
 
@@ -50,7 +47,7 @@ class GravitySeen:
         """Whether the force is gravity to within a factor of three, or there is none."""
         if not self.count:
             return True
-        return STANDARD_GRAVITY / FACTOR <= self._force <= STANDARD_GRAVITY * FACTOR
+        return STANDARD_GRAVITY / GRAVITY_FACTOR <= self._force <= STANDARD_GRAVITY * GRAVITY_FACTOR
 
     @property
     def _force(self) -> float:

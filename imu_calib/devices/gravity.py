@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..imu import ImuSpec
+from ..imu import GRAVITY_FACTOR, ImuSpec
 from ..stream import Floats, Stamps, Units
 from ..units import STANDARD_GRAVITY
 
@@ -15,10 +15,6 @@ and a waiting user learns of an error before anything moves."""
 _PIECE_NS = 100_000_000
 """ns of a piece to average: a table at 400 deg/s turns by 40 deg in one, which reduces the mean by
 2 %; one pulse is small beside the pulses of gravity in it."""
-
-_FACTOR = 3.0
-"""More than the error of the worst accelerometer and the centripetal force of a fast table, less
-than the ratio of units that are confused: g and m/s^2 (9.8), g and mg (1000)."""
 
 
 class Gravity:
@@ -62,7 +58,7 @@ class Gravity:
         imu = self._imu
         assert imu is not None
         force = _specific_force(np.concatenate(self._accel), elapsed, imu)
-        low, high = STANDARD_GRAVITY / _FACTOR, STANDARD_GRAVITY * _FACTOR
+        low, high = STANDARD_GRAVITY / GRAVITY_FACTOR, STANDARD_GRAVITY * GRAVITY_FACTOR
         # An ADC may count from any offset: its codes may exceed gravity.
         if low <= force and (force <= high or imu.units is Units.COUNTS):
             return ''

@@ -8,6 +8,7 @@ from typing import Any
 from ..instants import NS
 from ..middleware import Node, messages
 from ..plan import Plan
+from ..sequencing import Phase
 from .diagnostics import Diagnostics, Level
 from .done import DoneCheck
 from .publishers import OnePublisher
@@ -15,12 +16,7 @@ from .sessions import Sessions
 
 STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
 
-_RUNS = (
-    messages.TurntableState.MOVING,
-    messages.TurntableState.SETTLING,
-    messages.TurntableState.TURNING,
-    messages.TurntableState.DWELLING,
-)
+_RUNS = frozenset(phase for phase in Phase if phase.at_a_step)
 
 
 class TurntableStateIntake:
@@ -108,4 +104,4 @@ class TurntableStateIntake:
     @property
     def paused(self) -> bool:
         """Whether the plan is interrupted, and may be resumed."""
-        return bool(self.phase == messages.TurntableState.PAUSED)
+        return self.phase == Phase.PAUSED

@@ -20,6 +20,11 @@ class Phase(IntEnum):
     DONE = 6
     ABORTED = 7
 
+    @property
+    def at_a_step(self) -> bool:
+        """Whether the table is at a step of the plan."""
+        return self in {Phase.MOVING, Phase.SETTLING, Phase.TURNING, Phase.DWELLING}
+
 
 @dataclass(frozen=True)
 class Rules:

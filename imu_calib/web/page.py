@@ -268,9 +268,8 @@ class _Control:
     def update(self, shown: Snapshot) -> None:
         """Offer the commands that are possible now."""
         phase = None if shown.table is None else shown.table.phase
-        moving = phase in {Phase.MOVING, Phase.SETTLING, Phase.TURNING, Phase.DWELLING}
         self._start.set_text('Resume' if phase is Phase.PAUSED else 'Start')
-        self._start.set_enabled(phase is not None and not moving)
+        self._start.set_enabled(phase is not None and not phase.at_a_step)
         self._answer.set_text(shown.answer)
 
 

@@ -194,7 +194,7 @@ class Reader(Endpoint):
         return payloads
 
     def drain_sources(self, most: int = _BULK) -> list[tuple[bytes, bytes]]:
-        """Return arrived messages, each with the number of its writer, 8 bytes.
+        """Return the oldest arrived messages, each with the number of its writer, 8 bytes.
 
         Raises:
             ImuCalibError: The middleware cannot read.
