@@ -188,6 +188,8 @@ def test_kalibr_is_refused_what_it_needs_in_words() -> None:
         EXPORTS['kalibr'](ExportSource(calibration, Path('/c.yaml')))
     with pytest.raises(InputError, match='noise of the accelerometers'):
         EXPORTS['kalibr'](ExportSource(replace(calibration, provenance={}), Path('/c.yaml'), RATE))
+    with pytest.raises(InputError, match="'imu data' is not a valid name of a topic"):
+        EXPORTS['kalibr'](ExportSource(calibration, Path('/c.yaml'), RATE, 'imu data'))
     mirrored = replace(calibration.model, gyro=Triad(np.diag([0.0, -2.0, 0.0])))
     with pytest.raises(InputError, match='gyros are'):
         EXPORTS['kalibr'](ExportSource(replace(calibration, model=mirrored), Path('/c.yaml'), RATE))
@@ -270,6 +272,8 @@ def test_the_command_writes_and_says_what_is_lost(
     assert main(['export', str(file), '--format', 'imucal', '-o', str(tmp_path / 'x')]) == 2
     assert main(['export', str(file), '--format', 'c', '-o', str(file)]) == 2
     assert 'is an input of the command' in capsys.readouterr().err
+    assert main(['export', str(file), '--format', 'c', '-o', '-']) == 2
+    assert '/dev/stdout is the standard output' in capsys.readouterr().err
 
 
 def test_a_gyro_only_calibration_says_so() -> None:

@@ -69,6 +69,10 @@ def output_or_default(output: str | None, default: str) -> str:
 
 
 def _below_a_folder(output: Named) -> Path:
+    if output == '-':
+        raise InputError(
+            '-: expected a name. /dev/stdout is the standard output, ./- a file of that name.'
+        )
     path = user_path(output)
     if not path.parent.is_dir():
         raise InputError(f'{path}: the folder {path.parent} does not exist.')

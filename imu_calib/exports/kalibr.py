@@ -12,6 +12,8 @@ likewise I + M_g = M_gyro C_gyro_i C_i_b and G = A C_gyro_i C_i_b.
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import yaml
 
@@ -22,6 +24,9 @@ from ..observation.evidence import SMALLEST_VARIANCE
 from ..stream import Floats, Units
 from ..units import HOUR
 from .exported import Exported, ExportSource, common_omissions
+
+_TOPIC = re.compile(r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*', re.ASCII)
+"""Names that ROS allows (design.ros2.org, "Topic and Service name mapping to DDS")."""
 
 _HEAD = """\
 # {imu} by imu_calib, in Kalibr's scale-misalignment model: raw = M x + b, x in rad/s and m/s^2.
@@ -35,8 +40,10 @@ def export(source: ExportSource) -> Exported:
     """Return imu.yaml.
 
     Raises:
-        InputError: No sample rate, no noise, or mirrored axes.
+        InputError: No sample rate, no noise, mirrored axes, or a name that no topic has.
     """
+    if not _TOPIC.fullmatch(source.topic):
+        raise InputError(f'`topic`: {source.topic!r} is not a valid name of a topic.')
     calibration = source.calibration
     model = calibration.model
     accel, to_i = _lower(model.accel.response, 'accelerometers')
