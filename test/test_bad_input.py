@@ -811,6 +811,14 @@ def test_a_temperature_in_kelvin(cli: CommandLine) -> None:
     cli.uses_the_rest(sentence, {**good().columns, '/imu/temperature': readings})
 
 
+@pytest.mark.parametrize('speeds', [1.0, 1 / DEG])
+def test_joint_states_in_degrees(cli: CommandLine, speeds: float) -> None:
+    joints = good().joints
+    changed = replace(joints, position=joints.position / DEG, velocity=joints.velocity * speeds)
+    sentence = 'the joint states change by 57 times the angle .*: they are in degrees. Expected rad'
+    cli.refuses(1, sentence, {**good().columns, JOINTS: changed})
+
+
 @pytest.mark.parametrize('imu', ['si', 'mems_counts'])
 def test_units_of_another_imu(cli: CommandLine, recorded: Path, imu: str) -> None:
     sentence = r'The gyros answer [\d.]+ times what they should to whole turns: units or scale fact'

@@ -23,7 +23,12 @@ from ..segmentation.segmenter import Segmenter
 from ..stream import Block
 from ..table_clock import clock_share
 from .basis import Basis
-from .losses import dead_channels, loss_findings, losses_of_all_segments
+from .losses import (
+    dead_channels,
+    joints_in_degrees,
+    loss_findings,
+    losses_of_all_segments,
+)
 from .results import Result, Review
 from .setup import Setup
 from .unsupported import unsupported_steps
@@ -187,6 +192,15 @@ class Calibrator:
         Raises:
             NotObservable: The data does not determine all parameters; with what was lost.
         """
+        try:
+            return self._solve_as_stated(session, labelled, final=final)
+        except NotObservable:
+            # All else that it says follows from that.
+            if degrees := joints_in_degrees(session):
+                raise Contradiction(degrees) from None
+            raise
+
+    def _solve_as_stated(self, session: Segmented, labelled: Labelled, *, final: bool) -> Result:
         setup = self._setup
         used = self._used(labelled)
         if not used.segments and not used.turns:
