@@ -101,11 +101,20 @@ def contradicts_latitude(evidence: Evidence) -> bool:
 
 
 def wrong_latitude(evidence: Evidence, latitude: float) -> Contradiction:
-    """Return a sentence on a latitude (rad) that fits in place of the stated one."""
+    """Return a sentence on a latitude (rad) that fits in place of the stated one.
+
+    Accelerometers with the other sign see down where up is: north of the equator turns like south.
+    """
+    sign = ''
+    if latitude * evidence.site.latitude < 0:
+        sign = (
+            ' Accelerometers of the opposite sign do the same: at rest the one that points up has '
+            'to read +1 g.'
+        )
     return Contradiction(
         f'The data contradicts the latitude {evidence.site.latitude / DEG:.2f} deg: the gyros fit '
         f'a latitude of {latitude / DEG:.2f} deg, with odds of more than a thousand to one. State '
-        'the latitude of the site, negative in the south.'
+        f'the latitude of the site, negative in the south.{sign}'
     )
 
 
