@@ -7,7 +7,9 @@ import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -75,13 +77,37 @@ def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any
         given = dict(context.launch_configurations)
         if not port:
             given.pop('port', None)
-        problems = wrong(given) or missing((*(_viewers(given) if view else ()), *_led_by(given)))
+        packages = (*(_viewers(given) if view else ()), *_led_by(given))
+        problems = _unknown(context) or wrong(given) or missing(packages)
         if problems:
             raise InputError(' '.join(problems))
         real = table and given.get('device') != _SIMULATED
         return _on_its_own() if real else []
 
     return OpaqueFunction(function=check)
+
+
+def _unknown(context: Any) -> list[str]:
+    """Return sentences on arguments of the command line that the launch file does not have.
+
+    ROS ignores them: a table moved without a heartbeat where `stop_requird:=true` was given. A file
+    that another one includes is given whatever that one has, and is not checked.
+    """
+    from launch.launch_description_sources import get_launch_description_from_any_launch_file
+
+    file = getattr(context.locals, 'current_launch_file_path', '')
+    if not file or Path(file).name not in {Path(word).name for word in sys.argv}:
+        return []
+    description = get_launch_description_from_any_launch_file(file)
+    known = [argument.name for argument in description.get_launch_arguments()]
+    typed = [word.partition(':=')[0] for word in sys.argv if ':=' in word]
+    sentences = []
+    for name in typed:
+        if name not in known:
+            alike = get_close_matches(name, known, n=1)
+            meant = f': is {alike[0]} meant?' if alike else '.'
+            sentences.append(f'{Path(file).name} has no argument {name}{meant}')
+    return [*sentences, f'All: ros2 launch {file} -s.'] if sentences else []
 
 
 @dataclass(frozen=True)

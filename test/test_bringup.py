@@ -1,6 +1,7 @@
 """The launch file that a robot includes: which file, which names, and words for what is missing."""
 
 import importlib.util
+import re
 
 import pytest
 from installed import needs
@@ -8,6 +9,8 @@ from loopback import CHECKOUT
 from ros_stands import LAUNCHABLE, Network, nothing_left
 from sessions import truth
 from test_interop import has_wheel
+
+from imu_calib.errors import ImuCalibError
 
 pytestmark = [
     needs('rclpy', 'rmw_cyclonedds_cpp', verbs=['launch', 'topic']),
@@ -72,6 +75,23 @@ def test_a_port_brings_the_imu_node(folder):
 def test_what_cannot_be_used_is_said_in_a_sentence(folder, arguments, sentence):
     with pytest.raises(RuntimeError, match=sentence):
         described(calibrations=folder, **arguments)
+
+
+@pytest.mark.parametrize(
+    ('started', 'sentence'),
+    [('bringup.launch.py', 'no argument seriel: is serial meant?'), ('robot.launch.py', None)],
+)
+def test_arguments_of_a_file_that_includes_this_one_are_its_own(started, sentence, monkeypatch):
+    module = bringup()
+    context = importlib.import_module('launch').LaunchContext()
+    context.extend_locals({'current_launch_file_path': str(FILE)})
+    monkeypatch.setattr('sys.argv', ['ros2', 'launch', started, 'seriel:=A1', 'port:=/dev/null'])
+    check = module.checks(port=False)
+    if sentence is None:
+        check.execute(context)
+    else:
+        with pytest.raises(ImuCalibError, match=re.escape(sentence)):
+            check.execute(context)
 
 
 @needs('lifecycle_msgs', verbs=['service'])

@@ -132,6 +132,13 @@ def test_the_table_stands_when_the_launcher_alone_is_ended(number, tmp_path):
         ('ascii_table', {'table_port': 'x', 'table_baud': 'fast'}, 'Argument table_baud:=fast'),
         ('bringup', {'baud': 'fast'}, 'Argument baud:=fast'),
         ('table_view', {'rviz': 'perhaps'}, 'Argument rviz:=perhaps'),
+        (
+            'simulated_stand',
+            {'stop_requird': 'true'},
+            'no argument stop_requird: is stop_required meant?',
+        ),
+        # Of a file that it includes.
+        ('simulated_stand', {'table_output': 'x'}, 'expected one of setpoint, trajectory'),
         ('simulated_stand', {'rviz': 'true'}, 'apt install ros-jazzy-rviz2'),
         (
             'stand',
