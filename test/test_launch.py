@@ -127,6 +127,27 @@ def test_parameter_files_hold_what_the_nodes_declare(declared, name):
             assert type(value) is type(default), (node, key)
 
 
+INCLUDED = {
+    'stand': ['stand', 'calibrator'],
+    'simulated_stand': ['simulated_stand', 'stand', 'calibrator'],
+    'bringup': ['bringup'],
+}
+
+
+@pytest.mark.parametrize('name', INCLUDED)
+def test_parameter_files_hold_no_arguments(name):
+    """What a file states for one node outdoes what a launch file states for all.
+
+    That is so where a parameter is given to every node, as SetParameter of launch_ros does.
+    """
+    written = r"DeclareLaunchArgument\(\s*'(\w+)'|^    '(\w+)': \("
+    launched = [(CHECKOUT / 'launch' / f'{n}.launch.py').read_text() for n in INCLUDED[name]]
+    arguments = {a or b for text in launched for a, b in re.findall(written, text, re.M)}
+    assert {'namespace', 'params_file'} <= arguments
+    content = yaml.safe_load((CHECKOUT / 'config' / 'nodes' / f'{name}.yaml').read_text())
+    assert not arguments & {key for node in content.values() for key in node['ros__parameters']}
+
+
 def test_a_launched_stand_waits_as_long_as_that_of_the_command_line(tmp_path):
     arguments = dispatch.build_parser().parse_args(['stand', 'twelve_position'])
     expected = stand_session.parameters(arguments, tmp_path)['turntable_node']
