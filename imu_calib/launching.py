@@ -59,6 +59,10 @@ def node(*, foreign: bool = False, **options: Any) -> Any:
 
     if foreign:
         options['prefix'] = ' '.join(BECOMING)
+    else:
+        # Parameters of a node without a name are written as those of all nodes, and a parameter
+        # file that states one for this node would outdo the argument.
+        options['name'] = options['executable']
     own = {ENDS_WITH: str(os.getpid()), **in_enclave(options['executable'])}
     return Node(additional_env=own, **options)
 

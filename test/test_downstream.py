@@ -48,6 +48,13 @@ def generate_launch_description():
 """
 """The documented file, with the source's time for all: see `downstream_peer.listen_and_drive`."""
 
+OUTDONE = """
+/**/compensator_node:
+  ros__parameters:
+    frame_id: of_the_file
+"""
+"""Parameters of a robot; the documented file gives frame_id as an argument, which counts."""
+
 
 def documented(language):
     """Return the file of docs/robot.md in a language: the only one that names imu_filter."""
@@ -64,6 +71,7 @@ def run(tmp_path_factory):
     for name, language in (('imu.launch.py', 'python'), ('imu.yaml', 'yaml')):
         (folder / name).write_text(documented(language).replace('/etc/robot', str(folder)))
     (folder / 'on_the_clock.launch.py').write_text(ON_THE_CLOCK)
+    (folder / 'outdone.yaml').write_text(OUTDONE)
     (folder / 'imu').mkdir()
     robot.unit().save(folder / 'imu' / 'A1234.yaml')
     groups = CHECKOUT / 'config' / 'nodes' / 'diagnostics.yaml'
@@ -72,7 +80,8 @@ def run(tmp_path_factory):
     words = ('--ros-args', '--params-file', str(groups))
     with nothing_left(net):
         clocked = str(folder / 'on_the_clock.launch.py')
-        net.start('launch', net.ros('ros2', 'launch', clocked, 'use_sim_time:=true'))
+        given = ('use_sim_time:=true', f'params_file:={folder / "outdone.yaml"}')
+        net.start('launch', net.ros('ros2', 'launch', clocked, *given))
         net.start('monitor', net.ros(str(monitor), *words))
         peer = ('python3', str(PEER), str(folder / 'heard.json'), str(patience()))
         net.start('robot', net.ros(*peer))
