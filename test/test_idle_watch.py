@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from imu_calib.sequencing import Feedback, Rules
@@ -32,6 +34,13 @@ def test_a_table_that_stands_is_nothing_to_be_told():
     for k in range(1, 9):
         assert not watch.check(at(0.1 + 0.1 * k, outer=0.04 * (k % 2), still=True))
     assert (watch.text, watch.is_moving, watch.excursion, watch.rate) == ('', False, 0.0, 0.0)
+
+
+def test_a_motion_within_a_gap_has_its_mean_rate():
+    watch = standing()
+    moved = at(0.7, outer=6.0, gap=0.6)
+    assert watch.check(replace(moved, means=(10.0 * DEG, 0.0, 0.0)))
+    assert 'moved 6.00 deg, at up to 10 deg/s' in watch.text
 
 
 def test_what_a_joint_does_is_told_as_it_begins_as_it_doubles_and_as_it_stands():

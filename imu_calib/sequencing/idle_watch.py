@@ -93,7 +93,8 @@ class IdleWatch:
         excursion = max(ways)
         if excursion >= self.excursion:
             self.excursion, self._joint = excursion, self._table.names[ways.index(excursion)]
-        self.rate = max(self.rate, *map(abs, now.rates))
+        # A table that has moved in a gap reports no rate; it had at least the mean one.
+        self.rate = max(self.rate, *map(abs, now.rates), *map(abs, now.means))
 
     def _words(self) -> str:
         end = 'it stands again' if not self.is_moving else 'it still moves'
