@@ -16,9 +16,9 @@ TABLE = load_table('three_axis')  # outer 400 deg/s and 200 deg/s^2
 GOAL = np.array([40.0, 5.0, 0.0])
 
 
-def at(seconds, outer=40.0, middle=5.0, still=False, gap=0.05):
+def at(seconds, outer=40.0, middle=5.0, still=False):
     angles = tuple(DEG * np.array([outer, middle, 0.0]))
-    return Feedback(round(seconds * 1e9), gap, angles, (0.0, 0.0, 0.0), still)
+    return Feedback(round(seconds * 1e9), 0.05, angles, (0.0, 0.0, 0.0), still)
 
 
 def watch(rules=None):
@@ -63,21 +63,6 @@ def test_a_joint_that_gets_nowhere_is_a_fault_after_a_while(outer, since, until,
     stalled = watch()
     assert stalled.check(at(since, outer)) == (False, '')
     assert stalled.check(at(until, outer)) == (False, f'Joint outer {said}')
-
-
-def test_time_without_joint_states_is_no_stall():
-    held_up = watch()
-    # Of the gap all but a tenth of a second is not known.
-    assert held_up.check(at(0.9, 0.0, gap=0.9)) == (False, '')
-    assert held_up.check(at(3.79, 0.0)) == (False, '')
-    assert 'stalls at 0.000 deg' in held_up.check(at(3.81, 0.0))[1]
-
-
-def test_a_gap_before_the_last_progress_excuses_no_stall():
-    held_up = watch()
-    assert held_up.check(at(0.9, 25.0, gap=0.9)) == (False, '')
-    assert held_up.check(at(3.89, 25.0)) == (False, '')
-    assert 'stalls at 25.000 deg' in held_up.check(at(3.91, 25.0))[1]
 
 
 def test_half_a_degree_beyond_the_goal_or_back_is_let_pass():

@@ -60,7 +60,6 @@ class _JointMotion:
         progress: Angle by which it has to come nearer in that time, rad.
         best: Least angle to the goal so far, rad.
         mark: Stamp, ns, and angle to the goal, rad, when it last made progress.
-        unseen: Time without joint states until then, s.
     """
 
     joint: Joint
@@ -71,7 +70,6 @@ class _JointMotion:
     progress: float
     best: float
     mark: tuple[int, float]
-    unseen: float = 0.0
 
 
 class Watch:
@@ -120,9 +118,6 @@ class Watch:
 
     def check(self, now: Feedback) -> tuple[bool, str]:
         """Return whether the table has arrived, and a sentence on any fault."""
-        # Without joint states it is unknown whether the table moves or is at rest; the longest gap
-        # is `Rules.feedback_timeout`.
-        self._unseen += max(0.0, now.gap - WINDOW)
         arrived = now.still
         for motion, angle in zip(self._motions, now.angles, strict=True):
             fault = self._astray(motion, angle) or self._stalled(motion, angle, now.stamp)
@@ -133,6 +128,9 @@ class Watch:
             fault = self._turn.check(now.stamp)
             if fault:
                 return False, fault
+        # Without joint states it is unknown whether the table is at rest; the longest gap is
+        # `Rules.feedback_timeout`.
+        self._unseen += max(0.0, now.gap - WINDOW)
         elapsed = (now.stamp - self.begin) * 1e-9
         if not arrived and elapsed - self._unseen > _SLACK * self.expected + 2 * _LAG:
             return False, self._late(now, elapsed)
@@ -162,8 +160,8 @@ class Watch:
         remaining = abs(motion.goal - angle)
         since, then = motion.mark
         if remaining <= self._rules.arrival or then - remaining >= min(motion.progress, then / 2):
-            motion.mark, motion.unseen = (stamp, remaining), self._unseen
-        elif (stamp - since) * 1e-9 - (self._unseen - motion.unseen) > motion.patience:
+            motion.mark = stamp, remaining
+        elif (stamp - since) * 1e-9 > motion.patience:
             if remaining <= self._rules.overshoot:
                 return (
                     f'Joint {motion.joint.name} stops at {angle / DEG:.4f} deg, '
