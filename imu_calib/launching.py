@@ -82,7 +82,7 @@ def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any
         if not port:
             given.pop('port', None)
         packages = (*(_viewers(given) if view else ()), *_led_by(given))
-        problems = _unknown(context) or wrong(given) or missing(packages)
+        problems = _unknown_arguments(context) or wrong(given) or missing(packages)
         if problems:
             raise InputError(' '.join(problems))
         real = table and given.get('device') != _SIMULATED
@@ -91,7 +91,7 @@ def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any
     return OpaqueFunction(function=check)
 
 
-def _unknown(context: Any) -> list[str]:
+def _unknown_arguments(context: Any) -> list[str]:
     """Return sentences on arguments of the command line that the launch file does not have.
 
     ROS ignores them: a table moved without a heartbeat where `stop_requird:=true` was given. A file

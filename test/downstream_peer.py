@@ -29,7 +29,7 @@ BROKEN = 150
 DEAD_TIME = 32
 """Samples from which the compensator knows their interval; all come with the next one."""
 
-ON_THE_CLOCK = 4
+NODES = 4
 """Nodes of the launch file: compensator, transform, filter and EKF."""
 
 LATE = 1.0
@@ -140,7 +140,7 @@ class _Robot:
         def missing():
             self.set_time(time_ns)
             found = [topic for topic, ask in count.items() if not ask(topic)]
-            return found + ['/clock'] * (self.node.count_subscribers('/clock') < ON_THE_CLOCK)
+            return found + ['/clock'] * (self.node.count_subscribers('/clock') < NODES)
 
         if not self.spin_until(lambda: not missing(), patience):
             raise SystemExit(f'Nobody is at {missing()}.')

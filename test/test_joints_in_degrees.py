@@ -7,7 +7,7 @@ import pytest
 from sessions import fed, paper_imu, quick_plan, session
 
 from imu_calib.calibrator import Setup
-from imu_calib.calibrator.losses import joints_in_degrees
+from imu_calib.calibrator.mistakes import joints_in_degrees
 from imu_calib.earth import Site
 from imu_calib.turntable import load_table
 from imu_calib.units import DEG

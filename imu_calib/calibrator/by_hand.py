@@ -36,7 +36,7 @@ from ..segmentation.segmenter import Segmenter
 from ..stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from ..units import DEG, STANDARD_GRAVITY, counted
 from .guidance import CHECKED, HOLD_SECONDS, Guidance, Stage, guide
-from .losses import dead_channels
+from .mistakes import dead_channels
 from .provenance import provenance
 from .results import Result, Review, calibrated
 from .setup import Setup

@@ -23,12 +23,8 @@ from ..segmentation.segmenter import Segmenter
 from ..stream import Block
 from ..table_clock import clock_share
 from .basis import Basis
-from .losses import (
-    dead_channels,
-    joints_in_degrees,
-    loss_findings,
-    losses_of_all_segments,
-)
+from .losses import loss_findings, losses_of_all_segments
+from .mistakes import dead_channels, joints_in_degrees
 from .results import Result, Review
 from .setup import Setup
 from .unsupported import unsupported_steps
