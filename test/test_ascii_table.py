@@ -516,16 +516,20 @@ def test_a_heartbeat_that_says_stop_once_is_a_stop(bench):
 
 
 UNHEARD = """
-import sys
+import select, sys
 from imu_calib import middleware as ros
 from imu_calib.nodes.ascii_table_node import AsciiTableNode
 class Cut(AsciiTableNode):
     def __init__(self):
         super().__init__()
         steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
-        self.create_timer(0.5, ros.try_shutdown, clock=steady)
+        self.create_timer(0.05, self.cut, clock=steady)
+    def cut(self):
+        if select.select([sys.stdin], [], [], 0)[0]:
+            ros.try_shutdown()
 ros.run(Cut)
 """
+"""Ends its context at a line of its input."""
 
 
 def test_the_table_stops_when_the_context_is_gone_before_the_node(monkeypatch):
@@ -533,9 +537,9 @@ def test_the_table_stops_when_the_context_is_gone_before_the_node(monkeypatch):
         monkeypatch.setenv(name, value)
     controller = Controller()
     process = start(UNHEARD, '--ros-args', '-p', f'port:={controller.url}')
-    _, errors = process.communicate()
+    assert until(lambda: controller.count('STATE') > 2), process.poll()
+    _, errors = process.communicate('\n')
     assert process.returncode == 0, errors
-    assert controller.count('STATE') > 2
     assert controller.lines[-1] == 'STOP'
     controller.close()
 

@@ -5,6 +5,7 @@ import signal
 
 import processes
 import pytest
+import yaml
 from installed import has_package
 from loopback import until
 from ros_stands import (
@@ -93,6 +94,10 @@ HANGING_UP = pytest.param(
 def test_the_table_stands_when_the_launcher_alone_is_ended(number, tmp_path):
     net = Network(tmp_path)
     port = free_port()
+    # A busy machine may hold up the table, and with it the clock, for longer than a node waits.
+    patient = tmp_path / 'patient.yaml'
+    waits = {f'{what}_timeout': 30.0 for what in ('watchdog', 'feedback', 'calibrator')}
+    patient.write_text(yaml.safe_dump({'/**/turntable_node': {'ros__parameters': waits}}))
     table = ['-p', f'port:={port}', '-p', 'speed:=1.0']
     given = {
         'plan': str(short_plan(tmp_path)),
@@ -102,6 +107,7 @@ def test_the_table_stands_when_the_launcher_alone_is_ended(number, tmp_path):
         'autostart': 'true',
         'use_sim_time': 'true',
         'view': 'false',
+        'params_file': str(patient),
     }
     words = [f'{k}:={v}' for k, v in given.items()]
     with nothing_left(net):
