@@ -15,6 +15,7 @@ from rich.text import Text
 from ..errors import InputError
 from ..plain_table import plain_table
 from ..units import ARCMIN, PPM, significant
+from .embedded import Embedded
 from .node_reports import NodeReports
 from .processes import START, Outcome, Processes
 from .terminal import ERRORS, OUTPUT
@@ -26,7 +27,7 @@ _BAR = 24
 _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result.'
 
 
-def follow(processes: Processes, reports: NodeReports) -> Outcome:
+def follow(processes: Processes | Embedded, reports: NodeReports) -> Outcome:
     """Guide a person until the session ends.
 
     Raises:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,9 +11,9 @@ from .. import middleware as ros
 from ..middleware import messages
 from ..nodes import qos
 from ..nodes.unit_topics import listen_to_each
-from ..security import in_enclave
 from ..web.board import Board
 from ..web.units import UnitsBoard
+from .embedded import Embedded
 from .node_reports import NodeReports
 from .processes import Processes
 
@@ -26,6 +25,7 @@ class Monitor:
     """Subscribes to turntable/state, calibration/progress, calibration and /diagnostics.
 
     Args:
+        nodes: Of the stand.
         reports: Shows the reports of the nodes.
         board: Receives the messages for display, or None. A board of several units lists them.
 
@@ -34,8 +34,14 @@ class Monitor:
         stopped: Why the table stopped before the end of its plan, else empty.
     """
 
-    def __init__(self, reports: NodeReports, board: Board | UnitsBoard | None = None) -> None:
-        self._node = ros.Node('imu_calib_stand')
+    def __init__(
+        self,
+        nodes: Processes | Embedded,
+        reports: NodeReports,
+        board: Board | UnitsBoard | None = None,
+    ) -> None:
+        self._nodes = nodes
+        self._node = nodes.join('imu_calib_stand')
         self._reports = reports
         self._board = board
         self._several = isinstance(board, UnitsBoard)
@@ -71,9 +77,7 @@ class Monitor:
         Raises:
             InputError: The IMU cannot deliver data.
         """
-        until = time.monotonic() + seconds
-        while (remaining := until - time.monotonic()) > 0:
-            ros.spin_once(self._node, timeout_sec=remaining)
+        self._nodes.spin(self._node, seconds)
         self._reports.show()
 
     @property
@@ -131,7 +135,7 @@ class Monitor:
 
     def close(self) -> None:
         """Leave the network."""
-        self._node.destroy_node()
+        self._nodes.leave(self._node)
 
     def _on_state(self, message: Any) -> None:
         self._state = message
@@ -166,15 +170,12 @@ class Monitor:
 
 @contextmanager
 def watching(
-    processes: Processes, reports: NodeReports, board: Board | UnitsBoard | None = None
+    nodes: Processes | Embedded, reports: NodeReports, board: Board | UnitsBoard | None = None
 ) -> Iterator[Monitor]:
-    """Join the network of a stand's nodes with a monitor; leave it at the end of the block."""
-    os.environ.update({**in_enclave('operator'), **processes.environment})
-    ros.init(args=[])
-    reports.nodes = processes.names
-    monitor = Monitor(reports, board)
+    """Join the nodes of a stand with a monitor; leave them at the end of the block."""
+    reports.nodes = nodes.names
+    monitor = Monitor(nodes, reports, board)
     try:
         yield monitor
     finally:
         monitor.close()
-        ros.try_shutdown()

@@ -53,6 +53,37 @@ class Outcome:
     duration: float
 
 
+class NodeFiles:
+    """Parameter files and logs of the nodes of a stand.
+
+    Args:
+        folder: Of the stand; its folder `nodes` takes them.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / 'nodes'
+        self._folder.mkdir(exist_ok=True)
+
+    def path(self, node: str, kind: str) -> Path:
+        """Return the file of a node's parameters (yaml) or of its log (log)."""
+        return self._folder / f'{node.replace("/", ".")}.{kind}'
+
+    def arguments(
+        self, node: str, parameters: dict[str, Any], remapped: Mapping[str, str]
+    ) -> list[str]:
+        """Write a node's parameters to its file; return its arguments."""
+        namespace = node.rpartition('/')[0]
+        file = self.path(node, 'yaml')
+        known = f'/{node}' if namespace else node
+        file.write_text(yaml.safe_dump({known: {'ros__parameters': parameters}}), encoding='utf-8')
+        rules = [f'__ns:=/{namespace}'] if namespace else []
+        rules += [f'{own}:={other}' for own, other in remapped.items()]
+        return [
+            *('--ros-args', '--params-file', str(file)),
+            *(word for rule in rules for word in ('-r', rule)),
+        ]
+
+
 class Processes:
     """The started nodes; leaving the block ends them, the one that runs the plan first.
 
@@ -68,8 +99,7 @@ class Processes:
     def __init__(
         self, folder: Path, environment: dict[str, str], inherited: tuple[int, ...] = ()
     ) -> None:
-        self._folder = folder / 'nodes'
-        self._folder.mkdir(exist_ok=True)
+        self._files = NodeFiles(folder)
         self._inherited = inherited
         self.environment = environment
         own = {'PYTHONUNBUFFERED': '1', ENDS_WITH: str(os.getpid())}
@@ -113,19 +143,12 @@ class Processes:
         """
         if not needed:
             self._needless.add(node)
-        namespace, _, name = node.rpartition('/')
-        file = self._file(node, 'yaml')
-        known = f'/{node}' if namespace else node
-        file.write_text(yaml.safe_dump({known: {'ros__parameters': parameters}}), encoding='utf-8')
-        log = self._file(node, 'log').open('ab')
+        name = node.rpartition('/')[2]
+        arguments = self._files.arguments(node, parameters, remapped)
+        log = self._files.path(node, 'log').open('ab')
         module = f'{__package__.rpartition(".")[0]}.nodes.{name}'
-        rules = [f'__ns:=/{namespace}'] if namespace else []
-        rules += [f'{own}:={other}' for own, other in remapped.items()]
         process = subprocess.Popen(
-            [
-                *(sys.executable, '-m', module, '--ros-args', '--params-file', str(file)),
-                *(word for rule in rules for word in ('-r', rule)),
-            ],
+            [sys.executable, '-m', module, *arguments],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
@@ -135,10 +158,6 @@ class Processes:
             pass_fds=self._inherited,
         )
         self._running[node] = process, log
-
-    def _file(self, node: str, kind: str) -> Path:
-        """Return the file of a node's parameters or of its log."""
-        return self._folder / f'{node.replace("/", ".")}.{kind}'
 
     def kill(self, node: str, number: int = signal.SIGKILL) -> None:
         """Send a node a signal, and wait until it has ended; it may be started again."""
@@ -151,6 +170,33 @@ class Processes:
     def names(self) -> tuple[str, ...]:
         """Names of the nodes that were started."""
         return tuple(self._running)
+
+    def join(self, name: str) -> Any:
+        """Join the network of the nodes with a node of this command, and return it."""
+        os.environ.update({**in_enclave('operator'), **self.environment})
+        from .. import middleware as ros
+
+        ros.init(args=[])
+        return ros.Node(name)
+
+    def leave(self, node: Any) -> None:
+        """Leave the network."""
+        from .. import middleware as ros
+
+        node.destroy_node()
+        ros.try_shutdown()
+
+    def spin(self, node: Any, seconds: float) -> None:
+        """Receive messages for the node of `join`, for a time, s."""
+        from .. import middleware as ros
+
+        until = time.monotonic() + seconds
+        while (remaining := until - time.monotonic()) > 0:
+            ros.spin_once(node, timeout_sec=remaining)
+
+    def wait(self, seconds: float) -> None:
+        """Wait while the nodes work, s."""
+        time.sleep(seconds)
 
     def runs(self, node: str) -> bool:
         """Return whether a node was started and still runs."""
@@ -180,7 +226,7 @@ class Processes:
 
     def last_line(self, node: str) -> str:
         """Return the last line that a node wrote."""
-        text = self._file(node, 'log').read_text(encoding='utf-8', errors='replace')
+        text = self._files.path(node, 'log').read_text(encoding='utf-8', errors='replace')
         lines = [line for line in text.splitlines() if line.strip()]
         return lines[-1] if lines else 'it wrote nothing'
 

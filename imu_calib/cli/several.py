@@ -13,7 +13,7 @@ import yaml
 
 from ..api.named import load_truth
 from ..calibration import Calibration
-from ..devices import check_port, load_format
+from ..devices import SCHEME, check_port, load_format
 from ..errors import InputError
 from ..imu import load_imu
 from ..mounted import PULSES, TRUTHS, MountedUnit, load_units, remaining
@@ -125,11 +125,21 @@ def node_parameters(
             'imu': unit.imu,
             'device': device_of(unit, arguments) if unit.port else simulated,
             'sample_rate': arguments.sample_rate,
-            'port': unit.port or f'socket://127.0.0.1:{port + place}',
+            'port': unit.port or simulated_port(port, place),
             'baud': unit.baud,
             'frame_id': f'{unit.name}_imu_link',
         }
     return nodes
+
+
+def simulated_port(first: int, place: int = 0) -> str:
+    """Return the URL of a simulated device's line.
+
+    Args:
+        first: TCP port of the first device; 0 if the lines are within this process.
+        place: Of the device among several.
+    """
+    return f'socket://127.0.0.1:{first + place}' if first else f'{SCHEME}{place}'
 
 
 def remappings(arguments: argparse.Namespace) -> dict[str, dict[str, str]]:

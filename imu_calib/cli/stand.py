@@ -53,6 +53,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     options.add_serial_option(parser)
     options.add_site_options(parser)
     parser.add_argument(
+        '--processes',
+        action='store_true',
+        help=(
+            "run each node as a process of its own on ROS 2's wire, where other programs can watch; "
+            'with real hardware this is so'
+        ),
+    )
+    parser.add_argument(
         '--verbose',
         action='store_true',
         help='also print the network variables with which other programs can watch',

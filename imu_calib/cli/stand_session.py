@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
 import signal
 import time
@@ -20,6 +21,7 @@ from ..calibration import Calibration
 from ..earth import LUOYANG, Site
 from ..errors import InputError, NotObservable
 from ..imu import ImuSpec, load_imu
+from ..middleware.selection import VARIABLE
 from ..plan import Plan, load_plan
 from ..reports.parameter_table import parameter_tables
 from ..turntable import Table, load_table
@@ -27,6 +29,7 @@ from ..web.board import Board
 from ..web.expectation import expectation, units_board
 from ..web.units import UnitsBoard
 from . import by_hand, options, resume, several, web_page
+from .embedded import Embedded
 from .node_reports import NodeReports, NothingComes
 from .processes import START, Outcome, Processes, free_ports, network_of_hardware, private_network
 from .stand import complete
@@ -49,6 +52,8 @@ def check(
         NotObservable: The text states what cannot be determined, and why.
     """
     # The runtime is checked only here: the other commands need none.
+    if is_embedded(arguments):
+        os.environ[VARIABLE] = 'embedded'
     from . import monitor  # noqa: F401
 
     setup = setup_of_stand(options.stated(arguments), imu, plan, table, site)
@@ -95,15 +100,14 @@ def run(
         InputError: A node does not start, or the IMU sends nothing.
         NotObservable: The session gives no calibration; the text states why.
     """
-    environment = _network(arguments)
     given = parameters(arguments, folder)
     began = time.monotonic()
     missing: list[str] = []
-    if environment and arguments.verbose:
-        joined = ' '.join(f"{key}='{value}'" for key, value in environment.items())
-        OUTPUT.print(f'to watch from another terminal: export {joined}', markup=False)
     try:
-        with Processes(folder, environment, (claim,)) as processes:
+        with _nodes(arguments, folder, claim) as processes:
+            if processes.environment and arguments.verbose:
+                joined = ' '.join(f"{k}='{value}'" for k, value in processes.environment.items())
+                OUTPUT.print(f'to watch from another terminal: export {joined}', markup=False)
             outcome = _session(arguments, processes, given, reports)
             # Viewers in a browser must see the result too.
             processes.end_all_but({web_page.NODE})
@@ -168,6 +172,18 @@ def _of_true_table(arguments: argparse.Namespace, folder: Path) -> list[str]:
     ]
 
 
+def is_embedded(arguments: argparse.Namespace) -> bool:
+    """Return whether the nodes run in this process: nothing beside them needs ROS 2's wire."""
+    return not (arguments.processes or several.is_real(arguments))
+
+
+def _nodes(arguments: argparse.Namespace, folder: Path, claim: int) -> Processes | Embedded:
+    """Return what runs the nodes: this process, or one for each."""
+    if is_embedded(arguments):
+        return Embedded(folder, simulated=True)
+    return Processes(folder, _network(arguments), (claim,))
+
+
 def _network(arguments: argparse.Namespace) -> dict[str, str]:
     if not several.is_real(arguments):
         return private_network()
@@ -186,7 +202,7 @@ def _save_true_table(arguments: argparse.Namespace, folder: Path) -> None:
 
 def _session(
     arguments: argparse.Namespace,
-    processes: Processes,
+    processes: Processes | Embedded,
     given: dict[str, dict[str, Any]],
     reports: NodeReports,
 ) -> Outcome:
@@ -229,7 +245,8 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
     stated_site['latitude'] = LUOYANG if arguments.latitude is None else arguments.latitude
     site = {name: value for name, value in stated_site.items() if not name.endswith('_std')}
     clock = {'use_sim_time': simulated}
-    port = free_ports(max(len(mounted), 1)) if simulated else 0
+    apart = simulated and not is_embedded(arguments)
+    port = free_ports(max(len(mounted), 1)) if apart else 0
     if mounted:
         of_units = several.node_parameters(arguments, clock, port)
         units = {'units': arguments.imus, 'without': arguments.without}
@@ -242,7 +259,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
                 'imu': arguments.imu,
                 'device': arguments.device or _frames(arguments),
                 'sample_rate': arguments.sample_rate,
-                'port': arguments.port or f'socket://127.0.0.1:{port}',
+                'port': arguments.port or several.simulated_port(port),
                 'baud': arguments.baud or 0,
             }
         }
@@ -310,7 +327,7 @@ def _frames(arguments: argparse.Namespace) -> str:
 
 
 def _follow(
-    processes: Processes, reports: NodeReports, board: Board | UnitsBoard, *, control: bool
+    processes: Processes | Embedded, reports: NodeReports, board: Board | UnitsBoard, *, control: bool
 ) -> Outcome:
     """Monitor the session until it ends, and show its progress.
 

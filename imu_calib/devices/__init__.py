@@ -7,12 +7,14 @@ from .delays import Drift
 from .device_clock import DeviceClock, Jump
 from .format import FrameFormat, load_format, read_format
 from .health import Health, PartStatus, Severity
+from .in_memory import SCHEME, InMemoryLine, InMemorySource
 from .reception import GAP_TIMEOUT, Reception
 from .source import Chunk, Source, SourceState, check_port, is_serial, steady_time
 
 __all__ = [
     'CATALOGUE',
     'GAP_TIMEOUT',
+    'SCHEME',
     'Baud',
     'Checksums',
     'Chunk',
@@ -23,6 +25,8 @@ __all__ = [
     'Drift',
     'FrameFormat',
     'Health',
+    'InMemoryLine',
+    'InMemorySource',
     'Jump',
     'PartStatus',
     'Reception',

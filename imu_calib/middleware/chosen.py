@@ -7,7 +7,7 @@ from .selection import require, runtime
 RUNTIME = runtime()
 require(RUNTIME)
 
-if TYPE_CHECKING or RUNTIME == 'dds':
+if TYPE_CHECKING or RUNTIME != 'rclpy':
     from .dds import *  # noqa: F403
     from .dds import __all__ as _names
 else:

@@ -53,6 +53,7 @@ from std_srvs.srv import Trigger
 from ..errors import InputError
 from ..network import LEASES, LONGEST_LEASE
 from . import ros_sources
+from .beside import Beside as run_beside
 from .domain import domain_id as checked_domain
 from .interface_types import ACTIONS, MESSAGES, InterfaceTypes
 from .ros_actions import GoalServer
@@ -96,6 +97,7 @@ __all__ = [
     'parameter_names',
     'publish_all',
     'qos_profile_sensor_data',
+    'run_beside',
     'serialize_message',
     'shutdown',
     'spin',

@@ -1,4 +1,4 @@
-"""Selection of the nodes' runtime: rclpy if available, else Cyclone DDS."""
+"""Selection of the nodes' runtime: rclpy if available, else Cyclone DDS, or one process alone."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from importlib.util import find_spec
 from ..errors import ImuCalibError
 
 VARIABLE = 'IMU_CALIB_MIDDLEWARE'
-RUNTIMES = ('rclpy', 'dds')
+RUNTIMES = ('rclpy', 'dds', 'embedded')
 
 
 def runtime() -> str:
     """Return 'rclpy' if a module of that name exists, else 'dds'.
 
-    The environment variable IMU_CALIB_MIDDLEWARE forces one of the two.
+    The environment variable IMU_CALIB_MIDDLEWARE forces one of the three.
 
     Raises:
         ImuCalibError: The variable has another value.
@@ -23,7 +23,7 @@ def runtime() -> str:
     forced = os.environ.get(VARIABLE, '')
     if forced:
         if forced not in RUNTIMES:
-            raise ImuCalibError(f'{VARIABLE} is {forced!r}, expected {" or ".join(RUNTIMES)}.')
+            raise ImuCalibError(f'{VARIABLE} is {forced!r}, expected {", ".join(RUNTIMES)}.')
         return forced
     return 'rclpy' if find_spec('rclpy') is not None else 'dds'
 

@@ -7,8 +7,11 @@ import socket
 import time
 from collections.abc import Sequence
 
+from ..devices import InMemoryLine
 from ..errors import InputError
 
+IN_MEMORY = 0
+"""Port that stands for lines within this process."""
 _STUCK = 20.0
 """s without reading after which a reader counts as gone and its bytes are dropped; a choice."""
 _LOOK = 0.01
@@ -22,7 +25,7 @@ class FrameServer:
     """A TCP server with one client at a time; without one bytes are lost, as on a serial line."""
 
     def __init__(self, port: int) -> None:
-        self.port = port
+        self.name = f'port {port}'
         self.dropped = 0
         try:
             self._server = socket.create_server(('127.0.0.1', port))
@@ -96,10 +99,23 @@ class FrameServer:
         self._moved = time.monotonic()
 
 
+def serve_frames(port: int, place: int = 0) -> FrameServer | InMemoryLine:
+    """Return the line of a simulated device.
+
+    Args:
+        port: Of the first device, the next ones follow; `IN_MEMORY`: memory://0, memory://1, ...
+        place: Of the device among several.
+
+    Raises:
+        InputError: The port is taken.
+    """
+    return InMemoryLine(str(place)) if port == IN_MEMORY else FrameServer(port + place)
+
+
 class Lines:
     """The lines of all units, in step with each other."""
 
-    def __init__(self, servers: Sequence[FrameServer]) -> None:
+    def __init__(self, servers: Sequence[FrameServer | InMemoryLine]) -> None:
         self._servers = servers
 
     @property
@@ -108,9 +124,9 @@ class Lines:
         return any(server.connected for server in self._servers)
 
     @property
-    def without_client(self) -> int | None:
-        """The first port without a client; None where all have one."""
-        return next((s.port for s in self._servers if not s.connected), None)
+    def without_client(self) -> str | None:
+        """The name of the first line without a client; None where all have one."""
+        return next((s.name for s in self._servers if not s.connected), None)
 
     @property
     def idle(self) -> bool:

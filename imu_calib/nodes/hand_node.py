@@ -27,7 +27,7 @@ from . import qos
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
-from .frame_server import FrameServer
+from .frame_server import IN_MEMORY, serve_frames
 
 _STEP = 0.1
 """s of simulated time per step. A choice, as in stand_node."""
@@ -52,8 +52,15 @@ class HandNode(ros.Node):
             'highest speed in multiples of real time; 0: as fast as the nodes follow',
             lower=0.0,
         )
-        port = declare(self, 'port', 5760, 'TCP port that serves frames', lower=1, upper=65535)
-        self._line = FrameServer(port)
+        port = declare(
+            self,
+            'port',
+            5760,
+            'TCP port that serves frames; 0: within the process, which has all nodes',
+            lower=IN_MEMORY,
+            upper=65535,
+        )
+        self._line = serve_frames(port)
         self._diagnostics = Diagnostics(self, 'simulated hand')
         self._clock_publisher = self.create_publisher(messages.Clock, '/clock', 10)
         self.create_subscription(
@@ -62,13 +69,12 @@ class HandNode(ros.Node):
         self.create_timer(0.1, self._report, clock=ros.Clock(clock_type=ros.ClockType.STEADY_TIME))
         self._anchor: tuple[float, float, float] | None = None
         self._ending = threading.Event()
-        self._life = threading.Thread(target=self._live, name='hand', daemon=True)
-        self._life.start()
+        self._life = ros.run_beside(self._live, 'hand')
 
     def stop(self) -> list[Any]:
         """Switch off."""
         self._ending.set()
-        self._life.join(timeout=_PATIENCE)
+        self._life.finish(_PATIENCE)
         self._line.close()
         self.get_logger().info(
             f'{self._hardware.holds} holds; the IMU made {self._hardware.frames} frames, '
@@ -107,18 +113,21 @@ class HandNode(ros.Node):
         best = message.next_attitudes
         self._hardware.advise(int(message.step), direction(best[0]) if best else None)
 
-    def _live(self) -> None:
-        """Advance simulated time until the node ends."""
-        while not self._ending.is_set():
-            self._line.serve()
-            if rest := self._rest():
-                time.sleep(rest)
-                continue
-            try:
-                self._advance()
-            except ImuCalibError as error:
-                self.get_logger().fatal(f'the simulation ends: {error}')
-                return
+    def _live(self) -> float | None:
+        """Advance simulated time if it is due; return the wait for the next call, s, None at the
+        end.
+        """
+        if self._ending.is_set():
+            return None
+        self._line.serve()
+        if rest := self._rest():
+            return rest
+        try:
+            self._advance()
+        except ImuCalibError as error:
+            self.get_logger().fatal(f'the simulation ends: {error}')
+            return None
+        return 0.0
 
     def _rest(self) -> float:
         """Return the wait before the next step, s; 0: it is due.
@@ -149,7 +158,7 @@ class HandNode(ros.Node):
 
     def _report(self) -> None:
         connected = self._line.connected
-        waits = f'No program reads the frames on port {self._line.port} yet.'
+        waits = f'No program reads the frames on {self._line.name} yet.'
         text = 'The frames are read.' if connected else waits
         level = Level.OK if connected else Level.WARN
         frames = str(self._hardware.frames)

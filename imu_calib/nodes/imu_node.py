@@ -10,7 +10,9 @@ import numpy as np
 from ..cdr import PULSES, RATES, encode_imu, encode_temperatures
 from ..devices import (
     GAP_TIMEOUT,
+    SCHEME,
     Chunk,
+    InMemorySource,
     Reception,
     Samples,
     Source,
@@ -92,9 +94,13 @@ class ImuNode(ManagedNode):
         """Read the files, and check the port's name; the device is not opened."""
         frames = load_format(self._device)
         baud = choose_baud(self._given_baud, frames)
-        self._source = Source(
-            self._port, self._now, baud.rate, self._buffer, commands=frames.commands
-        )
+        self._source: Source | InMemorySource
+        if self._port.startswith(SCHEME):
+            self._source = InMemorySource(self._port, self._now)
+        else:
+            self._source = Source(
+                self._port, self._now, baud.rate, self._buffer, commands=frames.commands
+            )
         serial = is_serial(self._port)
         self._baud_words = f'{self._port} is read at {baud}.' if serial else ''
         self._reception = Reception(

@@ -37,13 +37,18 @@ from .commands import Commands
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
-from .frame_server import FrameServer, Lines
+from .frame_server import IN_MEMORY, Lines, serve_frames
 
 _STEP = 0.1
 """s of simulated time per step. A choice: the period of setpoints."""
 _STEP_AT_REST = 0.2
 """s per step while the table is at rest under setpoints: longer, to halve the cost of steps for all
 nodes. With `_AHEAD` it is less than the age at which the table refuses a setpoint."""
+_LONGEST_STEP = 1.0
+"""s per step at most, where nothing is to be decided: a pause is obeyed after so long. A choice."""
+_SHORT = 0.02
+"""s of the wall clock that a longer step may take at most under a limited speed: too short to be
+seen. A choice."""
 _AHEAD = 0.25
 """s that the simulation may be ahead of the last setpoint."""
 _ALIVE = 2.0
@@ -78,12 +83,13 @@ class StandNode(ros.Node):
             self,
             'port',
             5760,
-            'TCP port that serves frames; of several units the first one, the next ones follow',
-            lower=1,
+            'TCP port that serves frames; of several units the first one, the next ones follow; '
+            '0: within the process, which has all nodes',
+            lower=IN_MEMORY,
             upper=65535,
         )
         count = len(self._hardware.frames)
-        self._lines = Lines([FrameServer(port + k) for k in range(count)])
+        self._lines = Lines([serve_frames(port, k) for k in range(count)])
         self._diagnostics = Diagnostics(self, 'simulated stand')
         self._clock_publisher = self.create_publisher(messages.Clock, '/clock', 10)
         self._joint_publisher = self.create_publisher(
@@ -99,14 +105,13 @@ class StandNode(ros.Node):
         )
         self.create_timer(0.1, self._report, clock=ros.Clock(clock_type=ros.ClockType.STEADY_TIME))
         self._ending = threading.Event()
-        # In a separate thread: publishing waits for slow subscribers.
-        self._life = threading.Thread(target=self._live, name='hardware', daemon=True)
-        self._life.start()
+        # Beside the callbacks: publishing waits for slow subscribers.
+        self._life = ros.run_beside(self._live, 'hardware')
 
     def stop(self) -> list[Any]:
         """Switch off after the table has stopped: it brakes without setpoints."""
         self._ending.set()
-        self._life.join(timeout=_PATIENCE)
+        self._life.finish(_PATIENCE)
         self._lines.close()
         state = self._hardware.state
         angles = ', '.join(
@@ -174,21 +179,24 @@ class StandNode(ros.Node):
             units = [SimulatedUnit('', imu, _truth(truth), np.eye(3), options.lever, None)]
         return SimulatedHardware(table, units, site, options, switched_on(seed, start))
 
-    def _live(self) -> None:
-        """Advance simulated time until the node ends."""
-        while not (self._ending.is_set() and self._hardware.state.at_rest):
-            self._take_commands()
-            self._lines.serve()
-            if self._ending.is_set():
-                self._advance()
-            elif rest := self._rest():
-                time.sleep(rest)
-            else:
-                try:
-                    self._advance()
-                except ImuCalibError as error:
-                    self.get_logger().fatal(f'the simulation ends: {error}')
-                    return
+    def _live(self) -> float | None:
+        """Advance simulated time by a step if it is due; return the wait for the next call, s.
+
+        None at the end: the table stands, or the simulation cannot go on.
+        """
+        ending = self._ending.is_set()
+        if ending and self._hardware.state.at_rest:
+            return None
+        self._take_commands()
+        self._lines.serve()
+        if not ending and (rest := self._rest()):
+            return rest
+        try:
+            self._advance()
+        except ImuCalibError as error:
+            self.get_logger().fatal(f'the simulation ends: {error}')
+            return None
+        return 0.0
 
     def _rest(self) -> float:
         """Return the wait before the next check, s; 0 to continue at once."""
@@ -216,8 +224,7 @@ class StandNode(ros.Node):
 
     def _advance(self) -> None:
         """Simulate one step, and publish its frames, clock and joint states."""
-        at_rest = self._pace.is_commanded and self._hardware.at_rest
-        output = self._hardware.advance(_STEP_AT_REST if at_rest else _STEP)
+        output = self._hardware.advance(self._step())
         # Send frames before the clock, so that a frame's stamp is never early.
         self._lines.send(output.lines)
         now = self._epoch + round(self._hardware.time * 1e9)
@@ -225,6 +232,17 @@ class StandNode(ros.Node):
         clock.clock.sec, clock.clock.nanosec = divmod(now, NS)
         self._clock_publisher.publish(clock)
         ros.publish_all(self._joint_publisher, encode_joints(output.joints).payloads())
+
+    def _step(self) -> float:
+        """Return the length of the next step, s.
+
+        While the table does what its setpoint says, and nothing is to be decided, nobody waits for
+        the joint states in between.
+        """
+        if not self._pace.is_commanded:
+            return _STEP
+        shortest = _STEP_AT_REST if self._hardware.at_rest else _STEP
+        return max(shortest, min(self._hardware.undisturbed, self._pace.longest_step))
 
     def _report(self) -> None:
         """Report refused setpoints, and whether the frames are read."""
@@ -235,7 +253,7 @@ class StandNode(ros.Node):
         text = (
             'The frames are read.'
             if self._lines.without_client is None
-            else f'No program reads the frames on port {self._lines.without_client} yet.'
+            else f'No program reads the frames on {self._lines.without_client} yet.'
         )
         self._diagnostics.report(
             'IMU',
@@ -278,6 +296,11 @@ class _Pace:
     def use_wall_clock(self) -> None:
         """Continue at the pace of the wall clock: the table is held."""
         self._received_at = -math.inf
+
+    @property
+    def longest_step(self) -> float:
+        """Longest step, s."""
+        return min(_LONGEST_STEP, self._speed * _SHORT) if self._speed else _LONGEST_STEP
 
     @property
     def is_commanded(self) -> bool:

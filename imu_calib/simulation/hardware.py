@@ -95,6 +95,16 @@ class SimulatedHardware:
         return self._table.rest_time <= self.time
 
     @property
+    def undisturbed(self) -> float:
+        """Time for which the table does what its last setpoint says, s: it moves, or dwells.
+
+        Zero while a fault is in force or a setpoint waits.
+        """
+        if self._waiting or self._faults != TableFaults():
+            return 0.0
+        return self._table.busy_until - self.time
+
+    @property
     def frames(self) -> tuple[int, ...]:
         """Number of frames made by each IMU, including those not sent."""
         return tuple(line.frames for line in self._lines)
@@ -121,9 +131,10 @@ class SimulatedHardware:
         self._waiting.append((self.time + self._faults.delay, setpoint))
 
     def advance(self, seconds: float) -> Output:
-        """Advance the time."""
+        """Advance the time; within a step the last setpoint is repeated."""
         begin, end = self.time, self.time + seconds
         self._command_table()
+        self._table.keep_setpoint(begin, end)
         rate = self._faults.joint_rate or self._options.joint_state_rate
         times = instants(begin, end, rate, self._phase)
         angles, rates = self._table.read(times)

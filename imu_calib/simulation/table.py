@@ -117,6 +117,14 @@ class SimulatedTable:
         """Time at which the table is at rest, s, if setpoints continue."""
         return self._track.end
 
+    @property
+    def busy_until(self) -> float:
+        """Time until which the last setpoint needs no other, s: it moves the table, then dwells."""
+        setpoint = self._setpoint
+        if setpoint is None or self._stopped or setpoint.mode is Mode.HOLD:
+            return self._time
+        return self._track.end + setpoint.dwell
+
     def command(self, setpoint: Setpoint, time: float) -> None:
         """Take a setpoint. HOLD is obeyed whatever the age of its stamp: clocks may differ.
 
@@ -146,6 +154,14 @@ class SimulatedTable:
         """Assume that the last setpoint was repeated often enough, up to `time`, s."""
         self._time = time
         self._deadline = time + self.options.setpoint_timeout
+
+    def keep_setpoint(self, begin: float, end: float) -> None:
+        """Assume that a setpoint in force at `begin` is repeated until `end`, s.
+
+        Nobody could repeat it within a step that is longer than its timeout.
+        """
+        if end - begin > self.options.setpoint_timeout and begin <= self._deadline < math.inf:
+            self._deadline = end
 
     def advance(self, time: float) -> TableState:
         """Advance the time to `time` (s since the epoch) and return the state then.

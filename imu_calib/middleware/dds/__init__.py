@@ -3,6 +3,7 @@
 from ...network import LEASES
 from ..interface_types import ACTIONS, MESSAGES, InterfaceTypes
 from .action import ActionClient, GoalServer, action_type
+from .beside import run_beside
 from .clock import Clock, ClockType, Time
 from .codec import deserialize_message, serialize_message
 from .context import init, ok, shutdown, try_shutdown
@@ -79,6 +80,7 @@ __all__ = [
     'parameter_names',
     'publish_all',
     'qos_profile_sensor_data',
+    'run_beside',
     'serialize_message',
     'shutdown',
     'spin',

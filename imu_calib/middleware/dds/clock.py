@@ -31,12 +31,46 @@ class Time:
         return message_class('builtin_interfaces/msg/Time')(sec=sec, nanosec=nanosec)
 
 
-class Clock:
-    """A clock of one type; ROS time follows /clock while `simulated` holds a time."""
+class SteadyTime:
+    """The steady time of the process: the system's, or that of a simulation in this process.
 
-    def __init__(self, *, clock_type: ClockType = ClockType.SYSTEM_TIME) -> None:
+    A simulation that waits for nobody has no other steady time than its own steps: the same number
+    of them passes between two events in every run.
+    """
+
+    def __init__(self) -> None:
+        self._simulated: int | None = None
+
+    def simulate(self, on: bool) -> None:
+        """Begin or end to count what `advance` is told, not the system's time."""
+        self._simulated = time.monotonic_ns() if on else None
+
+    def advance(self, nanoseconds: int) -> None:
+        """Let a simulated time pass; the system's passes by itself."""
+        if self._simulated is not None:
+            self._simulated += nanoseconds
+
+    def nanoseconds(self) -> int:
+        """Return the time."""
+        return time.monotonic_ns() if self._simulated is None else self._simulated
+
+
+STEADY = SteadyTime()
+
+
+class Clock:
+    """A clock of one type; ROS time follows /clock while `simulated` holds a time.
+
+    Attributes:
+        of_the_wall: Whether steady time is the system's even beside a simulation in this process.
+    """
+
+    def __init__(
+        self, *, clock_type: ClockType = ClockType.SYSTEM_TIME, of_the_wall: bool = False
+    ) -> None:
         self.clock_type = clock_type
         self.simulated: int | None = None
+        self.of_the_wall = of_the_wall
 
     @property
     def ros_time_is_active(self) -> bool:
@@ -46,7 +80,7 @@ class Clock:
     def nanoseconds(self) -> int:
         """Return the time as a number."""
         if self.clock_type is ClockType.STEADY_TIME:
-            return time.monotonic_ns()
+            return time.monotonic_ns() if self.of_the_wall else STEADY.nanoseconds()
         if self.simulated is not None and self.clock_type is ClockType.ROS_TIME:
             return self.simulated
         return time.time_ns()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ...errors import ImuCalibError
 from ...security import refuse_to_pretend
 from ..domain import domain_id
-from . import logging
+from ..selection import runtime
+from . import logging, memory
 from .arguments import Arguments, parse
 from .graph import Graph
 from .participant import Participant
@@ -16,15 +19,21 @@ from .participant import Participant
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+AnyParticipant: TypeAlias = Participant | memory.Participant
+
 
 class Context:
-    """One DDS participant, shared by the nodes of a process, from init to shutdown."""
+    """One participant, shared by the nodes of a process, from init to shutdown.
+
+    It is in a domain of DDS, or in this process alone if the runtime is `embedded`.
+    """
 
     def __init__(self) -> None:
         self.arguments = Arguments()
-        self.participant: Participant | None = None
-        self.graph: Graph
+        self.participant: AnyParticipant | None = None
+        self.graph: Graph | memory.Graph
         self.nodes: list[Any] = []
+        self.works: list[Any] = []
 
     def ok(self) -> bool:
         """Return whether the context is between init and shutdown."""
@@ -42,11 +51,24 @@ class Context:
         self.arguments = parse(sys.argv[1:] if args is None else args)
         for logger, level in self.arguments.levels:
             logging.set_logger_level(logger, _severity(level))
+        if runtime() == 'embedded':
+            self.participant = memory.Participant()
+            self.graph = memory.Graph(self.participant)
+            return
         refuse_to_pretend()
-        self.participant = Participant(domain_id())
-        self.graph = Graph(self.participant)
+        self.participant = joined = Participant(domain_id())
+        self.graph = Graph(joined)
 
-    def joined(self) -> Participant:
+    @contextmanager
+    def given(self, args: Sequence[str]) -> Iterator[None]:
+        """Give the nodes made in this block arguments of their own."""
+        former, self.arguments = self.arguments, parse(args)
+        try:
+            yield
+        finally:
+            self.arguments = former
+
+    def joined(self) -> AnyParticipant:
         """Return the participant.
 
         Raises:
@@ -67,6 +89,7 @@ class Context:
         for node in list(self.nodes):
             node.destroy_node()
         self.graph.close()
+        self.works.clear()
         # ok() must turn false first for a thread that spins.
         former, self.participant = self.participant, None
         former.leave()

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from .codec import deserialize_message, serialize_message
 from .message_classes import Message
 from .qos import QoSPolicyKind
-from .wire import Reader, Writer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from .context import AnyParticipant
     from .logging import Logger
-    from .participant import Participant
     from .qos import QoSProfile, SubscriptionEventCallbacks
 
 
@@ -33,7 +31,7 @@ class _TopicEnd:
         topic: str,
         qos: QoSProfile,
         events: SubscriptionEventCallbacks | None,
-        end: Reader | Writer,
+        end: Any,
     ) -> None:
         self._logger = logger
         self.destroyed = False
@@ -72,13 +70,13 @@ class Publisher(_TopicEnd):
 
     def __init__(
         self,
-        participant: Participant,
+        participant: AnyParticipant,
         logger: Logger,
         msg_type: type[Message],
         topic: str,
         qos: QoSProfile,
     ) -> None:
-        self.writer = Writer(participant, f'rt{topic}', msg_type.TYPE_NAME, qos)
+        self.writer = participant.writer(f'rt{topic}', msg_type.TYPE_NAME, qos)
         super().__init__(logger, msg_type, topic, qos, None, self.writer)
 
     def publish(self, msg: Message | bytes) -> None:
@@ -94,7 +92,7 @@ class Publisher(_TopicEnd):
         if isinstance(msg, bytes):
             self.writer.write(msg)
         elif isinstance(msg, self.msg_type):
-            self.writer.write(serialize_message(msg))
+            self.writer.write_message(msg)
         else:
             raise TypeError(f'Expected {self.msg_type}, got {type(msg)}')
 
@@ -113,7 +111,7 @@ class Subscription(_TopicEnd):
 
     def __init__(
         self,
-        participant: Participant,
+        participant: AnyParticipant,
         logger: Logger,
         msg_type: type[Message],
         topic: str,
@@ -125,7 +123,7 @@ class Subscription(_TopicEnd):
         self.raw = raw
         self.callback = callback
         self.in_bulk = False
-        self.reader = Reader(participant, f'rt{topic}', msg_type.TYPE_NAME, qos)
+        self.reader = participant.reader(f'rt{topic}', msg_type.TYPE_NAME, qos)
         super().__init__(logger, msg_type, topic, qos, events, self.reader)
 
     def get_publisher_count(self) -> int:
@@ -141,9 +139,11 @@ class Subscription(_TopicEnd):
             if payloads:
                 self.callback(payloads)
             return bool(payloads)
-        payloads = self.reader.drain(most)
-        for payload in payloads:
+        received = self.reader.drain(most) if self.raw else self.reader.take(most, self.msg_type)
+        came = False
+        for message in received:
+            came = True
             if self.destroyed:  # by the callback
                 break
-            self.callback(payload if self.raw else deserialize_message(payload, self.msg_type))
-        return bool(payloads)
+            self.callback(message)
+        return came

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from .context import CONTEXT
-from .wire import WaitSet
+from .participant import TransportError
 
 if TYPE_CHECKING:
     from .endpoints import Subscription
     from .future import Future
     from .node import Node
-    from .participant import Participant
+    from .context import AnyParticipant
     from .services import Client, Service
 
     _Awaited = Subscription | Service | Client
@@ -37,8 +37,8 @@ class SingleThreadedExecutor:
 
     def __init__(self) -> None:
         self._nodes: list[Node] = []
-        self._waitset: WaitSet | None = None
-        self._participant: Participant | None = None
+        self._waitset: Any | None = None
+        self._participant: AnyParticipant | None = None
         self._awaited: list[_Awaited] = []
         self._shut = False
 
@@ -93,8 +93,6 @@ class SingleThreadedExecutor:
 
     def _wait(self, nanoseconds: int) -> list[_Awaited]:
         """Wait for messages, at most until the next timer; return the endpoints with messages."""
-        from cyclonedds.core import DDSException
-
         for node in self._nodes:
             for timer in node.timers_:
                 remaining = timer.time_until_next_call()
@@ -105,14 +103,14 @@ class SingleThreadedExecutor:
             waitset = self._attached()
             ready = waitset.wait(max(0, nanoseconds))
             return [self._awaited[k] for k in ready]
-        except DDSException:
+        except TransportError:
             # Another thread has shut down or destroyed an endpoint.
             self._forget()
             if CONTEXT.ok() and not self._shut:
                 raise
             return []
 
-    def _attached(self) -> WaitSet:
+    def _attached(self) -> Any:
         """Return the wait set; create a new one if the readers have changed."""
         participant = CONTEXT.participant
         if participant is None:
@@ -120,7 +118,7 @@ class SingleThreadedExecutor:
         awaited = [one for node in self._nodes for one in node.awaited()]
         if self._waitset is None or (participant, awaited) != (self._participant, self._awaited):
             self._forget()
-            self._waitset = WaitSet(participant, [one.reader for one in awaited])
+            self._waitset = participant.wait_set([one.reader for one in awaited])
             self._participant, self._awaited = participant, awaited
         return self._waitset
 

@@ -9,7 +9,6 @@ from .codec import deserialize_message, serialize_message
 from .message_classes import message_class
 from .participant import Participant, delete
 from .qos import DurabilityPolicy, HistoryPolicy, QoSProfile, from_dds
-from .wire import Reader, Writer
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -60,8 +59,8 @@ class Graph:
         everything = QoSProfile(
             history=HistoryPolicy.KEEP_ALL, durability=DurabilityPolicy.TRANSIENT_LOCAL
         )
-        self._writer = Writer(participant, _TOPIC, _TYPE, latched)
-        self._reader = Reader(participant, _TOPIC, _TYPE, everything)
+        self._writer = participant.writer(_TOPIC, _TYPE, latched)
+        self._reader = participant.reader(_TOPIC, _TYPE, everything)
         entity = participant.entity
         self._publications = _Endpoints(BuiltinDataReader(entity, BuiltinTopicDcpsPublication))
         self._subscriptions = _Endpoints(BuiltinDataReader(entity, BuiltinTopicDcpsSubscription))

@@ -7,6 +7,7 @@ import time
 from contextlib import suppress
 from enum import IntEnum
 from functools import partialmethod
+from typing import TextIO
 
 from ...instants import NS
 
@@ -22,6 +23,15 @@ class LoggingSeverity(IntEnum):
 
 
 _levels = {'': LoggingSeverity.INFO}
+_outputs: dict[str, TextIO] = {}
+
+
+def set_logger_output(name: str, output: TextIO | None) -> None:
+    """Set where a logger writes; None for the standard error output."""
+    if output is None:
+        _outputs.pop(name, None)
+    else:
+        _outputs[name] = output
 
 
 def set_logger_level(name: str, level: LoggingSeverity) -> None:
@@ -30,7 +40,7 @@ def set_logger_level(name: str, level: LoggingSeverity) -> None:
 
 
 class Logger:
-    """Writes `[LEVEL] [time] [name]: text` on the standard error output."""
+    """Writes `[LEVEL] [time] [name]: text` on the standard error output, or where it is told to."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -49,8 +59,9 @@ class Logger:
         line = f'[{severity.name}] [{sec}.{nanosec:09d}] [{self.name}]: {message}\n'
         # A closed terminal or pipe must not end a node that leads a table.
         with suppress(OSError):
-            sys.stderr.write(line)
-            sys.stderr.flush()
+            output = _outputs.get(self.name, sys.stderr)
+            output.write(line)
+            output.flush()
 
     debug = partialmethod(_write, LoggingSeverity.DEBUG)
     info = partialmethod(_write, LoggingSeverity.INFO)

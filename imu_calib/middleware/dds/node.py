@@ -146,8 +146,14 @@ class Node:
         callback_group: None = None,  # noqa: ARG002 (rclpy's third argument)
         clock: Clock | None = None,
     ) -> Timer:
-        """Create a timer, on ROS time unless another clock is given."""
-        timer = Timer(int(timer_period_sec * 1e9), callback, clock or self._clock)
+        """Create a timer, on ROS time unless another clock is given.
+
+        Simulated steady time is for nodes whose ROS time is simulated.
+        """
+        clock = clock or self._clock
+        if clock.clock_type is ClockType.STEADY_TIME and not self._clock.ros_time_is_active:
+            clock = Clock(clock_type=ClockType.STEADY_TIME, of_the_wall=True)
+        timer = Timer(int(timer_period_sec * 1e9), callback, clock)
         self.timers_.append(timer)
         return timer
 

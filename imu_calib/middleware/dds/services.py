@@ -13,12 +13,11 @@ from .codec import deserialize_message, serialize_message
 from .future import Future
 from .message_classes import message_class
 from .qos import QoSProfile
-from .wire import Reader, Writer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from .participant import Participant
+    from .context import AnyParticipant
 
 _REQUEST_ID = struct.Struct('<Qq')
 _CLIENT = re.compile(rb'clientid=[^;]*;')
@@ -39,18 +38,20 @@ def _identity(gid: bytes, role: str) -> str:
 
 
 def _ends(
-    participant: Participant, srv_type: Any, name: str, serves: bool, gid: bytes
-) -> tuple[Reader, Writer]:
+    participant: AnyParticipant, srv_type: Any, name: str, serves: bool, gid: bytes
+) -> tuple[Any, Any]:
     """Create the two DDS endpoints of one side of a service."""
     identity = _identity(gid, 'service' if serves else 'client')
     request, reply = f'rq{name}Request', f'rr{name}Reply'
     qos = QoSProfile(depth=10)
     request_type, response_type = srv_type.Request.TYPE_NAME, srv_type.Response.TYPE_NAME
-    if serves:
-        reader = Reader(participant, request, request_type, qos, identity, 'service')
-        return reader, Writer(participant, reply, response_type, qos, identity, 'service')
-    reader = Reader(participant, reply, response_type, qos, identity, 'service')
-    return reader, Writer(participant, request, request_type, qos, identity, 'service')
+    read, written = (request, request_type), (reply, response_type)
+    if not serves:
+        read, written = written, read
+    return (
+        participant.reader(*read, qos, identity, 'service'),
+        participant.writer(*written, qos, identity, 'service'),
+    )
 
 
 class Service:
@@ -59,7 +60,7 @@ class Service:
     It may return a future of the response instead.
 
     Args:
-        participant: Participant of the node that serves.
+        participant: AnyParticipant of the node that serves.
         srv_type: Class of the service.
         srv_name: Absolute name.
         callback: Answers a request.
@@ -68,7 +69,7 @@ class Service:
 
     def __init__(
         self,
-        participant: Participant,
+        participant: AnyParticipant,
         srv_type: Any,
         srv_name: str,
         callback: Callable[[Any, Any], Any],
@@ -144,7 +145,7 @@ def _request_id(payload: bytes) -> bytes:
 class Client:
     """Calls a service; the answer is a future."""
 
-    def __init__(self, participant: Participant, srv_type: Any, srv_name: str) -> None:
+    def __init__(self, participant: AnyParticipant, srv_type: Any, srv_name: str) -> None:
         self.srv_type = srv_type
         self.srv_name = srv_name
         gid = secrets.token_bytes(16)

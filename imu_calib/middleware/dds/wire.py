@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from ctypes import CFUNCTYPE, c_bool, c_int32, c_int64, c_size_t, c_ssize_t, c_void_p
 from functools import cache
 from typing import Any
@@ -10,8 +10,10 @@ from typing import Any
 from rosbags.interfaces import Nodetype
 
 from ...errors import ImuCalibError
+from .codec import deserialize_message, serialize_message
 from .interfaces import interface, type_hash
-from .participant import Participant, delete
+from .message_classes import Message
+from .participant import Participant, TransportError, delete
 from .qos import QoSIncompatibleInfo, QoSProfile, to_dds
 from .type_data import describe
 
@@ -124,6 +126,10 @@ class Writer(Endpoint):
         """
         self.write_all([payload])
 
+    def write_message(self, message: Message) -> None:
+        """Send a message; errors as of `write`."""
+        self.write(serialize_message(message))
+
     def write_all(self, payloads: Iterable[bytes]) -> None:
         """Send messages, as many per packet as fit: each packet costs both ends a call.
 
@@ -193,6 +199,10 @@ class Reader(Endpoint):
                 break
         return payloads
 
+    def take(self, most: int, message_type: type[Message]) -> Iterator[Message]:
+        """Yield at most `most` of the oldest messages."""
+        return (deserialize_message(payload, message_type) for payload in self.drain(most))
+
     def drain_sources(self, most: int = _BULK) -> list[tuple[bytes, bytes]]:
         """Return the oldest arrived messages, each with the number of its writer, 8 bytes.
 
@@ -260,7 +270,7 @@ class WaitSet:
         """Return which readers have messages, as ascending indices.
 
         Raises:
-            DDSException: The wait set or a reader has been deleted.
+            TransportError: The wait set or a reader has been deleted.
         """
         found = self._found
         count = self._call(self._entity._ref, found, len(found), nanoseconds)
@@ -284,10 +294,8 @@ def _waiting() -> tuple[Any, Any]:
 
 
 def _check(code: int) -> int:
-    from cyclonedds.core import DDSException
-
     if code < 0:
-        raise DDSException(code, 'while waiting for messages')
+        raise TransportError(f'Cyclone DDS returns {code} while waiting for messages.')
     return code
 
 
