@@ -242,7 +242,7 @@ class StandNode(ros.Node):
         if not self._pace.is_commanded:
             return _STEP
         shortest = _STEP_AT_REST if self._hardware.at_rest else _STEP
-        return max(shortest, min(self._hardware.undisturbed, self._pace.longest_step))
+        return max(shortest, min(self._hardware.undisturbed(), self._pace.longest_step))
 
     def _report(self) -> None:
         """Report refused setpoints, and whether the frames are read."""

@@ -94,12 +94,12 @@ class SimulatedHardware:
         """Whether the table is at rest, until a setpoint moves it."""
         return self._table.rest_time <= self.time
 
-    @property
     def undisturbed(self) -> float:
-        """Time for which the table does what its last setpoint says, s: it moves, or dwells.
+        """Return the time for which the table does what it is told, s: it moves, or dwells.
 
-        Zero while a fault is in force or a setpoint waits.
+        Zero while a fault is in force or a setpoint is delayed.
         """
+        self._command_table()
         if self._waiting or self._faults != TableFaults():
             return 0.0
         return self._table.busy_until - self.time
