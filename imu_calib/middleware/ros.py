@@ -89,6 +89,7 @@ __all__ = [
     'deserialize_message',
     'drain',
     'drain_sources',
+    'in_step',
     'init',
     'messages',
     'ok',
@@ -235,6 +236,11 @@ def publish_all(publisher: Any, payloads: Iterable[bytes]) -> None:
 def acknowledged(publisher: Any, timeout_sec: float) -> bool:
     """Wait until all reliable subscriptions have all messages; return whether they have."""
     return bool(publisher.wait_for_all_acked(Duration(seconds=timeout_sec)))
+
+
+def in_step() -> bool:
+    """Return False: see `dds.clock.in_step`."""
+    return False
 
 
 def parameter_names(node: Any) -> tuple[list[str], list[str]]:

@@ -35,6 +35,11 @@ _SECOND = 1.0
 _LAST_TAKE = 1.0
 """s to process pending data when the node is stopped. A judgement: a person waits no longer after
 Ctrl-C, and a launcher kills the process five seconds later, before which the journal must close."""
+_GROWTH = 1.5
+"""Growth of the data between two reviews in step with a simulation. A choice: ten reviews of a
+session, each of which the person sees."""
+_NEAR_THE_END = 20.0
+"""s left of a plan below which its table may wait for a review: it goes home, or dwells once more."""
 _GLANCE = 0.25
 """s between two reviews of a session in the hand: a person who holds still waits for the result."""
 
@@ -84,7 +89,7 @@ class CalibratorNode(ros.Node):
             Subscriptions(self, topics_of_unit(unit.setup, unit.name, unit.topic))
             for unit in self._units
         ]
-        self._latest = 0
+        self._latest = self._reviewed = 0
         self._turntable = TurntableStateIntake(self, plan, self._steps, self._diagnostics)
         if self._setup.table is not None:
             self.create_subscription(
@@ -227,9 +232,24 @@ class CalibratorNode(ros.Node):
                 self._two_publishers(place)
         self._turntable.check_publishers(time.monotonic())
         self._sessions.flush()
-        self._sessions.solve()
+        if self._review_is_due():
+            self._sessions.solve()
         self._report()
         self._publish_progress()
+
+    def _review_is_due(self) -> bool:
+        """Return whether it is time for a review; the solver itself pauses between two.
+
+        In step with a simulation a review holds everything up. There is one whenever the data has
+        grown by half, and whenever the table may wait for one: at the end of its plan.
+        """
+        if not ros.in_step() or not self._turntable.seconds_left > _NEAR_THE_END:
+            return True
+        held = self._sessions.held
+        due = held > _GROWTH * self._reviewed
+        if due:
+            self._reviewed = held
+        return due
 
     def _two_publishers(self, place: int) -> None:
         session = self._sessions.all[place]

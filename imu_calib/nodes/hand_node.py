@@ -137,7 +137,8 @@ class HandNode(ros.Node):
         """
         if not self._line.idle:
             return _REST
-        waits = self._hardware.waits or not self._line.connected
+        # In step with the calibrator advice takes no time.
+        waits = not self._line.connected or (self._hardware.waits and not ros.in_step())
         speed = min(self._speed or 1.0, 1.0) if waits else self._speed
         if not speed:
             self._anchor = None

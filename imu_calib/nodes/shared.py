@@ -7,11 +7,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ..bags import Journal
 from ..calibrator import Calibrator, HandCalibrator, Review
 from ..cdr import Messages
 from ..errors import ImuCalibError, InputError
+from ..middleware import in_step
 
 AnyCalibrator = Calibrator | HandCalibrator
 Concluding = Callable[[Sequence[AnyCalibrator], Sequence[str]], Sequence[Review | ImuCalibError]]
@@ -140,6 +142,22 @@ class Solved:
     until: int
 
 
+class InTurn:
+    """Executes at once, in the thread that asks, what a thread pool would do meanwhile."""
+
+    def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
+        """Return the future of a function that has been called."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(work(*args))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def shutdown(self, **_: Any) -> None:
+        """Do nothing: nothing is left to be done."""
+
+
 class SharedSolver:
     """One thread for all sessions: reviews in turn, the final ones together.
 
@@ -155,7 +173,7 @@ class SharedSolver:
         self._concluded = concluded
         self._reviews = 0
         self._since = self._rested_at = 0.0
-        self.threads = ThreadPoolExecutor(1, 'solver')
+        self.threads = InTurn() if in_step() else ThreadPoolExecutor(1, 'solver')
 
     @property
     def may_review(self) -> bool:
@@ -163,7 +181,7 @@ class SharedSolver:
 
         A round has one review of each session; the pause leaves time to record incoming data.
         """
-        return not self._reviews and time.monotonic() >= self._rested_at
+        return not self._reviews and (in_step() or time.monotonic() >= self._rested_at)
 
     def review(self, calibrator: AnyCalibrator) -> Future[Review]:
         """Begin to review the data of a calibrator."""

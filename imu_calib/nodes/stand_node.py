@@ -46,6 +46,9 @@ _STEP_AT_REST = 0.2
 nodes. With `_AHEAD` it is less than the age at which the table refuses a setpoint."""
 _LONGEST_STEP = 1.0
 """s per step at most, where nothing is to be decided: a pause is obeyed after so long. A choice."""
+_UNPACED = 10.0
+"""s without the command of a motion in which the time of a simulation in step with its nodes does
+not follow the wall clock yet: they start, or review the session, and nobody watches. A choice."""
 _SHORT = 0.02
 """s of the wall clock that a longer step may take at most under a limited speed: too short to be
 seen. A choice."""
@@ -285,6 +288,8 @@ class _Pace:
 
     def __init__(self, speed: float) -> None:
         self._speed = speed
+        self._in_step = ros.in_step() and not speed
+        self._unpaced_until = _UNPACED
         self._newest = -math.inf
         self._received_at = -math.inf
         self._anchor: tuple[float, float, float] | None = None
@@ -292,6 +297,7 @@ class _Pace:
     def take_setpoint(self, stamp: float) -> None:
         """Record a setpoint with a stamp in s of simulated time."""
         self._newest, self._received_at = stamp, time.monotonic()
+        self._unpaced_until = stamp + _UNPACED
 
     def use_wall_clock(self) -> None:
         """Continue at the pace of the wall clock: the table is held."""
@@ -305,6 +311,8 @@ class _Pace:
     @property
     def is_commanded(self) -> bool:
         """Whether setpoints command the table."""
+        if self._in_step:
+            return self._received_at > -math.inf
         return time.monotonic() - self._received_at < _ALIVE
 
     def rest(self, now: float, connected: bool) -> float:
@@ -318,6 +326,8 @@ class _Pace:
         is_commanded = connected and self.is_commanded
         if is_commanded and now > self._newest + _AHEAD:
             return _REST
+        if self._in_step and not is_commanded and now < self._unpaced_until:
+            return 0.0
         speed = self._speed if is_commanded else min(self._speed or 1.0, 1.0)
         if not speed:
             self._anchor = None

@@ -4,7 +4,7 @@ from ...network import LEASES
 from ..interface_types import ACTIONS, MESSAGES, InterfaceTypes
 from .action import ActionClient, GoalServer, action_type
 from .beside import run_beside
-from .clock import Clock, ClockType, Time
+from .clock import Clock, ClockType, Time, in_step
 from .codec import deserialize_message, serialize_message
 from .context import init, ok, shutdown, try_shutdown
 from .drains import acknowledged, drain, drain_sources, open_drain, open_stream, publish_all
@@ -72,6 +72,7 @@ __all__ = [
     'deserialize_message',
     'drain',
     'drain_sources',
+    'in_step',
     'init',
     'messages',
     'ok',

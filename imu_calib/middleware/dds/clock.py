@@ -41,6 +41,11 @@ class SteadyTime:
     def __init__(self) -> None:
         self._simulated: int | None = None
 
+    @property
+    def is_simulated(self) -> bool:
+        """Whether a simulation in this process makes the time."""
+        return self._simulated is not None
+
     def simulate(self, on: bool) -> None:
         """Begin or end to count what `advance` is told, not the system's time."""
         self._simulated = time.monotonic_ns() if on else None
@@ -56,6 +61,15 @@ class SteadyTime:
 
 
 STEADY = SteadyTime()
+
+
+def in_step() -> bool:
+    """Return whether all nodes are in this process, in step with a simulation.
+
+    Nothing in it needs to wait for the wall clock then, and what a node does in a thread of its own
+    it does in turn: every run is the same.
+    """
+    return STEADY.is_simulated
 
 
 class Clock:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 _STEP = 20_000_000
 """ns of simulated steady time per step of the simulation. A choice: every timer that reads data is
 due at each step, and reviews and reports, once a second, are not most of the work."""
+_PACED_STEP = 100_000_000
+"""ns of it per step that waited for the wall clock: that of a simulation in real time."""
 _PER_ROUND = 64
 """Messages of one subscription per turn; then the others and the timers follow."""
 _LONGEST_WAIT = 0.05
@@ -77,7 +79,7 @@ class Container:
 
     def __init__(self, *, simulated: bool) -> None:
         self._hosted: dict[str, Hosted] = {}
-        self._simulated = simulated
+        self._rested = False
         init(args=[])
         STEADY.simulate(simulated)
 
@@ -148,8 +150,10 @@ class Container:
         """Let the simulation take its step; return the wait until there is something to do, s."""
         rests = [rest for work in list(CONTEXT.works) if (rest := work.run()) is not None]
         if 0.0 in rests:
-            STEADY.advance(_STEP)
+            STEADY.advance(_PACED_STEP if self._rested else _STEP)
+            self._rested = False
             return 0.0
+        self._rested = True
         return min([*rests, self._next_timer()])
 
     def _next_timer(self) -> float:
@@ -164,9 +168,7 @@ class Container:
         return max(0.0, min([*due, _LONGEST_WAIT * 1e9]) * 1e-9)
 
     def _wait(self, seconds: float) -> None:
-        """Wait for a message; on the wall clock, which simulated steady time then follows."""
-        began = time.monotonic_ns()
+        """Wait for a message."""
         arrived = CONTEXT.joined().arrived  # type: ignore[union-attr]
         arrived.clear()
         arrived.wait(min(seconds, _LONGEST_WAIT))
-        STEADY.advance(time.monotonic_ns() - began)
