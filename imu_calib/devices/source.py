@@ -34,6 +34,7 @@ _TRIES = 5
 _AT_ONCE = 1_000_000
 """ns: if reading both clocks takes longer, it was interrupted and is repeated."""
 _SOCKETS = ('socket', 'tcp', 'udp')
+_WITHOUT_BAUD = (*_SOCKETS, 'memory')
 _ADVICE = {
     errno.ENOENT: 'there is no such device. Connect it and switch it on; ls -l /dev/serial/by-id '
     'lists the serial ports that are there.',
@@ -309,7 +310,7 @@ def is_serial(url: str) -> bool:
     """Return whether pyserial opens it: a port that has a baud rate."""
     scheme, separator, _ = url.partition('://')
     if separator:
-        return scheme not in _SOCKETS
+        return scheme not in _WITHOUT_BAUD
     return bool(_SERIAL_NAME.match(url)) or _is_device(Path(url))
 
 

@@ -49,6 +49,8 @@ _LONGEST_STEP = 1.0
 _UNPACED = 10.0
 """s without the command of a motion in which the time of a simulation in step with its nodes does
 not follow the wall clock yet: they start, or review the session, and nobody watches. A choice."""
+_LONGEST_STEP_AT_REST = 5.0
+"""The same for a table that dwells, which a pause cannot stop."""
 _SHORT = 0.02
 """s of the wall clock that a longer step may take at most under a limited speed: too short to be
 seen. A choice."""
@@ -244,8 +246,10 @@ class StandNode(ros.Node):
         """
         if not self._pace.is_commanded:
             return _STEP
-        shortest = _STEP_AT_REST if self._hardware.at_rest else _STEP
-        return max(shortest, min(self._hardware.undisturbed(), self._pace.longest_step))
+        at_rest = self._hardware.at_rest
+        longest = self._pace.longest_step(_LONGEST_STEP_AT_REST if at_rest else _LONGEST_STEP)
+        shortest = _STEP_AT_REST if at_rest else _STEP
+        return max(shortest, min(self._hardware.undisturbed(), longest))
 
     def _report(self) -> None:
         """Report refused setpoints, and whether the frames are read."""
@@ -303,10 +307,9 @@ class _Pace:
         """Continue at the pace of the wall clock: the table is held."""
         self._received_at = -math.inf
 
-    @property
-    def longest_step(self) -> float:
-        """Longest step, s."""
-        return min(_LONGEST_STEP, self._speed * _SHORT) if self._speed else _LONGEST_STEP
+    def longest_step(self, unlimited: float) -> float:
+        """Return the longest step, s, given that without a limit of the speed."""
+        return min(unlimited, self._speed * _SHORT) if self._speed else unlimited
 
     @property
     def is_commanded(self) -> bool:

@@ -7,6 +7,8 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..errors import InputError
 from ..instants import LAST_SECOND, NS
 from ..stream import JointBlock
@@ -56,6 +58,21 @@ class Feedback:
     means: tuple[float, ...] = ()
 
 
+@dataclass(frozen=True)
+class Rest:
+    """A table that is to stand, and needs no decision while it does.
+
+    Attributes:
+        angles: (k,) continuous angles at which it stands, rad.
+        stray: Largest distance from there, rad, less than a quarter of a turn.
+        until: Stamp of the next decision, ns.
+    """
+
+    angles: tuple[float, ...]
+    stray: float
+    until: int
+
+
 class Encoders:
     """Track the joint states of a table.
 
@@ -101,6 +118,35 @@ class Encoders:
                 self._check_order(stamp)
                 continue
             yield self._follow(stamp, angles, rates)
+
+    def pass_over(self, block: JointBlock, rest: Rest) -> JointBlock:
+        """Return a block without the joint states at its begin that show the table at rest.
+
+        Their stamps increase by half a window at most. The last two windows of them are kept: what
+        `take` yields of those is what it yields after all the others.
+
+        Args:
+            block: Joint states.
+            rest: Where the table stands, and until when.
+        """
+        joints = block.of(self._table.names)
+        if joints is None or not self._past:
+            return block
+        stamp, last = joints.stamp, self._past[-1]
+        steps = np.diff(stamp, prepend=last[0])
+        angles = joints.position + self._turns
+        stands = (steps > 0) & (steps <= _WINDOW // 2) & (stamp < min(rest.until, _LATEST))
+        stands &= (np.abs(angles - rest.angles) <= rest.stray).all(axis=1)
+        count = len(stamp) if stands.all() else int(stands.argmin())
+        if count == 0 or np.abs(np.subtract(last[1], rest.angles)).max() > rest.stray:
+            return block
+        count = int(np.searchsorted(stamp[:count], stamp[count - 1] - 2 * _WINDOW))
+        if count:
+            self._past.clear()
+            self._past.append((int(stamp[count - 1]), tuple(angles[count - 1].tolist())))
+        return JointBlock(
+            stamp[count:], joints.names, joints.position[count:], joints.velocity[count:]
+        )
 
     def _check_order(self, stamp: int) -> None:
         """Raise if a stamp is so much earlier that the stream was restarted."""

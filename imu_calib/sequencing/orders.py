@@ -7,7 +7,7 @@ from dataclasses import replace
 from ..plan import Step
 from ..stream import Mode, Setpoint
 from ..turntable import Table
-from .encoders import Feedback
+from .encoders import Feedback, Rest
 from .idle_watch import IdleWatch
 from .rules import Rules
 from .steps import held, setpoint_of
@@ -91,6 +91,13 @@ class Orders:
             if self.motion is not None and at is not None:
                 self._watch = Watch(self._table, self._rules, self.motion, at)
         return replace(self._setpoint, stamp=stamp)
+
+    def rest(self, until: int) -> Rest | None:
+        """Return where the table is to stand until a stamp, ns; None if it need not stand yet."""
+        watch = self._watch
+        if not self._sent or isinstance(watch, Watch) or watch.rest is None:
+            return None
+        return Rest(watch.rest, watch.stray, until)
 
     @property
     def is_sent(self) -> bool:

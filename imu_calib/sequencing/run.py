@@ -11,7 +11,7 @@ from ..errors import InputError
 from ..plan import Plan, Step
 from ..stream import Mode
 from ..turntable import Table
-from .encoders import Feedback
+from .encoders import Feedback, Rest
 from .itinerary import Itinerary
 from .orders import Orders
 from .rules import Phase, Rules
@@ -32,6 +32,8 @@ class Leg(Enum):
     """Back at its start position: the plan is complete."""
 
 
+_ROUNDING = 1e-6
+"""s before the end of a leg from which its end is judged: more than the rounding of either."""
 _WITHIN_A_STEP = frozenset({Leg.MOVING, Leg.SETTLING, Leg.DWELLING})
 _PHASES = {
     Leg.STOPPING: Phase.MOVING,
@@ -95,6 +97,14 @@ class Run:
         if self.leg in _WITHIN_A_STEP:
             self.itinerary.repeat_current()
         self._stop(Leg.STOPPING, at)
+
+    @property
+    def rest(self) -> Rest | None:
+        """Where the table is to stand while it settles or dwells; None in other legs."""
+        lasts = {Leg.SETTLING: self._rules.settle, Leg.DWELLING: self._dwell}
+        if self.leg not in lasts:
+            return None
+        return self.orders.rest(self._since + round((lasts[self.leg] - _ROUNDING) * 1e9))
 
     def follow(self, now: Feedback) -> str:
         """Process a joint state; return a sentence on a fault, or nothing."""

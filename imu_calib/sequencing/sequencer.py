@@ -251,6 +251,9 @@ class Sequencer:
     def take(self, block: JointBlock) -> bool:
         """Take joint states; return whether their stamps increase."""
         advanced = False
+        rest = self._run.rest if self.running else None
+        if rest is not None:
+            block = self._encoders.pass_over(block, rest)
         try:
             for now in self._encoders.take(block):
                 self._feedback, self._obstacles.feedback, advanced = now, '', True

@@ -258,6 +258,11 @@ class Standing:
         """Rest position of the table, (k,) rad; None before it has come to rest."""
         return self._rest
 
+    @property
+    def stray(self) -> float:
+        """Largest distance from the rest position, rad."""
+        return min(_STRAY * self._rules.arrival, self._rules.overshoot)
+
     def keep(self, goal: tuple[float, ...]) -> None:
         """Assume that the table is at rest at (k,) angles, rad."""
         self._rest = goal
@@ -267,7 +272,7 @@ class Standing:
         if self._begin is None:
             self._begin = now.stamp
         if self._rest is not None:
-            stray = min(_STRAY * self._rules.arrival, self._rules.overshoot)
+            stray = self.stray
             for joint, angle, rest in zip(self._table.joints, now.angles, self._rest, strict=True):
                 if abs(angle - rest) > stray:
                     return False, _strays(joint, angle, rest)

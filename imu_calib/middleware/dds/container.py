@@ -6,7 +6,6 @@ import time
 import traceback
 from typing import TYPE_CHECKING, Any, TextIO
 
-from . import logging
 from .clock import STEADY
 from .context import CONTEXT, init, try_shutdown
 
@@ -95,7 +94,7 @@ class Container:
             log: Takes what it logs.
         """
         before = list(CONTEXT.nodes)
-        with CONTEXT.given(args):
+        with CONTEXT.given(args, log):
             try:
                 node = factory()
             except Exception:
@@ -103,7 +102,6 @@ class Container:
                 for half in [one for one in CONTEXT.nodes if one not in before]:
                     half.destroy_node()
                 raise
-        logging.set_logger_output(node.get_logger().name, log)
         self._hosted[name] = Hosted(node, log)
         return node
 
@@ -117,7 +115,6 @@ class Container:
         if not hosted.failure:
             hosted.end()
             self._run_ready()
-        logging.set_logger_output(hosted.node.get_logger().name, None)
 
     def spin(self, seconds: float) -> None:
         """Run what is ready, and the simulation, for a time of the wall clock."""

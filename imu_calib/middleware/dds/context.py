@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TextIO, TypeAlias
 
 from ...errors import ImuCalibError
 from ...security import refuse_to_pretend
@@ -34,6 +34,7 @@ class Context:
         self.graph: Graph | memory.Graph
         self.nodes: list[Any] = []
         self.works: list[Any] = []
+        self.log: TextIO | None = None
 
     def ok(self) -> bool:
         """Return whether the context is between init and shutdown."""
@@ -60,13 +61,13 @@ class Context:
         self.graph = Graph(joined)
 
     @contextmanager
-    def given(self, args: Sequence[str]) -> Iterator[None]:
-        """Give the nodes made in this block arguments of their own."""
-        former, self.arguments = self.arguments, parse(args)
+    def given(self, args: Sequence[str], log: TextIO) -> Iterator[None]:
+        """Give the nodes made in this block arguments and a log of their own."""
+        former, self.arguments, self.log = self.arguments, parse(args), log
         try:
             yield
         finally:
-            self.arguments = former
+            self.arguments, self.log = former, None
 
     def joined(self) -> AnyParticipant:
         """Return the participant.

@@ -23,15 +23,6 @@ class LoggingSeverity(IntEnum):
 
 
 _levels = {'': LoggingSeverity.INFO}
-_outputs: dict[str, TextIO] = {}
-
-
-def set_logger_output(name: str, output: TextIO | None) -> None:
-    """Set where a logger writes; None for the standard error output."""
-    if output is None:
-        _outputs.pop(name, None)
-    else:
-        _outputs[name] = output
 
 
 def set_logger_level(name: str, level: LoggingSeverity) -> None:
@@ -40,10 +31,11 @@ def set_logger_level(name: str, level: LoggingSeverity) -> None:
 
 
 class Logger:
-    """Writes `[LEVEL] [time] [name]: text` on the standard error output, or where it is told to."""
+    """Writes `[LEVEL] [time] [name]: text` to a file, None for the standard error output."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, output: TextIO | None = None) -> None:
         self.name = name
+        self._output = output
 
     def _level(self) -> LoggingSeverity:
         """Return the level of this logger or of its nearest ancestor with one."""
@@ -59,7 +51,7 @@ class Logger:
         line = f'[{severity.name}] [{sec}.{nanosec:09d}] [{self.name}]: {message}\n'
         # A closed terminal or pipe must not end a node that leads a table.
         with suppress(OSError):
-            output = _outputs.get(self.name, sys.stderr)
+            output = self._output or sys.stderr
             output.write(line)
             output.flush()
 

@@ -53,7 +53,7 @@ class Node:
         self._namespace = names.namespace_of(own.special('__ns', node_name) or namespace or '')
         overrides = own.parameters_of(self.get_fully_qualified_name())
         self._parameters = Parameters(overrides, self.get_fully_qualified_name())
-        self._logger = Logger(self.get_fully_qualified_name()[1:].replace('/', '.'))
+        self._logger = Logger(self.get_fully_qualified_name()[1:].replace('/', '.'), CONTEXT.log)
         self._clock = Clock(clock_type=ClockType.ROS_TIME)
         self.publishers_: list[Publisher] = []
         self.subscriptions_: list[Subscription] = []
