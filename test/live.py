@@ -60,7 +60,14 @@ class Stand:
 
     def __init__(self, folder, *options, plan=None, nodes=NODES, **changed):
         self.folder = folder / 'stand'
-        arguments = ['stand', str(plan or short_plan(folder)), '-o', str(self.folder), *options]
+        arguments = [
+            'stand',
+            str(plan or short_plan(folder)),
+            '-o',
+            str(self.folder),
+            *options,
+            '--processes',
+        ]
         self.parameters = stand_session.parameters(
             dispatch.build_parser().parse_args(arguments), self.folder
         )

@@ -192,6 +192,8 @@ class Controller:
             self.connections += 1
             with contextlib.suppress(OSError), self.line, self.line.makefile('r') as lines:
                 for text in lines:
+                    if not text.strip():
+                        continue
                     self.lines.append(text.strip())
                     if not self.silent:
                         self.line.sendall(f'{self.reply(text.split())}\r\n'.encode())

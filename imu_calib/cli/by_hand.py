@@ -15,9 +15,9 @@ from rich.text import Text
 from ..errors import InputError
 from ..plain_table import plain_table
 from ..units import ARCMIN, PPM, significant
-from .embedded import Embedded
+from .embedded import Nodes
 from .node_reports import NodeReports
-from .processes import START, Outcome, Processes
+from .processes import START, Outcome
 from .terminal import ERRORS, OUTPUT
 
 _SHOWN = 6
@@ -27,7 +27,7 @@ _BAR = 24
 _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result.'
 
 
-def follow(processes: Processes | Embedded, reports: NodeReports) -> Outcome:
+def follow(processes: Nodes, reports: NodeReports) -> Outcome:
     """Guide a person until the session ends.
 
     Raises:

@@ -8,11 +8,11 @@ from collections.abc import Collection, Mapping
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, Any
+from typing import Any, TextIO, TypeAlias
 
 from ..errors import InputError
-from ..middleware.selection import VARIABLE
-from .processes import NodeFiles
+from ..runtime import VARIABLE
+from .processes import NodeFiles, Processes
 from .terminal import ERRORS
 
 _THE_THIRD = 3
@@ -37,7 +37,7 @@ class Embedded:
 
         self._files = NodeFiles(folder)
         self._container = Container(simulated=simulated)
-        self._logs: dict[str, IO[str]] = {}
+        self._logs: dict[str, TextIO] = {}
         self._needless: set[str] = set()
         self._missed: set[str] = set()
         self._interruptions = 0
@@ -144,3 +144,7 @@ class Embedded:
         self._interruptions += 1
         if self._interruptions >= _THE_THIRD:
             raise KeyboardInterrupt
+
+
+Nodes: TypeAlias = Processes | Embedded
+"""The nodes of a stand, wherever they run."""

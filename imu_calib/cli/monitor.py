@@ -13,9 +13,8 @@ from ..nodes import qos
 from ..nodes.unit_topics import listen_to_each
 from ..web.board import Board
 from ..web.units import UnitsBoard
-from .embedded import Embedded
+from .embedded import Nodes
 from .node_reports import NodeReports
-from .processes import Processes
 
 _DEEP = 100
 """Queue depth: several nodes publish at once, and no message may be lost."""
@@ -36,7 +35,7 @@ class Monitor:
 
     def __init__(
         self,
-        nodes: Processes | Embedded,
+        nodes: Nodes,
         reports: NodeReports,
         board: Board | UnitsBoard | None = None,
     ) -> None:
@@ -170,7 +169,7 @@ class Monitor:
 
 @contextmanager
 def watching(
-    nodes: Processes | Embedded, reports: NodeReports, board: Board | UnitsBoard | None = None
+    nodes: Nodes, reports: NodeReports, board: Board | UnitsBoard | None = None
 ) -> Iterator[Monitor]:
     """Join the nodes of a stand with a monitor; leave them at the end of the block."""
     reports.nodes = nodes.names

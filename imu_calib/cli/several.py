@@ -58,6 +58,17 @@ def is_real(arguments: argparse.Namespace) -> bool:
     return bool(arguments.port) or any(unit.port for unit in units_of(arguments))
 
 
+def is_embedded(arguments: argparse.Namespace) -> bool:
+    """Return whether the nodes run in this process: nothing beside them needs ROS 2's wire.
+
+    A real table that this command does not drive itself is led by setpoints on the wire.
+    """
+    if arguments.processes or arguments.network:
+        return False
+    by_hand = load_plan(arguments.plan).by_hand
+    return not is_real(arguments) or by_hand or bool(arguments.table_port)
+
+
 def check(arguments: argparse.Namespace) -> None:
     """Refuse options that do not apply to several units, or units that do not match each other.
 

@@ -16,6 +16,7 @@ from ..imu import ImuSpec, check_live, load_imu
 from ..paths import user_path
 from ..plan import load_plan
 from ..share import shipped
+from ..tables import tcp_address
 from ..turntable import load_table
 from . import options, several, web_page
 from .listening import listen
@@ -56,8 +57,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--processes',
         action='store_true',
         help=(
-            "run each node as a process of its own on ROS 2's wire, where other programs can watch; "
-            'with real hardware this is so'
+            "run each node as a process of its own on ROS 2's wire, where other programs can "
+            'watch; so it is with a table that another program drives'
         ),
     )
     parser.add_argument(
@@ -68,8 +69,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     web_page.add_options(parser)
     real = parser.add_argument_group(
         'real hardware',
-        'The table is then led by setpoints in the ROS domain of the environment, which must not '
-        'be the default one, on the loopback interface.',
+        'Without --table-port the table is led by setpoints in the ROS domain of the environment, '
+        'which must not be the default one, on the loopback interface.',
     )
     real.add_argument('--port', metavar='URL', help='where the IMU is, for instance /dev/ttyUSB0')
     real.add_argument(
@@ -80,6 +81,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar='BIT/S',
         help="baud rate of a serial port (default: as the device's file says, else 115200)",
+    )
+    real.add_argument(
+        '--table-port',
+        metavar='URL',
+        help=(
+            "where the table's controller is, if it speaks the line protocol of docs/tables.md: a "
+            'serial port or socket://host:port; all nodes then run in this process, without ROS'
+        ),
+    )
+    real.add_argument(
+        '--table-baud',
+        type=int,
+        default=115200,
+        metavar='BIT/S',
+        help='baud rate of that port (default: %(default)s)',
     )
     real.add_argument(
         '--network',
@@ -197,6 +213,7 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
     They are keyed by serial number; for a single unit by an empty name.
     """
     web_page.check(arguments)
+    _check_table_port(arguments)
     if not (arguments.speed >= 0 and math.isfinite(arguments.speed)):
         raise InputError(f'--speed: found {arguments.speed:g}, expected 0 or more.')
     azimuth_of(arguments.azimuth)
@@ -217,7 +234,8 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
     if not arguments.port:
         check_live(imu)
     else:
-        network_of_hardware(arguments.network, alone=plan.by_hand)
+        if not several.is_embedded(arguments):
+            network_of_hardware(arguments.network, alone=plan.by_hand)
         baud = choose_baud(arguments.baud, frames)
         if is_serial(arguments.port):
             _say_baud(arguments, frames, imu, baud)
@@ -242,7 +260,8 @@ def _check_several(arguments: argparse.Namespace, reports: NodeReports) -> dict[
     site = options.stated(arguments).site(LUOYANG)
     plan, table = load_plan(arguments.plan), load_table(arguments.table)
     if real:
-        network_of_hardware(arguments.network, alone=False)
+        if not several.is_embedded(arguments):
+            network_of_hardware(arguments.network, alone=False)
         reports.nodes = [f'{unit.name}/imu_node' for unit in several.units_of(arguments)]
         for unit in several.units_of(arguments):
             imu, frames = load_imu(unit.imu), load_format(several.device_of(unit, arguments))
@@ -256,6 +275,20 @@ def _check_several(arguments: argparse.Namespace, reports: NodeReports) -> dict[
             check_live(imu)
         stand_session.check(arguments, imu, plan, table, site)
     return {} if real else several.truths(arguments)
+
+
+def _check_table_port(arguments: argparse.Namespace) -> None:
+    """Refuse a controller's port where the table is simulated, or there is none."""
+    if not arguments.table_port:
+        return
+    if not several.is_real(arguments):
+        raise InputError('--table-port: the table of a simulated unit is simulated; give --port.')
+    if load_plan(arguments.plan).by_hand:
+        raise InputError(f'--table-port: plan {arguments.plan} needs no table; leave it out.')
+    if arguments.table_baud < _SLOWEST:
+        found = arguments.table_baud
+        raise InputError(f'--table-baud: found {found}, expected {_SLOWEST} bit/s or more.')
+    tcp_address(arguments.table_port)
 
 
 def _check_baud(arguments: argparse.Namespace) -> None:

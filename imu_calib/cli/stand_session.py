@@ -21,22 +21,29 @@ from ..calibration import Calibration
 from ..earth import LUOYANG, Site
 from ..errors import InputError, NotObservable
 from ..imu import ImuSpec, load_imu
-from ..middleware.selection import VARIABLE
 from ..plan import Plan, load_plan
 from ..reports.parameter_table import parameter_tables
+from ..runtime import VARIABLE
 from ..turntable import Table, load_table
 from ..web.board import Board
 from ..web.expectation import expectation, units_board
 from ..web.units import UnitsBoard
 from . import by_hand, options, resume, several, web_page
-from .embedded import Embedded
+from .embedded import Embedded, Nodes
 from .node_reports import NodeReports, NothingComes
 from .processes import START, Outcome, Processes, free_ports, network_of_hardware, private_network
 from .stand import complete
 from .table_view import view
 from .terminal import ERRORS, OUTPUT, sentence_list
 
-_ORDER = ('stand_node', 'hand_node', 'imu_node', 'calibrator_node', 'turntable_node')
+_ORDER = (
+    'stand_node',
+    'hand_node',
+    'ascii_table_node',
+    'imu_node',
+    'calibrator_node',
+    'turntable_node',
+)
 _START_OF_EACH = 5.0
 """s more for each of several units: a node takes some 2 s of a core to load."""
 
@@ -52,7 +59,7 @@ def check(
         NotObservable: The text states what cannot be determined, and why.
     """
     # The runtime is checked only here: the other commands need none.
-    if is_embedded(arguments):
+    if several.is_embedded(arguments):
         os.environ[VARIABLE] = 'embedded'
     from . import monitor  # noqa: F401
 
@@ -172,15 +179,10 @@ def _of_true_table(arguments: argparse.Namespace, folder: Path) -> list[str]:
     ]
 
 
-def is_embedded(arguments: argparse.Namespace) -> bool:
-    """Return whether the nodes run in this process: nothing beside them needs ROS 2's wire."""
-    return not (arguments.processes or several.is_real(arguments))
-
-
-def _nodes(arguments: argparse.Namespace, folder: Path, claim: int) -> Processes | Embedded:
+def _nodes(arguments: argparse.Namespace, folder: Path, claim: int) -> Nodes:
     """Return what runs the nodes: this process, or one for each."""
-    if is_embedded(arguments):
-        return Embedded(folder, simulated=True)
+    if several.is_embedded(arguments):
+        return Embedded(folder, simulated=not several.is_real(arguments))
     return Processes(folder, _network(arguments), (claim,))
 
 
@@ -202,7 +204,7 @@ def _save_true_table(arguments: argparse.Namespace, folder: Path) -> None:
 
 def _session(
     arguments: argparse.Namespace,
-    processes: Processes | Embedded,
+    processes: Nodes,
     given: dict[str, dict[str, Any]],
     reports: NodeReports,
 ) -> Outcome:
@@ -245,7 +247,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
     stated_site['latitude'] = LUOYANG if arguments.latitude is None else arguments.latitude
     site = {name: value for name, value in stated_site.items() if not name.endswith('_std')}
     clock = {'use_sim_time': simulated}
-    apart = simulated and not is_embedded(arguments)
+    apart = simulated and not several.is_embedded(arguments)
     port = free_ports(max(len(mounted), 1)) if apart else 0
     if mounted:
         of_units = several.node_parameters(arguments, clock, port)
@@ -306,6 +308,12 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
                 **played,
             }
         return nodes | web_page.parameters(arguments, nodes['calibrator_node'])
+    if arguments.table_port:
+        nodes['ascii_table_node'] = {
+            'table': arguments.table,
+            'port': arguments.table_port,
+            'baud': arguments.table_baud,
+        }
     if simulated:
         # Simulated time stands still while a busy machine catches up: this is not silence.
         nodes['turntable_node'] |= {'watchdog_timeout': 10.0, 'calibrator_timeout': 10.0}
@@ -327,7 +335,11 @@ def _frames(arguments: argparse.Namespace) -> str:
 
 
 def _follow(
-    processes: Processes | Embedded, reports: NodeReports, board: Board | UnitsBoard, *, control: bool
+    processes: Nodes,
+    reports: NodeReports,
+    board: Board | UnitsBoard,
+    *,
+    control: bool,
 ) -> Outcome:
     """Monitor the session until it ends, and show its progress.
 

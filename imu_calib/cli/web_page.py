@@ -11,8 +11,8 @@ from ..errors import InputError
 from ..extras import require
 from ..plan import load_plan
 from ..web.guard import LOOPBACK, address, exposure
-from .embedded import Embedded
-from .processes import Processes, free_port
+from .embedded import Nodes
+from .processes import free_port
 from .terminal import ERRORS, OUTPUT
 
 NODE = 'web_node'
@@ -110,7 +110,7 @@ def parameters(
     return {NODE: {**shared, **own}}
 
 
-def start(arguments: argparse.Namespace, processes: Processes | Embedded, given: dict[str, Any]) -> None:
+def start(arguments: argparse.Namespace, processes: Nodes, given: dict[str, Any]) -> None:
     """Start the page, and print its address; the session continues if the page ends."""
     secret = secrets.token_urlsafe(16) if arguments.control else ''
     # By the environment, which others cannot read; parameters and logs are in files.
@@ -122,7 +122,7 @@ def start(arguments: argparse.Namespace, processes: Processes | Embedded, given:
         ERRORS.print(exposed, style='yellow', markup=False)
 
 
-def serve_until_interrupted(arguments: argparse.Namespace, processes: Processes | Embedded) -> None:
+def serve_until_interrupted(arguments: argparse.Namespace, processes: Nodes) -> None:
     """Keep the page after the session, until Ctrl-C."""
     if arguments.web is None or not processes.runs(NODE):
         return

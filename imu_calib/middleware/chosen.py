@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from .selection import require, runtime
+from ..runtime import require, runtime
 
 RUNTIME = runtime()
 require(RUNTIME)

@@ -53,7 +53,7 @@ from std_srvs.srv import Trigger
 from ..errors import InputError
 from ..network import LEASES, LONGEST_LEASE
 from . import ros_sources
-from .beside import Beside as run_beside
+from .beside import Beside
 from .domain import domain_id as checked_domain
 from .interface_types import ACTIONS, MESSAGES, InterfaceTypes
 from .ros_actions import GoalServer
@@ -236,6 +236,9 @@ def publish_all(publisher: Any, payloads: Iterable[bytes]) -> None:
 def acknowledged(publisher: Any, timeout_sec: float) -> bool:
     """Wait until all reliable subscriptions have all messages; return whether they have."""
     return bool(publisher.wait_for_all_acked(Duration(seconds=timeout_sec)))
+
+
+run_beside = Beside
 
 
 def in_step() -> bool:

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..cdr import encode_joints
 from ..middleware import Clock, ClockType, Node, messages, publish_all
-from ..tables import Control, Follower, Line, tcp_address
+from ..tables import Control, Follower, Guard, Line, tcp_address
 from ..turntable import load_table
 from . import qos
 from .commands import Commands
@@ -62,6 +62,7 @@ class AsciiTableNode(Node):
             table.names,
             self._now,
             1 / rate,
+            Guard(),
         )
         self._diagnostics = Diagnostics(self, table.name)
         self._joints = self.create_publisher(

@@ -39,7 +39,7 @@ _GROWTH = 1.5
 """Growth of the data between two reviews in step with a simulation. A choice: ten reviews of a
 session, each of which the person sees."""
 _NEAR_THE_END = 20.0
-"""s left of a plan below which its table may wait for a review: it goes home, or dwells once more."""
+"""s left of a plan below which its table may wait for a review. A choice: it is on its way home."""
 _GLANCE = 0.25
 """s between two reviews of a session in the hand: a person who holds still waits for the result."""
 

@@ -3,6 +3,7 @@
 from .ascii import BadReply, Move, Order, Reading, Refusal, Stop
 from .control import Control, Status
 from .follower import Follower
+from .guard import Guard
 from .line import Line, tcp_address
 from .source import OneSource
 
@@ -10,6 +11,7 @@ __all__ = [
     'BadReply',
     'Control',
     'Follower',
+    'Guard',
     'Line',
     'Move',
     'OneSource',

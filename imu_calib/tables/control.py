@@ -25,6 +25,7 @@ from .ascii import (
     watchdog_line,
 )
 from .follower import Follower
+from .guard import Guard
 from .line import Line
 
 _RETRY = 0.5
@@ -69,6 +70,7 @@ class Control:
         names: Of the joints, in the order of the axes.
         now: Time of the stamps, ns.
         period: Of the readings, s.
+        guard: Holds the line to stop the table if this process vanishes; None without.
     """
 
     def __init__(
@@ -78,12 +80,14 @@ class Control:
         names: tuple[str, ...],
         now: Callable[[], int],
         period: float,
+        guard: Guard | None = None,
     ) -> None:
         self._open_line = open_line
         self._follower = follower
         self._names = names
         self._now = now
         self._period = period
+        self._guard = guard
         self._setpoint: deque[Setpoint] = deque(maxlen=1)
         self._readings: deque[tuple[int, Reading]] = deque(maxlen=_WAITING)
         self._ending = threading.Event()
@@ -100,7 +104,11 @@ class Control:
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join(patience)
-        return not self._thread.is_alive()
+        has_ended = not self._thread.is_alive()
+        if self._guard is not None and has_ended:
+            self._guard.end()
+            self._guard = None
+        return has_ended
 
     def command(self, setpoint: Setpoint) -> None:
         """Set the setpoint; the newest counts."""
@@ -138,6 +146,8 @@ class Control:
     def _serve(self, line: Line) -> None:
         """Read and follow until the end; in every case the last line sent is a stop."""
         try:
+            if self._guard is not None:
+                self._guard.hold(line.fileno())
             for text in (order_line(Stop()), watchdog_line(_WATCHDOG)):
                 check(line.request(text))
             self._setpoint.clear()
@@ -158,6 +168,10 @@ class Control:
         finally:
             with contextlib.suppress(Exception):
                 check(line.request(order_line(Stop())))
+            if self._guard is not None:
+                # What it holds would stay open.
+                with contextlib.suppress(OSError):
+                    self._guard.hold()
 
     def _read(self, line: Line) -> Reading:
         before = self._now()

@@ -27,6 +27,9 @@ class Port(Protocol):
     def read_line(self) -> bytes:
         """Return all up to a line feed, or the bytes received until the timeout."""
 
+    def fileno(self) -> int:
+        """Return the file descriptor."""
+
     def close(self) -> None:
         """Close the port."""
 
@@ -68,6 +71,10 @@ class Line:
             return reply.decode('ascii').strip()
         except UnicodeDecodeError:
             raise BadReply(f'Found {reply[:20]!r}, expected ASCII text.') from None
+
+    def fileno(self) -> int:
+        """Return the file descriptor of the port."""
+        return self._port.fileno()
 
     def close(self) -> None:
         """Close the port."""
@@ -119,6 +126,9 @@ class _Tcp:
                 line += piece
         return line
 
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
     def close(self) -> None:
         self._socket.close()
 
@@ -137,6 +147,9 @@ class _Serial:
 
     def read_line(self) -> bytes:
         return bytes(self._port.read_until(b'\n', _LONGEST))
+
+    def fileno(self) -> int:
+        return int(self._port.fileno())
 
     def close(self) -> None:
         self._port.close()

@@ -82,9 +82,7 @@ class Container:
         init(args=[])
         STEADY.simulate(simulated)
 
-    def load(
-        self, name: str, factory: Callable[[], Any], args: Sequence[str], log: TextIO
-    ) -> Any:
+    def load(self, name: str, factory: Callable[[], Any], args: Sequence[str], log: TextIO) -> Any:
         """Create a node, and return it.
 
         Args:
@@ -145,7 +143,9 @@ class Container:
 
     def _work(self) -> float:
         """Let the simulation take its step; return the wait until there is something to do, s."""
-        rests = [rest for work in list(CONTEXT.works) if (rest := work.run()) is not None]
+        rests: list[float] = [
+            rest for work in list(CONTEXT.works) if (rest := work.run()) is not None
+        ]
         if 0.0 in rests:
             STEADY.advance(_PACED_STEP if self._rested else _STEP)
             self._rested = False
@@ -155,7 +155,7 @@ class Container:
 
     def _next_timer(self) -> float:
         """Return the wait until the next timer is due, s."""
-        due = [
+        due: list[float] = [
             remaining
             for hosted in self._hosted.values()
             if not hosted.failure

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO, TypeAlias
 
 from ...errors import ImuCalibError
+from ...runtime import runtime
 from ...security import refuse_to_pretend
 from ..domain import domain_id
-from ..selection import runtime
 from . import logging, memory
 from .arguments import Arguments, parse
 from .graph import Graph

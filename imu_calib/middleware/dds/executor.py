@@ -10,10 +10,10 @@ from .context import CONTEXT
 from .participant import TransportError
 
 if TYPE_CHECKING:
+    from .context import AnyParticipant
     from .endpoints import Subscription
     from .future import Future
     from .node import Node
-    from .context import AnyParticipant
     from .services import Client, Service
 
     _Awaited = Subscription | Service | Client
@@ -112,7 +112,7 @@ class SingleThreadedExecutor:
 
     def _attached(self) -> Any:
         """Return the wait set; create a new one if the readers have changed."""
-        participant = CONTEXT.participant
+        participant: Any = CONTEXT.participant
         if participant is None:
             raise ExternalShutdownException
         awaited = [one for node in self._nodes for one in node.awaited()]

@@ -157,7 +157,7 @@ class Client:
 
     def service_is_ready(self) -> bool:
         """Return whether the service has a server."""
-        return self.writer.matched() > 0 and self.reader.matched() > 0
+        return bool(self.writer.matched() and self.reader.matched())
 
     def wait_for_service(self, timeout_sec: float | None = None) -> bool:
         """Wait for a server; return whether there is one."""

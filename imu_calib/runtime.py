@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import importlib
 import os
+import platform
+import sys
 from importlib.util import find_spec
 
-from ..errors import ImuCalibError
+from .errors import ImuCalibError
 
 VARIABLE = 'IMU_CALIB_MIDDLEWARE'
 RUNTIMES = ('rclpy', 'dds', 'embedded')
+_FIRST, _LAST = (3, 10), (3, 13)
+"""Pythons for which cyclonedds 11.0.1 has wheels, on Linux for x86_64 alone."""
 
 
 def runtime() -> str:
@@ -32,7 +36,7 @@ def require(chosen: str) -> None:
     """Check that a runtime works.
 
     Args:
-        chosen: 'rclpy' or 'dds'.
+        chosen: One of `RUNTIMES`.
 
     Raises:
         ImuCalibError: It does not; the text states the remedy.
@@ -51,13 +55,27 @@ def require(chosen: str) -> None:
             'alone: `colcon build` there, whose colcon_defaults.yaml names both; then '
             '`source install/setup.bash`.',
         )
-    else:
-        for module, name in (('cyclonedds._clayer', 'Cyclone DDS'), ('rosbags.serde', 'rosbags')):
-            _import(
-                module,
-                f'Without ROS 2 the nodes need {name}, which does not load: {{}}. '
-                "Install it with `pip install '.[dds]'`, or source ROS 2.",
-            )
+        return
+    _import('rosbags.serde', 'The nodes need rosbags, which does not load: {}. Install it anew.')
+    if chosen == 'dds':
+        _import(
+            'cyclonedds._clayer',
+            "On ROS 2's wire the nodes need Cyclone DDS, which does not load: {}. " + _remedy(),
+        )
+
+
+def _remedy() -> str:
+    """Return how to get Cyclone DDS, if a wheel is there, and what works without."""
+    instead = (
+        '`imu-calib stand` without --processes, and all that works on recordings, need none of it.'
+    )
+    version, system, machine = sys.version_info[:2], platform.system(), platform.machine()
+    if _FIRST <= version <= _LAST and (system, machine) == ('Linux', 'x86_64'):
+        return f"Install it with `pip install '.[dds]'`, or source ROS 2. {instead}"
+    return (
+        f'It has no wheel for Python {version[0]}.{version[1]} on {system} {machine}: processes of '
+        f'their own, and peers on the wire, need ROS 2 there. {instead}'
+    )
 
 
 def _import(module: str, sentence: str) -> None:

@@ -1,0 +1,190 @@
+"""A stand whose nodes all run in one process: `imu-calib stand` without further options."""
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from live import short_plan
+from loopback import environment, patience, until
+from processes import start
+from test_ascii_table import Servo
+from test_turntable_node import TABLE as NIMBLE
+
+from imu_calib.calibration import Calibration
+from imu_calib.earth import LUOYANG, Site
+from imu_calib.imu import load_imu
+from imu_calib.nodes.frame_server import FrameServer
+from imu_calib.share import named_file
+from imu_calib.simulation import SimulatedUnit, StandOptions
+from imu_calib.simulation.hardware import SimulatedHardware
+from imu_calib.turntable import load_table
+from imu_calib.units import DEG
+
+MAIN = [sys.executable, '-m', 'imu_calib.cli.main']
+
+
+def stand(*words, **options):
+    """Run the command to its end; return its result."""
+    options = {'capture_output': True, 'text': True, 'timeout': 10 * patience(), **options}
+    return subprocess.run([*MAIN, 'stand', *map(str, words)], check=False, **options)
+
+
+def mcap(folder):
+    (file,) = (folder / 'journal').glob('*.mcap')
+    return file.read_bytes()
+
+
+def result(folder):
+    return Calibration.load(folder / 'calibration.yaml')
+
+
+@pytest.fixture(scope='module')
+def finished(tmp_path_factory):
+    """Return the folders of two runs of one session."""
+    folder = tmp_path_factory.mktemp('embedded')
+    plan = short_plan(folder)
+    for name in ('first', 'second'):
+        ended = stand(plan, '-o', folder / name, '--seed', 3)
+        assert ended.returncode == 0, ended.stderr
+    return folder
+
+
+def test_the_same_seed_gives_the_same_bits_of_journal_and_calibration(finished):
+    assert mcap(finished / 'first') == mcap(finished / 'second')
+    first, second = (
+        Calibration.load(finished / n / 'calibration.yaml') for n in ('first', 'second')
+    )
+    assert first.model.vector().tolist() == second.model.vector().tolist()
+    assert first.covariance.tolist() == second.covariance.tolist()
+
+
+def test_its_journal_gives_the_same_bits_again(finished):
+    again = finished / 'again.yaml'
+    words = ['calibrate', finished / 'first/journal', '-o', again]
+    subprocess.run([*MAIN, *map(str, words)], check=True, capture_output=True)
+    live, offline = Calibration.load(finished / 'first/calibration.yaml'), Calibration.load(again)
+    assert live.model.vector().tolist() == offline.model.vector().tolist()
+    assert live.covariance.tolist() == offline.covariance.tolist()
+
+
+def test_processes_of_their_own_measure_the_same_unit(finished):
+    pytest.importorskip('cyclonedds')
+    ended = stand(finished / 'short.yaml', '-o', finished / 'apart', '--seed', 3, '--processes')
+    assert ended.returncode == 0, ended.stderr
+    one, other = (Calibration.load(finished / n / 'calibration.yaml') for n in ('first', 'apart'))
+    truth = Calibration.load(named_file('truths', 'cao2022_table1')).model.vector()
+    for found in (one, other):
+        assert np.abs((found.model.vector() - truth) / found.std[:24]).max() < 4.5
+    assert one.parameters == other.parameters
+    # The same stand: neither knows more than the other. Dwells of three seconds tell the scatter of
+    # a single parameter to a fifth.
+    assert np.median(other.std / one.std) == pytest.approx(1, abs=0.2)
+
+
+def test_ctrl_c_stops_the_table_and_the_session_can_be_resumed(tmp_path):
+    folder = tmp_path / 'stand'
+    words = [*MAIN, 'stand', short_plan(tmp_path), '-o', folder, '--speed', '20']
+    process = start([str(w) for w in words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    log = folder / 'nodes' / 'turntable_node.log'
+    assert until(lambda: log.exists() and 'tep 2' in log.read_text())
+    process.send_signal(signal.SIGINT)
+    text = process.communicate(timeout=patience())[0].decode()
+    assert process.returncode == 130, text
+    assert 'imu-calib stand --resume' in text
+    assert 'the table stands' in (folder / 'nodes' / 'stand_node.log').read_text()
+    again = stand('--resume', folder)
+    assert again.returncode == 0, again.stderr
+    assert (folder / 'calibration.yaml').is_file()
+
+
+def test_nothing_of_dds_or_ros_is_loaded(tmp_path):
+    hidden = (
+        'import sys\n'
+        "for name in ('cyclonedds', 'rclpy'): sys.modules[name] = None\n"
+        'from imu_calib.cli.main import main\n'
+        'sys.exit(main(sys.argv[1:]))'
+    )
+    words = ['stand', str(short_plan(tmp_path)), '-o', str(tmp_path / 'stand')]
+    ended = subprocess.run(
+        [sys.executable, '-c', hidden, *words], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+
+
+class Unit:
+    """A unit on a table at rest, whose frames come over a socket in real time."""
+
+    def __init__(self):
+        with contextlib.closing(FrameServer(0)) as probe:
+            port = probe._server.getsockname()[1]
+        self.server = FrameServer(port)
+        self.url = f'socket://127.0.0.1:{port}'
+        truth = Calibration.load(named_file('truths', 'cao2022_table1')).model
+        unit = SimulatedUnit('', load_imu('fog_medium'), truth, np.eye(3), np.zeros(3), None)
+        site = Site.at(LUOYANG * DEG, 0.0, None)
+        options = StandOptions()
+        self.hardware = SimulatedHardware(load_table('three_axis'), [unit], site, options, 0)
+        self.ended = threading.Event()
+        threading.Thread(target=self.live, daemon=True).start()
+
+    def live(self):
+        began = time.monotonic()
+        while not self.ended.is_set():
+            self.server.serve()
+            if self.server.idle and time.monotonic() - began > self.hardware.time:
+                self.server.send(self.hardware.advance(0.05).lines[0])
+            time.sleep(0.005)
+        self.server.close()
+
+
+@pytest.fixture
+def real(tmp_path):
+    """Start a stand with a table behind a line of text, and a unit on a line; wait for a turn."""
+    (tmp_path / 'nimble.yaml').write_text(NIMBLE)
+    plan = short_plan(tmp_path, rates=(30, -30))
+    controller, unit = Servo(), Unit()
+    words = [
+        *(*MAIN, 'stand', plan, '-o', tmp_path / 'stand'),
+        *('--port', unit.url, '--device', 'simulated', '--latitude', '34.65'),
+        *('--table', tmp_path / 'nimble.yaml', '--table-port', controller.url),
+    ]
+    given = {**os.environ, **environment()}
+    process = start(
+        [str(w) for w in words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=given
+    )
+    turning = until(lambda: any(re.match(r'MOVE \d \S+ 30\.', w) for w in controller.lines))
+    yield process, controller, turning
+    process.kill()
+    process.communicate()
+    unit.ended.set()
+    controller.close()
+
+
+def test_a_real_table_is_stopped_when_the_process_vanishes_in_a_turn(real):
+    process, controller, turning = real
+    assert turning, process.communicate(timeout=1)[0]
+    stops = controller.count('STOP')
+    process.kill()
+    process.wait()
+    # Nobody but the guard is left; this controller has no watchdog of its own.
+    assert until(lambda: controller.count('STOP') > stops)
+    rates = [
+        track.at(np.array([time.monotonic() - controller.began]))[1] for track in controller.tracks
+    ]
+    assert not np.any(rates)
+
+
+def test_a_real_table_is_stopped_by_ctrl_c_in_a_turn(real):
+    process, controller, turning = real
+    assert turning
+    process.send_signal(signal.SIGINT)
+    text = process.communicate(timeout=patience())[0].decode()
+    assert process.returncode == 130, text
+    assert controller.lines[-1] == 'STOP'
