@@ -82,14 +82,15 @@ setup(
         'rich>=13',
         'lz4>=4',
         'pyserial>=3.5',
+        # Definitions and bytes of the messages that nodes exchange; ROS 1 bags.
+        ROSBAGS,
         'threadpoolctl>=3.5',
         'zstandard>=0.22',
     ],
     extras_require={
-        'dds': [DDS, ROSBAGS],
+        'dds': [DDS],
         'plot': [PLOT],
         'dataframe': [DATA_FRAME],
-        'ros1': [ROSBAGS],
         'pdf': ['weasyprint>=62'],
         'fleet': FLEET,
         'remote': REMOTE,
@@ -113,7 +114,6 @@ setup(
             'playwright>=1.40',
             # Reads printed pages.
             'pypdfium2>=4',
-            ROSBAGS,
             DDS,
             PLOT,
             DATA_FRAME,

@@ -56,7 +56,11 @@ def require(chosen: str) -> None:
             '`source install/setup.bash`.',
         )
         return
-    _import('rosbags.serde', 'The nodes need rosbags, which does not load: {}. Install it anew.')
+    _import(
+        'rosbags.serde',
+        'Without ROS 2 the nodes need rosbags, which does not load: {}. Install it '
+        '(pip install rosbags), or start them as processes of ROS 2 (imu-calib stand --processes).',
+    )
     if chosen == 'dds':
         _import(
             'cyclonedds._clayer',

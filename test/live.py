@@ -18,6 +18,7 @@ from imu_calib import middleware as ros
 from imu_calib.bags import open_recording
 from imu_calib.calibration import Calibration
 from imu_calib.cli import dispatch, stand_session
+from imu_calib.cli.embedded import Embedded
 from imu_calib.cli.processes import Processes, private_network
 from imu_calib.middleware import messages
 from imu_calib.model import PARAMETER_NAMES
@@ -58,31 +59,28 @@ def same_middleware():
 class Stand:
     """The nodes of `imu-calib stand`, one by one, and what they say."""
 
-    def __init__(self, folder, *options, plan=None, nodes=NODES, **changed):
+    def __init__(self, folder, *options, plan=None, nodes=NODES, embedded=False, **changed):
+        """Start nodes, as processes of their own or all in this process."""
         self.folder = folder / 'stand'
-        arguments = [
-            'stand',
-            str(plan or short_plan(folder)),
-            '-o',
-            str(self.folder),
-            *options,
-            '--processes',
-        ]
-        self.parameters = stand_session.parameters(
-            dispatch.build_parser().parse_args(arguments), self.folder
+        words = ['stand', str(plan or short_plan(folder)), '-o', str(self.folder), *options]
+        arguments = dispatch.build_parser().parse_args(
+            words if embedded else [*words, '--processes']
         )
+        self.parameters = stand_session.parameters(arguments, self.folder)
         for name, more in changed.items():
             self.parameters[name] |= more
         self.folder.mkdir()
-        self.environment = {**private_network(), **same_middleware()}
-        self.processes = Processes(self.folder, self.environment)
+        self._environ = dict(os.environ)
+        if embedded:
+            self.environment = {}
+            self.processes = Embedded(self.folder, simulated=True)
+        else:
+            self.environment = {**private_network(), **same_middleware()}
+            self.processes = Processes(self.folder, self.environment)
         self.states, self.progress, self.calibrations, self.words = [], [], [], []
         self.setpoints = []
         self.joints = None
-        self._environ = dict(os.environ)
-        os.environ.update(self.environment)
-        ros.init(args=[])
-        self.node = ros.Node('listener')
+        self.node = self.processes.join('listener')
         listen = self.node.create_subscription
         listen(State, 'turntable/state', self.states.append, qos.latched(100))
         listen(Progress, 'calibration/progress', self.progress.append, qos.latched(100))
@@ -99,9 +97,9 @@ class Stand:
         return self
 
     def __exit__(self, *_):
+        self.processes.end_all_but(())
+        self.processes.leave(self.node)
         self.processes.__exit__(None, None, None)
-        self.node.destroy_node()
-        ros.try_shutdown()
         os.environ.clear()
         os.environ.update(self._environ)
 
@@ -150,6 +148,9 @@ class Stand:
         """
 
         def listen():
+            if isinstance(self.processes, Embedded):
+                self.processes.spin(self.node, pause)
+                return
             time.sleep(pause)
             # Of rclpy one callback runs at a time.
             for _ in range(1 if ros.RUNTIME == 'dds' else 20):

@@ -11,16 +11,19 @@ import time
 
 import numpy as np
 import pytest
-from live import short_plan
+from live import Stand, State, finishes, short_plan
 from loopback import environment, patience, until
 from processes import start
 from test_ascii_table import Servo
 from test_turntable_node import TABLE as NIMBLE
 
+from imu_calib import middleware as ros
 from imu_calib.calibration import Calibration
 from imu_calib.earth import LUOYANG, Site
+from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
 from imu_calib.nodes.frame_server import FrameServer
+from imu_calib.nodes.turntable_node import TurntableNode
 from imu_calib.share import named_file
 from imu_calib.simulation import SimulatedUnit, StandOptions
 from imu_calib.simulation.hardware import SimulatedHardware
@@ -116,6 +119,43 @@ def test_nothing_of_dds_or_ros_is_loaded(tmp_path):
         [sys.executable, '-c', hidden, *words], capture_output=True, text=True, check=False
     )
     assert ended.returncode == 0, ended.stderr
+
+
+@pytest.mark.skipif(ros.RUNTIME == 'rclpy', reason='this process speaks through rclpy')
+def test_pause_abort_and_faults_of_the_line_are_answered_as_by_processes(tmp_path):
+    with Stand(tmp_path, '--speed', '30', embedded=True) as stand:
+        assert stand.reaches(State.DWELLING, step=2)
+        assert stand.call('turntable_node/pause')[0]
+        assert stand.wait(lambda: stand.state.phase == State.PAUSED)
+        assert stand.table_stands(seconds=15)
+        assert stand.call('turntable_node/start')[0]
+        stand.fault('silence 2.0')
+        assert stand.reaches(State.DWELLING, step=6)
+        jumped = len(stand.states)
+        stand.fault('clock_jump 0.5')
+        assert stand.wait(lambda: stand.has_status('imu_node: clock', 'jump'))
+        assert stand.reaches(State.DWELLING, step=9, since=jumped), stand.state
+        stand.fault('garbage 500')
+        garbage = 'Bytes are received that belong to no frame'
+        assert stand.wait(lambda: stand.has_status('imu_node', garbage))
+        finishes(stand)
+
+
+@pytest.mark.skipif(ros.RUNTIME == 'rclpy', reason='this process speaks through rclpy')
+def test_an_error_in_a_node_ends_it_and_the_table_is_held(tmp_path, monkeypatch):
+    with Stand(tmp_path, '--speed', '30', embedded=True) as stand:
+        assert stand.reaches(State.DWELLING, step=1)
+
+        def break_down(*_):
+            raise ZeroDivisionError('nobody foresaw this')
+
+        monkeypatch.setattr(TurntableNode, '_watch', break_down)
+        assert stand.wait(lambda: not stand.processes.runs('turntable_node'))
+        with pytest.raises(InputError, match='turntable_node has ended: ZeroDivisionError'):
+            stand.processes.check()
+        assert stand.table_stands(seconds=15)
+        log = (stand.folder / 'nodes' / 'turntable_node.log').read_text()
+        assert 'nobody foresaw this' in log
 
 
 class Unit:

@@ -917,7 +917,7 @@ except ImuCalibError as error:
     ('runtime', 'module', 'advice'),
     [('dds', 'cyclonedds', "pip install '.[dds]'"),
      ('rclpy', 'rclpy', 'Source the setup file'),
-     ('other', 'none', 'expected rclpy or dds')],
+     ('other', 'none', 'expected rclpy, dds, embedded')],
 )  # fmt: skip
 def test_a_runtime_that_does_not_load_is_said_in_words(runtime, module, advice):
     out, _ = finish(start(BLOCKED, module, IMU_CALIB_MIDDLEWARE=runtime))

@@ -9,7 +9,6 @@ from ..bags import AnyPath, RecordingError, local, located, open_recording
 from ..bags.files import is_storage
 from ..cdr import Kind
 from ..errors import InputError
-from ..extras import require
 from ..paths import user_path
 from .converted import Converted
 from .from_text import from_text
@@ -115,7 +114,6 @@ def convert(
 
 def _from_ros1(path: AnyPath, target: Path) -> Converted:
     """Convert a bag of ROS 1, with the messages that calibration uses."""
-    require('rosbags', f'{path}: a bag of ROS 1', 'ros1')
     from rosbags.convert import ConverterError
     from rosbags.convert import convert as rewritten
     from rosbags.typesys import Stores, get_typestore
