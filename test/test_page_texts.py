@@ -156,6 +156,16 @@ def test_serial_numbers_and_places_of_several_units_are_text(shown):
         assert page.locator('#injected').count() == 0
 
 
+def test_the_plans_column_says_what_it_assumes_of_the_biases(expected, shown):
+    """A simulated stand's biases do not drift: its session ends far below the prediction."""
+    shown.show(Board(expected))
+    with chromium() as browser:
+        page = shown.opened(browser)
+        assert 'if biases drift by the data sheet' in page.locator('.key').inner_text()
+        heading = page.locator('table.parameters th', has_text='plan').first
+        assert 'if biases drift by the data sheet' in heading.get_attribute('title')
+
+
 def test_a_result_stays_when_the_stand_has_ended(expected, shown):
     board = Board(expected)
     board.take_calibration(calibration('VALID'))

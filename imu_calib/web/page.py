@@ -29,7 +29,8 @@ _LEAST_ANGLE = 1e-4
 """rad: smaller differences of a pose give the same picture."""
 _KEY = (
     '<div class="key"><span><i></i>standard deviation so far</span>'
-    '<span><i class="predicted"></i>what the plan will reach</span>'
+    '<span><i class="predicted"></i>what the plan reaches if biases drift by '
+    'the data sheet: with steadier ones the session ends below</span>'
     '<span><i class="allowed"></i>half the limit of the specification, at the edge where that is '
     'far off</span></div>'
 )
