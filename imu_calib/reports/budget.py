@@ -37,7 +37,7 @@ _LETTER = 6.6
 """px: mean width of a character."""
 _LEGEND_ROW = 18.0
 """px."""
-_MANY = 1000.0
+MANY = 1000.0
 """Degrees of freedom above which the coverage factor is that of a Gaussian."""
 
 _COLOURS = {
@@ -140,7 +140,7 @@ _EXPANDED = ('parameter', 'std', 'dof', 'k', f'U {PROBABILITY:.0%}', 'unit')
 
 def freedom_words(value: float) -> str:
     """Return degrees of freedom as text; if they are many, k does not depend on them."""
-    return f'{value:.0f}' if value < _MANY else f'>{_MANY:.0f}' if np.isfinite(value) else 'inf'
+    return f'{value:.0f}' if value < MANY else f'>{MANY:.0f}' if np.isfinite(value) else 'inf'
 
 
 def _percent(fraction: float) -> str:
