@@ -129,8 +129,8 @@ def _conditions(certificate: Certificate) -> Iterable[ET.Element]:
     facts = certificate.calibration.provenance
     value, std = (provenance.number(facts, key) for key in ('gravity', 'gravity_std'))
     if value is not None and std is not None:
-        uncertainty = expanded(_TWO * std, _TWO, _OF_TWO, 'normal') if std else None
-        real = number_with_unit(value, r'\metre\second\tothe{-2}', uncertainty)
+        spread = expanded(_TWO * std, _TWO, _OF_TWO, 'normal') if std else None
+        real = number_with_unit(value, r'\metre\second\tothe{-2}', spread)
         words = f'gravity: {facts.get("gravity_source") or "source not stated"}'
         data = element('data', element('quantity', content('name', words), real))
         yield element('influenceCondition', content('name', 'gravity'), data)
