@@ -104,6 +104,7 @@ setup(
             # Oracles.
             'allantools>=2024.6',
             'dsiunits>=3.1',
+            'dcc-json-toolkit>=1.2',
             'fastcrc>=0.5',
             'imucal>=2.6',
             'jsonschema>=4',

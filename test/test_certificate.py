@@ -5,12 +5,14 @@ from __future__ import annotations
 import base64
 import re
 import shutil
+import sys
 import warnings
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -242,6 +244,63 @@ def test_each_thing_that_is_asked_for_is_missed(
         )
 
 
+def referring(valid_until: str) -> list[dict[str, Any]]:
+    """The references of the example, the first of them valid until a date."""
+    first, *others = yaml.safe_load(EXAMPLE.read_text())['equipment']
+    return [{**first, 'valid_until': valid_until}, *others]
+
+
+def test_a_reference_that_was_not_valid_any_more_gives_no_certificate(
+    calibration: Calibration,
+) -> None:
+    # Recorded on 2023-11-14 (ISO/IEC 17025:2017, 6.5.1).
+    sentence = r'equipment\[0\]: valid_until: found 2023-11-13, before the end of the calibration'
+    with pytest.raises(InputError, match=sentence):
+        made(calibration, equipment=referring('2023-11-13'))
+    with pytest.raises(InputError, match=sentence):
+        certificate_of(calibration, fields(equipment=referring('2023-11-13')), draft=True)
+    assert made(calibration, equipment=referring('2023-11-14')).missing == ()
+
+
+HINTS = [
+    ('It is one. State what yours has.', 'It is one.'),
+    ('Known to 1.5 ppm. State `height`, or `gravity` as measured.', 'Known to 1.5 ppm.'),
+    ('Assumed: zeros 30 arcsec; state its own under these keys.', 'Assumed: zeros 30 arcsec.'),
+    ('Hold the unit still for 2.5 s.', None),
+    ('Turn 5 was left out. Check the cable. It moved.', 'Turn 5 was left out. It moved.'),
+]
+
+
+@pytest.mark.parametrize(('finding', 'remark'), HINTS)
+def test_remarks_hold_findings_without_what_they_advise_the_operator(
+    calibration: Calibration, finding: str, remark: str | None
+) -> None:
+    found = made(replace(calibration, findings=(finding,)), remarks=['State as received.'])
+    assert found.remarks == ('State as received.', *([] if remark is None else [remark]))
+    told = '\n'.join([certificate_page(found), contents(ET.fromstring(dcc(found)))])
+    assert told.count('State as received.') == 2
+    assert remark is None or told.count(remark) == 2
+
+
+def test_gravity_has_its_uncertainty_and_source(calibration: Calibration) -> None:
+    known = {'gravity': 9.81, 'gravity_std': 0.0015, 'gravity_source': 'normal gravity (WGS 84)'}
+    found = made(replace(calibration, provenance={**calibration.provenance, **known}))
+    shown = rows(certificate_page(found))['gravity, standard uncertainty'][0]
+    assert '9.810000 \u00b1 0.001500' in shown and 'normal gravity (WGS 84)' in shown
+    root = validated(dcc(found))
+    (condition,) = [
+        c
+        for c in root.iter(f'{{{DCC}}}influenceCondition')
+        if contents(c.find('dcc:name', SPACES)) == 'gravity'
+    ]
+    assert 'normal gravity (WGS 84)' in words(condition)
+    value, uncertainty, factor = (
+        float(next(condition.iter(f'{{{SI}}}{n}')).text or '')
+        for n in ('value', 'uncertainty', 'coverageFactor')
+    )
+    assert (value, uncertainty / factor) == pytest.approx((9.81, 0.0015))
+
+
 @pytest.mark.parametrize(
     ('change', 'message'),
     [
@@ -412,6 +471,76 @@ def test_a_dcc_carries_budget_conformity_and_the_calibration_itself(
         assert np.sqrt(np.sum(np.square(shares))) * scale == pytest.approx(
             calibration.std[k], rel=1e-6
         )
+
+
+def test_a_dcc_keeps_the_rules_of_ptb_beside_the_schema(
+    calibration: Calibration, example: Certificate
+) -> None:
+    root = validated(dcc(example))
+    # A letter first, as PTB's Schematron wants it.
+    releases = [e.text or '' for e in root.iter(f'{{{DCC}}}release')]
+    assert len(releases) == 2 and all(re.fullmatch(r'v\d+\.\d+\.\d+', r) for r in releases)
+    measured = [
+        q for q in root.iter(f'{{{DCC}}}quantity') if q.get('refType') == 'basic_measuredValue'
+    ]
+    labels = [q.findtext('si:real/si:label', '', SPACES) for q in measured]
+    assert labels == [r.parameter.name for r in example.results]
+
+
+def test_degrees_of_freedom_are_stated_where_the_coverage_factor_depends_on_them(
+    example: Certificate,
+) -> None:
+    few, many = (replace(example.results[0], freedom=f) for f in (7.5, 2e8))
+    told = ET.fromstring(dcc(replace(example, results=(few, many))))
+    data = [
+        m for m in told.iter(f'{{{DCC}}}metaData') if m.get('refType') == 'basic_degreesOfFreedom'
+    ]
+    assert [float(next(m.iter(f'{{{SI}}}value')).text or '') for m in data] == [7.5]
+    shapes = [e.text for e in told.iter(f'{{{SI}}}distribution')]
+    assert shapes.count('student-t') == 1
+
+
+def stated(certificate: Certificate) -> dict[str, float]:
+    """The expanded uncertainties by parameter, in units of D-SI."""
+    return {r.parameter.name: r.expanded / digital(r.parameter).scale for r in certificate.results}
+
+
+def test_dcc2json_reads_a_dcc_and_writes_it_again(example: Certificate) -> None:
+    toolkit = pytest.importorskip('dcc_json_toolkit')
+    # PTB's schema, as it lies here: the tool would ask the network for it.
+    schema = toolkit.DccSchema('3.1.2', no_cache=True, schema_url=str(SCHEMA))
+    text = dcc(example)
+    assert schema.validate_dcc(text) == []
+    again = validated(schema.to_xml_string(schema.to_dict(text)))
+    given = {
+        r.findtext('si:label', '', SPACES): float(
+            r.findtext('si:expandedUnc/si:uncertainty', '', SPACES)
+        )
+        for r in again.iter(f'{{{SI}}}real')
+        if r.find('si:label', SPACES) is not None
+    }
+    assert given == pytest.approx(stated(example))
+
+
+def test_pydcc_reads_a_dcc(
+    example: Certificate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip('signxml')
+    # It loads no library of signatures with OpenSSL 3.0.10 and newer, and asks PTB for schemas.
+    monkeypatch.setitem(sys.modules, 'certvalidator', MagicMock())
+    module = pytest.importorskip('dcc.dcc')
+    monkeypatch.setattr(module, 'DCCXMLValidator', MagicMock())
+    path = tmp_path / 'c.xml'
+    path.write_text(dcc(example), encoding='utf-8')
+    read = module.DCC(str(path))
+    assert read.is_loaded()
+    assert (read.uid(), read.version(), read.mandatory_language()) == ('2026-0147', '3.1.2', 'en')
+    assert f'{read.calibration_date():%Y-%m-%d}' == '2023-11-14'
+    reals = [found['real'] for _, found in read.get_calibration_results('name', 'en')]
+    given = {
+        one['label']: float(one['expandedUnc']['uncertainty']) for one in reals if 'label' in one
+    }
+    assert given == pytest.approx(stated(example))
 
 
 def si_scale(unit: str) -> float:

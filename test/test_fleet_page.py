@@ -35,7 +35,7 @@ from imu_calib.fleet.task import Done, failed
 from imu_calib.reports.fleet import packed
 from imu_calib.reports.fleet.attention import issues
 from imu_calib.reports.fleet.contents import Flag, Fleet
-from imu_calib.reports.fleet.page import page
+from imu_calib.reports.fleet.page import page, summary
 
 EVIL = '<script>hacked=1</script>"\'><img src=x onerror=hacked=1>'
 SLASHED = 'B/1 %#?'
@@ -185,6 +185,33 @@ def test_what_is_due_depends_on_the_day(known: Fleet) -> None:
     # Of many the first are written out, and the others are counted.
     assert '9 more are not written out here' in first.html()
     assert not known.flagged(Flag.OVERDUE)
+
+
+def test_a_unit_that_is_outside_was_inside_until_no_date(known: Fleet) -> None:
+    first, *others = known.history.units
+    newest = first.date[-1]
+    due = replace(first.forecast, recalibrate=newest)
+    history = replace(first, outside=('K_gx',), forecast=due)
+    later = replace(
+        known,
+        history=replace(known.history, units=(history, *others)),
+        today=newest.astype('M8[s]') + np.timedelta64(334 * 86400, 's'),
+    )
+    (unit,) = [u for u in later.units if (u.imu, u.serial) == (first.imu, first.serial)]
+    assert Flag.OUTSIDE in unit.flags
+    assert Flag.OVERDUE not in unit.flags and Flag.DUE not in unit.flags
+    # Inside at its newest session, and even then with less than the probability that is asked for.
+    inside = replace(history, outside=())
+    later = replace(later, history=replace(known.history, units=(inside, *others)))
+    matter = next(m for m in issues(later) if m.flag is Flag.OVERDUE)
+    assert 'were inside' not in matter.sentences[0]
+    assert 'from then on the forecast gives less than' in matter.sentences[0]
+
+
+def test_a_stand_is_not_counted_among_units(known: Fleet) -> None:
+    units, off = summary(known).split('. ')
+    assert units.startswith(f'{len(known.units)} units: ') and 'stand' not in units
+    assert off == '1 stand is off.'
 
 
 class Elements(HTMLParser):
@@ -486,6 +513,20 @@ def test_no_text_stands_on_another(browser: Any, written: Path) -> None:
             # WCAG 2.1, 1.4.3.
             assert [t for t in contrasts(page) if t['ratio'] < 4.5] == [], size
             assert window.console == []
+
+
+@needs_chromium
+def test_on_a_phone_every_value_has_its_heading(browser: Any, written: Path) -> None:
+    with Window(browser, written, 390) as window:
+        page = window.open()
+        cells = page.locator('table.cases td:not(:first-child)')
+        named = cells.evaluate_all(
+            """cells => cells.map(cell => [cell.dataset.name,
+                 getComputedStyle(cell, '::before').display != 'none'
+                 && getComputedStyle(cell, '::before').content])"""
+        )
+        assert len(named) > 10
+        assert all(name and content not in (False, 'none', 'normal') for name, content in named)
 
 
 @needs_chromium

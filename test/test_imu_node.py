@@ -247,7 +247,10 @@ def test_silence_is_an_error_that_says_since_when_and_ends_with_the_next_frame(b
     assert bench.until(lambda: bench.listener.has_status('stream', 2, 'No frame has come since'))
     text = next(t for lv, t, _ in bench.listener.statuses['stream'] if 'since' in t and lv == 2)
     moments = range(int(began - 0.1), int(ended + 0.1) + 1)
-    assert text.split()[-1] in {f'{datetime.fromtimestamp(t):%H:%M:%S}.' for t in moments}
+    since, _, advice = text.removeprefix('No frame has come since ').partition('. ')
+    assert since in {f'{datetime.fromtimestamp(t):%H:%M:%S}' for t in moments}
+    for word in ('cable', 'power', 'baud rate'):
+        assert word in advice
     bench.while_spinning(lambda: bench.device.send(10, skip=500))
     assert bench.until(
         lambda: bench.listener.has_status('stream', 1, 'Frames are missing for 0.501 s')
@@ -263,6 +266,17 @@ def test_silence_is_half_a_second_without_a_frame(seconds, silent):
     assert reception.health.silent(round(later * NS), later) is silent
     (word,) = (w for w in reception.statuses(OPEN, round(later * NS), later) if w.part == 'stream')
     assert ('No frame has come since' in word.text) is silent
+
+
+def test_silence_in_simulated_time_is_told_by_the_clock_on_the_wall():
+    reception = Reception(load_format('simulated'), load_imu('fog_medium'))
+    reception.statuses(OPEN, 0, 0.0)
+    before = datetime.now()
+    # The host's time is that of a simulation: the first seconds of 1970.
+    reception.take([Chunk(frame(0, 0, [0] * 6), NS, NS)], NS, 1.0)
+    after = datetime.now()
+    (word,) = (w for w in reception.statuses(OPEN, 3 * NS, 3.0) if w.part == 'stream')
+    assert any(f'{moment:%H:%M:%S}' in word.text for moment in (before, after))
 
 
 @pytest.mark.parametrize(('late', 'silent'), [(0.5, False), (0.51, True)])

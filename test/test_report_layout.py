@@ -100,6 +100,33 @@ def test_no_text_stands_on_another_and_no_page_is_wider_than_its_window(shown: A
     assert width(shown) <= A4
 
 
+BEYOND = """
+name => [...document.querySelectorAll(name)].flatMap(all => [...all.querySelectorAll('td, rect')])
+  .filter(box => box.getClientRects().length)
+  .map(box => box.getBoundingClientRect()).map(box => [box.left, box.right])
+"""
+
+
+@needs_chromium
+def test_on_a_phone_budget_and_terms_are_seen_whole(
+    browser: Any, pages: dict[str, str], tmp_path: Path
+) -> None:
+    path = tmp_path / 'whole.html'
+    path.write_text(pages['whole'], encoding='utf-8')
+    with opened(browser, path) as shown:
+        for size in (390, 1400):
+            look_at(shown, size)
+            for name in ('.broad, .narrow', 'table.terms'):
+                places = shown.evaluate(BEYOND, name)
+                assert len(places) > 24
+                assert all(0 <= left <= right <= size for left, right in places), name
+        look_at(shown, 390)
+        cell = shown.locator('table.terms tbody tr').first.locator('td').nth(3)
+        words = cell.evaluate("cell => getComputedStyle(cell, '::before').content")
+        assert 'data-name' in words or 'chance' in words
+        assert cell.get_attribute('data-name') == 'chance'
+
+
 @needs_chromium
 def test_the_measurement_sees_texts_on_each_other(browser: Any, tmp_path: Path) -> None:
     path = tmp_path / 'bad.html'

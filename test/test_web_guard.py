@@ -14,13 +14,16 @@ from imu_calib.web.guard import Guard, Token, address, exposure, is_loopback
 OWN = b'127.0.0.1:8080'
 
 
-def response_to(place, kind='http', method='GET', **headers):
+def response_to(place, kind='http', method='GET', given=(), parts=(), **headers):
     """Send a request through a guard; return what it sends back, and whether it came through."""
     came, sent = [], []
 
     async def app(scope, receive, send):
         came.append(scope)
-        await send({'type': 'http.response.start', 'status': 200, 'headers': []})
+        await send({'type': 'http.response.start', 'status': 200, 'headers': given})
+        for k, part in enumerate(parts):
+            more = k + 1 < len(parts)
+            await send({'type': 'http.response.body', 'body': part, 'more_body': more})
 
     async def send(message):
         sent.append(message)
@@ -46,6 +49,27 @@ def test_the_page_itself_is_served_by_the_addresses_that_it_has():
         headers = dict(sent[0]['headers'])
         assert b"frame-ancestors 'self'" in headers[b'content-security-policy']
         assert b"default-src 'self'" in headers[b'content-security-policy']
+
+
+def test_only_the_scripts_of_a_page_run_and_each_page_names_them_anew():
+    page = [(b'X-NiceGUI-Content', b'page'), (b'content-length', b'40')]
+    parts = (b'<script src="a"></script><scr', b'ipt>b()</script><scripture>')
+    nonces = set()
+    for _ in range(2):
+        _, (start, body) = response_to(LOCAL, given=page, parts=parts)
+        headers = dict(start['headers'])
+        policy = headers[b'content-security-policy'].decode()
+        assert 'unsafe-inline' not in re.search(r'script-src[^;]*', policy)[0]
+        nonce = re.search(r"script-src[^;]* 'nonce-([\w-]{20,})'", policy)[1]
+        written = f'<script nonce="{nonce}" src="a"></script><script nonce="{nonce}">b()</script>'
+        assert body['body'].decode() == f'{written}<scripture>'
+        assert int(headers[b'content-length']) == len(body['body'])
+        nonces.add(nonce)
+    assert len(nonces) == 2
+    # What is no page of ours has no script that runs.
+    _, (start, *bodies) = response_to(LOCAL, parts=parts)
+    assert b'nonce' not in dict(start['headers'])[b'content-security-policy']
+    assert b''.join(b['body'] for b in bodies) == b''.join(parts)
 
 
 @pytest.mark.parametrize(

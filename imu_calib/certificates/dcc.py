@@ -151,7 +151,7 @@ def _statements(certificate: Certificate) -> list[ET.Element]:
                 conformity=text_element('conformity', worst.value),
             )
         )
-    found += [statement(remark, 'basic_remark') for remark in fields.remarks]
+    found += [statement(remark, 'basic_remark') for remark in certificate.remarks]
     return found
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from ..calibration import Calibration
 from ..model import Parameter
 from ..reports import provenance
+from ..reports.budget import MANY
 from ..stream import Units
 from ..units import ARCSEC
 from ..version import version
@@ -39,6 +40,8 @@ _REF_TYPES = {
 }
 _UNIFORM = float(np.sqrt(3.0))
 """Half the width of a uniform distribution over its standard deviation (GUM 4.3.7)."""
+_TWO, _OF_TWO = 2.0, 0.9545
+"""Coverage factor of gravity, and the probability that it gives for a normal distribution."""
 
 
 def software() -> ET.Element:
@@ -46,7 +49,8 @@ def software() -> ET.Element:
     return element(
         'software',
         content('name', 'imu_calib'),
-        text_element('release', version()),
+        # PTB's rules ask for a letter first.
+        text_element('release', f'v{version()}'),
         text_element('type', 'application'),
     )
 
@@ -122,6 +126,14 @@ def _conditions(certificate: Certificate) -> Iterable[ET.Element]:
         data = element('data', element('quantity', content('name', words), real))
         kind = _REF_TYPES[condition.key]
         yield element('influenceCondition', content('name', words), data, refType=kind)
+    facts = certificate.calibration.provenance
+    value, std = (provenance.number(facts, key) for key in ('gravity', 'gravity_std'))
+    if value is not None and std is not None:
+        spread = expanded(_TWO * std, _TWO, _OF_TWO, 'normal') if std else None
+        real = number_with_unit(value, r'\metre\second\tothe{-2}', spread)
+        words = f'gravity: {facts.get("gravity_source") or "source not stated"}'
+        data = element('data', element('quantity', content('name', words), real))
+        yield element('influenceCondition', content('name', 'gravity'), data)
 
 
 def _result(title: str, quantities: Sequence[ET.Element]) -> ET.Element:
@@ -135,7 +147,7 @@ def _quantity(result: Stated) -> ET.Element:
         result.expanded / unit.scale, result.factor, PROBABILITY, _shape(result.freedom)
     )
     metadata = []
-    if np.isfinite(result.freedom):
+    if result.freedom < MANY:
         real = number_with_unit(result.freedom, ONE.unit)
         data = element('data', element('quantity', real))
         words = 'Effective degrees of freedom.'
@@ -156,11 +168,12 @@ def _quantity(result: Stated) -> ET.Element:
         content('name', f'{parameter.name}, {parameter.kind.value.words}'),
         number_with_unit(result.value / unit.scale, unit.unit, uncertainty, parameter.name),
         element('measurementMetaData', *metadata) if metadata else None,
+        refType='basic_measuredValue',
     )
 
 
 def _shape(freedom: float) -> str:
-    return 'student-t' if np.isfinite(freedom) else 'normal'
+    return 'student-t' if freedom < MANY else 'normal'
 
 
 def _scales(calibration: Calibration) -> list[ET.Element]:

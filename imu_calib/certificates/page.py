@@ -51,7 +51,7 @@ def certificate_page(certificate: Certificate) -> str:
             section('Results', *_results(certificate)),
             _conformity(certificate),
             section('Uncertainty budget', *_budget(certificate)),
-            section('Remarks', bullets([*fields.remarks, *certificate.calibration.findings])),
+            section('Remarks', bullets(certificate.remarks)),
             section('Statements', bullets(_STATEMENTS)),
             _signatures(certificate),
         ]
@@ -125,7 +125,8 @@ def _procedure(certificate: Certificate) -> str:
         ('software', f'imu_calib {version()}'),
         ('recording', f'{where.get("recording") or "-"}, begun {provenance.date(where)}'),
         ('SHA-256 of the recording', str(where.get('sha256') or '-')),
-        ('site', provenance.site(where)),
+        ('latitude', provenance.latitude(where) or '-'),
+        ('gravity, standard uncertainty', provenance.gravity(where) or '-'),
         ('environment', _environment(certificate)),
         *([('temperature of the item', unit)] if unit else []),
     ]

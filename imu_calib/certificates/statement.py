@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime, timedelta
@@ -17,6 +18,14 @@ from .fields import Fields, missing
 
 _ZONES = timedelta(days=1)
 """Largest difference between a local date and the UTC date of the same instant: one day."""
+
+
+_HINT = re.compile(
+    r'(?:^|(?<=[.;:]) )(?:Calibrate|Check|Describe|Give|Hold|Keep|Leave|Let|Level|Look|Measure|'
+    r'Mount|Name|Raise|Record|Repeat|Run|Set|State|Turn|Use|Wait) (?=[a-z`]).*?(?:[.](?= |$)|$)',
+    re.IGNORECASE,
+)
+"""A sentence, or its last clause, that tells the operator what to do."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +75,12 @@ class Certificate:
         """Return one line."""
         kind = 'a draft' if self.draft else counted(len(self.results), 'result')
         return f'<Certificate of {self.calibration}: {kind}>'
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """The laboratory's remarks, and the findings without what they advise the operator."""
+        found = (_HINT.sub('', text).strip() for text in self.calibration.findings)
+        return (*self.fields.remarks, *(re.sub('[;:]$', '.', text) for text in found if text))
 
     @property
     def conformity(self) -> Conformity | None:
@@ -151,6 +166,21 @@ def _check(fields: Fields, calibration: Calibration) -> None:
             raise InputError(
                 f'{fields.where}: calibrated: found {first} to {last}, expected {day}, when the '
                 'recording of the calibration began.'
+            )
+    _check_references(fields)
+
+
+def _check_references(fields: Fields) -> None:
+    """Refuse references that were no longer valid (ISO/IEC 17025:2017, 6.4.4 and 6.5.1)."""
+    if fields.calibrated is None:
+        return
+    _, last = fields.calibrated
+    for k, one in enumerate(fields.equipment):
+        if one.valid_until is not None and one.valid_until < last:
+            raise InputError(
+                f'{fields.where}: equipment[{k}]: valid_until: found {one.valid_until}, before the '
+                f'end of the calibration, {last}: the results are not traceable to it. State the '
+                'certificate that was valid then, or calibrate again with a valid reference.'
             )
 
 

@@ -85,6 +85,7 @@ class Health:
         self._last_bytes: float | None = None
         self._received_at: int | None = None
         self._received_steady = 0.0
+        self._last_seen = datetime.min
         self._begun: int | None = None
         self._seen = Counts()
         self._events: dict[str, tuple[str, float]] = {}
@@ -117,6 +118,8 @@ class Health:
             return
         self._misfit = self._gravity.take(samples.accel, elapsed)
         self._received_at, self._received_steady = now, steady
+        # For a person, whose clock is not that of a simulation.
+        self._last_seen = datetime.now()
         self._collect_faults(samples)
         self._measure_rate(elapsed, now)
         before = elapsed[0] if self._last_elapsed is None else self._last_elapsed
@@ -243,8 +246,10 @@ class Health:
         if self._received_at is None:
             return self._before_the_first(now)
         if self.silent(now, steady) and not state.ended:
-            last = datetime.fromtimestamp(self._received_at / NS)
-            return Severity.ERROR, f'No frame has come since {last:%H:%M:%S}.'
+            return Severity.ERROR, (
+                f'No frame has come since {self._last_seen:%H:%M:%S}. Look at cable, power and '
+                'baud rate of the device.'
+            )
         order = ('gap', 'bad', 'skipped', 'unusable', 'lost', 'repeated')
         texts = [self._events[name][0] for name in order if name in self._events]
         if texts:

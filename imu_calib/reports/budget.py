@@ -16,7 +16,7 @@ from ..calibration import Calibration
 from ..model import Parameter
 from ..plain_table import plain_table
 from ..stream import Floats
-from .html import paragraph, scrolling, table
+from .html import paragraph, table
 from .parameter_table import decimals, engineering
 from .svg import drawing, label, tag
 
@@ -29,13 +29,15 @@ _NAME = 9
 """Characters of the longest name of a parameter."""
 _WIDTH, _LEFT, _ROW, _BAR = 760.0, 58.0, 19.0, 15.0
 """px; layout."""
+_NARROW = 358.0
+"""px: the text of a page on a phone of 390 px."""
 _MARGIN = 24.0
 """px."""
 _LETTER = 6.6
 """px: mean width of a character."""
 _LEGEND_ROW = 18.0
 """px."""
-_MANY = 1000.0
+MANY = 1000.0
 """Degrees of freedom above which the coverage factor is that of a Gaussian."""
 
 _COLOURS = {
@@ -138,7 +140,7 @@ _EXPANDED = ('parameter', 'std', 'dof', 'k', f'U {PROBABILITY:.0%}', 'unit')
 
 def freedom_words(value: float) -> str:
     """Return degrees of freedom as text; if they are many, k does not depend on them."""
-    return f'{value:.0f}' if value < _MANY else f'>{_MANY:.0f}' if np.isfinite(value) else 'inf'
+    return f'{value:.0f}' if value < MANY else f'>{MANY:.0f}' if np.isfinite(value) else 'inf'
 
 
 def _percent(fraction: float) -> str:
@@ -211,7 +213,11 @@ def budget_section(calibration: Calibration) -> list[str]:
         return []
     shown = _Shown.of(calibration, calibration.budget)
     words = 'Each bar is the variance of a parameter, divided among its sources.'
-    return [_picture(shown), *budget_parts(calibration, calibration.budget, words)]
+    pictures = [
+        tag('div', _picture(shown, width), class_=kind)
+        for width, kind in ((_WIDTH, 'wide broad'), (_NARROW, 'narrow'))
+    ]
+    return [*pictures, *budget_parts(calibration, calibration.budget, words)]
 
 
 def budget_parts(calibration: Calibration, budget: Budget, words: str) -> list[str]:
@@ -248,12 +254,12 @@ def budget_parts(calibration: Calibration, budget: Budget, words: str) -> list[s
     ]
 
 
-def _picture(shown: _Shown) -> str:
-    """Draw the shares of every variance as one bar for each parameter."""
+def _picture(shown: _Shown, width: float) -> str:
+    """Draw the shares of every variance as one bar for each parameter, as wide as the page."""
     colours = [_COLOURS[source] for source in shown.sources]
     headings, fractions = shown.headings, shown.fractions
     colours += [_OTHER_COLOUR] * (len(headings) - len(colours))
-    legend, top = _legend(headings, colours)
+    legend, top = _legend(headings, colours, width)
     parts, y = legend, top + 8
     last = shown.parameters[0]
     for parameter, row in zip(shown.parameters, fractions, strict=True):
@@ -261,21 +267,20 @@ def _picture(shown: _Shown) -> str:
             y += 6
         last = parameter
         parts.append(label(parameter.name, _LEFT - 8, y + 12, class_='tick', text_anchor='end'))
-        parts += _bar(y, row.tolist(), headings, colours, parameter.name)
+        parts += _bar(y, width, row.tolist(), headings, colours, parameter.name)
         y += _ROW
     for k in range(5):
-        x = _LEFT + (_WIDTH - _LEFT - _MARGIN) * k / 4
+        x = _LEFT + (width - _LEFT - _MARGIN) * k / 4
         parts.append(label(f'{25 * k} %', x, y + 14, class_='tick', text_anchor='middle'))
-    picture = drawing(parts, _WIDTH, y + 22, 'Shares of the sources in the variance of parameters')
-    return scrolling(picture)
+    return drawing(parts, width, y + 22, 'Shares of the sources in the variance of parameters')
 
 
-def _legend(headings: list[str], colours: list[str]) -> tuple[list[str], float]:
+def _legend(headings: list[str], colours: list[str], across: float) -> tuple[list[str], float]:
     """Return the names of the colours, in rows, and the bottom of the rows."""
     parts, x, y = [], _LEFT, 4.0
     for heading, colour in zip(headings, colours, strict=True):
         width = 34 + _LETTER * len(heading)
-        if x + width > _WIDTH:
+        if x + width > across:
             x, y = _LEFT, y + _LEGEND_ROW
         parts.append(tag('rect', x=x, y=y, width=12.0, height=12.0, fill=colour))
         parts.append(label(heading, x + 17, y + 10.5, class_='tick'))
@@ -284,11 +289,16 @@ def _legend(headings: list[str], colours: list[str]) -> tuple[list[str], float]:
 
 
 def _bar(
-    y: float, fractions: list[float], headings: list[str], colours: list[str], name: str
+    y: float,
+    across: float,
+    fractions: list[float],
+    headings: list[str],
+    colours: list[str],
+    name: str,
 ) -> list[str]:
     parts, x = [], _LEFT
     for fraction, heading, colour in zip(fractions, headings, colours, strict=True):
-        width = fraction * (_WIDTH - _LEFT - _MARGIN)
+        width = fraction * (across - _LEFT - _MARGIN)
         words = f'{name}: {heading} {_percent(fraction)} %'
         if width >= 0.3:
             parts.append(

@@ -53,7 +53,9 @@ def table(
         tag(
             'tr',
             ''.join(
-                tag('td', cell or ' ', class_=side) for cell, side in zip(row, sides, strict=True)
+                # Shown beside the cell where a narrow screen stacks the cells of a row.
+                tag('td', cell or ' ', class_=side, data_name=heading or None)
+                for cell, side, heading in zip(row, sides, headings, strict=True)
             ),
         )
         for row in rows

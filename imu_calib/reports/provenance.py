@@ -111,13 +111,15 @@ def _spread(value: float, std: float | None, places: int, unit: str) -> str:
     return f'{value:.{places}f}{known}{unit}'
 
 
-def _latitude(facts: Facts) -> str:
+def latitude(facts: Facts) -> str:
+    """Return the latitude with its standard deviation; empty without one."""
     value = number(facts, 'latitude_deg')
     std = number(facts, 'latitude_std_deg')
     return '' if value is None else _spread(value, std, 3, '\u00b0')
 
 
-def _gravity(facts: Facts) -> str:
+def gravity(facts: Facts) -> str:
+    """Return gravity with its standard deviation and source; empty without it."""
     value, std = number(facts, 'gravity'), number(facts, 'gravity_std')
     if value is None:
         return ''
@@ -229,8 +231,8 @@ _GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ..
     (
         'Site, table and clocks',
         (
-            ('latitude', _latitude, ('latitude_deg', 'latitude_std_deg')),
-            ('gravity', _gravity, ('gravity', 'gravity_source', 'gravity_std')),
+            ('latitude', latitude, ('latitude_deg', 'latitude_std_deg')),
+            ('gravity', gravity, ('gravity', 'gravity_source', 'gravity_std')),
             ('height', _height, ('height', 'height_assumed')),
             ('table', _text('table'), ('table',)),
             ('heading found', _azimuth, ('azimuth_seen_deg', 'azimuth_seen_std_deg')),

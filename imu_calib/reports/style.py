@@ -51,6 +51,7 @@ dl { display: grid; grid-template-columns: repeat(3, 1fr); gap: 8px 22px; margin
 dt { font-size: 12px; color: var(--faint); }
 dd { margin: 0; overflow-wrap: anywhere; }
 .wide { overflow-x: auto; }
+@media print, (min-width: 701px) { .narrow { display: none; } }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; margin: 4px 0; }
 th { font-size: 12px; font-weight: 600; color: var(--soft);
   border-bottom: 1px solid var(--rule); }
@@ -160,8 +161,16 @@ svg text.letter { font-size: 12px; font-weight: 700; fill: var(--ink); }
   h1 { font-size: 22px; }
   dl { grid-template-columns: repeat(2, 1fr); }
   .wide > svg { min-width: 620px; }
-  .wide > table.terms { min-width: 620px; }
-  .wide > table.plain td { white-space: nowrap; }
+  .wide > table.plain:not(.stacked) td { white-space: nowrap; }
+  table.stacked, table.stacked tbody, table.stacked tr { display: block; }
+  table.stacked thead { display: none; }
+  table.stacked tr { padding: 5px 0; border-bottom: 1px solid var(--hair); }
+  table.stacked td { display: block; border: 0; padding: 0; text-align: left; white-space: normal;
+    overflow-wrap: anywhere; }
+  table.stacked td:first-child { font-weight: 600; }
+  table.stacked td[data-name]::before { content: attr(data-name) ": "; color: var(--faint);
+    font-size: 12px; font-weight: 400; }
+  .broad { display: none; }
   table.facts th { width: 34%; }
   table.parameters.plain th, table.parameters.plain td { padding: 1px 3px; font-size: 13px; }
   table.parameters.limits thead { display: none; }

@@ -43,7 +43,7 @@ def terms_section(calibration: Calibration) -> tuple[str, ...]:
             ]
         )
     headings = ['', 'kind', 'state', 'chance', 'found from', 'would move']
-    return table(headings, rows, 'terms', 'lllrll'), paragraph(_NOTE, 'note')
+    return table(headings, rows, 'terms stacked', 'lllrll'), paragraph(_NOTE, 'note')
 
 
 def _chance(log10_p: object) -> str:

@@ -217,7 +217,7 @@ _HEADINGS = (
     ('', 'parameter'),
     ('value', 'as estimated so far'),
     ('\u00b1 now', 'standard deviation reached'),
-    ('plan', 'standard deviation that the plan will reach'),
+    ('plan', 'standard deviation that the plan reaches if biases drift by the data sheet'),
     ('unit', 'of value, deviations and limit'),
     ('course', 'of the standard deviation, logarithmic, from the beginning to now'),
     ('limit', 'largest amount by the specification'),

@@ -11,31 +11,11 @@ from __future__ import annotations
 import hmac
 import ipaddress
 import socket
-from collections.abc import Awaitable, Callable, MutableMapping
-from typing import Any, TypeAlias
 
-Scope: TypeAlias = MutableMapping[str, Any]
-Receive: TypeAlias = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send: TypeAlias = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-App: TypeAlias = Callable[[Scope, Receive, Send], Awaitable[None]]
+from . import policy
+from .policy import App, Receive, Scope, Send
 
 LOOPBACK = '127.0.0.1'
-_POLICY = (
-    # NiceGUI's page has scripts and templates that the browser compiles; nothing is loaded from or
-    # sent to other hosts, and no other page may frame this one.
-    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
-    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
-    "connect-src 'self'; worker-src 'self' blob:; object-src 'none'; base-uri 'self'; "
-    "form-action 'self'; frame-ancestors 'self'"
-)
-_HEADERS = (
-    (b'content-security-policy', _POLICY.encode()),
-    (b'x-frame-options', b'SAMEORIGIN'),
-    (b'x-content-type-options', b'nosniff'),
-    (b'referrer-policy', b'no-referrer'),
-    (b'cross-origin-resource-policy', b'same-origin'),
-    (b'cross-origin-opener-policy', b'same-origin'),
-)
 _SAFE = frozenset({'GET', 'HEAD'})
 _FAR = frozenset({'cross-site', 'same-site'})
 
@@ -94,12 +74,12 @@ class Guard:
             return
         reason = self.refusal(scope)
         if not reason:
-            await self._app(scope, receive, _with_headers(send))
+            await policy.serve(self._app, scope, receive, send)
         elif scope['type'] == 'websocket':
             # Before it is accepted: the browser receives 403.
             await send({'type': 'websocket.close', 'code': 1008, 'reason': reason})
         else:
-            plain = [(b'content-type', b'text/plain; charset=utf-8'), *_HEADERS]
+            plain = [(b'content-type', b'text/plain; charset=utf-8'), *policy.headers()]
             await send({'type': 'http.response.start', 'status': 403, 'headers': plain})
             await send({'type': 'http.response.body', 'body': f'{reason}\n'.encode()})
 
@@ -154,15 +134,6 @@ def _split(host: str) -> tuple[str, str]:
 
 def _same(origin: str, host: str) -> bool:
     return origin.lower() == f'http://{host.lower()}'
-
-
-def _with_headers(send: Send) -> Send:
-    async def sends(message: MutableMapping[str, Any]) -> None:
-        if message['type'] == 'http.response.start':
-            message = {**message, 'headers': [*message.get('headers', ()), *_HEADERS]}
-        await send(message)
-
-    return sends
 
 
 class Token:

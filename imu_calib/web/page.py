@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from nicegui import ui
 from ..imu import ImuSpec
 from ..sequencing import Phase
 from . import drawing
+from .connection import SCRIPT, notice
 from .guard import Token
 from .shape import Link, Solid
 from .snapshot import Outcome, Snapshot
@@ -27,7 +29,8 @@ _LEAST_ANGLE = 1e-4
 """rad: smaller differences of a pose give the same picture."""
 _KEY = (
     '<div class="key"><span><i></i>standard deviation so far</span>'
-    '<span><i class="predicted"></i>what the plan will reach</span>'
+    '<span><i class="predicted"></i>what the plan reaches if biases drift by '
+    'the data sheet: with steadier ones the session ends below</span>'
     '<span><i class="allowed"></i>half the limit of the specification, at the edge where that is '
     'far off</span></div>'
 )
@@ -84,12 +87,14 @@ class _Part:
 def build(source: Source) -> None:
     """Lay out the page for one viewer, and update it while it is open."""
     ui.add_css(STYLE)
+    ui.add_body_html(f'<script>{SCRIPT}</script>')
     # White text is on the first and the last: contrast 4.5 to 1 and more (WCAG 2.1, 1.4.3).
     ui.colors(primary='#0b5394', negative='#b3261e')
     page = _Page(source)
     part = page.part
     with ui.element('main').classes('stand'):
         _head(source)
+        ui.html(notice(datetime.now()), sanitize=False).classes('wide notice').props('role=alert')
         part(lambda s: drawing.banner(s, datetime.now()), 'wide')
         control = _Control(source) if source.token.exists else None
         with _card('Is anything wrong?', 'wide'):
@@ -179,7 +184,7 @@ def _head(source: Source) -> None:
     shown = source.snapshot('').expected
     where = f' on table {shown.table}' if shown.table else ' in the hand'
     with ui.element('header').classes('wide top'):
-        ui.html(source.title, sanitize=False, tag='h1')
+        ui.html(escape(source.title), sanitize=False, tag='h1')
         what = shown.imu if source.units() else f'IMU {shown.imu}'
         ui.label(f'plan {shown.plan}{where}, {what}').classes('small')
 
@@ -220,7 +225,7 @@ class _Control:
     def __init__(self, source: Source) -> None:
         self._source = source
         self._may = False
-        with _card('Control', 'wide'):
+        with _card('Control', 'wide control'):
             with ui.element('div').classes('controls') as self._locked:
                 self._input = ui.input('Token').props('dense outlined type=password')
                 self._input.on('keydown.enter', self._unlock)
@@ -269,7 +274,8 @@ class _Control:
         """Offer the commands that are possible now."""
         phase = None if shown.table is None else shown.table.phase
         self._start.set_text('Resume' if phase is Phase.PAUSED else 'Start')
-        self._start.set_enabled(phase is not None and not phase.at_a_step)
+        ready = phase is not None and not phase.at_a_step and not shown.silent
+        self._start.set_enabled(ready)
         self._answer.set_text(shown.answer)
 
 

@@ -119,7 +119,7 @@ def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
     if not shown.expected.table:
         return 'as you hold it', f'{in_words(shown.elapsed)} so far'
     remaining = shown.wall_seconds_left
-    if shown.table is None or math.isnan(remaining):
+    if shown.table is None or shown.silent or math.isnan(remaining):
         return 'time left not known', ''
     if shown.table.phase in NOT_BEGUN:
         return 'the whole plan', 'once it is started'

@@ -156,6 +156,11 @@ class Snapshot:
         )
 
     @property
+    def silent(self) -> bool:
+        """Whether the table or the calibrator has fallen silent: the state is out of date."""
+        return self.table_silent > 0 or self.calibrator_silent > 0
+
+    @property
     def wall_seconds_left(self) -> float:
         """Remaining time by the wall clock, s; NaN if unknown."""
         return math.nan if self.table is None else self.table.seconds_left / self.speed

@@ -25,17 +25,22 @@ body { background: var(--ground); color: var(--ink);
 .card > .title { font-size: 13px; font-weight: 600; color: var(--soft); margin: 0 0 6px; }
 .small, .muted { color: var(--soft); font-size: 13px; }
 .top { display: flex; flex-wrap: wrap; gap: 4px 18px; align-items: baseline; }
-.banner { border-left: 8px solid var(--ok); background: var(--card); border-radius: 8px;
+.banner, .notice { border-left: 8px solid var(--ok); background: var(--card); border-radius: 8px;
   padding: 14px 18px; border-top: 1px solid var(--line); border-bottom: 1px solid var(--line);
   border-right: 1px solid var(--line); }
 .banner.warn { border-left-color: var(--warn); }
-.banner.error { border-left-color: var(--error); }
+.banner.error, .notice { border-left-color: var(--error); }
+body:not(.lost) .notice { display: none; }
+/* What a stand did last is no news once it is not heard any more; a result stays one. */
+.lost .banner:not([data-phase="done"], [data-phase="incomplete"], [data-phase="failed"])
+  { display: none; }
+.lost .control, .lost .q-dialog { display: none; }
 .banner .split { display: flex; flex-wrap: wrap; gap: 10px 28px; justify-content: space-between; }
 .banner .what { flex: 1 1 320px; min-width: 0; overflow-wrap: anywhere; }
 .banner .time { flex: 0 0 auto; display: flex; flex-direction: column; min-width: 130px; }
 .banner .time strong { font-size: 24px; line-height: 1.25; font-weight: 600;
   font-variant-numeric: tabular-nums; }
-.banner .detail { font-size: 16px; }
+.detail { font-size: 16px; }
 .bar { height: 8px; border-radius: 4px; background: var(--line); margin: 12px 0 4px;
   overflow: hidden; }
 .bar div { height: 100%; background: var(--mark); }
@@ -122,7 +127,7 @@ details[open] > .title { margin-bottom: 8px; }
 @media (max-width: 1080px) { .pair { grid-template-columns: minmax(0, 1fr); } }
 @media (max-width: 760px) {
   .stand { grid-template-columns: minmax(0, 1fr); padding: 8px; gap: 10px; }
-  .card, .banner { padding: 10px 12px; }
+  .card, .banner, .notice { padding: 10px 12px; }
   .stand h2 { font-size: 20px; }
   .parameters { font-size: 13px; }
   /* The verdict stays; the limit itself is in the report. */
@@ -155,6 +160,6 @@ details[open] > .title { margin-bottom: 8px; }
 @media print {
   .stand, .stand * { -webkit-print-color-adjust: exact; print-color-adjust: exact; }
   .stand .channels dd span { display: block; margin-left: 0; }
-  .card, .banner, tr { break-inside: avoid; }
+  .card, .banner, .notice, tr { break-inside: avoid; }
 }
 """

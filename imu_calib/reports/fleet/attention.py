@@ -49,7 +49,7 @@ class Issue:
         """Return it with its first cases as HTML."""
         parts = [tag('h3', escape(self.title)), *(paragraph(s) for s in self.sentences)]
         if self.cases:
-            parts.append(table(self.headings, self.cases[:MOST], 'plain cases'))
+            parts.append(table(self.headings, self.cases[:MOST], 'plain cases stacked'))
         rest = len(self.cases) - MOST
         if rest > 0:
             words = f'{count(rest, "more is", "more are")} not written out here.'
@@ -154,23 +154,31 @@ def _due(fleet: Fleet) -> Iterator[Issue]:
             ]
             for u in ordered
         ]
-        first, last = day(_date_of(ordered[0])), day(_date_of(ordered[-1]))
-        when = f'on {first}' if first == last else f'from {first} to {last}'
-        what = (
-            (
-                f'{count(len(units), "unit was", "units were")} to be recalibrated {when}. Until '
-                f'then all parameters were inside the specification with {percent(inside)} '
-                'probability; calibrate before further use.'
-            )
-            if flag is Flag.OVERDUE
-            else (
-                f'{count(len(units), "unit is", "units are")} to be recalibrated within '
-                f'{fleet.ahead:g} days, {when}.'
-            )
-        )
+        what = _overdue(ordered, inside) if flag is Flag.OVERDUE else _soon(ordered, fleet.ahead)
         title = 'Overdue for recalibration' if flag is Flag.OVERDUE else 'Due for recalibration'
         headings = ['unit', 'newest session', 'due', 'because of']
         yield Issue(title, flag.value.kind, [what], headings, cells, flag)
+
+
+def _overdue(units: Sequence[Unit], inside: float) -> str:
+    """Return a sentence on units by their due dates, which have passed."""
+    words = count(len(units), 'unit was', 'units were')
+    return (
+        f'{words} to be recalibrated {_when(units)}: from then on the forecast gives less than '
+        f'{percent(inside)} probability that all parameters are inside the specification. '
+        'Calibrate before further use.'
+    )
+
+
+def _soon(units: Sequence[Unit], ahead: float) -> str:
+    """Return a sentence on units by their due dates, which come soon."""
+    words = count(len(units), 'unit is', 'units are')
+    return f'{words} to be recalibrated within {ahead:g} days, {_when(units)}.'
+
+
+def _when(units: Sequence[Unit]) -> str:
+    first, last = day(_date_of(units[0])), day(_date_of(units[-1]))
+    return f'on {first}' if first == last else f'from {first} to {last}'
 
 
 def _date_of(unit: Unit) -> np.datetime64:

@@ -210,7 +210,8 @@ def _flags(
     flags[Flag.OUTLIER], flags[Flag.UNJUDGED] = apart, not sessions
     if history is not None:
         newest, due = len(history.key) - 1, history.forecast.recalibrate
-        known = not np.isnat(due)
+        # A unit that is outside has no date until which it is inside.
+        known = not np.isnat(due) and not history.outside
         flags[Flag.OUTSIDE] = bool(history.outside)
         flags[Flag.MARGINAL] = history.verdict is Verdict.MARGINAL
         flags[Flag.OVERDUE] = bool(known and due < fleet.today)

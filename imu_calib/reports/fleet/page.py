@@ -94,11 +94,10 @@ def summary(fleet: Fleet) -> str:
         for flag in Flag
         if flag.value.kind == kind and numbers[flag]
     ]
-    if fleet.history.stands.shifts:
-        stands = {s.stand for s in fleet.history.stands.shifts}
-        words.insert(0, f'{count(len(stands), "stand")} off')
+    stands = len({s.stand for s in fleet.history.stands.shifts})
+    off = f' {count(stands, "stand is", "stands are")} off.' if stands else ''
     fine = sum(not unit.flags for unit in fleet.units)
-    return f'{count(len(fleet.units), "unit")}: {", ".join([*words, f"{fine} fine"])}.'
+    return f'{count(len(fleet.units), "unit")}: {", ".join([*words, f"{fine} fine"])}.{off}'
 
 
 _COLUMN_TEXTS = {

@@ -68,11 +68,6 @@ svg .within { fill: var(--allowed); }
 svg .count { fill: var(--static); }
 @media screen and (max-width: 700px) {
   .matter { padding-left: 10px; }
-  table.cases, table.cases tbody, table.cases tr { display: block; }
-  table.cases thead { display: none; }
-  table.cases tr { padding: 5px 0; border-bottom: 1px solid var(--hair); }
-  table.cases td, .wide > table.cases td { display: block; border: 0; padding: 0;
-    white-space: normal; }
   .wide > table.population, .wide > table.of-unit { min-width: 620px; }
   .wide > table.recordings { min-width: 700px; }
   .wide > table.recordings td { white-space: pre-line; }
