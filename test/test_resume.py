@@ -144,7 +144,7 @@ def runs(folder):
 def test_what_is_interrupted_torn_off_and_killed_is_gone_on_with_time_after_time(tmp_path):
     """One session: Ctrl-C, a power cut, and a command that is killed alone."""
     # Slow enough that steps are left when a busy machine looks, interrupts or kills.
-    process, folder = begin(tmp_path, '--speed', '30')
+    process, folder = begin(tmp_path, '--speed', '30', '--processes')
     comes_to(process, folder, TURN, word='Turning')
     last = interrupted(process, signal.SIGINT)
     # Nothing is left running, and the table was stopped before.
