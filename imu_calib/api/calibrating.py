@@ -157,10 +157,12 @@ def _kelvin(temperature: object) -> list[str]:
     if not isinstance(temperature, dict) or not temperature['mean'] > HOTTEST:
         return []
     mean = float(temperature['mean'])
+    kelvin = mean - 273.15
+    other = f': {kelvin:.1f} if it is in kelvin' if kelvin <= HOTTEST else ''
     return [
-        f'The temperature is {mean:.1f} degrees Celsius, hotter than any unit: {mean - 273.15:.1f} '
-        'if it is in kelvin. sensor_msgs/Temperature is in degrees Celsius; correct the driver '
-        'before calibrations are combined by it.'
+        f'The temperature is {mean:.1f} degrees Celsius, hotter than any unit{other}. '
+        'sensor_msgs/Temperature is in degrees Celsius; correct the driver before calibrations are '
+        'combined by it.'
     ]
 
 
