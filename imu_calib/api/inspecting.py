@@ -152,7 +152,9 @@ def _clocks_alone(bag: str, progress: Progress) -> tuple[TopicClock, ...]:
     with open_recording(bag) as recording:
         types = {kind.type_name: kind for kind in (Kind.IMU, Kind.JOINTS)}
         kinds = {
-            t.name: types[t.type] for t in recording.topics if t.type in types and t.count != 0
+            t.name: types[t.message_type]
+            for t in recording.topics
+            if t.message_type in types and t.encoding == 'cdr' and t.count != 0
         }
         if kinds:
             with suppress(InputError), progress('reading') as show:

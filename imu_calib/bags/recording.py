@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..cdr import Malformed, Messages
+from ..other_formats import other_encoding
 from ..stream import SetpointBlock
 from .codec import ZSTD_MAGIC, CodecError, decompressor
 from .files import Found, Scratch, find_files, open_storage
@@ -247,15 +248,13 @@ class Recording:
             if topic is None:
                 listed = ', '.join(f'{t.name} ({t.type})' for t in self.topics) or 'none'
                 raise RecordingError(f'{self.path}: no topic {name}; there are: {listed}.')
-            if topic.type != kind.type_name:
+            if topic.message_type != kind.type_name:
                 raise RecordingError(
                     f'{self.path}: topic {name} carries {topic.type or "an unknown type"}, '
                     f'expected {kind.type_name}.'
                 )
             if topic.encoding != 'cdr':
-                raise RecordingError(
-                    f'{self.path}: topic {name} is serialised as {topic.encoding!r}, expected cdr.'
-                )
+                raise RecordingError(f'{self.path}: {other_encoding(name, topic.encoding)}')
 
     def _pieces(
         self, topics: Mapping[str, Kind], malformed: Mapping[str, Malformed]

@@ -65,6 +65,13 @@ class Topic:
     encoding: str = 'cdr'
     described: Described = field(default_factory=Described, compare=False)
 
+    @property
+    def message_type(self) -> str:
+        """Message type by its name in ROS 2; some recorders write CDR under that of ROS 1."""
+        package, slash, name = self.type.partition('/')
+        short = self.encoding == 'cdr' and slash and '/' not in name
+        return f'{package}/msg/{name}' if short else self.type
+
     def merged(self, other: Topic) -> Topic:
         """Return the union with the same topic of another file or publisher."""
         unknown = self.count is None or other.count is None
