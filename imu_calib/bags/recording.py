@@ -326,7 +326,7 @@ def _decoded(
             log_ns, position = batch.log_ns, base + batch.position
             blocks = kind.decode(_unpacked(batch.messages, malformed), malformed)
             if len(stamps := _stamps(blocks)) == len(batch.messages):
-                clock.take(stamps, batch.times().log)
+                clock.take(stamps, batch.log)
             # The blocks do not share memory with the messages, which is free for the next ones.
             del batch
             for block in blocks:
