@@ -71,7 +71,6 @@ class RecordedClock:
 
     def __init__(self) -> None:
         self._pairs = np.empty((0, 2), np.int64)
-        self._rest = np.empty((0, 2), np.int64)
         self._width = 1
         self._stamps: Extent | None = None
         self._log: Extent | None = None
@@ -96,14 +95,11 @@ class RecordedClock:
         if not len(stamp):
             return
         self._stamps, self._log = _extended(self._stamps, stamp), _extended(self._log, log)
-        pairs = np.concatenate([self._rest, np.column_stack([stamp, log])])
-        whole = len(pairs) // self._width * self._width
-        self._rest = pairs[whole:]
-        self._pairs = np.concatenate([self._pairs, _soonest(pairs[:whole], self._width)])
+        soonest = _soonest(log - stamp, self._width)
+        pairs = np.column_stack([stamp[soonest], log[soonest]])
+        self._pairs = np.concatenate([self._pairs, pairs])
         while len(self._pairs) > _HELD:
-            even = len(self._pairs) // 2 * 2
-            self._rest = np.concatenate([self._pairs[even:], self._rest])
-            self._pairs = _soonest(self._pairs[:even], 2)
+            self._pairs = _thinned(self._pairs, 2)
             self._width *= 2
 
     def ratio(self) -> ClockRatio | None:
@@ -124,7 +120,7 @@ class RecordedClock:
         ratio = self.ratio()
         if ratio is None:
             return []
-        pairs = _thinned(self._pairs, _PLACES)
+        pairs = _thinned(self._pairs, max(len(self._pairs) // _PLACES, 1))
         seconds = (pairs - pairs[0]) * 1e-9
         delay = seconds[:, 1] - seconds[:, 0] / ratio.value
         medians = np.median(np.lib.stride_tricks.sliding_window_view(delay, _BESIDE), axis=1)
@@ -143,25 +139,23 @@ def _extended(extent: Extent | None, times: Stamps) -> Extent:
     return Extent(min(extent.first, first), max(extent.last, last), extent.count + len(times))
 
 
-def _thinned(pairs: Numbers, count: int) -> Numbers:
-    """Return some `count` of pairs (n, 2), up to twice as many."""
-    width = max(len(pairs) // count, 1)
-    return _soonest(pairs[: len(pairs) // width * width], width)
-
-
-def _soonest(pairs: Numbers, width: int) -> Numbers:
+def _thinned(pairs: Numbers, width: int) -> Numbers:
     """Return of every `width` pairs (n, 2) the one that was logged soonest after its stamp."""
-    if width == 1:
-        return pairs
-    groups = pairs.reshape(-1, width, 2)
-    chosen = (groups[:, :, 1] - groups[:, :, 0]).argmin(axis=1)
-    soonest: Numbers = groups[np.arange(len(groups)), chosen]
-    return soonest
+    thinned: Numbers = pairs[_soonest(pairs[:, 1] - pairs[:, 0], width)]
+    return thinned
+
+
+def _soonest(delay: NDArray[np.int64] | Floats, width: int) -> Stamps:
+    """Return the place of the least of every `width` delays, and of those that remain."""
+    whole = len(delay) // width * width
+    groups = delay[:whole].reshape(-1, width)
+    places = np.arange(0, whole, width) + groups.argmin(axis=1)
+    return places if whole == len(delay) else np.append(places, whole + delay[whole:].argmin())
 
 
 def _slope(seconds: Floats) -> float | None:
     """Return the slope of stamps by log times, (n, 2) s; None if either stands still."""
-    stamp, log = _thinned(seconds, _PAIRS).T
+    stamp, log = _thinned(seconds, max(len(seconds) // _PAIRS, 1)).T
     first, last = np.triu_indices(len(stamp), len(stamp) // 2)
     by_log, by_stamp = log[last] - log[first], stamp[last] - stamp[first]
     known: NDArray[np.bool_] = (by_log > 0) & (by_stamp > 0)
