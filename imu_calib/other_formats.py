@@ -33,6 +33,17 @@ _FORMATS = {
         )
     },
 }
+BAG_OF_ROS_1 = b'#ROSBAG V'
+"""First bytes of a bag of ROS 1, of any ending (wiki.ros.org/Bags/Format)."""
+_ENCODINGS = {
+    'ros1': 'of ROS 1: imu-calib convert reads the .bag that it was made of',
+    'json': 'in JSON',
+    'protobuf': 'in Protobuf',
+}
+_DECODED = (
+    'write stamps, rates and accelerations to a text file (the Python package mcap reads them), '
+    'and imu-calib convert makes a recording of that'
+)
 _RECORDINGS = ('.mcap', '.db3')
 CONVERTIBLE = tuple(ending for ending, (_, way) in _FORMATS.items() if way.startswith('imu-calib'))
 """Endings of files that imu-calib convert reads."""
@@ -68,5 +79,26 @@ def other_format(path: AnyFile, expected: str = '') -> str | None:
         return f'{path} is a recording{wanted}.'
     if ending not in _FORMATS:
         return None
+    return _way(path, ending, wanted)
+
+
+def bag_of_ros_1(path: AnyFile) -> str:
+    """Return the sentence on a file that its first bytes show to be a bag of ROS 1."""
+    return _way(path, '.bag', '')
+
+
+def _way(path: AnyFile, ending: str, wanted: str) -> str:
     what, way = _FORMATS[ending]
     return f'{path} is {what}{wanted}: {way.format(path=path)}.'
+
+
+def other_encoding(topic: str, encoding: str) -> str:
+    """Return a sentence on a topic whose messages are not serialised as those of ROS 2 are.
+
+    Examples:
+        >>> other_encoding('/imu', 'json').split(',')[0]
+        'the messages of /imu are in JSON'
+    """
+    known = _ENCODINGS.get(encoding, f'serialised as {encoding!r}')
+    either = 'or else ' if encoding == 'ros1' else ''
+    return f'the messages of {topic} are {known}, expected CDR of ROS 2; {either}{_DECODED}.'

@@ -811,6 +811,16 @@ def test_a_temperature_in_kelvin(cli: CommandLine) -> None:
     cli.uses_the_rest(sentence, {**good().columns, '/imu/temperature': readings})
 
 
+def test_a_temperature_in_thousandths_of_a_degree(cli: CommandLine) -> None:
+    stamp = good().imu.stamp[::100]
+    readings = TemperatureBlock(stamp, np.full(len(stamp), 25_000.0))
+    sentence = (
+        'temperatures of the unit are not in degrees Celsius and are left out, the first 25000: in '
+        'thousandths of a degree it is 25.0'
+    )
+    cli.uses_the_rest(sentence, {**good().columns, '/imu/temperature': readings})
+
+
 @pytest.mark.parametrize('speeds', [1.0, 1 / DEG])
 def test_joint_states_in_degrees(cli: CommandLine, speeds: float) -> None:
     joints = good().joints

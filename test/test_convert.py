@@ -84,6 +84,8 @@ def test_a_session_as_a_text_file_gives_what_its_recording_gives(tmp_path: Path)
         ROW.replace(',', '\t') + '1,5\t90\t0\t0\t0\t0\t1\n1,6\t90\t0\t0\t0\t0\t1\n',
         '# ' + ROW.replace(',', ' ') + ' 1.5 90 0 0\t 0 0 1\n 1.6 90 0 0\t 0 0 1\n',
         ROW + '1.5,90,0,0,0,0,1,\n1.6,90,0,0,0,0,1,\n',
+        't:1.5,wx:90,wy:0,wz:0,ax:0,ay:0,az:1\nt:1.6,wx:90,wy:0,wz:0,ax:0,ay:0,az:1\n',
+        't=1.5 wx=90 wy=0 wz=0 ax=0 ay=-.0 az= 1\nt=1.6 wx=90 wy=0 wz=0 ax=0 ay=0 az= 1\n',
     ],
 )
 def test_tables_are_read_as_people_write_them(text: str, tmp_path: Path) -> None:
@@ -192,6 +194,46 @@ def test_what_is_no_time_of_an_imu_is_refused(
     with pytest.raises(InputError, match=sentence):
         converted(write(tmp_path / 'log.csv', logged(times)), stamp=stamp)
     assert not (tmp_path / 'log.out').exists()
+
+
+@pytest.mark.parametrize(('unit', 'ticks'), [('us', 10_000), ('ms', 10)])
+def test_a_counter_that_begins_anew_goes_on(unit: str, ticks: int, tmp_path: Path) -> None:
+    times = [str((2**32 - 500 * ticks + k * ticks) % 2**32) for k in range(1000)]
+    path = write(tmp_path / 'log.csv', logged(times))
+    done = imu_calib.convert(path, tmp_path / 'out', **WORDS | {'stamp': f't:{unit}'})  # type: ignore[arg-type]
+    stamps = imu_calib.read(tmp_path / 'out', '/imu/data_raw').stamp
+    assert np.diff(stamps) == pytest.approx(10_000_000, abs=1000)
+    (said,) = done.findings
+    assert 'begins anew once, as a counter of m' in said
+    with pytest.raises(InputError, match='does not increase in 3 of'):
+        backwards = [0.3 if k in (60, 90, 120) else k / 100 for k in range(200)]
+        converted(write(tmp_path / 'back.csv', logged([f'{t:.2f}' for t in backwards])))
+
+
+def test_a_time_in_two_columns_is_their_sum(tmp_path: Path) -> None:
+    rows = [f'{k // 100},{k % 100 * 10_000_000},9,0,0,0,0,1\n' for k in range(300)]
+    path = write(tmp_path / 'log.csv', ROW.replace('t,', 'sec,nanosec,') + ''.join(rows))
+    stamps = converted(path, stamp='sec:s,nanosec:ns').stamp
+    assert (np.diff(stamps) == 10_000_000).all()
+    with pytest.raises(InputError, match='a time in two columns is sec:s,nanosec:ns'):
+        imu_calib.convert(path, tmp_path / 'no', **WORDS | {'stamp': 'sec:s'})  # type: ignore[arg-type]
+
+
+def test_rows_with_labels_of_two_kinds_are_no_table(tmp_path: Path) -> None:
+    rows = 'G: 1.0, 2.0, 3.0\nA: 1.0, 2.0, 3.0\n' * 20
+    words = {'rate': '100 Hz', 'gyro': '1,2,3:deg/s', 'accel': '1,2,3:g'}
+    with pytest.raises(InputError, match=r'column 1 of .* no number in any row'):
+        imu_calib.convert(write(tmp_path / 'log.csv', rows), tmp_path / 'out', **words)  # type: ignore[arg-type]
+
+
+def test_temperatures_in_thousandths_of_a_degree_have_a_unit(tmp_path: Path) -> None:
+    text = ROW.replace('\n', ',T\n') + '1.5,9,0,0,0,0,1,25000\n1.6,9,0,0,0,0,1,25000\n'
+    path = write(tmp_path / 'log.csv', text)
+    with pytest.raises(InputError, match=r'median is 25000 degrees.*\(25.0 degC\): mdegC'):
+        converted(path, temperature='T:degC')
+    converted(path, temperature='T:mdegC')
+    readings = imu_calib.read(path.with_suffix('.out'), '/imu/temperature')
+    assert readings['temperature'].tolist() == [25.0, 25.0]
 
 
 def test_a_row_that_was_written_twice_is_no_reason(tmp_path: Path) -> None:

@@ -251,6 +251,34 @@ def test_a_compressed_cut_chunk_is_a_stated_loss(tmp_path):
     assert 'log time 1700000008.000 s to 1700000009.995 s) is cut off by the end' in losses[1]
 
 
+@pytest.mark.parametrize('compression', ['', 'zstd'])
+@pytest.mark.parametrize('within', [True, False])
+def test_where_zeros_fill_the_rest_of_a_file_the_loss_begins(tmp_path, compression, within):
+    path = write_chunks(tmp_path / 'bag', compression)
+    last, length = records(path, 6)[4]
+    start = last + length // 2 if within else last + length + 9
+    size = storage_file(path).stat().st_size
+    overwrite(storage_file(path), start, bytes(size - start))
+    (path / 'metadata.yaml').unlink()
+    blocks, losses = read(path)
+    # Of a chunk that is not compressed, the first half is read; messages of all topics take turns.
+    least = 8 if within else 10
+    stamps = np.concatenate([b.stamp for b in blocks[IMU]])
+    until = int(SESSION[IMU].stamp[0]) + least * NS
+    more = np.count_nonzero(SESSION[IMU].stamp < until)
+    half = within and not compression
+    assert more + 100 < len(stamps) < more + 300 if half else len(stamps) == more
+    np.testing.assert_array_equal(stamps, SESSION[IMU].stamp[: len(stamps)])
+    said = ' '.join(losses)
+    (cut_at,) = map(int, re.findall(rf'is cut off at byte (\d+) of {size} \(zeros follow', said))
+    # A message may end in zeros of its own.
+    assert start - 100 < cut_at <= start
+    assert f'the data up to log time 17000000{"07" if within else "09"}.995 s is complete' in said
+    assert (
+        'log time 1700000008.000 s to 1700000009.995 s) is cut off by the end' in said
+    ) is within
+
+
 @pytest.mark.parametrize('compression', ['', 'zstd', 'lz4'])
 def test_a_corrupt_chunk_is_left_out_and_stated_once(tmp_path, compression):
     path = write_chunks(tmp_path / 'bag', compression)

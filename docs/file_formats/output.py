@@ -228,6 +228,21 @@ _STREAMS = [
     _key('left_out', _TEXTS, 'unused data, with the reason'),
     _key('lost', _TEXTS, 'lost data'),
 ]
+_CLOCK = [
+    _key('topic', _TEXT, 'its name'),
+    _key('seconds', _NUMBER, 'from the least header stamp to the largest'),
+    _key('rate', _UNKNOWN, 'messages per second of stamps'),
+    _key('log_seconds', _NUMBER, 'from the first log time to the last'),
+    _key('log_rate', _UNKNOWN, 'messages per second of log times'),
+    _key('faster', _UNKNOWN, 'rate of the clock of the stamps against that of the log, less one'),
+    _key('faster_std', _UNKNOWN, 'its standard deviation'),
+    _key(
+        'log_steps',
+        array(array(_NUMBER, 2, 2), 0, words='list of pairs of numbers'),
+        'where log times step against stamps: s from the start, and by how much, s',
+    ),
+    _key('contradiction', _TEXT, 'why the stamps cannot be right; empty if they can'),
+]
 _INFO = [
     _key('path', _TEXT, 'of the recording'),
     _key('seconds', _NUMBER, 'from the first message to the last'),
@@ -237,6 +252,7 @@ _INFO = [
     _key('lost', _TEXTS, 'missing or damaged data of the topics that were read'),
     _key('streams', _maybe(_below(_STREAMS)), 'the streams; `null` if their meaning is not stated'),
     _key('missing_input', _TEXT, 'what must be stated for that; the exit code is 2 then'),
+    _key('clocks', _rows(_CLOCK), 'of topics whose samples were read: their stamps'),
 ]
 _REPORT = [_FILE, _SPECIFIED]
 _DAY = _maybe(_TEXT, 'date, `2026-11-22`, or `null`')
@@ -446,6 +462,7 @@ TABLES: Tables = {
     'all': _ALL,
     'info': _INFO,
     'topics': _TOPIC,
+    'clocks': _CLOCK,
     'streams': _STREAMS,
     'dwells': _DWELL,
     'turns': _TURN,

@@ -19,6 +19,7 @@ from .keywords import Session, with_keywords
 from .named import Named
 from .opening import Opened, open_session
 from .progress import Progress, silent
+from .stamp_clock import clock_findings, refused_by_stamps
 from .stated import Stated
 
 if TYPE_CHECKING:
@@ -101,8 +102,9 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
         NotObservable: The data does not determine all parameters.
     """
     calibrator = calibrator_of(opened.setup)
-    for block in opened.blocks(progress):
-        calibrator.feed(block)
+    with refused_by_stamps(opened.recording, opened.streams):
+        for block in opened.blocks(progress):
+            calibrator.feed(block)
     return documented(opened, finished(opened, calibrator))
 
 
@@ -116,14 +118,15 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
     lost = tuple(opened.recording.losses)
     by_hand = ASSUMED_BY_HAND in opened.assumed
     before = calibrator.snapshot()
-    try:
-        result = calibrator.finish()
-    except NotObservable as error:
-        if by_hand and isinstance(before, HandCalibrator):
-            _check_that_it_was(opened, before.segmented())
-        raise NotObservable(' '.join([str(error), *lost, *opened.assumed])) from None
-    if by_hand:
-        _check_that_it_was(opened, result.session)
+    with refused_by_stamps(opened.recording, opened.streams):
+        try:
+            result = calibrator.finish()
+        except NotObservable as error:
+            if by_hand and isinstance(before, HandCalibrator):
+                _check_that_it_was(opened, before.segmented())
+            raise NotObservable(' '.join([str(error), *lost, *opened.assumed])) from None
+        if by_hand:
+            _check_that_it_was(opened, result.session)
     return result
 
 
@@ -141,6 +144,7 @@ def documented(opened: Opened, result: Result) -> Result:
     }
     already = compensated_already(opened.recording.custom_data, opened.streams.imu)
     assumed = (*opened.assumed, *already, *([] if rate is None else [_interpolated(rate)]))
+    assumed += tuple(clock_findings(opened.recording, opened.streams, opened.setup.imu.units))
     assumed += tuple(_kelvin(calibration.provenance.get('temperature')))
     findings = (*assumed, *calibration.findings, *opened.recording.losses)
     findings = tuple(map(printable, findings))
@@ -153,10 +157,12 @@ def _kelvin(temperature: object) -> list[str]:
     if not isinstance(temperature, dict) or not temperature['mean'] > HOTTEST:
         return []
     mean = float(temperature['mean'])
+    kelvin = mean - 273.15
+    other = f': {kelvin:.1f} if it is in kelvin' if kelvin <= HOTTEST else ''
     return [
-        f'The temperature is {mean:.1f} degrees Celsius, hotter than any unit: {mean - 273.15:.1f} '
-        'if it is in kelvin. sensor_msgs/Temperature is in degrees Celsius; correct the driver '
-        'before calibrations are combined by it.'
+        f'The temperature is {mean:.1f} degrees Celsius, hotter than any unit{other}. '
+        'sensor_msgs/Temperature is in degrees Celsius; correct the driver before calibrations are '
+        'combined by it.'
     ]
 
 

@@ -133,7 +133,7 @@ def read(bag: str | Path, topic: str | None = None) -> Columns | dict[str, Colum
     with open_recording(bag) as recording:
         if topic is not None:
             return columns_of(recording, topic)
-        read_types = [t for t in recording.topics if t.type in _READ and t.count != 0]
+        read_types = [t for t in recording.topics if t.message_type in _READ and t.count != 0]
         return {t.name: _columns(recording, t) for t in read_types}
 
 
@@ -144,7 +144,7 @@ def columns_of(recording: Recording, topic: str) -> Columns:
         InputError: There is no such topic.
     """
     names = {topic, f'/{topic}'}
-    found = next((t for t in recording.topics if t.name in names and t.type in _READ), None)
+    found = next((t for t in recording.topics if t.name in names and t.message_type in _READ), None)
     if found is None:
         listed = ', '.join(f'{t.name} ({t.type})' for t in recording.topics)
         raise InputError(
@@ -155,7 +155,7 @@ def columns_of(recording: Recording, topic: str) -> Columns:
 
 
 def _columns(recording: Recording, topic: Topic) -> Columns:
-    kind = _READ[topic.type]
+    kind = _READ[topic.message_type]
     blocks = [block for _, block in recording.read({topic.name: kind})]
     parts = [_fields(block) for block in blocks]
     names = list(dict.fromkeys(name for part in parts for name in part))
@@ -220,7 +220,7 @@ def _of_setpoints(setpoints: tuple[Setpoint, ...]) -> dict[str, NDArray[Any]]:
 def _unit(name: str, recording: Recording, topic: Topic) -> str:
     """Return the unit of a column, or empty."""
     field = name.partition('.')[0]
-    if topic.type == Kind.IMU.type_name:
+    if topic.message_type == Kind.IMU.type_name:
         text = described_imu(recording.custom_data, topic.name)
         units = Units.SI
         if text is not None:

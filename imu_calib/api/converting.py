@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from ..arguments import checked
 from ..bags import AnyPath, RecordingError, local, located, open_recording
 from ..bags.files import is_storage
 from ..cdr import Kind
 from ..errors import InputError
+from ..other_formats import BAG_OF_ROS_1
 from ..paths import user_path
 from .converted import Converted
 from .from_text import from_text
@@ -72,11 +74,12 @@ def convert(
     columns = {'stamp': stamp, 'gyro': gyro, 'accel': accel, 'joints': joints}
     columns |= {'temperature': temperature, 'rate': rate, 'accel_stamp': accel_stamp}
     columns |= {'accel_file': None if accel_file is None else str(accel_file)}
-    if path.suffix.lower() == '.bag' or path.is_dir() or is_storage(path):
+    of_ros_1 = path.suffix.lower() == '.bag' or _is_bag_of_ros_1(path)
+    if of_ros_1 or path.is_dir() or is_storage(path):
         given = [name for name, value in columns.items() if value is not None]
         if given:
             raise InputError(f'`{given[0]}` names columns of a text file; {path} is a recording.')
-        if path.suffix.lower() == '.bag':
+        if of_ros_1:
             return _from_ros1(path, target)
         if path.is_dir() and not any(is_storage(file) for file in path.iterdir()):
             raise InputError(f'{path} is a folder without a recording; name a file to convert.')
@@ -112,6 +115,14 @@ def convert(
     return from_text(text, target, stamp, None, gyro, accel, *others)
 
 
+def _is_bag_of_ros_1(path: AnyPath) -> bool:
+    try:
+        with path.open('rb') as file:
+            return file.read(len(BAG_OF_ROS_1)) == BAG_OF_ROS_1
+    except OSError:
+        return False
+
+
 def _from_ros1(path: AnyPath, target: Path) -> Converted:
     """Convert a bag of ROS 1, with the messages that calibration uses."""
     from rosbags.convert import ConverterError
@@ -121,13 +132,16 @@ def _from_ros1(path: AnyPath, target: Path) -> Converted:
     stores = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
     types = [k.type_name for k in (Kind.IMU, Kind.JOINTS, Kind.TEMPERATURES)]
     try:
-        with removed_on_failure(target):
-            rewritten([local(path)], target, 'mcap', 9, None, 'none', *stores, [], [], [], types)
+        with removed_on_failure(target), TemporaryDirectory() as folder:
+            # rosbags goes by the ending.
+            bag = Path(folder, 'bag.bag')
+            bag.symlink_to(local(path).resolve())
+            rewritten([bag], target, 'mcap', 9, None, 'none', *stores, [], [], [], types)
             with open_recording(target) as recording:
                 counts = {topic.name: topic.count or 0 for topic in recording.topics}
     except (ConverterError, RecordingError) as error:
         raise InputError(
             f'{path}: cannot be converted: {error} Expected a bag of ROS 1 with one of '
-            f'{", ".join(types)}.'
+            f'{", ".join(types)}; rosbag reindex completes one whose recorder did not finish.'
         ) from None
     return Converted(target, counts, ())

@@ -10,6 +10,7 @@ import numpy as np
 from ..bags import RecordingWriter
 from ..cdr import Kind, Messages, encode_joints, encode_temperatures
 from ..errors import InputError
+from ..imu import COLDEST, HOTTEST
 from ..instants import LAST_SECOND
 from ..metadata import interpolation_description
 from ..stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock
@@ -26,7 +27,12 @@ _ACCEL = {**Dimension.ACCELERATION.value, **RAW_UNITS}
 _ANGLE: Mapping[str, float] = Dimension.ANGLE.value
 _STAMP = {'s': 1e9, 'ms': 1e6, 'us': 1e3, 'ns': 1.0}
 """ns per unit of a time."""
-_CELSIUS = {'degC': 1.0}
+_CELSIUS = {'degC': 1.0, 'mdegC': 1e-3}
+_COUNTERS = {2**32 * 1e3: 'microseconds', 2**32 * 1e6: 'milliseconds'}
+"""ns until a counter of 32 bits begins anew, and what it counts: micros() and millis()."""
+_LONGEST_LOSS = 10e9
+"""ns of rows that may be missing where a counter begins anew. A judgement: a clock that is set back
+by a period of 72 minutes or 50 days does not meet it within seconds by chance."""
 _BACKWARDS = 0.01
 """Largest share of intervals between rows that may be zero or negative: a logger may write a row
 twice or set its clock; a column that is not a time, or has lost digits, shows this throughout."""
@@ -57,7 +63,8 @@ def from_text(
     Raises:
         InputError: A column or a unit is missing, or the values are not of an IMU.
     """
-    stamps = _stamps(text, stamp, rate)
+    sentences: list[str] = []
+    stamps = _stamps(text, stamp, rate, sentences)
     rates, gyro_unit = _columns(text, gyro, '`gyro`', _GYRO, 3)
     forces, accel_unit = _columns(accel_text or text, accel, '`accel`', _ACCEL, 3)
     raw = {gyro_unit, accel_unit} & set(RAW_UNITS)
@@ -67,12 +74,11 @@ def from_text(
             'or both in pulses, or both in counts.'
         )
     data = described(imu, raw)
-    sentences: list[str] = []
     if accel_text is None:
         times, (rates, forces) = _sound(stamps, rates, forces)
-        sentences = _left_out(text, len(stamps) - len(times))
+        sentences += _left_out(text, len(stamps) - len(times))
     else:
-        forces_at = _stamps(accel_text, accel_stamp or stamp, None)
+        forces_at = _stamps(accel_text, accel_stamp or stamp, None, sentences)
         known, (forces,) = _sound(forces_at, forces)
         wanted, (rates,) = _sound(stamps, rates)
         sentences += _left_out(text, len(stamps) - len(wanted))
@@ -101,6 +107,7 @@ def from_text(
     if temperature is not None:
         celsius, _ = _columns(text, temperature, '`temperature`', _CELSIUS, 1)
         at, (celsius,) = _sound(stamps, celsius)
+        _refuse_no_celsius(celsius, temperature)
         encoded = encode_temperatures(TemperatureBlock(at, celsius[:, 0]))
         others.append((TEMPERATURE, Kind.TEMPERATURES, encoded, at))
     with removed_on_failure(target), RecordingWriter(target, data) as writer:
@@ -161,8 +168,20 @@ def _left_out(text: Text, rows: int) -> list[str]:
     return sentences
 
 
-def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
-    """Return the time of each row, ns."""
+def _refuse_no_celsius(celsius: Floats, stated: str) -> None:
+    middle = float(np.median(celsius)) if len(celsius) else 0.0
+    if COLDEST <= middle <= HOTTEST:
+        return
+    milli = stated.endswith(':degC') and COLDEST <= middle / 1000 <= HOTTEST
+    other = f' Thousandths of a degree ({middle / 1000:.1f} degC): mdegC.' if milli else ''
+    raise InputError(
+        f'`temperature` {stated}: the median is {middle:.6g} degrees Celsius, expected '
+        f'{COLDEST:g} to {HOTTEST:g}.{other}'
+    )
+
+
+def _stamps(text: Text, stamp: str | None, rate: str | None, sentences: list[str]) -> Floats:
+    """Return the time of each row, ns; add to `sentences` that a counter began anew."""
     if rate is not None:
         # A number alone is in Hz, as in `sample_rate`.
         hertz = parse(f'{rate} Hz' if _is_bare(rate) else rate, Dimension.FREQUENCY, '`rate`')
@@ -170,7 +189,8 @@ def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
             raise InputError(f'`rate` {rate}: expected {_RATES}.')
         return np.asarray(np.rint(np.arange(len(text.values)) * (1e9 / hertz)))
     assert stamp is not None
-    times, _ = _columns(text, stamp, '`stamp`', _STAMP, 1)
+    times = sum(_columns(text, part, '`stamp`', _STAMP, 1)[0] for part in _parts_of_time(stamp))
+    assert isinstance(times, np.ndarray)
     latest = float(np.nanmax(np.abs(times), initial=0.0)) * 1e-9
     if latest > LAST_SECOND:
         raise InputError(
@@ -178,8 +198,31 @@ def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
             f'is it in another unit of {", ".join(_STAMP)}?'
         )
     stamps = np.asarray(np.rint(times[:, 0]))
+    sentences += _unwrap(stamps, f'{text.path.name}: `stamp` {stamp}')
     _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: `stamp` {stamp}')
     return stamps
+
+
+def _parts_of_time(stamp: str) -> list[str]:
+    """Split 'sec:s,nanosec:ns', a time in two columns, into these."""
+    parts = stamp.split(',')
+    return parts if all(':' in part for part in parts) else [stamp]
+
+
+def _unwrap(stamps: Floats, column: str) -> list[str]:
+    """Continue stamps, ns, where a counter of 32 bits begins anew; return a sentence on it."""
+    known = np.flatnonzero(np.isfinite(stamps))
+    change = np.diff(stamps[known])
+    for period, unit in _COUNTERS.items():
+        anew = (change + period > 0) & (change + period < _LONGEST_LOSS)
+        if anew.any():
+            stamps[known[1:]] += period * np.cumsum(anew)
+            times = 'once' if anew.sum() == 1 else f'{anew.sum()} times'
+            return [
+                f'{column} begins anew {times}, as a counter of {unit} of 32 bits does: the time '
+                'goes on there.'
+            ]
+    return []
 
 
 def _is_bare(rate: str) -> bool:
@@ -203,7 +246,7 @@ def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
             f'between rows, first from {stamps[first] * 1e-9:.6f} s to '
             f'{stamps[first + 1] * 1e-9:.6f} s; at most {_BACKWARDS:.0%} may be so. Name the '
             'column of the time, written with all its digits and in its order, or give `rate` '
-            'instead.'
+            'instead; a time in two columns is sec:s,nanosec:ns.'
         )
     hertz = 1e9 / float(np.median(intervals))
     if not _SLOWEST <= hertz <= _FASTEST:

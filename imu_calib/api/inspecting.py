@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from ..bags import Recording, open_recording
-from ..errors import NotStated
+from ..bags import Extent, Recording, open_recording
+from ..cdr import Kind
+from ..errors import InputError, NotStated
 from ..metadata import COMPENSATED
 from ..units import counted
 from .keywords import Session, with_keywords
 from .named import Named
 from .opening import open_session
 from .progress import Progress, silent
+from .stamp_clock import contradiction, difference
 from .stated import Stated
 
 if TYPE_CHECKING:
@@ -34,6 +37,34 @@ class Topic:
 
 
 @dataclass(frozen=True)
+class TopicClock:
+    """Header stamps of a topic against the recorder's log times.
+
+    Attributes:
+        topic: Its name.
+        seconds: From the least stamp to the largest.
+        rate: Messages per second of stamps; None without a duration.
+        log_seconds: From the first log time to the last.
+        log_rate: Messages per second of log times, likewise.
+        faster: Ratio of the clock of the stamps to that of the log times, less one; None where the
+            recording does not show it.
+        faster_std: Its standard deviation.
+        log_steps: Where log times step against stamps: s from the start, and by how much, s.
+        contradiction: Why the stamps cannot be right; empty if they can.
+    """
+
+    topic: str
+    seconds: float
+    rate: float | None
+    log_seconds: float
+    log_rate: float | None
+    faster: float | None
+    faster_std: float | None
+    log_steps: tuple[tuple[float, float], ...]
+    contradiction: str
+
+
+@dataclass(frozen=True)
 class Inspection:
     """Contents of a recording.
 
@@ -46,6 +77,7 @@ class Inspection:
         lost: Missing or broken data, as far as the topics were examined.
         streams: Contents of the streams; None if it is unknown how to read them.
         missing_input: What must be stated to read them, in a sentence.
+        clocks: Stamps of the topics with samples, if these were read.
     """
 
     path: str
@@ -56,6 +88,7 @@ class Inspection:
     lost: tuple[str, ...] = ()
     streams: StreamContents | None = None
     missing_input: str = ''
+    clocks: tuple[TopicClock, ...] = ()
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -105,11 +138,56 @@ def inspect_streams(outside: Inspection, stated: Stated, progress: Progress = si
     try:
         opened = open_session(outside.path, stated)
     except NotStated as error:
-        return Inspection(**{**vars(outside), 'missing_input': str(error)})
+        clocks = _clocks_alone(outside.path, progress)
+        return replace(outside, missing_input=str(error), clocks=clocks)
     from .stream_contents import stream_contents
 
-    with opened.recording:
-        return Inspection(**{**vars(outside), 'streams': stream_contents(opened, progress)})
+    with opened.recording as recording:
+        streams = stream_contents(opened, progress)
+        return replace(outside, streams=streams, clocks=_clocks(recording))
+
+
+def _clocks_alone(bag: str, progress: Progress) -> tuple[TopicClock, ...]:
+    """Read the stamps of samples whose meaning is not known."""
+    with open_recording(bag) as recording:
+        types = {kind.type_name: kind for kind in (Kind.IMU, Kind.JOINTS)}
+        kinds = {
+            t.name: types[t.message_type]
+            for t in recording.topics
+            if t.message_type in types and t.encoding == 'cdr' and t.count != 0
+        }
+        if kinds:
+            with suppress(InputError), progress('reading') as show:
+                for _ in recording.read(kinds, show):
+                    pass
+        return _clocks(recording)
+
+
+def _clocks(recording: Recording) -> tuple[TopicClock, ...]:
+    return tuple(
+        _topic_clock(recording, topic, clock.stamps, clock.log)
+        for topic, clock in recording.clocks.items()
+        if clock.stamps is not None and clock.log is not None
+    )
+
+
+def _topic_clock(recording: Recording, topic: str, stamps: Extent, log: Extent) -> TopicClock:
+    clock = recording.clocks[topic]
+    ratio, start = clock.ratio(), recording.start_ns or log.first
+    wrong = contradiction(recording, topic)
+    if not wrong and (said := difference(clock)):
+        wrong = f'the header stamps run {said}.'
+    return TopicClock(
+        topic,
+        stamps.seconds,
+        stamps.rate,
+        log.seconds,
+        log.rate,
+        None if ratio is None else ratio.value - 1,
+        None if ratio is None else ratio.std,
+        tuple(((at - start) * 1e-9, by) for at, by in clock.log_steps()),
+        wrong,
+    )
 
 
 def _extent(recording: Recording, progress: Progress) -> tuple[Counter[str], float]:

@@ -23,6 +23,7 @@ from ..turntable import TURN
 from ..units import DEG, DEG_H, counted
 from .opening import Opened
 from .progress import Progress
+from .stamp_clock import refused_by_stamps
 
 _SAME_UP = 0.999
 """Cosine of 2.6 deg: turns about closer axes belong to the same position. A judgement: the
@@ -104,7 +105,9 @@ def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
     """
     setup = opened.setup
     free = setup.method_name == _FREE
-    session, refusal = (_contents_by_hand if free else _on_table)(setup, opened.blocks(progress))
+    with refused_by_stamps(opened.recording, opened.streams):
+        read = _contents_by_hand if free else _on_table
+        session, refusal = read(setup, opened.blocks(progress))
     if session.foreign_joints:
         raise InputError(session.foreign_joints)
     labelled = (

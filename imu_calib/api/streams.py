@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from ..cdr import Kind
 from ..errors import InputError, NotStated
 from ..metadata import LEFT_OUT, serial_key
 from ..mounted import namespace
+from ..other_formats import other_encoding
+from ..stream import ImuBlock
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     # Loads slowly; most commands do not need it.
     from ..bags import Recording, Topic
     from .stated import Stated
@@ -71,11 +79,19 @@ def imu_topic(wanted: str | None, recording: Recording, serial: str | None = Non
     wanted = wanted or _topic_of_unit(serial, recording)
     imu = _choose(recording, Kind.IMU, wanted, '`imu_topic`')
     if imu is None:
+        if other := _in_other_encoding(recording):
+            raise InputError(f'{recording.path}: {other_encoding(other.name, other.encoding)}')
         listed = ', '.join(f'{t.name} ({t.type})' for t in recording.topics) or 'none at all'
         raise NotStated(
             f'{recording.path}: no topic of type {Kind.IMU.type_name}; its topics: {listed}.'
         )
     return imu
+
+
+def _in_other_encoding(recording: Recording) -> Topic | None:
+    """Return the first topic with samples of an IMU that are not serialised as ROS 2 does."""
+    others = [t for t in recording.topics if t.encoding != 'cdr' and t.count != 0]
+    return next((t for t in others if re.search(r'(^|[/.])imu$', t.type.lower())), None)
 
 
 def _topic_of_unit(serial: str | None, recording: Recording) -> str | None:
@@ -84,7 +100,7 @@ def _topic_of_unit(serial: str | None, recording: Recording) -> str | None:
     mine = [
         t.name
         for t in recording.topics
-        if t.type == kind and serial is not None and data.get(serial_key(t.name)) == serial
+        if t.message_type == kind and serial is not None and data.get(serial_key(t.name)) == serial
     ]
     return mine[0] if len(mine) == 1 else None
 
@@ -95,7 +111,9 @@ def units_of(recording: Recording) -> tuple[str, ...]:
     Empty for at most one unit. Units that were excluded from the session are not listed.
     """
     kind, data = Kind.IMU.type_name, recording.custom_data
-    topics = [t.name for t in recording.topics if t.type == kind and serial_key(t.name) in data]
+    topics = [
+        t.name for t in recording.topics if t.message_type == kind and serial_key(t.name) in data
+    ]
     left_out = data.get(LEFT_OUT, '').split(',')
     kept = [topic for topic in topics if namespace(data[serial_key(topic)]) not in left_out]
     return tuple(sorted(kept)) if len(topics) > 1 else ()
@@ -106,7 +124,7 @@ def skew_topic(recording: Recording, imu: str) -> str | None:
     skewed = [
         t.name
         for t in recording.topics
-        if t.type == Kind.IMU.type_name
+        if t.message_type == Kind.IMU.type_name
         and t.name.endswith(_SKEW)
         and t.name != imu
         and t.count != 0
@@ -117,14 +135,14 @@ def skew_topic(recording: Recording, imu: str) -> str | None:
 def temperature_topic(recording: Recording) -> str | None:
     """Return the topic of the unit's thermometer: the only one, or the one with its name."""
     kind = Kind.TEMPERATURES.type_name
-    filled = [t.name for t in recording.topics if t.type == kind and t.count != 0]
+    filled = [t.name for t in recording.topics if t.message_type == kind and t.count != 0]
     if len(filled) > 1:
         filled = [name for name in filled if name.endswith(_TEMPERATURE)]
     return filled[0] if len(filled) == 1 else None
 
 
 def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -> str | None:
-    candidates = [t for t in recording.topics if t.type == kind.type_name]
+    candidates = [t for t in recording.topics if t.message_type == kind.type_name]
     if wanted is not None:
         return _named(recording, candidates, wanted, kind)
     filled = [t for t in candidates if t.count != 0 and not t.name.endswith(_SKEW)]
@@ -139,6 +157,7 @@ def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -
                 ' Where they are units on one table, `serial` chooses one whose number the '
                 'recording holds, and a calibration with `imus` takes all.'
             )
+            several = _apart(recording, filled) or several
         raise NotStated(
             f'{recording.path}: {len(filled)} topics of type {kind.type_name}: {listed}. '
             f'Choose with {option}.{several}'
@@ -146,11 +165,36 @@ def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -
     return filled[0].name
 
 
+def _apart(recording: Recording, topics: Sequence[Topic]) -> str:
+    """Return the way to join topics of which one has rates alone; empty if each has both."""
+    rates: list[str] = []
+    forces: list[str] = []
+    for topic in topics:
+        if topic.encoding != 'cdr':
+            continue
+        for _, block in islice(recording.read({topic.name: Kind.IMU}), 1):
+            assert isinstance(block, ImuBlock)
+            has_rates, has_forces = np.any(np.abs(block.gyro) > 0), np.any(np.abs(block.accel) > 0)
+            if has_rates and not has_forces:
+                rates.append(topic.name)
+            elif has_forces:
+                # One with accelerations alone comes first.
+                forces.insert(len(forces) if has_rates else 0, topic.name)
+    if not rates or not forces:
+        return ''
+    return (
+        f' {rates[0]} has no accelerations: imu-calib convert {recording.path} -o OUT --gyro-topic '
+        f'{rates[0]} --accel-topic {forces[0]} joins them.'
+    )
+
+
 def _named(recording: Recording, candidates: list[Topic], wanted: str, kind: Kind) -> str:
     name = wanted if wanted.startswith('/') else f'/{wanted}'
     for topic in recording.topics:
         if topic.name in {wanted, name}:
-            if topic.type != kind.type_name:
+            if topic.encoding != 'cdr':
+                raise InputError(f'{recording.path}: {other_encoding(topic.name, topic.encoding)}')
+            if topic.message_type != kind.type_name:
                 raise InputError(
                     f'{recording.path}: topic {wanted}: found {topic.type}, '
                     f'expected {kind.type_name}.'

@@ -23,6 +23,10 @@ _DELIMITERS = (';', '\t', ',')
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _CONTROLS = re.compile(rb'[\x00-\x08\x0e-\x1f]')
 """Bytes that no text has, in any code page of one byte per character."""
+_LABEL = re.compile(r'(?:(?<=[\s,;])|^)([^\W\d][\w.]*)\s*[:=]\s*(?=[-+.\d])')
+"""Name before a number in its field, as 'ax: 0.1' and 'ax=0.1' for a plotter of serial lines."""
+_LABELLED = 0.9
+"""Least share of lines with the same labels: others are broken lines. A judgement."""
 _LOOKED_AT = 100
 """Number of lines, spread over the file, that determine how many fields a row has: lines above a
 table and broken lines are few in comparison."""
@@ -79,6 +83,7 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
         raise _no_table(path, 'holds no lines, expected a table of numbers.')
     if delimiter is not None and len(delimiter) != 1:
         raise InputError(f'`delimiter`: found {delimiter!r}, expected one character.')
+    labels, lines = _without_labels(lines)
     sample = lines[len(lines) // 2]
     between = _delimiter(sample) if delimiter is None else delimiter
     count = _usual_count(lines, between)
@@ -90,7 +95,9 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
             'with commas, semicolons, tabs or blanks between them, or what `delimiter` names.',
         )
     names, above = _heading(lines[:first], between), first
-    if names:
+    if len(labels) == count:
+        names = labels
+    elif names:
         above -= 1
     elif comment := _heading(written[: written.index(lines[first])], between):
         # Text behind a # is a heading only if it has a distinct name for each column.
@@ -109,6 +116,20 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
             'column a name; where commas separate the fields, write decimal points.'
         )
     return Text(path, tuple(names or map(str, range(1, count + 1))), values, above + broken)
+
+
+def _without_labels(lines: list[str]) -> tuple[list[str], list[str]]:
+    """Return the labels that stand before the numbers of every row, and the lines without them.
+
+    Rows with other labels hold other values: they are not of one table.
+    """
+    some = lines[:: max(1, len(lines) // _LOOKED_AT)]
+    labels, rows = Counter(tuple(_LABEL.findall(row)) for row in some).most_common(1)[0]
+    if not labels or rows < _LABELLED * len(some):
+        return [], lines
+    return list(labels), [
+        _LABEL.sub('', row) if tuple(_LABEL.findall(row)) == labels else '' for row in lines
+    ]
 
 
 def _decoded(path: AnyPath) -> str:

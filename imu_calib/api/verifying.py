@@ -28,6 +28,7 @@ from ..verification import verify as judge
 from .keywords import Verified, with_keywords
 from .named import Named, as_applied
 from .progress import Progress, silent
+from .stamp_clock import clock_findings, refused_by_stamps
 from .stated import Stated, serial_of, site_of, stated_imu, stated_plan, table_of
 from .streams import streams_of
 
@@ -108,12 +109,14 @@ def _verify(
     table = table_of(stated, recording) if streams.joints is not None else None
     segmenter = Segmenter(imu, table)
     kinds = {t: kind for t, kind in streams.kinds().items() if t != streams.skew}
-    with progress('reading') as show:
-        for _, block in recording.read(kinds, show):
-            segmenter.feed(block)
-    session = segmenter.finish()
-    calibration, notes = _at_temperature(loaded, session.temperature)
-    observed = observe(session, imu, site, plan, table, calibration.clock)
+    with refused_by_stamps(recording, streams):
+        with progress('reading') as show:
+            for _, block in recording.read(kinds, show):
+                segmenter.feed(block)
+        session = segmenter.finish()
+        calibration, notes = _at_temperature(loaded, session.temperature)
+        observed = observe(session, imu, site, plan, table, calibration.clock)
+    notes += clock_findings(recording, streams, imu.units)
     already = compensated_already(recording.custom_data, streams.imu)
     found = judge(calibration, replace(observed, notes=(*already, *notes, *observed.notes)))
     if calibration.provenance.get('sha256') != recording.sha256():

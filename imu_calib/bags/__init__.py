@@ -2,6 +2,7 @@
 
 from ..definitions import definition
 from .journal import FINISHED, Journal
+from .recorded_clock import Extent, RecordedClock
 from .recording import Recording, open_recording
 from .remote import AnyPath, RemotePath, is_url, local, located
 from .storage import RecordingError, Topic
@@ -10,7 +11,9 @@ from .writer import RecordingWriter
 __all__ = [
     'FINISHED',
     'AnyPath',
+    'Extent',
     'Journal',
+    'RecordedClock',
     'Recording',
     'RecordingError',
     'RecordingWriter',

@@ -8,7 +8,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..other_formats import other_format
+from ..other_formats import BAG_OF_ROS_1, bag_of_ros_1, other_format
 from .codec import ZSTD_MAGIC, unpack_file
 from .mcap import McapStorage
 from .metadata import NAME, Metadata, read_metadata
@@ -142,6 +142,8 @@ def open_storage(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage:
     try:
         with path.open('rb') as file:
             magic = file.read(16)
+        if magic.startswith(BAG_OF_ROS_1):
+            raise RecordingError(bag_of_ros_1(path))
         if magic.startswith(ZSTD_MAGIC):
             path = _unpack(path, scratch, losses)
             with path.open('rb') as file:

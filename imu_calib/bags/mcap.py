@@ -6,6 +6,7 @@ import struct
 import zlib
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,12 +14,14 @@ import numpy as np
 from ..cdr import Messages
 from .ahead import ReadAhead
 from .codec import CodecError, decompressor, unpacked_into
+from .log_order import LogOrder, time_order
 from .mcap_chunk import LONGEST_HEAD, TOGETHER, Chunk, ChunkGroup, chunk_at, grouped
-from .mcap_places import Part, Placed, located, times_at
+from .mcap_places import Part, Placed, located, log_at, times_at
 from .mcap_records import RECORD_HEAD, Op, RecordError, walk
 from .mcap_scan import scan
 from .metadata import custom_data_of
 from .storage import (
+    OUT_OF_ORDER,
     Cache,
     Losses,
     Memory,
@@ -28,7 +31,7 @@ from .storage import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from ..cdr.messages import Bytes, Indices
 
@@ -63,7 +66,8 @@ class Unpacked:
             offset, size = offset[order], size[order]
         log_ns = min(p.log_ns for p in placed)
         times = partial(times_at, self.buffer, offset)
-        return MessageBatch(Messages(self.buffer, offset, size), log_ns, position, times)
+        messages, log = Messages(self.buffer, offset, size), log_at(self.buffer, offset)
+        return MessageBatch(messages, log, log_ns, position, times)
 
 
 class McapStorage:
@@ -120,21 +124,35 @@ class McapStorage:
         }
         wanted = [ids for ids in channels.values() if ids]
         read = [c for c in self._chunks if any(c.may_hold(ids) for ids in wanted)]
+        orders = [_time_order(read, ids) for ids in wanted]
+        in_file = any(order is None for order in orders)
+        shuffled = not in_file and any((o[1:] < o[:-1]).any() for o in orders if o is not None)
+        if shuffled:
+            self._state_order()
+            read = sorted(read, key=lambda chunk: chunk.start_ns)
         together = grouped(read)
         ahead = ReadAhead(together, self._fetch, self._with_content)
 
-        def batch(ids: frozenset[int], group: ChunkGroup) -> MessageBatch | None:
-            if not group.may_hold(ids):
-                return None
+        def batch(
+            ids: frozenset[int], group: ChunkGroup, bound: int | None
+        ) -> tuple[MessageBatch, int | None] | None:
             users = sum(group.may_hold(others) for others in wanted)
             load = partial(self._located, ahead, group)
-            return cache.get((self.path, group.start), load, users).batch(ids, group.end)
+            found = cache.get((self.path, group.start), load, users).batch(ids, group.end)
+            return None if found is None else (found, bound)
 
-        # Not generators, whose frames would keep a batch, and its memory, until the next one.
-        return {
-            topic: filter(None, map(partial(batch, ids), together if ids else ()))
-            for topic, ids in channels.items()
-        }
+        batches: dict[str, Iterator[MessageBatch]] = {}
+        for topic, ids in channels.items():
+            mine = [group for group in together if ids and group.may_hold(ids)]
+            found = filter(None, map(partial(batch, ids), mine, _bounds(mine)))
+            # Not generators, whose frames would keep a batch, and its memory, until the next one.
+            batches[topic] = (
+                map(itemgetter(0), found) if in_file else LogOrder(found, self._state_order)
+            )
+        return batches
+
+    def _state_order(self) -> None:
+        self._losses.add(OUT_OF_ORDER.format(name=self.path.name))
 
     def _counts(self) -> dict[int, int] | None:
         if self._catalogue.counts is not None:
@@ -253,6 +271,22 @@ class McapStorage:
         held = ', '.join(f'{n} of {topics.get(i, f"channel {i}")}' for i, n in counts.items())
         what = f'its messages ({held})' if held else 'its messages'
         self._losses.add(f'{self.path.name}: {chunk} {why}; {what} are left out.')
+
+
+def _time_order(chunks: Sequence[Chunk], channels: frozenset[int]) -> Indices | None:
+    """Return the order of the chunks that may hold messages of some channels, as `time_order`."""
+    times = [(c.start_ns, c.end_ns) for c in chunks if c.may_hold(channels)]
+    starts, ends = np.array(times, np.int64).reshape(-1, 2).T
+    return time_order(starts, ends)
+
+
+def _bounds(groups: Sequence[ChunkGroup]) -> list[int | None]:
+    """Return the least log time in the groups after each; None after the last."""
+    bounds: list[int | None] = [None]
+    for group in groups[:0:-1]:
+        first = min(chunk.start_ns for chunk in group.chunks)
+        bounds.append(first if bounds[-1] is None else min(bounds[-1], first))
+    return bounds[::-1]
 
 
 def _unpacked(chunk: Chunk, stored: memoryview, memory: memoryview | None) -> bytes | memoryview:

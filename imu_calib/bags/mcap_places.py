@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ..cdr.messages import Bytes, Indices
+    from ..stream import Stamps
 
 HEAD = RECORD_HEAD + MESSAGE_HEAD
 _MESSAGE = int(Op.MESSAGE)
@@ -194,6 +195,14 @@ def _heads(buffer: Bytes, offsets: Indices) -> tuple[Bytes, Indices, np.ndarray[
 def _placed(buffer: Bytes, offset: Indices, size: Indices) -> Placed:
     (first,) = struct.unpack_from('<Q', buffer.data, int(offset[0]) - 16)
     return Placed(offset, size, int(first))
+
+
+def log_at(buffer: Bytes, offset: Indices) -> Stamps:
+    """Read log times, the eight bytes before the last eight before each message."""
+    anywhere: np.ndarray[Any, np.dtype[np.int64]] = np.ndarray(
+        (len(buffer) - 7,), '<i8', buffer, 0, (1,)
+    )
+    return anywhere[offset - 16].astype(np.int64)
 
 
 def times_at(buffer: Bytes, offset: Indices) -> Times:

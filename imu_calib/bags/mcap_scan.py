@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
+import zlib
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 _WINDOW = 1 << 22
 """Bytes read at once of messages outside chunks."""
+_FEWEST_ZEROS = 32
+"""Bytes: fewer at the end of a chunk may be its own, of compressed data or of the last message."""
 _SMALL = frozenset({Op.SCHEMA, Op.CHANNEL, Op.METADATA})
 
 
@@ -74,6 +77,7 @@ class _Scanner:
         self.size = self.end = path.stat().st_size
         self.finished = False
         self.cut_at = 0
+        self.zeros = False
         self.chunk_starts: frozenset[int] = frozenset()
         self.found = Scan()
 
@@ -189,6 +193,7 @@ class _Scanner:
         where = (
             f'is cut off at byte {self.cut_at} of {position}' if self.cut_at else 'has no footer'
         )
+        where += ' (zeros follow)' if self.zeros else ''
         self.losses.add(f'{self.name} {where}: its recorder did not finish{known}.')
 
     def _small(self, op: int, position: int, length: int, following: int) -> int | None:
@@ -200,6 +205,9 @@ class _Scanner:
 
     def _resume(self, position: int) -> int:
         """State a damaged range, and continue at the next chunk in the summary."""
+        if not self.chunk_starts and (zeros := self._zeros_before(position)) is not None:
+            self.cut_at, self.zeros = zeros, True
+            return self.size
         starts = [s for s in self.chunk_starts if position < s < self.end]
         following = min(starts, default=self.end)
         what = 'the rest' if following == self.end else f'{following - position} bytes'
@@ -209,6 +217,27 @@ class _Scanner:
         if self.found.chunks:
             self.found.chunks[-1].index = self.found.chunks[-1].counts = None
         return following
+
+    def _zeros_before(self, position: int) -> int | None:
+        """Return where zeros that fill the rest of a file begin; None if it has another content.
+
+        A disk that lost its power leaves them. The last chunk is cut where they begin within it.
+        """
+        for start in range(position, self.size, _WINDOW):
+            if any(self._read(start, min(_WINDOW, self.size - start))):
+                return None
+        chunk = self.found.chunks[-1] if self.found.chunks else None
+        if chunk is None or chunk.counts is not None:
+            # A message index follows it: it is whole.
+            return position
+        stored = self._read(chunk.data, chunk.stored)
+        filled = len(stored.rstrip(b'\0'))
+        whole = zlib.crc32(stored) == chunk.crc if chunk.crc and not chunk.compression else False
+        if whole or chunk.stored - filled < _FEWEST_ZEROS:
+            return position
+        chunk.stored, chunk.cut = filled, True
+        chunk.index = chunk.counts = None
+        return chunk.data + filled
 
     def _chunk(self, position: int, length: int, following: int, head: bytes) -> int | None:
         try:

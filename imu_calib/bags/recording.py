@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..cdr import Malformed, Messages
+from ..other_formats import other_encoding
+from ..stream import SetpointBlock
 from .codec import ZSTD_MAGIC, CodecError, decompressor
 from .files import Found, Scratch, find_files, open_storage
 from .merge import Piece, merge
+from .recorded_clock import RecordedClock
 from .remote import AnyPath, located
 from .storage import (
     Cache,
@@ -28,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ..cdr import Kind
-    from ..stream import Block
+    from ..stream import Block, Stamps
 
 CACHE_BYTES = 48 << 20
 """Bytes of chunks kept decompressed while topics are read side by side."""
@@ -94,6 +97,7 @@ class Recording:
         custom_data: Entries that the recorder left in the metadata.
         start_ns: Earliest log time, ns; None where unknown.
         end_ns: Latest log time, ns; None where unknown.
+        clocks: Header stamps against log times of the topics read last, by name.
     """
 
     def __init__(
@@ -117,6 +121,7 @@ class Recording:
         for storage in storages:
             self.custom_data.update(storage.custom_data)
         self.custom_data.update(found.metadata.custom_data)
+        self.clocks: dict[str, RecordedClock] = {}
         self._storages = storages
         self._counts = found.metadata.counts
         self._losses = losses
@@ -243,15 +248,13 @@ class Recording:
             if topic is None:
                 listed = ', '.join(f'{t.name} ({t.type})' for t in self.topics) or 'none'
                 raise RecordingError(f'{self.path}: no topic {name}; there are: {listed}.')
-            if topic.type != kind.type_name:
+            if topic.message_type != kind.type_name:
                 raise RecordingError(
                     f'{self.path}: topic {name} carries {topic.type or "an unknown type"}, '
                     f'expected {kind.type_name}.'
                 )
             if topic.encoding != 'cdr':
-                raise RecordingError(
-                    f'{self.path}: topic {name} is serialised as {topic.encoding!r}, expected cdr.'
-                )
+                raise RecordingError(f'{self.path}: {other_encoding(name, topic.encoding)}')
 
     def _pieces(
         self, topics: Mapping[str, Kind], malformed: Mapping[str, Malformed]
@@ -263,11 +266,13 @@ class Recording:
         for storage in self._storages:
             offsets.append(before)
             before += storage.size
+        self.clocks = {topic: RecordedClock() for topic in topics}
         return {
             topic: _decoded(
                 kind,
                 [(base, cursor[topic]) for base, cursor in zip(offsets, cursors, strict=True)],
                 malformed[topic],
+                self.clocks[topic],
             )
             for topic, kind in topics.items()
         }
@@ -310,17 +315,27 @@ def _topics(storages: Sequence[Storage], counts: Mapping[str, int]) -> tuple[Top
 
 
 def _decoded(
-    kind: Kind, parts: Sequence[tuple[int, Iterator[MessageBatch]]], malformed: Malformed
+    kind: Kind,
+    parts: Sequence[tuple[int, Iterator[MessageBatch]]],
+    malformed: Malformed,
+    clock: RecordedClock,
 ) -> Iterator[Piece]:
     """Decode one topic, file after file."""
     for base, cursor in parts:
         for batch in cursor:
             log_ns, position = batch.log_ns, base + batch.position
             blocks = kind.decode(_unpacked(batch.messages, malformed), malformed)
+            if len(stamps := _stamps(blocks)) == len(batch.messages):
+                clock.take(stamps, batch.log)
             # The blocks do not share memory with the messages, which is free for the next ones.
             del batch
             for block in blocks:
                 yield Piece(block, log_ns, position)
+
+
+def _stamps(blocks: Sequence[Block]) -> Stamps:
+    stamps = [block.stamp for block in blocks if not isinstance(block, SetpointBlock)]
+    return np.concatenate([np.empty(0, np.int64), *stamps])
 
 
 def _as_recorded(batch: MessageBatch, malformed: Malformed) -> tuple[Messages, Times]:

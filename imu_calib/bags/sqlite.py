@@ -12,10 +12,20 @@ from urllib.parse import quote
 
 import numpy as np
 
+from .log_order import LogOrder, time_order
 from .metadata import custom_data_of
 from .sqlite_pages import HEADER, OddPagesError, Rows, TablePages, Window
 from .sqlite_rows import DAMAGE, LAST_ROW, RowQueries, damage_text
-from .storage import Cache, Described, Losses, MessageBatch, RecordingError, Times, Topic
+from .storage import (
+    OUT_OF_ORDER,
+    Cache,
+    Described,
+    Losses,
+    MessageBatch,
+    RecordingError,
+    Times,
+    Topic,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,6 +40,12 @@ _EXPECTED = {
     'topics': {'id', 'name', 'type', 'serialization_format'},
     'messages': {'id', 'topic_id', 'timestamp', 'data'},
 }
+
+
+_APART = 1 << 18
+"""Bytes between the rows that show whether a file is in order: less than are read at once."""
+_FEWEST_PLACES, _MOST_PLACES = 8, 4096
+"""Numbers of such rows: a choice between what is noticed and time."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +94,23 @@ class SqliteStorage:
         """Start reading: one iterator per topic, all independent of each other."""
         ids = {topic: tuple(self._ids.get(topic, ())) for topic in topics}
         pages = self._pages()
+        order = self._time_order()
+        if order is not None and (order[1:] < order[:-1]).any():
+            return {topic: self._by_time(ids[topic]) for topic in topics}
+        found = self._in_file(ids, pages, cache)
+        if order is None:
+            return found
+        return {
+            topic: LogOrder(_with_bounds(batches), self._state_order)
+            for topic, batches in found.items()
+        }
+
+    def _in_file(
+        self, ids: Mapping[str, tuple[int, ...]], pages: TablePages | None, cache: Cache
+    ) -> dict[str, Iterator[MessageBatch]]:
+        """Start reading in the order of the file."""
         if pages is None:
-            return {topic: self._query(ids[topic], self._first, LAST_ROW) for topic in topics}
+            return {topic: self._query(ids[topic], self._first, LAST_ROW) for topic in ids}
         wanted = np.array([number for numbers in ids.values() for number in numbers], np.int64)
         users = sum(map(bool, ids.values()))
 
@@ -87,7 +118,37 @@ class SqliteStorage:
             key = self.path, window.first
             return cache.get(key, partial(_loaded, pages, window, wanted), users).rows
 
-        return {topic: self._read(ids[topic], pages.windows, load) for topic in topics}
+        return {topic: self._read(ids[topic], pages.windows, load) for topic in ids}
+
+    def _time_order(self) -> Indices | None:
+        """Return the order of rows spread over the file by their log times, as `time_order`."""
+        if self._first is None or self._last is None or self._tolerant:
+            return np.arange(1)
+        count = min(max(self.size // _APART, _FEWEST_PLACES), _MOST_PLACES)
+        span = self._last - self._first
+        rows = sorted({self._first + span * k // count for k in range(count + 1)})
+        query = 'SELECT timestamp FROM messages WHERE id >= ? ORDER BY id LIMIT 1'
+        try:
+            with closing(self._connect()) as database:
+                found = [database.execute(query, (row,)).fetchone() for row in rows]
+        except DAMAGE:
+            return np.arange(1)
+        times = [row[0] for row in found if row is not None]
+        if len(times) < 2 or not all(isinstance(time, int) for time in times):
+            return np.arange(1)
+        starts = np.array(times, np.int64)
+        steps = np.diff(starts, append=starts[-1:])
+        usual = np.median(np.abs(steps)).astype(np.int64)
+        return time_order(starts, starts + np.where(steps > 0, np.minimum(steps, usual), usual))
+
+    def _by_time(self, topics: tuple[int, ...]) -> Iterator[MessageBatch]:
+        """Read messages in the order of their log times, by SQLite's index of these."""
+        rows = RowQueries(self.path.name, self._connect, self._last, self._losses)
+        for messages, log in rows.read_by_time(topics, self._state_order):
+            yield self._batch(messages, log, self._first)
+
+    def _state_order(self) -> None:
+        self._losses.add(OUT_OF_ORDER.format(name=self.path.name))
 
     def _pages(self) -> TablePages | None:
         """Return the pages of the messages; None if only SQLite can read them correctly."""
@@ -123,7 +184,7 @@ class SqliteStorage:
 
     def _batch(self, messages: Messages, log: Stamps, following: int | None) -> MessageBatch:
         times = partial(Times, log, log)
-        return MessageBatch(messages, int(log[0]), self._position(following), times)
+        return MessageBatch(messages, log, int(log[0]), self._position(following), times)
 
     def _position(self, row: int | None) -> int:
         """Estimate the number of bytes in the file before a row."""
@@ -219,6 +280,17 @@ class SqliteStorage:
             if not self._tolerant:
                 raise
             self._first = 0 if self._first is None else self._first
+
+
+def _with_bounds(
+    batches: Iterator[MessageBatch],
+) -> Iterator[tuple[MessageBatch, int | None]]:
+    """Yield batches, and the least log time of the next one: later ones were looked at before."""
+    before = next(batches, None)
+    while before is not None:
+        batch = next(batches, None)
+        yield before, None if batch is None else int(batch.log.min())
+        before = batch
 
 
 def _stated_size(head: bytes) -> int:

@@ -23,7 +23,7 @@ LAST_ROW = 2**63 - 1
 DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError, MemoryError)
 _MIN_ROWS, _MAX_ROWS = 2048, 65536
 """Rows of a query; a choice between memory and calls."""
-_Row = tuple[Any, Any]
+_Row = tuple[Any, ...]
 """Log time and data, as stored in the file."""
 
 
@@ -69,6 +69,39 @@ class RowQueries:
                 wider = len(rows) < width // 8
                 width = min(2 * width, _MAX_ROWS) if wider else max(width // 2, _MIN_ROWS)
                 start = following
+
+    def read_by_time(
+        self, topics: tuple[int, ...], state: Callable[[], None]
+    ) -> Iterator[tuple[Messages, Stamps]]:
+        """Read the messages of some topics in the order of their log times.
+
+        Args:
+            topics: Their numbers.
+            state: Called where their row ids are in another order.
+
+        Yields:
+            Messages and their log times in ns.
+        """
+        query = (
+            'SELECT timestamp, data, id FROM messages '
+            f'WHERE topic_id IN ({", ".join("?" * len(topics))}) ORDER BY timestamp, id'
+        )
+        last, row = 0, -LAST_ROW
+        with closing(self._connect()) as database:
+            try:
+                cursor = database.execute(query, topics)
+                while rows := cursor.fetchmany(_MIN_ROWS):
+                    log = _log(rows)
+                    ids = [row, *(int(one[2]) for one in rows)]
+                    if ids != sorted(ids):
+                        state()
+                    last, row = int(log[-1]), ids[-1]
+                    yield _messages(rows), log
+            except DAMAGE as error:
+                self._losses.add(
+                    f'{self._name}: rows after log time {last / 1e9:.3f} s cannot be read '
+                    f'({damage_text(error)}).'
+                )
 
     def _load(
         self,

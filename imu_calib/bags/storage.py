@@ -65,6 +65,13 @@ class Topic:
     encoding: str = 'cdr'
     described: Described = field(default_factory=Described, compare=False)
 
+    @property
+    def message_type(self) -> str:
+        """Message type by its name in ROS 2; some recorders write CDR under that of ROS 1."""
+        package, slash, name = self.type.partition('/')
+        short = self.encoding == 'cdr' and slash and '/' not in name
+        return f'{package}/msg/{name}' if short else self.type
+
     def merged(self, other: Topic) -> Topic:
         """Return the union with the same topic of another file or publisher."""
         unknown = self.count is None or other.count is None
@@ -82,16 +89,24 @@ class MessageBatch:
     """Messages of one topic that were loaded together.
 
     Attributes:
-        messages: The serialised messages, in the order of the file.
+        messages: The serialised messages.
+        log: (n,) their log times, ns.
         log_ns: Log time of the first message, or of one shortly before.
         position: Bytes of the storage file before the end of the batch.
         times: Returns log and publish times of the messages.
     """
 
     messages: Messages
+    log: Stamps
     log_ns: int
     position: int
     times: Callable[[], Times]
+
+
+OUT_OF_ORDER = (
+    '{name}: its messages do not lie in the order of their log times, and are read in that order.'
+)
+"""Said of a file."""
 
 
 class Losses:

@@ -9,7 +9,7 @@ from rich.table import Table as Rows
 
 from ..api.inspecting import Inspection, inspect_streams, topics
 from ..plain_table import plain_table
-from ..units import DEG, DEG_H, STANDARD_GRAVITY, counted
+from ..units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
 from . import options
 from .outcome import WRONG_INPUT, Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
@@ -44,6 +44,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         sentence_list('Lost', outside.lost)
         return Outcome(outside.to_dict())
     found = inspect_streams(outside, options.stated(arguments), progress_bar)
+    _show_clocks(found)
     if found.streams is None:
         sentence_list('Lost', outside.lost)
         message = f'{found.missing_input} Until then the topics alone are shown.'
@@ -63,6 +64,35 @@ def _show_topics(found: Inspection) -> None:
         OUTPUT.print(
             f'compensated by {found.compensated}: the compensated stream is in SI', markup=False
         )
+
+
+def _show_clocks(found: Inspection) -> None:
+    """Show durations and rates by header stamps and by log times."""
+    if not found.clocks:
+        return
+    headings = ('topic', 'by stamps: s', 'Hz', 'by log: s', 'Hz', 'stamps faster, ppm')
+    rows = plain_table(headings, 'lrrrrr')
+    for clock in found.clocks:
+        faster = '-'
+        if clock.faster is not None and clock.faster_std is not None:
+            faster = f'{clock.faster / PPM:+.0f} +- {max(clock.faster_std / PPM, 1):.0f}'
+        rows.add_row(
+            clock.topic,
+            f'{clock.seconds:.3f}',
+            '-' if clock.rate is None else f'{clock.rate:.5g}',
+            f'{clock.log_seconds:.3f}',
+            '-' if clock.log_rate is None else f'{clock.log_rate:.5g}',
+            faster,
+        )
+    OUTPUT.print()
+    OUTPUT.print(rows)
+    steps = [
+        f'{clock.topic}: log times step by {by:+.1f} s at {at:.1f} s'
+        for clock in found.clocks
+        for at, by in clock.log_steps
+    ]
+    wrong = [f'{c.topic}: {c.contradiction}' for c in found.clocks if c.contradiction]
+    sentence_list('Clocks', [*wrong, *steps])
 
 
 def _show(contents: StreamContents) -> None:

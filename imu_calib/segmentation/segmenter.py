@@ -353,7 +353,7 @@ class Segmenter:
         ]
         if self._table is not None and self._joints is not None and self._joints.silent:
             lost.append(f'There are no joint states of table {self._table.name}')
-        return tuple(lost)
+        return (*lost, *self._thermometer.losses)
 
 
 _SHOWN = 1e-4

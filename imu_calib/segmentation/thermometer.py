@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..imu import COLDEST, HOTTEST
 from ..instants import NS
 from ..stream import Floats, Stamps, TemperatureBlock
+from ..units import counted
 
 _STEP = 1e-6
 """K: less is rounding."""
@@ -63,11 +65,17 @@ class Thermometer:
         self._cells: defaultdict[int, list[int]] = defaultdict(lambda: [0, 0, 0])
         self._lowest = np.inf
         self._highest = -np.inf
+        self._left_out = 0
+        self._first_left_out = 0.0
 
     def feed(self, block: TemperatureBlock) -> None:
         """Add temperatures; values outside the valid range are left out."""
         with np.errstate(invalid='ignore'):
             sound = (block.celsius >= _COLDEST) & (block.celsius <= _HOTTEST)
+        other = block.celsius[~sound & np.isfinite(block.celsius)]
+        if len(other) and not self._left_out:
+            self._first_left_out = float(other[0])
+        self._left_out += len(other)
         celsius, stamp = block.celsius[sound], block.stamp[sound]
         if not len(celsius):
             return
@@ -80,6 +88,19 @@ class Thermometer:
             sums[2] += int(mine.sum())
         self._lowest = min(self._lowest, float(celsius.min()))
         self._highest = max(self._highest, float(celsius.max()))
+
+    @property
+    def losses(self) -> list[str]:
+        """A sentence on readings that are no degrees Celsius; none without any."""
+        if not self._left_out:
+            return []
+        first = self._first_left_out
+        milli = COLDEST <= first / 1000 <= HOTTEST
+        unit = f': in thousandths of a degree it is {first / 1000:.1f}' if milli else ''
+        return [
+            f'{counted(self._left_out, "temperature")} of the unit are not in degrees Celsius and '
+            f'are left out, the first {first:.6g}{unit}; correct the driver'
+        ]
 
     @property
     def temperature(self) -> Temperature | None:

@@ -1,0 +1,155 @@
+"""Header stamps against the recorder's log times: rates, units and values that no time has."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imu_calib.api.calibrating import calibrate
+from imu_calib.api.inspecting import inspect
+from imu_calib.api.simulating import simulate
+from imu_calib.bags import RecordingWriter, open_recording
+from imu_calib.bags.recorded_clock import RecordedClock
+from imu_calib.cdr import Kind, encode_imu
+from imu_calib.cli.main import main
+from imu_calib.errors import InputError
+from imu_calib.stream import ImuBlock, Stamps
+from imu_calib.units import PPM
+
+TOPIC = '/imu/data_raw'
+NS = 1_000_000_000
+Change = Callable[[Stamps], Stamps]
+
+
+def clock_of(stamp: Stamps, log: Stamps) -> RecordedClock:
+    clock = RecordedClock()
+    for k in range(0, len(stamp), 1000):
+        clock.take(stamp[k : k + 1000], log[k : k + 1000])
+    return clock
+
+
+def delayed(seconds: float, faster: float, seed: int) -> tuple[Stamps, Stamps]:
+    """Stamps of 200 Hz, and log times: never early, in bursts of 16, some of them 0.3 s late."""
+    rng = np.random.default_rng(seed)
+    true = np.arange(int(200 * seconds)) * (NS // 200)
+    arrival = true + rng.exponential(1e-3 * NS, len(true)).astype(np.int64)
+    bursts = np.arange(len(true)) // 16 * 16 + 15
+    log = arrival[np.minimum(bursts, len(true) - 1)]
+    late = rng.random(len(true) // 200 + 1) < 0.1
+    log = np.maximum.accumulate(log + np.where(late[np.arange(len(true)) // 200], 3 * NS // 10, 0))
+    return (true * (1 + faster)).astype(np.int64) + 7 * NS, log + 1_700_000_000 * NS
+
+
+@pytest.mark.parametrize('faster', [0.015, -0.004, 50 * PPM])
+@pytest.mark.parametrize('seconds', [60, 1500])
+def test_the_ratio_is_found_through_bursts_and_delays(seconds: float, faster: float) -> None:
+    for seed in range(5):
+        ratio = clock_of(*delayed(seconds, faster, seed)).ratio()
+        assert ratio is not None
+        # Delays of a millisecond from end to end of a quarter; of whole bursts they are 80.
+        assert abs(ratio.value - 1 - faster) < 1e-3 / (seconds / 4)
+        assert ratio.std < 3e-3 / (seconds / 4)
+
+
+def test_a_clock_that_is_set_once_does_not_change_the_ratio() -> None:
+    stamp, log = delayed(600, 0.0, 1)
+    log[len(log) // 3 :] += 3 * NS
+    ratio = clock_of(stamp, log).ratio()
+    assert ratio is not None
+    assert abs(ratio.value - 1) < 200 * PPM
+
+
+def test_a_short_recording_shows_no_ratio() -> None:
+    assert clock_of(*delayed(9.0, 0.0, 0)).ratio() is None
+
+
+def test_memory_does_not_grow_with_the_recording() -> None:
+    clock = RecordedClock()
+    for k in range(300):
+        at = np.arange(k * 10_000, (k + 1) * 10_000) * 1_000_000
+        clock.take(at, at + 5)
+    held = sum(v.nbytes for v in vars(clock).values() if isinstance(v, np.ndarray))
+    assert held < 1 << 20
+    assert clock.stamps is not None
+    assert clock.stamps.count == 3_000_000
+    ratio = clock.ratio()
+    assert ratio is not None
+    assert ratio.value == pytest.approx(1, abs=1e-9)
+
+
+@pytest.fixture(scope='module')
+def in_the_hand(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp('hand') / 'bag'
+    return simulate('free_positions', folder, imu='mems_counts', seed=3, latitude=34.65).path
+
+
+def restamped(source: Path, target: Path, change: Change) -> Path:
+    """Copy a recording with other header stamps; the log times remain."""
+    with (
+        open_recording(source) as recording,
+        RecordingWriter(target, recording.custom_data) as writer,
+    ):
+        for topic, block in recording.read({t.name: Kind.IMU for t in recording.topics}):
+            assert isinstance(block, ImuBlock)
+            other = ImuBlock(change(block.stamp), block.gyro, block.accel, block.frame_id)
+            writer.write(topic, Kind.IMU.type_name, encode_imu(other), block.stamp)
+    return target
+
+
+def test_stamps_that_run_fast_are_said_with_what_contains_them(
+    in_the_hand: Path, tmp_path: Path
+) -> None:
+    sound = calibrate(in_the_hand).calibration
+    assert not any('log times' in finding for finding in sound.findings)
+    epoch = 1_700_000_000 * NS
+    fast = restamped(in_the_hand, tmp_path / 'fast', lambda s: s + (s - epoch) * 15 // 1000)
+    found = calibrate(fast).calibration
+    (said,) = [finding for finding in found.findings if 'log times' in finding]
+    assert '1.5 %' in said
+    assert 'fast' in said
+    assert 'K_g contains' in said
+
+
+@pytest.mark.parametrize(
+    ('change', 'said'),
+    [
+        (lambda stamp: stamp * 1000 % 2**60, 'a thousand times too long'),
+        (lambda stamp: stamp // 1000, 'a thousand times too short'),
+        (lambda stamp: stamp // 10**9, 'a billion times too short'),
+        (lambda stamp: stamp * 0, 'are 0'),
+        (lambda stamp: stamp * 0 + 5 * NS, 'are 5.000000000 s'),
+    ],
+)
+def test_stamps_that_are_no_times_are_said_before_anything_else(
+    in_the_hand: Path, tmp_path: Path, change: Change, said: str
+) -> None:
+    bag = restamped(in_the_hand, tmp_path / 'bag', change)
+    with pytest.raises(InputError, match=said):
+        calibrate(bag)
+
+
+def test_info_shows_both_clocks_and_where_log_times_step(
+    in_the_hand: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    epoch = 1_700_000_000 * NS
+    fast = restamped(in_the_hand, tmp_path / 'fast', lambda s: s + (s - epoch) * 15 // 1000)
+    found = inspect(fast)
+    (clock,) = found.clocks
+    assert clock.faster == pytest.approx(0.015, abs=1e-6)
+    assert clock.rate is not None
+    assert clock.log_rate == pytest.approx(1.015 * clock.rate, rel=1e-6)
+    assert clock.seconds == pytest.approx(1.015 * clock.log_seconds, rel=1e-6)
+    assert clock.log_steps == ()
+    assert inspect(in_the_hand).clocks[0].contradiction == ''
+    assert main(['info', str(fast)]) == 0
+    assert '+15000' in capsys.readouterr().out
+
+
+def test_a_step_of_log_times_is_located() -> None:
+    stamp, log = delayed(600, 50 * PPM, 1)
+    log[40_000:] += 4 * NS
+    ((at, by),) = clock_of(stamp, log).log_steps()
+    assert by == pytest.approx(4, abs=0.1)
+    assert abs(at - log[40_000]) < 10 * NS
+    assert clock_of(*delayed(600, 50 * PPM, 1)).log_steps() == []
