@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -122,6 +122,7 @@ def compensate(
         spec = _check_unit(loaded, name, stated, recording, topic)
         target = _target(output_topic, recording, topic)
         stamps = _all_stamps(recording, topic, first_of(loaded).imu.sample_rate, progress)
+        loaded = _with_data_sheet(loaded, spec)
         compensator = Compensator(loaded, stamps.instants())
         further_topics = _take_aside(compensator, recording, topic, progress)
         meant = stream_description(
@@ -156,7 +157,13 @@ def compensate(
             stream.samples_in,
             stream.samples_out,
             {mark: compensator.counts[mark] for mark in Mark if compensator.counts[mark]},
-            (*already, *_findings(stream), *stamps.words(), *recording.losses),
+            (
+                *already,
+                *first_of(loaded).unknown_noise,
+                *_findings(stream),
+                *stamps.words(),
+                *recording.losses,
+            ),
         )
 
 
@@ -237,6 +244,14 @@ def _check_unit(
     imu, where = (first_of(calibration).imu, str(recording.path)) if known is None else known
     check_unit(calibration, name, imu, where, serial)
     return imu
+
+
+def _with_data_sheet(calibration: AnyCalibration, imu: ImuSpec) -> AnyCalibration:
+    """Return the calibration with the noise of a data sheet, for what was made in the hand."""
+    if isinstance(calibration, ThermalCalibration):
+        sheets = tuple(one.with_data_sheet(imu) for one in calibration.calibrations)
+        return replace(calibration, calibrations=sheets)
+    return calibration.with_data_sheet(imu)
 
 
 def _topic(wanted: str | None, recording: Recording, serial: str) -> Topic:
