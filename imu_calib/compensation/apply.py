@@ -49,10 +49,11 @@ class Compensation:
     their noise, and the residual is their parity.
 
     The covariances are those of the calibration, propagated to first order at the rate and force of
-    each sample, plus the noise of one sample: N^2 / tau of the random walk N of the sensors, and of a pulse q (q / tau)^2 / 6, the mean over phases of c (1 - c) (q / tau)^2 for an
-    accumulating counter (docs/mathematics.md, 'Noise of a mean'); of an ADC's step q^2 / 12. For
-    nonlinear terms, the slopes at the sample are used; errors of forces that reach rates through
-    such terms are neglected.
+    each sample, plus the noise of one sample: N^2 / tau of the random walk N of the sensors, and of
+    a pulse q (q / tau)^2 / 6, the mean over phases of c (1 - c) (q / tau)^2 for an accumulating
+    counter (docs/mathematics.md, 'Noise of a mean'); of an ADC's step q^2 / 12. For nonlinear
+    terms, the slopes at the sample are used; errors of forces that reach rates through such terms
+    are neglected.
 
     Args:
         calibration: What to apply.
