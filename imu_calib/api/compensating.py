@@ -144,13 +144,14 @@ def compensate(
             RecordingWriter(written, data, compression) as writer,
             progress('compensating') as show,
         ):
+            writer.copy_records(recording)
             for other in recording.topics:
                 if keep or other.name != topic.name:
                     writer.copy_topic(other)
             writer.add_topic(target, Kind.IMU.type_name)
             for one, messages, times in recording.messages(show):
                 if one.name != topic.name or keep:
-                    writer.write(one.name, one.type, messages, times.log, times.publish)
+                    writer.copy(one, messages, times)
                 if one.name == topic.name:
                     stream.write(writer, messages, times.log)
             stream.finish(writer)
