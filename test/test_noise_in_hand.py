@@ -2,15 +2,19 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from shaky import GRAVITY, LATITUDE, shaky
 
+import imu_calib
+from imu_calib.bags import RecordingWriter
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.calibrator.by_hand import HandCalibrator
+from imu_calib.cdr import Kind, encode_imu
 from imu_calib.compensation.apply import Compensation
 from imu_calib.earth import Site
 from imu_calib.errors import InputError
@@ -18,8 +22,10 @@ from imu_calib.exports import EXPORTS, ExportSource
 from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.model import SensorModel
 from imu_calib.plan import load_plan
+from imu_calib.reports.verification import dwell_table
 from imu_calib.stream import Units
 from imu_calib.units import DEG_H
+from imu_calib.verification import Quantity
 
 RATE = 100.0
 WALK = 1.75e-4, 1e-3
@@ -123,3 +129,33 @@ def test_unknown_noise_is_left_out_with_a_sentence(made: str) -> None:
     pulses = np.repeat(PULSE, 3) / tau / 6**0.5 if made == 'by pulses' else np.zeros(6)
     assert deviations(calibration) == pytest.approx(pulses, rel=1e-3)
     assert not calibration.with_data_sheet(SHEET).unknown_noise
+
+
+@pytest.mark.parametrize('tremble', [0.05, 0.0])
+def test_a_length_of_rates_that_noise_hides_is_not_shown(tmp_path: Path, tremble: float) -> None:
+    """In a trembling hand the square of the Earth rate is uncertain by many times itself."""
+    noise = (WALK[0] * RATE**0.5, WALK[1] * RATE**0.5) if tremble else (1e-7, 1e-4)
+    block = shaky(SensorModel(), rate=RATE, tremble=tremble, noise=noise, seed=5).block
+    with RecordingWriter(tmp_path / 'bag') as writer:
+        writer.write('/imu/data_raw', Kind.IMU.type_name, encode_imu(block), block.stamp)
+    imu = ImuSpec('my_imu', Units.SI, RATE, TriadSpec(), TriadSpec())
+    place = {'latitude': float(np.degrees(LATITUDE)), 'gravity': GRAVITY}
+    unit = by_hand()
+    if not tremble:
+        unit = replace(unit, model=SensorModel(), covariance=1e-10 * unit.covariance)
+    found = imu_calib.verify(unit, tmp_path / 'bag', imu=imu, plan='none', **place)
+    hidden = [c for c in found.compared if not c.says_something]
+    table = dwell_table(found)
+    assert table is not None
+    heads = [str(column.header) for column in table.columns]
+    assert 'w up - Earth, deg/h' in heads
+    # A third of what is compared at rest; what a hold by chance resolves stays.
+    lengths = sum(c.quantity is Quantity.EARTH_RATE for c in found.compared)
+    assert len(hidden) > 0.8 * lengths if tremble else not hidden
+    cells = [
+        str(cell)
+        for column in table.columns
+        if column.header == '|w| - Earth, deg/h'
+        for cell in column.cells
+    ]
+    assert sum(map(bool, cells)) == lengths - len(hidden)
