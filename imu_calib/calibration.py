@@ -204,7 +204,9 @@ class Calibration:
         """
         std = SensorModel.from_vector(self.std[indices_of(PARAMETERS, self.parameters)])
         known = np.isfinite(self.std)
-        needed = known | np.array([p.triad == 'g' for p in self.parameters])
+        # Of the accelerometers all are estimated, or none.
+        of_accels = np.array([p.triad == 'a' for p in self.parameters])
+        needed = ~of_accels | known[of_accels].any()
         lost = needed & ~np.isfinite(self.values + self.std)
         if lost.any():
             names = [p.name for p, gone in zip(self.parameters, lost, strict=True) if gone]
