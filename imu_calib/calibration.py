@@ -163,9 +163,9 @@ class Calibration:
     @property
     def unknown_noise(self) -> list[str]:
         """A sentence if the session does not show the noise of the sensors; else empty."""
-        unknown = np.isnan(self.sensor_walk.reshape(2, 3)).any(axis=1)
-        unknown[1] &= self.has_accelerometers
-        names = [n for n, u in zip(('gyros', 'accelerometers'), unknown, strict=True) if u]
+        unknown = np.isnan(self.sensor_walk)
+        names = ['gyros'] * bool(unknown[:3].any())
+        names += ['accelerometers'] * bool(unknown[3:].any() and self.has_accelerometers)
         if not (names and 'random_walk' in self.provenance):
             return []
         return [

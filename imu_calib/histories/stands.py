@@ -202,7 +202,7 @@ class _Block:
         own, before = np.sum(columns**2, axis=0), np.sum(self._columns**2, axis=0)
         distinct = own > _DISTINCT * before
         t = np.divide(columns.T @ rest, np.sqrt(own), out=np.zeros(len(own)), where=distinct)
-        return np.abs(t).reshape(len(self.patterns), self._stands)
+        return np.asarray(np.abs(t).reshape(len(self.patterns), self._stands))
 
     def choose(self, pattern: int, stand: int) -> None:
         """Select a shift."""
