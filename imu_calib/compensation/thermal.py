@@ -91,7 +91,7 @@ class ThermalCalibration:
         covariance = covariance + np.outer(common, common)
         bend = self._bend(celsius, values)
         covariance = covariance + np.outer(bend, bend)
-        walks = np.array([c.sensor_walk for c in self.calibrations])
+        walks = np.nan_to_num([c.sensor_walk for c in self.calibrations])
         walk = np.sqrt((walks**2).mean(axis=0)).tolist()
         rates = [c.provenance.get('highest_rate') for c in self.calibrations]
         first = self.calibrations[0]
