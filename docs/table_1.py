@@ -12,17 +12,19 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.table import Table
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
+from imu_calib.model import ParameterKind
+from imu_calib.plain_table import plain_table
 from imu_calib.plan import Plan, load_plan
-from imu_calib.reports.side_by_side import comparison_table, side_by_side
 from imu_calib.share import named_file
 from imu_calib.simulation import StandOptions, simulate
 from imu_calib.turntable import load_table
-from imu_calib.units import ARCMIN, DEG, DEG_H, MICRO_G
+from imu_calib.units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G, STANDARD_GRAVITY
 
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 AZIMUTH = {'six_position': 0.0, 'twelve_position': 3.0 * DEG}
@@ -69,6 +71,30 @@ def differences(six: Calibration, twelve: Calibration) -> dict[str, float]:
     return found
 
 
+def table_1(six: Calibration, twelve: Calibration) -> Table:
+    """Return both in the names, units and order of the paper."""
+    kinds = [ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT, ParameterKind.BIAS]
+    rows = []
+    for parameter in six.parameters:
+        name, kind = parameter.name.upper(), parameter.kind
+        values = [c.model.values((parameter,))[0] for c in (six, twelve)]
+        gyro = parameter.triad == 'g'
+        unit, scale, digits = ('deg/h', DEG_H, 4) if gyro else ('g', STANDARD_GRAVITY, 6)
+        if kind is ParameterKind.MISALIGNMENT:
+            name, unit, scale, digits = name[:-2] + name[:-3:-1], 'arcmin', ARCMIN, 4
+        elif kind is ParameterKind.SCALE_FACTOR_ERROR:
+            spec = six.imu.gyro if gyro else six.imu.accel
+            unit, scale, digits = ('arcsec/p', ARCSEC, 5) if gyro else ('(m/s)/p', 1.0, 6)
+            # A deviation of the scale factor, S - S0.
+            values = [-v / (1 + v) * spec.scale_factor for v in values]
+        shown = [f'{v / scale:.{digits}f}' for v in values]
+        rows.append(((not gyro, kinds.index(kind), name), [name, parameter.name, *shown, unit]))
+    table = plain_table(('Table 1', 'here', '6 pos', '12 pos', 'unit'), 'llrrl')
+    for _, cells in sorted(rows):
+        table.add_row(*cells)
+    return table
+
+
 def main() -> None:
     """Run both sessions and write the page."""
     six, twelve = (calibrated(name) for name in AZIMUTH)
@@ -84,7 +110,7 @@ def main() -> None:
     truth = Calibration.load(named_file('truths', 'cao2022_table1'))
     errors = {c.provenance['method']: (c.values - truth.values) / c.std for c in (six, twelve)}
     console = Console(width=100, record=True, file=io.StringIO())
-    console.print(comparison_table(side_by_side([six, twelve]), ['6 pos', '12 pos']))
+    console.print(table_1(six, twelve))
     table = '\n'.join(line.rstrip() for line in console.export_text().splitlines())
     rms = {name: float(np.sqrt(np.mean(e**2))) for name, e in errors.items()}
     text = f"""# Table 1 of Cao 2022, from two sessions of one simulated unit

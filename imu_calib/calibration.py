@@ -52,6 +52,9 @@ if TYPE_CHECKING:
 _FORMAT = 1
 """Version of calibration.yaml; others are refused."""
 
+BY_ACCELEROMETERS = 'accelerometers'
+"""Value of `frame` in the provenance: the axes of a session in the hand."""
+
 _EXPECTED = 'a calibration file, which imu-calib calibrate makes of a recording'
 _RECORDINGS = {'.mcap', '.db3'}
 
@@ -143,6 +146,42 @@ class Calibration:
         """
         return read_noise(self.provenance.get('noise') or {})
 
+    @property
+    def sensor_walk(self) -> Floats:
+        """Random walk (6,) of the sensors, rad/sqrt(s) and (m/s)/sqrt(s); NaN if unknown.
+
+        That of a session in the hand is mostly the hand's.
+        """
+        walk = self.provenance.get('sensor_random_walk' if self.in_the_hand else 'random_walk')
+        return np.array([np.nan] * 6 if walk is None else walk, dtype=float)
+
+    @property
+    def in_the_hand(self) -> bool:
+        """Whether the session was in the hand, in attitudes that nobody stated."""
+        return self.provenance.get('frame') == BY_ACCELEROMETERS
+
+    @property
+    def unknown_noise(self) -> list[str]:
+        """A sentence if the session does not show the noise of the sensors; else empty."""
+        unknown = np.isnan(self.sensor_walk)
+        names = ['gyros'] * bool(unknown[:3].any())
+        names += ['accelerometers'] * bool(unknown[3:].any() and self.has_accelerometers)
+        if not (names and 'random_walk' in self.provenance):
+            return []
+        return [
+            f'The noise of the {" and ".join(names)} is unknown, since that of the session is the '
+            "hand's: covariances of compensated samples do not contain it. State the random walk "
+            "of the data sheet in the IMU's file."
+        ]
+
+    def with_data_sheet(self, sheet: ImuSpec) -> Calibration:
+        """Return the calibration with the noise of a data sheet, if it was made in the hand."""
+        if not self.in_the_hand:
+            return self
+        stated = np.repeat([sheet.gyro.random_walk, sheet.accel.random_walk], 3)
+        walk = np.where(stated > 0, stated, self.sensor_walk).tolist()
+        return replace(self, provenance={**self.provenance, 'sensor_random_walk': walk})
+
     def with_share(self, source: Source, share: Share) -> Calibration:
         """Return the calibration with the contribution of another source to its covariance."""
         budget = None if self.budget is None else self.budget.with_share(source, share)
@@ -165,7 +204,9 @@ class Calibration:
         """
         std = SensorModel.from_vector(self.std[indices_of(PARAMETERS, self.parameters)])
         known = np.isfinite(self.std)
-        needed = known | np.array([p.triad == 'g' for p in self.parameters])
+        # Of the accelerometers all are estimated, or none.
+        of_accels = np.array([p.triad == 'a' for p in self.parameters])
+        needed = ~of_accels | known[of_accels].any()
         lost = needed & ~np.isfinite(self.values + self.std)
         if lost.any():
             names = [p.name for p, gone in zip(self.parameters, lost, strict=True) if gone]

@@ -20,7 +20,7 @@ _LISTS_OF_TEXTS = ('topics', 'terms', 'missing_positions', 'shared_with')
 _FLAGS = ('terms_looked_for', 'height_assumed')
 _COUNTS = ('segments', 'turns', 'samples')
 _NUMBERS = ('height', 'azimuth_seen_deg', 'azimuth_seen_std_deg', 'condition_number')
-_SIX = ('random_walk', 'residual_rms', 'bias_drift')
+_SIX = ('random_walk', 'sensor_random_walk', 'residual_rms', 'bias_drift')
 _NOT_NEGATIVE = (
     *('table_clock_std', 'latitude_std_deg', 'gravity_std', 'highest_rate'),
     'accel_interpolated_from_hz',

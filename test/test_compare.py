@@ -17,9 +17,10 @@ from imu_calib.cli.main import main
 from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
 from imu_calib.model import G_SENSITIVITY, PARAMETERS, SensorModel, Skewed, Triad, parameters_of
+from imu_calib.reports.parameter_table import parameter_table
 from imu_calib.reports.side_by_side import comparison_table, in_scale_of, side_by_side
 from imu_calib.stream import Units
-from imu_calib.units import DEG_H, STANDARD_GRAVITY
+from imu_calib.units import DEG_H, MICRO_G, STANDARD_GRAVITY
 
 
 def unit(*, with_g: bool = True, skewed: bool = True) -> Calibration:
@@ -37,7 +38,7 @@ def unit(*, with_g: bool = True, skewed: bool = True) -> Calibration:
 def rows(first: Calibration, second: Calibration) -> dict[str, tuple[str, ...]]:
     table = comparison_table(side_by_side([first, second]), ['a', 'b'])
     columns = [list(c.cells) for c in table.columns]
-    return {str(r[1]): tuple(map(str, r[2:7])) for r in zip(*columns, strict=True)}
+    return {str(r[0]): tuple(map(str, r[1:6])) for r in zip(*columns, strict=True)}
 
 
 def test_g_sensitivities_and_skewed_gyros_are_compared_too() -> None:
@@ -55,6 +56,18 @@ def test_g_sensitivities_and_skewed_gyros_are_compared_too() -> None:
     assert float(ratio) == pytest.approx(-3 / np.sqrt(2), abs=0.06)
     assert shown == '(deg/h)/g'
     assert all(float(row[2]) == 0 for name, row in found.items() if name != 'G_gyy')
+
+
+def test_names_units_and_order_are_those_of_a_calibration() -> None:
+    first = unit()
+    shown = parameter_table(first)
+    names, units = (list(shown.columns[k].cells) for k in (0, 3))
+    found = rows(first, first)
+    assert list(found) == names
+    assert [row[4] for row in found.values()] == units
+    # Digits, too, up to those that the smaller difference needs.
+    values = list(map(float, shown.columns[1].cells))
+    assert [float(row[0]) for row in found.values()] == pytest.approx(values, abs=1e-3)
 
 
 def test_what_only_one_of_them_has_is_named() -> None:
@@ -101,7 +114,7 @@ def test_rows_of_a_kind_have_the_same_decimals() -> None:
     step = np.where([p.name == 'D_ax' for p in parameters], 5e-8, 2e-6)
     moved = first.model.with_values(first.parameters, first.values + step)
     found = rows(first, replace(first, model=moved))
-    assert float(found['D_ax'][2]) == pytest.approx(-5e-8 / STANDARD_GRAVITY, rel=0.2)
+    assert float(found['D_ax'][2]) == pytest.approx(-5e-8 / MICRO_G, rel=0.2)
     for kind in ('K_g', 'K_a', 'E_g', 'E_a', 'D_a', 'G_g'):
         cells = [row[:3] for name, row in found.items() if name.startswith(kind)]
         after = {len(cell.partition('.')[2]) for row in cells for cell in row}
@@ -239,8 +252,8 @@ def test_no_head_and_no_unit_is_cut_in_a_narrow_terminal(
     assert main(['compare', *map(str, files)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line for line in lines if '\u2026' in line] == []
-    head = next(line for line in lines if line.startswith('Table 1'))
-    row = next(line for line in lines if line.startswith('K_GX'))
-    assert row.rstrip().endswith('arcsec/p')
-    assert head.index('unit') == row.index('arcsec/p')
+    head = next(line for line in lines if line.startswith('parameter'))
+    row = next(line for line in lines if line.startswith('K_gx'))
+    assert row.rstrip().endswith('ppm')
+    assert head.index('unit') == row.index('ppm')
     assert lines[0] == '(1) a_long_name_of_a_unit_0'

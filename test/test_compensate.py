@@ -13,7 +13,8 @@ from test_thermal import point
 
 import imu_calib
 from imu_calib.bags import RecordingWriter, open_recording
-from imu_calib.bags.metadata import dump, offered_profiles, qos_profile
+from imu_calib.bags.metadata import dump, qos_profile
+from imu_calib.bags.storage import Described, Topic
 from imu_calib.calibration import Calibration
 from imu_calib.cdr import Kind, Messages, encode_imu, encode_rates
 from imu_calib.cli.main import main
@@ -88,11 +89,8 @@ def test_types_that_nobody_knows_pass_byte_by_byte_with_their_description(tmp_pa
     profile = dump([{**qos_profile(), 'history': 'keep_last', 'depth': 7}])
     path = tmp_path / 'bag'
     with RecordingWriter(path, {'mine': 'yes'}) as writer:
-        channel = writer._file.add_channel(
-            '/odd', 'my_msgs/msg/Odd', text, profile, language='ros2msg'
-        )
-        writer._topics['/odd'] = channel, 'my_msgs/msg/Odd'
-        writer._profiles['/odd'] = offered_profiles(profile)
+        described = Described(text, 'ros2msg', profile)
+        writer.copy_topic(Topic('/odd', 'my_msgs/msg/Odd', None, described=described))
         log = 1_700_000_000 * 10**9 + np.arange(50) * 10**7
         writer.write('/odd', 'my_msgs/msg/Odd', Messages.join(payloads), log, log - 5)
         writer.write(IMU, Kind.IMU.type_name, encode_imu(SESSION[IMU]), SESSION[IMU].stamp)

@@ -258,6 +258,24 @@ def test_what_is_out_of_range_is_marked_and_has_no_covariance():
     assert (result.force_covariance[:, 0] == -1).tolist() == [False, True, False, True]
 
 
+@pytest.mark.parametrize('count', [1, 3])
+def test_the_end_of_a_range_is_a_thousandth_below_its_stated_value(count):
+    """ADCs clip slightly early, and ranges are stated to three digits."""
+    scale = 1e-4
+    spec = ImuSpec(
+        'any', Units.COUNTS, None, TriadSpec(scale, range=2.0), TriadSpec(scale, range=20.0)
+    )
+    for share, gyro, accel in ((0.9985, 0, 0), (0.9995, Mark.GYRO_RANGE, Mark.ACCEL_RANGE)):
+        rates, forces = np.zeros((count, 3)), np.zeros((count, 3))
+        rates[-1, 1] = -share * 2.0 / scale
+        result = Compensation(known(spec)).apply(rates, forces, np.full(count, TAU))
+        assert result.marks[-1] == gyro
+        assert (result.rate_covariance[-1, 0] == -1) == bool(gyro)
+        rates[-1, 1], forces[-1, 2] = 0.0, share * 20.0 / scale
+        result = Compensation(known(spec)).apply(rates, forces, np.full(count, TAU))
+        assert result.marks[-1] == accel
+
+
 def test_one_pulse_of_a_fast_counter_is_no_end_of_a_range_and_no_high_rate():
     # At 20 kHz a pulse of the paper's unit is 200 m/s^2, or 43 deg/s.
     tau = 5e-5

@@ -473,7 +473,7 @@ def test_in_another_scale_the_unit_reads_the_same_numbers(terms: tuple[Term, ...
     assert found[0] == pytest.approx(2 * gyro, rel=1e-12)
     assert found[1] == pytest.approx(4 * accel, rel=1e-12)
     table = comparison_table(side_by_side([calibration, seen]), ['a', 'b'])
-    assert list(table.columns[1].cells)[24:] == [p.name for p in model.parameters[24:]]
+    assert list(table.columns[0].cells)[24:] == [p.name for p in model.parameters[24:]]
     # Lengths and times do not double with the outputs.
     for parameter in model.parameters:
         if parameter.unit.si in {'m', 's'}:

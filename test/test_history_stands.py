@@ -81,6 +81,31 @@ def test_a_fixture_that_is_turned_is_one_shift() -> None:
     assert set(shift.parameters) == {'E_gxz', 'E_gzx', 'E_axz', 'E_azx'}
 
 
+@pytest.mark.parametrize('remounted', [0.0, 0.02, 0.2])
+@pytest.mark.parametrize('stands', [THREE, ('east', 'south')])
+def test_a_fixture_that_is_turned_far_is_one_shift_of_its_size(remounted, stands) -> None:
+    """However units turn in it from session to session: that scatter has the same pattern."""
+    laid = laboratory(3, 0.30 * turned(2), stands=stands)
+    rng = np.random.default_rng(21)
+    scatter = remounted * rng.standard_normal(len(laid.values)) * SCALE[index('E_gxy')]
+    laid = replace(laid, values=laid.values + np.outer(scatter, turned(2)))
+    found = backtest(laid, LIMITS)
+    (shift,) = found.stands.shifts
+    assert (shift.what, shift.identified) == ('E about Z', len(stands) > 2)
+    one = 1.0 if shift.stand == 'south' else -1.0
+    arcmin = SCALE[index('E_gxy')]
+    # 180 sessions, a third or half of them there: the deviation of a difference of means.
+    assert 0.5 < shift.std / arcmin / np.hypot(remounted, 0.01 / 2) / np.sqrt(4.5 / 180) < 2
+    assert one * shift.shift / arcmin == pytest.approx(0.30, abs=4 * shift.std / arcmin)
+    # None of it is left in the corrected values: what they differ by is what the size is off by.
+    at_south = np.array([name == 'south' for name in laid.stand])
+    raw = np.concatenate([unit.values for unit in found.units])
+    corrected = np.concatenate([unit.corrected for unit in found.units])
+    removed = np.ptp((raw - corrected) @ turned(2) / 4)
+    assert removed == pytest.approx(abs(shift.shift), rel=1e-9)
+    assert at_south.any()
+
+
 def test_a_turned_unit_has_the_misalignments_of_the_turn() -> None:
     """Against rotations of the input itself: a unit turned by t measures R(t)' f."""
     for axis in range(3):

@@ -264,6 +264,13 @@ _PROVENANCE = [
     Key('turns', _COUNT, 'turns'),
     Key('samples', _COUNT, 'samples used'),
     Key('random_walk', _SIX, 'of the channels, rad/sqrt(s) and (m/s)/sqrt(s)'),
+    Key(
+        'sensor_random_walk',
+        _SIX,
+        'of the sensors without the hand: by the data sheet, else by neighbouring samples',
+        None,
+        'unknown (sessions in the hand)',
+    ),
     Key('residual_rms', _SIX, 'root mean square of the residuals, rad/s and m/s^2'),
     Key('bias_drift', _SIX, 'bias drift included in the standard deviations, rad/s and m/s^2'),
     Key('condition_number', _NUMBER, 'of the equations'),

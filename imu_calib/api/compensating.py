@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,10 +23,12 @@ from ..compensation.thermal import (
     check_unit,
     first_of,
 )
+from ..compensation.turns_seen import TurnsSeen
 from ..compensation.whole_stream import WholeStream
-from ..errors import InputError
-from ..imu import ImuSpec, compensated_imu
+from ..errors import InputError, NotObservable
+from ..imu import SCALE_LIMIT, ImuSpec, compensated_imu
 from ..metadata import COMPENSATED, compensated_already, compensated_key, stream_description
+from ..methods.checks import TIMES, wrong_scale_sentence
 from ..mounted import TOPIC
 from ..stream import ImuBlock, Stamps
 from ..units import counted
@@ -39,6 +41,8 @@ from .streams import imu_topic, skew_topic, temperature_topic
 if TYPE_CHECKING:
     from ..calibrator import Result
 
+_MOST = 0.5
+"""Share of the samples: with fewer written, most are lost."""
 _RAW, _RATES, _CALIBRATED = '/pulses', '/data_raw', '/data_calibrated'
 _WORDS = {
     Mark.GYRO_RANGE: 'a saturated gyro (covariance -1: no estimate)',
@@ -112,6 +116,7 @@ def compensate(
 
     Raises:
         InputError: Unreadable, the calibration is not this unit's, or the output exists.
+        NotObservable: No sample can be compensated: nothing is written.
     """
     loaded, name = as_applied(calibration)
     file = Path(calibration).name if isinstance(calibration, str | Path) else ''
@@ -122,6 +127,7 @@ def compensate(
         spec = _check_unit(loaded, name, stated, recording, topic)
         target = _target(output_topic, recording, topic)
         stamps = _all_stamps(recording, topic, first_of(loaded).imu.sample_rate, progress)
+        loaded = _with_data_sheet(loaded, spec)
         compensator = Compensator(loaded, stamps.instants())
         further_topics = _take_aside(compensator, recording, topic, progress)
         meant = stream_description(
@@ -138,16 +144,24 @@ def compensate(
             RecordingWriter(written, data, compression) as writer,
             progress('compensating') as show,
         ):
+            writer.copy_records(recording)
             for other in recording.topics:
                 if keep or other.name != topic.name:
                     writer.copy_topic(other)
             writer.add_topic(target, Kind.IMU.type_name)
             for one, messages, times in recording.messages(show):
                 if one.name != topic.name or keep:
-                    writer.write(one.name, one.type, messages, times.log, times.publish)
+                    writer.copy(one, messages, times)
                 if one.name == topic.name:
                     stream.write(writer, messages, times.log)
             stream.finish(writer)
+        findings = _findings(stream)
+        if not stream.samples_out:
+            reasons = ' '.join([*findings, *stamps.words(), *recording.losses])
+            raise NotObservable(
+                f'None of the {stream.samples_in} samples of {topic.name} could be compensated, '
+                f'and no recording is written. {reasons}'
+            )
         return Compensated(
             written,
             topic.name,
@@ -156,7 +170,13 @@ def compensate(
             stream.samples_in,
             stream.samples_out,
             {mark: compensator.counts[mark] for mark in Mark if compensator.counts[mark]},
-            (*already, *_findings(stream), *stamps.words(), *recording.losses),
+            (
+                *already,
+                *first_of(loaded).unknown_noise,
+                *findings,
+                *stamps.words(),
+                *recording.losses,
+            ),
         )
 
 
@@ -167,6 +187,7 @@ class _Stream:
         self.compensator = compensator
         self.malformed = Malformed()
         self.samples_in = self.samples_out = 0
+        self.turns = TurnsSeen()
         self._target = target
         self._frame_id = frame_id
         self._dropped = 0
@@ -200,6 +221,7 @@ class _Stream:
         self._dropped = self.compensator.dropped
         for reading in readings:
             values, frame_id = reading.values, self._frame_id or reading.frame_id
+            self.turns.take(reading.stamp, values)
             block = ImuBlock(reading.stamp, values.rate, values.force, frame_id)
             encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
             times = self._next_times(len(reading))[reading.numbers]
@@ -237,6 +259,14 @@ def _check_unit(
     imu, where = (first_of(calibration).imu, str(recording.path)) if known is None else known
     check_unit(calibration, name, imu, where, serial)
     return imu
+
+
+def _with_data_sheet(calibration: AnyCalibration, imu: ImuSpec) -> AnyCalibration:
+    """Return the calibration with the noise of a data sheet, for what was made in the hand."""
+    if isinstance(calibration, ThermalCalibration):
+        sheets = tuple(one.with_data_sheet(imu) for one in calibration.calibrations)
+        return replace(calibration, calibrations=sheets)
+    return calibration.with_data_sheet(imu)
 
 
 def _topic(wanted: str | None, recording: Recording, serial: str) -> Topic:
@@ -310,7 +340,14 @@ def _take_aside(
 def _findings(stream: _Stream) -> list[str]:
     """Return messages for the user about the samples."""
     compensator = stream.compensator
-    known = [
+    sent = stream.samples_in - compensator.repeats
+    known = []
+    if 0 < stream.samples_out < _MOST * sent:
+        known.append(
+            f'Warning: most of the samples are lost: {stream.samples_out} of {sent} could be '
+            'compensated.'
+        )
+    known += [
         f'{compensator.counts[m]} samples: {_WORDS[m]}.' for m in Mark if compensator.counts[m]
     ]
     if not compensator.gravity.is_gravity:
@@ -319,6 +356,20 @@ def _findings(stream: _Stream) -> list[str]:
         known.append(f"{compensator.alone} samples went without the skewed gyro's value.")
     if compensator.repeats:
         known.append(f'{compensator.repeats} samples came twice and are written once.')
+    scale = stream.turns.scale
+    if not 1 / SCALE_LIMIT < scale < SCALE_LIMIT:
+        imu = first_of(compensator.calibration).imu
+        known.append(
+            f'The gyros turn gravity {scale:.3g} times as far as the accelerometers do: the '
+            f'samples are not in the units of the calibration ({imu.units.value}).'
+            f'{wrong_scale_sentence(scale, "gyros")}{TIMES}'
+        )
+    if compensator.untimed:
+        known.append(
+            f'The stamps of {compensator.untimed} samples show no sample interval: they are '
+            'compensated without. Unless the description of the IMU states a `sample_rate`, their '
+            'covariances do not contain the noise of single samples.'
+        )
     if compensator.dropped:
         known.append(f'{compensator.dropped} samples could not be timed and are left out.')
     if stream.malformed.count:

@@ -76,10 +76,11 @@ def joined(
             RecordingWriter(target, data) as writer,
             progress('converting') as show,
         ):
+            writer.copy_records(recording)
             write_imu(writer, block, raw=False)
             for one, messages, times in recording.messages(show):
                 if one.name not in taken:
-                    writer.write(one.name, one.type, messages, times.log, times.publish)
+                    writer.copy(one, messages, times)
                     counts[one.name] = counts.get(one.name, 0) + len(messages)
     return Converted(target, counts, tuple(findings))
 

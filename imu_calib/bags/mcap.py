@@ -104,8 +104,24 @@ class McapStorage:
             before = topics.get(channel.topic)
             count = counts.get(channel.id, 0) if counts is not None else None
             topic = Topic(channel.topic, channel.type, count, channel.encoding, channel.described)
+            topic = replace(topic, channels=((channel.id, topic),))
             topics[channel.topic] = before.merged(topic) if before else topic
         return topics
+
+    @property
+    def metadata(self) -> Sequence[tuple[str, Mapping[str, str]]]:
+        """The metadata records: name and content."""
+        return self._catalogue.records
+
+    def attachments(self) -> Iterator[bytes]:
+        """Read the attachment records, one after the other; a cut one is a loss."""
+        for start, length in self._catalogue.attachments_at:
+            with self.path.open('rb', buffering=0) as file:
+                content = _read(file, start, length)[RECORD_HEAD:]
+            if len(content) == length - RECORD_HEAD:
+                yield bytes(content)
+            else:
+                self._losses.add(f'{self.path.name}: an attachment is cut off.')
 
     @property
     def custom_data(self) -> Mapping[str, str]:

@@ -158,6 +158,8 @@ def chunks_of(catalogue: Catalogue, end: int) -> list[Chunk] | None:
     )
     if not apart or catalogue.totals != (len(catalogue.metadata_at), len(entries)):
         return None
+    if catalogue.attachments != len(catalogue.attachments_at):
+        return None
     chunks = [_of_summary(entry) for entry in entries]
     counts: dict[int, int] = {}
     for chunk in chunks:

@@ -206,7 +206,10 @@ def log_at(buffer: Bytes, offset: Indices) -> Stamps:
 
 
 def times_at(buffer: Bytes, offset: Indices) -> Times:
-    """Read log and publish times, the last two fields before each message."""
-    anywhere = np.ndarray((len(buffer) - 15,), 'V16', buffer, 0, (1,))
-    pairs = anywhere[offset - 16].view('<i8').reshape(-1, 2)
-    return Times(pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64))
+    """Read channel, sequence, log and publish times, the fields before each message."""
+    kind = [('channel', '<u2'), ('sequence', '<u4'), ('log', '<i8'), ('publish', '<i8')]
+    anywhere = np.ndarray((len(buffer) - MESSAGE_HEAD + 1,), kind, buffer, 0, (1,))
+    heads = anywhere[offset - MESSAGE_HEAD]
+    return Times(
+        *(heads[name].astype(np.int64) for name in ('log', 'publish', 'channel', 'sequence'))
+    )

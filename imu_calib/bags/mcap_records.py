@@ -35,6 +35,8 @@ class Op(IntEnum):
     CHUNK = 0x06
     MESSAGE_INDEX = 0x07
     CHUNK_INDEX = 0x08
+    ATTACHMENT = 0x09
+    ATTACHMENT_INDEX = 0x0A
     STATISTICS = 0x0B
     METADATA = 0x0C
     METADATA_INDEX = 0x0D
@@ -87,20 +89,32 @@ class Catalogue:
     Attributes:
         schemas: Message type, language and text of the definition by schema id.
         channels: Channels by id.
-        metadata: Contents of the metadata records by their names.
+        records: The metadata records: name and content.
         counts: Messages by channel id, from the statistics; None without.
         chunks: Contents of the chunk index.
         metadata_at: Offset and length of the metadata records, from their index.
         totals: Numbers of metadata records and of chunks, from the statistics; None without.
+        attachments_at: Offset and length of the attachments' records.
+        attachments: Their number, from the statistics.
     """
 
     schemas: dict[int, tuple[str, str, str]] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    records: list[tuple[str, dict[str, str]]] = field(default_factory=list)
     counts: dict[int, int] | None = None
     chunks: list[ChunkIndex] = field(default_factory=list)
     metadata_at: list[tuple[int, int]] = field(default_factory=list)
     totals: tuple[int, int] | None = None
+    attachments_at: list[tuple[int, int]] = field(default_factory=list)
+    attachments: int = 0
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Contents of the metadata records by their names."""
+        merged: dict[str, dict[str, str]] = {}
+        for name, pairs in self.records:
+            merged.setdefault(name, {}).update(pairs)
+        return merged
 
     def add(self, op: int, content: bytes) -> None:
         """Store a record, if it is of a relevant kind.
@@ -117,16 +131,20 @@ class Catalogue:
         if op == Op.SCHEMA:
             key = fields.number('H')
             name, language, text = fields.string(), fields.string(), fields.block()
-            self.schemas[key] = name, language, text.decode(errors='replace')
+            self.schemas[key] = name, language, text.decode(errors='surrogateescape')
         elif op == Op.CHANNEL:
             key, schema = fields.numbers('HH')
             topic, encoding = fields.string(), fields.string()
-            profiles = fields.strings().get('offered_qos_profiles', '')
+            pairs = fields.strings()
+            profiles = pairs.get('offered_qos_profiles', '')
             name, language, text_ = self.schemas.get(schema, ('', '', ''))
-            described = Described(text_, language, profiles)
+            described = Described(text_, language, profiles, tuple(pairs.items()))
             self.channels[key] = Channel(key, topic, name, encoding, described)
         elif op == Op.METADATA:
-            self.metadata.setdefault(fields.string(), {}).update(fields.strings())
+            found_ = fields.string(), fields.strings()
+            # A walk may begin anew over records that the summary led to.
+            if found_ not in self.records:
+                self.records.append(found_)
         elif op == Op.CHUNK_INDEX:
             first, last, start, length = fields.numbers('QQQQ')
             index = dict(struct.iter_unpack('<HQ', fields.block()))
@@ -137,9 +155,12 @@ class Catalogue:
         elif op == Op.METADATA_INDEX:
             start, length = fields.numbers('QQ')
             self.metadata_at.append((start, length))
+        elif op == Op.ATTACHMENT_INDEX:
+            start, length = fields.numbers('QQ')
+            self.attachments_at.append((start, length))
         elif op == Op.STATISTICS:
-            fields.skip(18)
-            metadata, chunks = fields.numbers('II')
+            fields.skip(14)
+            self.attachments, metadata, chunks = fields.numbers('III')
             self.totals = metadata, chunks
             fields.skip(16)
             self.counts = dict(struct.iter_unpack('<HQ', fields.block()))

@@ -170,6 +170,10 @@ class _Scanner:
             return self._unchunked(position)
         if op in _SMALL:
             return self._small(op, position, length, following)
+        if op == Op.ATTACHMENT:
+            place, known = (position, RECORD_HEAD + length), self.found.catalogue.attachments_at
+            if place not in known:
+                known.append(place)
         if op in {Op.DATA_END, Op.FOOTER}:
             self.finished = True
             return self.end

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .mcap_records import MAGIC, MESSAGE_HEAD, RECORD_HEAD, Op, record, string, strings
+from .mcap_records import MAGIC, MESSAGE_HEAD, RECORD_HEAD, Fields, Op, record, string, strings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from ..cdr import Messages
@@ -71,10 +71,11 @@ class McapWriter:
         # Unbuffered: an error of a full disk appears at once, and the data is written again later.
         self._file = path.open('xb', buffering=0)
         self._chunk = _Open()
-        self._schemas: dict[str, bytes] = {}
+        self._schemas: dict[tuple[str, str, str], bytes] = {}
         self._channels: list[bytes] = []
         self._chunk_index: list[bytes] = []
         self._metadata_index: list[bytes] = []
+        self._attachment_index: list[bytes] = []
         self._put(MAGIC + record(Op.HEADER, string('ros2') + string('imu_calib')))
         self.counts: dict[int, int] = {}
         self.start_ns = 2**63 - 1
@@ -89,17 +90,33 @@ class McapWriter:
         *,
         language: str = 'ros2msg',
         encoding: str = 'cdr',
+        metadata: Mapping[str, str] | None = None,
     ) -> int:
-        """Describe a topic; return the id of its channel."""
-        if type_name not in self._schemas:
-            key = len(self._schemas) + 1
-            names = string(type_name) + string(language) + string(definition)
-            self._schemas[type_name] = record(Op.SCHEMA, struct.pack('<H', key) + names)
-            self._chunk.append(self._schemas[type_name])
+        """Describe a topic; return the id of its channel.
+
+        Args:
+            topic: Its name.
+            type_name: Message type; empty for a channel without a schema.
+            definition: Of the message; surrogates of Python for bytes that are no text.
+            qos: Offered profiles as YAML.
+            language: Of the definition.
+            encoding: Of the messages.
+            metadata: Of the channel; None: the profiles, as rosbag2 writes them.
+        """
+        schema, key = 0, (type_name, language, definition)
+        if type_name or definition:
+            if key not in self._schemas:
+                text = definition.encode(errors='surrogateescape')
+                content = struct.pack('<H', len(self._schemas) + 1)
+                content += string(type_name) + string(language)
+                content += struct.pack('<I', len(text)) + text
+                self._schemas[key] = record(Op.SCHEMA, content)
+                self._chunk.append(self._schemas[key])
+            schema = list(self._schemas).index(key) + 1
         channel = len(self._channels) + 1
-        schema = list(self._schemas).index(type_name) + 1
-        metadata = strings({'offered_qos_profiles': qos, 'topic_type_hash': ''})
-        content = struct.pack('<HH', channel, schema) + string(topic) + string(encoding) + metadata
+        pairs = {'offered_qos_profiles': qos, 'topic_type_hash': ''}
+        stated = strings(pairs if metadata is None else dict(metadata))
+        content = struct.pack('<HH', channel, schema) + string(topic) + string(encoding) + stated
         self._channels.append(record(Op.CHANNEL, content))
         self._chunk.append(self._channels[-1])
         self.counts[channel] = 0
@@ -112,14 +129,27 @@ class McapWriter:
         self._put(content)
         self._metadata_index.append(record(Op.METADATA_INDEX, place))
 
+    def add_attachment(self, content: bytes) -> None:
+        """Write the content of an attachment record at once."""
+        fields = Fields(content)
+        times, names = fields.numbers('QQ'), string(fields.string()) + string(fields.string())
+        whole = record(Op.ATTACHMENT, content)
+        place = self._file.tell(), len(whole), *times, fields.number('Q')
+        self._put(whole)
+        index = struct.pack('<5Q', *place) + names
+        self._attachment_index.append(record(Op.ATTACHMENT_INDEX, index))
+
     def write(
         self,
         channel: int,
         messages: Messages,
         log_time: Indices,
         publish_time: Indices | None = None,
+        sequence: Indices | None = None,
     ) -> None:
-        """Append messages, closing full chunks; publish times default to log times.
+        """Append messages, closing full chunks.
+
+        Publish times default to log times, sequence numbers to a count.
 
         Raises:
             OSError: The disk is full; the messages are held, and `flush` tries again.
@@ -136,7 +166,8 @@ class McapWriter:
                 stop = len(messages)
             some = slice(start, stop)
             times = log_time[some], published[some]
-            self._append(channel, messages.select(some), *times)
+            number = None if sequence is None else sequence[some]
+            self._append(channel, messages.select(some), *times, number)
             if trouble is None and (stop < len(messages) or self._is_full()):
                 try:
                     self.flush()
@@ -151,10 +182,16 @@ class McapWriter:
         return self._chunk.size >= self._chunk_bytes or span >= self._chunk_ns
 
     def _append(
-        self, channel: int, messages: Messages, log_time: Indices, publish_time: Indices
+        self,
+        channel: int,
+        messages: Messages,
+        log_time: Indices,
+        publish_time: Indices,
+        sequence: Indices | None,
     ) -> None:
         chunk = self._chunk
-        sequence = self.counts[channel] + 1
+        if sequence is None:
+            sequence = self.counts[channel] + 1 + np.arange(len(messages))
         content = _records(channel, sequence, messages, log_time, publish_time)
         ends = np.cumsum(messages.size + _HEAD)
         offsets = chunk.size + ends - messages.size - _HEAD
@@ -221,7 +258,8 @@ class McapWriter:
         """Build all from the summary section to the end of the file, with the CRC still zero."""
         span = (self.start_ns, self.end_ns) if self._chunk_index else (0, 0)
         counts = b''.join(struct.pack('<HQ', c, n) for c, n in self.counts.items())
-        numbers = (len(self._schemas), len(self._channels), 0, len(self._metadata_index))
+        attached = len(self._attachment_index)
+        numbers = len(self._schemas), len(self._channels), attached, len(self._metadata_index)
         statistics = struct.pack(
             '<QHIIII', sum(self.counts.values()), *numbers, len(self._chunk_index)
         )
@@ -230,6 +268,7 @@ class McapWriter:
             Op.SCHEMA: list(self._schemas.values()),
             Op.CHANNEL: self._channels,
             Op.CHUNK_INDEX: self._chunk_index,
+            Op.ATTACHMENT_INDEX: self._attachment_index,
             Op.METADATA_INDEX: self._metadata_index,
             Op.STATISTICS: [record(Op.STATISTICS, statistics)],
         }
@@ -245,14 +284,14 @@ class McapWriter:
 
 
 def _records(
-    channel: int, sequence: int, messages: Messages, log_time: Indices, publish_time: Indices
+    channel: int, sequence: Indices, messages: Messages, log_time: Indices, publish_time: Indices
 ) -> bytes:
     """Build message records; those of equal size are filled column by column."""
     size = int(messages.size[0])
     if not (messages.size == size).all():
         return b''.join(
-            _records(channel, sequence + i, messages.select(one), log_time[one], publish_time[one])
-            for i, one in enumerate(slice(i, i + 1) for i in range(len(messages)))
+            _records(channel, sequence[one], messages.select(one), log_time[one], publish_time[one])
+            for one in (slice(i, i + 1) for i in range(len(messages)))
         )
     kind = np.dtype(
         [
@@ -269,7 +308,9 @@ def _records(
     table['op'] = Op.MESSAGE
     table['length'] = MESSAGE_HEAD + size
     table['channel'] = channel
-    table['sequence'] = np.arange(sequence, sequence + len(messages)) % 2**32
+    table['sequence'] = sequence % 2**32
     table['log_time'], table['publish_time'] = log_time, publish_time
-    table['data'] = messages.leading_bytes(size).view(f'V{size}')[:, 0]
+    # An empty message is one of protobuf with all defaults.
+    if size:
+        table['data'] = messages.leading_bytes(size).view(f'V{size}')[:, 0]
     return table.tobytes()

@@ -145,6 +145,16 @@ class Recording:
         """Sentences on unreadable data so far: file, what, time range."""
         return list(self._losses.sentences)
 
+    @property
+    def metadata(self) -> list[tuple[str, Mapping[str, str]]]:
+        """The metadata records of its mcap files: name and content."""
+        return [one for storage in self._storages for one in storage.metadata]
+
+    def attachments(self) -> Iterator[bytes]:
+        """Read the attachment records of its mcap files, one after the other."""
+        for storage in self._storages:
+            yield from storage.attachments()
+
     def sha256(self) -> str:
         """Return the SHA-256 of the storage files' contents, in the order of their names.
 
@@ -193,14 +203,14 @@ class Recording:
                 other, each in its own order.
         """
         before, total = 0, sum(storage.size for storage in self._storages)
-        held = {topic.name: topic for topic in self.topics}
-        malformed = {name: Malformed() for name in held}
+        malformed = {topic.name: Malformed() for topic in self.topics}
         for storage in self._storages:
+            held = storage.topics
             cursors = storage.cursors(frozenset(held), Cache(CACHE_BYTES))
             heads = {name: next(cursor, None) for name, cursor in cursors.items()}
             while ready := {name: head for name, head in heads.items() if head is not None}:
                 name = min(ready, key=lambda n: (ready[n].log_ns, n))
-                yield (held[name], *_as_recorded(ready[name], malformed[name]))
+                yield held[name], *_as_recorded(held[name], ready[name], malformed[name])
                 if progress:
                     progress(before + min(h.position for h in ready.values()), total)
                 heads[name] = next(cursors[name], None)
@@ -338,10 +348,11 @@ def _stamps(blocks: Sequence[Block]) -> Stamps:
     return np.concatenate([np.empty(0, np.int64), *stamps])
 
 
-def _as_recorded(batch: MessageBatch, malformed: Malformed) -> tuple[Messages, Times]:
+def _as_recorded(topic: Topic, batch: MessageBatch, malformed: Malformed) -> tuple[Messages, Times]:
     """Return messages with their times; those that cannot be unpacked are removed from both."""
     times, messages = batch.times(), batch.messages
-    if not messages.payload(0).startswith(ZSTD_MAGIC):
+    # Messages of other encodings may begin like a zstd frame.
+    if topic.encoding != 'cdr' or not messages.payload(0).startswith(ZSTD_MAGIC):
         return messages, times
     kept = []
     plain = []
@@ -352,7 +363,7 @@ def _as_recorded(batch: MessageBatch, malformed: Malformed) -> tuple[Messages, T
             kept.append(k)
             plain += one.payloads()
     rows = np.array(kept, dtype=np.int64)
-    return Messages.join(plain), Times(times.log[rows], times.publish[rows])
+    return Messages.join(plain), times.select(rows)
 
 
 def _unpacked(messages: Messages, malformed: Malformed) -> Messages:

@@ -216,6 +216,15 @@ class SqliteStorage:
             connection.execute('PRAGMA writable_schema=ON')
         return connection
 
+    @property
+    def metadata(self) -> tuple[tuple[str, Mapping[str, str]], ...]:
+        """No records: only files of mcap have them."""
+        return ()
+
+    def attachments(self) -> Iterator[bytes]:
+        """Read no attachments: only files of mcap have them."""
+        return iter(())
+
     def _open_for_the_first_time(self) -> None:
         log = self.path.with_name(f'{self.path.name}-wal')
         self._immutable = not (log.is_file() and log.stat().st_size)

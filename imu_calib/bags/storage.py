@@ -13,9 +13,11 @@ import numpy as np
 from ..errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterator, Mapping
+    from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 
-    from ..cdr.messages import Bytes, Messages
+    from numpy.typing import NDArray
+
+    from ..cdr.messages import Bytes, Indices, Messages
     from ..stream import Stamps
     from .remote import AnyPath
 
@@ -29,22 +31,38 @@ class Described:
     """A recorder's description of a topic beyond its name and type; empty if not recorded.
 
     Attributes:
-        definition: Text of the message definition.
-        language: Of that text: ros2msg or ros2idl.
+        definition: Text of the message definition; bytes that are none are surrogates of Python.
+        language: Of that text: ros2msg or ros2idl, or another recorder's.
         profiles: Offered QoS as YAML.
+        metadata: All that a channel of mcap states, by its keys; None in other files.
     """
 
     definition: str = ''
     language: str = ''
     profiles: str = ''
+    metadata: tuple[tuple[str, str], ...] | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
 class Times:
-    """Log and publish times of messages, (n,) ns each."""
+    """Log and publish times of messages, (n,) ns each.
+
+    Attributes:
+        log: Of each arrival.
+        publish: Of each publication.
+        channel: (n,) channel of each message; None where a topic has one.
+        sequence: (n,) numbers that the publishers gave; None where not recorded.
+    """
 
     log: Stamps
     publish: Stamps
+    channel: Stamps | None = None
+    sequence: Stamps | None = None
+
+    def select(self, rows: Indices | NDArray[np.bool_]) -> Times:
+        """Return those of some of the messages."""
+        channel, sequence = (None if v is None else v[rows] for v in (self.channel, self.sequence))
+        return Times(self.log[rows], self.publish[rows], channel, sequence)
 
 
 @dataclass(frozen=True)
@@ -57,6 +75,7 @@ class Topic:
         count: Messages in the recording; None if known only after reading it.
         encoding: How messages are serialised.
         described: The recorder's description of the topic, for copying.
+        channels: The same of each channel of a file of mcap, with its id there.
     """
 
     name: str
@@ -64,6 +83,7 @@ class Topic:
     count: int | None
     encoding: str = 'cdr'
     described: Described = field(default_factory=Described, compare=False)
+    channels: tuple[tuple[int, Topic], ...] = field(default=(), compare=False)
 
     @property
     def message_type(self) -> str:
@@ -81,6 +101,7 @@ class Topic:
             count=None if unknown else (self.count or 0) + (other.count or 0),
             encoding=' and '.join(sorted({*self.encoding.split(' and '), other.encoding})),
             described=self.described if self.described.definition else other.described,
+            channels=self.channels + other.channels,
         )
 
 
@@ -209,6 +230,13 @@ class Storage(Protocol):
     @property
     def topics(self) -> Mapping[str, Topic]:
         """Topics by name."""
+
+    @property
+    def metadata(self) -> Sequence[tuple[str, Mapping[str, str]]]:
+        """The metadata records of mcap: name and content."""
+
+    def attachments(self) -> Iterator[bytes]:
+        """Read the attachment records of mcap, one after the other."""
 
     def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[MessageBatch]]:
         """Start reading: one iterator per topic, all independent of each other."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,12 +24,15 @@ if TYPE_CHECKING:
 
     from ..cdr import Messages
     from ..stream import Stamps
+    from .recording import Recording
+    from .storage import Times
 
 CHUNK_BYTES = 1 << 20
 """Bytes in a chunk: enough for good compression, and the most that a crash may lose."""
 CHUNK_NS = 5_000_000_000
 """Longest time in a chunk, ns: the delay after which slow topics are on the disk."""
-_RECORD = 'imu_calib'
+_RECORD, _OF_ROSBAG2 = 'imu_calib', 'rosbag2'
+"""Names of the metadata records that are written anew."""
 _SHORTEST = len(MAGIC)
 
 
@@ -66,6 +69,7 @@ class RecordingWriter:
         self._topics: dict[str, tuple[int, str]] = {}
         self._profiles: dict[str, list[dict[str, Any]]] = {}
         self._encodings: dict[str, str] = {}
+        self._copies: dict[tuple[object, ...], tuple[int, Topic]] = {}
         self._open = True
         pack = compressor(compression)
         if resume:
@@ -117,24 +121,68 @@ class RecordingWriter:
         self._profiles[topic] = [profile]
 
     def copy_topic(self, topic: Topic) -> None:
-        """Describe a topic with another recorder's description, of any type.
+        """Describe a topic with another recorder's description of each channel, of any type.
 
         Args:
             topic: As read from a recording.
         """
-        known = topic.described
-        profiles = metadata.offered_profiles(known.profiles)
-        channel = self._file.add_channel(
-            topic.name,
-            topic.type,
-            known.definition,
-            known.profiles if profiles else metadata.dump([]),
-            language=known.language,
-            encoding=topic.encoding,
-        )
-        self._topics[topic.name] = channel, topic.type
-        self._encodings[topic.name] = topic.encoding
-        self._profiles[topic.name] = profiles
+        for _, one in topic.channels or ((0, topic),):
+            self._copied(one)
+
+    def copy(self, topic: Topic, messages: Messages, times: Times) -> None:
+        """Append messages of another recording, each to its own channel.
+
+        Args:
+            topic: As read from a recording.
+            messages: Serialised messages.
+            times: Theirs.
+
+        Raises:
+            InputError: The disk is full.
+        """
+        for number, one in topic.channels or ((0, topic),):
+            mine, when = messages, times
+            if len(topic.channels) > 1 and times.channel is not None:
+                rows = times.channel == number
+                mine, when = messages.select(rows), times.select(rows)
+            if len(mine):
+                with _in_words(self.path):
+                    channel = self._copied(one)
+                    self._file.write(channel, mine, when.log, when.publish, when.sequence)
+
+    def copy_records(self, recording: Recording) -> None:
+        """Copy what a recording contains besides messages: metadata records and attachments."""
+        with _in_words(self.path):
+            for name, pairs in recording.metadata:
+                if name not in (_RECORD, _OF_ROSBAG2):
+                    self._file.add_metadata(name, dict(pairs))
+            for content in recording.attachments():
+                self._file.add_attachment(content)
+
+    def _copied(self, one: Topic) -> int:
+        """Return the id of the channel with the description of one in another recording."""
+        known = one.described
+        key = one.name, one.type, one.encoding, known, known.metadata
+        if key not in self._copies:
+            profiles = metadata.offered_profiles(known.profiles)
+            sound = known.profiles if profiles else metadata.dump([])
+            stated = None if known.metadata is None else dict(known.metadata)
+            if stated is not None and 'offered_qos_profiles' in stated:
+                stated['offered_qos_profiles'] = sound
+            channel = self._file.add_channel(
+                one.name,
+                one.type,
+                known.definition,
+                sound,
+                language=known.language,
+                encoding=one.encoding,
+                metadata=stated,
+            )
+            self._copies[key] = channel, one
+            self._topics.setdefault(one.name, (channel, one.type))
+            self._encodings.setdefault(one.name, one.encoding)
+            self._profiles.setdefault(one.name, []).extend(profiles)
+        return self._copies[key][0]
 
     def write(
         self,
@@ -195,6 +243,10 @@ class RecordingWriter:
             for name, (channel, kind) in self._topics.items()
         }
         own = sum(self._file.counts.values())
+        for channel, one in self._copies.values():
+            if channel != self._topics[one.name][0]:
+                other = replace(one, count=self._file.counts[channel])
+                counts[one.name] = counts[one.name].merged(other)
         span = (self._file.start_ns, self._file.end_ns) if own else (0, 0)
         files = [former.span for former in self._former]
         files.append(metadata.FileSpan(self._name, *span, own))
@@ -204,7 +256,7 @@ class RecordingWriter:
         content = metadata.information(
             files, [counts[name] for name in sorted(counts)], self._profiles, self._custom_data
         )
-        self._file.add_metadata('rosbag2', {'serialized_metadata': metadata.dump(content)})
+        self._file.add_metadata(_OF_ROSBAG2, {'serialized_metadata': metadata.dump(content)})
         self._file.close()
         metadata.write_metadata(self.path, content)
 

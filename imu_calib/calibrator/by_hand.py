@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..calibration import BY_ACCELEROMETERS
 from ..errors import InputError, NotObservable
 from ..gravity import gravity_covariance
 from ..imu import SCALE_LIMIT
@@ -26,7 +27,7 @@ from ..methods.free_positions import (
 from ..methods.solution import Residual, Solution
 from ..model import PARAMETERS, SensorModel
 from ..observation.evidence import Evidence
-from ..observation.known_noise import known_noise, with_own_noise
+from ..observation.known_noise import known_noise, walk_of_sensors, with_own_noise
 from ..segmentation.clock import NO_CLOCK
 from ..segmentation.labelling import Labelled
 from ..segmentation.moves import COARSE, MISSING, SATURATED
@@ -321,10 +322,14 @@ class HandCalibrator:
         )
         origin = provenance(setup, evidence, session, solution)
         origin['turns'] = turns
-        origin['frame'] = 'accelerometers'
+        walk = walk_of_sensors(segments, setup.imu)
+        origin['frame'] = BY_ACCELEROMETERS
+        origin['sensor_random_walk'] = [float(v) if np.isfinite(v) else None for v in walk]
         # The attitudes of a free-position plan are proposals: none can be missing.
         origin.pop('missing_positions', None)
         calibration = calibrated(setup, solution, origin, solution.findings)
+        noise = calibration.unknown_noise
+        calibration = replace(calibration, findings=(*calibration.findings, *noise))
         return Result(calibration, solution, session, Labelled(segments, (), session.rejected))
 
 

@@ -1,4 +1,4 @@
-"""imu-calib compare: calibrations side by side as in Cao 2022's Table 1, differences marked."""
+"""imu-calib compare: calibrations side by side, significant differences marked."""
 
 from __future__ import annotations
 
@@ -36,11 +36,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
             OUTPUT.print(f'\n{where}: {", ".join(only)}.', markup=False)
     for finding in compared.findings:
         OUTPUT.print(f'\n{finding}', markup=False)
-    OUTPUT.print(
-        "\nTable 1: the paper's names, K = S - S0 (deviation of the scale factor). Its E names"
-        '\nare the transpose of ours: by its eq. (18) for the accelerometers, by our reading for '
-        'the gyros.'
-    )
     return Outcome(compared.to_dict())
 
 

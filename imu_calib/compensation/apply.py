@@ -49,11 +49,11 @@ class Compensation:
     their noise, and the residual is their parity.
 
     The covariances are those of the calibration, propagated to first order at the rate and force of
-    each sample, plus the noise of one sample: N^2 / tau of the random walk N that the calibration
-    measured, and of a pulse q (q / tau)^2 / 6, the mean over phases of c (1 - c) (q / tau)^2 for an
-    accumulating counter (docs/mathematics.md, 'Noise of a mean'); of an ADC's step q^2 / 12. For
-    nonlinear terms, the slopes at the sample are used; errors of forces that reach rates through
-    such terms are neglected.
+    each sample, plus the noise of one sample: N^2 / tau of the random walk N of the sensors, and of
+    a pulse q (q / tau)^2 / 6, the mean over phases of c (1 - c) (q / tau)^2 for an accumulating
+    counter (docs/mathematics.md, 'Noise of a mean'); of an ADC's step q^2 / 12. For nonlinear
+    terms, the slopes at the sample are used; errors of forces that reach rates through such terms
+    are neglected.
 
     Args:
         calibration: What to apply.
@@ -352,11 +352,9 @@ def _inverse(response: Floats, weights: Floats) -> Floats:
 
 
 def _random_walk(calibration: Calibration, gyros: int) -> Floats:
-    """Return the random walk of every channel; zero if it was not measured.
+    """Return the random walk of every channel; zero if it is unknown.
 
     A calibration does not hold that of a skewed gyro: the mean of the three is used.
     """
-    walk = np.nan_to_num(
-        np.array(calibration.provenance.get('random_walk', np.zeros(6)), dtype=float)
-    )
+    walk = np.nan_to_num(calibration.sensor_walk)
     return np.concatenate([walk[:3], np.full(gyros - _AXES, walk[:3].mean()), walk[3:]])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..calibration import Calibration
 from ..segmentation.shared_stamps import SharedStamps
-from ..stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
+from ..stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock, Units
 from .apply import Compensation
 from .gravity_seen import GravitySeen
 from .in_motion import Applied, InMotion
@@ -129,6 +129,9 @@ class Compensator:
         self._range = temperature_range(calibration)
         self._ready = ready
         self._takes_skewed = single.model.skewed is not None
+        # Pulses become rates, and motion terms differences, by the time between samples.
+        moving = any(one.moving for one in ready.values())
+        self._clock.required = single.imu.units is Units.PULSES or moving
         celsius, self._used = self._used, None
         if celsius is not None:
             self._use(celsius)
@@ -153,6 +156,11 @@ class Compensator:
     def dropped(self) -> int:
         """Number of samples that will not be returned."""
         return self._dropped + self._clock.lost
+
+    @property
+    def untimed(self) -> int:
+        """Number of samples whose interval is not known, and that need none."""
+        return self._clock.untimed
 
     @property
     def period(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import NamedTuple
 
@@ -49,6 +50,11 @@ class Times(NamedTuple):
 _NONE = Times(np.empty(0), np.empty(0, np.int64))
 
 
+def _joined(*parts: Times) -> Times:
+    """Return the timing of consecutive samples."""
+    return Times(*(np.concatenate(both) for both in zip(*parts, strict=True)))
+
+
 class SampleClock:
     """Time samples as they come; the result does not depend on how the stream is cut into blocks.
 
@@ -78,10 +84,15 @@ class SampleClock:
 
     Attributes:
         lost: Samples that could not be timed.
+        untimed: Samples that could not be timed and were returned all the same.
+        required: Whether samples have to be timed. Those that could not be have the stated
+            interval, infinite if there is none, and keep their stamps.
     """
 
     def __init__(self, rate: float | None = None) -> None:
-        self.lost = 0
+        self.lost = self.untimed = 0
+        self.required = True
+        self._stated = 1 / rate if rate else math.inf
         self._least = SHORT * 1e9 / rate if rate else _FASTEST
         self._odd = 0
         self._held: Stamps = np.empty(0, np.int64)
@@ -131,24 +142,31 @@ class SampleClock:
         """End the stream: return the timing of waiting samples; one alone has no interval."""
         held, self._held = self._held, self._held[:0]
         if self._typical or len(held) < 2 or not self._infer_interval(held, last=True):
-            self.lost += len(held)
-            return _NONE
+            return self._without_interval(held)
         return self._first_times(held)
+
+    def _without_interval(self, stamp: Stamps) -> Times:
+        """Return the timing of samples (n,), ns, that show no interval: lost if it is required."""
+        if self.required:
+            self.lost += len(stamp)
+            return _NONE
+        self.untimed += len(stamp)
+        return Times(np.full(len(stamp), self._stated), stamp)
 
     def _learn(self) -> Times:
         """Infer the interval from the first samples whose stamps show one."""
+        before = _NONE
         while len(self._held) - self._looked > _LEARNT:
             self._looked += _LEARNT + 1
             first = self._held[: self._looked]
             if self._infer_interval(first):
                 rest, self._held = self._held[self._looked :], self._held[:0]
-                begun, then = self._first_times(first), self._follow(rest)
-                return Times(*(np.concatenate(both) for both in zip(begun, then, strict=True)))
+                return _joined(before, self._first_times(first), self._follow(rest))
             if self._looked > _MOST_HELD:
-                self.lost += _LEARNT + 1
+                before = _joined(before, self._without_interval(self._held[: _LEARNT + 1]))
                 self._looked -= _LEARNT + 1
                 self._held = self._held[_LEARNT + 1 :]
-        return _NONE
+        return before
 
     def _infer_interval(self, stamp: Stamps, *, last: bool = False) -> bool:
         """Infer the interval from stamps (n,), ns; return whether they show one."""

@@ -91,12 +91,14 @@ class ThermalCalibration:
         covariance = covariance + np.outer(common, common)
         bend = self._bend(celsius, values)
         covariance = covariance + np.outer(bend, bend)
-        walks = np.array([c.provenance.get('random_walk', [0.0] * 6) for c in self.calibrations])
+        walks = np.nan_to_num([c.sensor_walk for c in self.calibrations])
+        walk = np.sqrt((walks**2).mean(axis=0)).tolist()
         rates = [c.provenance.get('highest_rate') for c in self.calibrations]
         first = self.calibrations[0]
         provenance = {
             **first.provenance,
-            'random_walk': np.sqrt((walks.astype(float) ** 2).mean(axis=0)).tolist(),
+            'random_walk': walk,
+            'sensor_random_walk': walk,
             'highest_rate': min((r for r in rates if r is not None), default=None),
             'temperature': {'mean': celsius, 'lowest': celsius, 'highest': celsius},
         }

@@ -90,10 +90,12 @@ def _lower(response: Floats, name: str) -> tuple[Floats, Floats]:
 def _noise(source: ExportSource) -> tuple[dict[str, float], list[str]]:
     """Return noise densities and random walks of Kalibr, and which of them were not measured."""
     calibration, sheet = source.calibration, source.sheet
-    walk = np.array(calibration.provenance.get('random_walk', np.zeros(6)), dtype=float)
+    in_the_hand = calibration.in_the_hand
+    walk = np.nan_to_num(calibration.sensor_walk)
     # A session without noise shows only the rounding of numbers, which is not a noise density.
     walk = np.where(walk**2 > SMALLEST_VARIANCE, walk, 0.0)
-    channels = calibration.noise
+    # The drift in the hand is the hand's, too.
+    channels = {} if in_the_hand else calibration.noise
     found: dict[str, float] = {}
     notes = []
     for kalibr, name, mine, spec, densities in (
@@ -107,9 +109,14 @@ def _noise(source: ExportSource) -> tuple[dict[str, float], list[str]]:
         ('gyroscope', 'gyros', 'xyz', None if sheet is None else sheet.gyro, walk[:3]),
     ):
         density = float(np.sqrt(np.mean(densities**2)))
-        if not density > 0 and spec is not None:
+        if spec is not None and spec.random_walk > 0 and (in_the_hand or not density > 0):
             density = spec.random_walk
             notes.append(f'{kalibr}_noise_density is that of the data sheet.')
+        elif in_the_hand and density > 0:
+            notes.append(
+                f'{kalibr}_noise_density is that of the sensor as the calibration states it, by '
+                'the data sheet or by neighbouring samples: a hand trembles more.'
+            )
         drifts = [
             channels[c].rate_random_walk for axis in mine if (c := name[0] + axis) in channels
         ]

@@ -1,8 +1,8 @@
 """Unit or stand: compare stands by units that were on several, and name those with a shift.
 
 Effects of stands in all parameters are explained by as few shifts as possible (forward selection,
-the probability of each multiplied by the number of shifts that were tried); docs/history.md, 'Unit
-or stand?'.
+common causes before single parameters, the probability of each multiplied by the number of shifts
+that were tried); docs/history.md, 'Unit or stand?'.
 """
 
 from __future__ import annotations
@@ -151,55 +151,83 @@ def _correlation(residuals: Floats) -> Floats:
     return np.asarray(found)
 
 
-class _Tested:
-    """One pattern in a group of s stands: the mean of their effects on its parameters.
+class _Block:
+    """Patterns that share parameters, in a group of s stands, as one least-squares problem.
 
-    Its covariance uses only the pattern's own parameters: correlations of all 24 are too uncertain
-    for weights.
+    Effects of stands on all k parameters of the block are weighed by their covariance, that of the
+    stands times the correlations of the parameters, so that all shifts are fitted together. The
+    correlations of all 24 would be too uncertain for that; those of a block are drawn towards zero
+    by the share of k parameters in their degrees of freedom.
     """
 
-    def __init__(self, pattern: Pattern, group: _Group) -> None:
-        self.pattern = pattern
-        self.share = pattern.of / len(pattern.parameters)
-        self.freedom = min(group.effects[p].freedom for p in pattern.parameters)
-        s = len(group.stands)
-        covariance = np.zeros((s, s))
-        roots = {p: _root(group.effects[p].covariance) for p in pattern.parameters}
-        for i, one in roots.items():
-            for j, other in roots.items():
-                weight = self.share[i] * self.share[j] * group.correlation[i, j]
-                covariance += weight * (one @ other + other @ one) / 2
+    def __init__(self, block: Sequence[Pattern], group: _Group) -> None:
+        self.patterns = list(block)
+        parameters = sorted({p for pattern in block for p in pattern.parameters})
+        k, s = len(parameters), len(group.stands)
+        effects = [group.effects[p] for p in parameters]
+        freedom = min(one.freedom for one in effects)
+        # The correlations are estimated, and cost degrees of freedom (Rao 1967).
+        self.freedom = max(freedom - (k - 1), 1)
+        correlation = group.correlation[np.ix_(parameters, parameters)]
+        correlation = correlation + k / (k + freedom) * (np.eye(k) - correlation)
+        roots = [_root(one.covariance) for one in effects]
+        covariance = np.block(
+            [
+                [
+                    correlation[i, j] * (one @ other + other @ one) / 2
+                    for j, other in enumerate(roots)
+                ]
+                for i, one in enumerate(roots)
+            ]
+        )
+        covariance *= freedom / self.freedom
         values, vectors = np.linalg.eigh(covariance)
         good = values > _RANK * max(float(values[-1]), 0.0)
-        self._white = (vectors[:, good] / np.sqrt(values[good])).T
-        self._columns = self._white @ (np.eye(s) - 1 / s)
+        white = (vectors[:, good] / np.sqrt(values[good])).T
+        shift = np.eye(s) - 1 / s
+        # Columns (pattern, stand), each on all effects (parameter, stand).
+        made = [np.kron(pattern.of[parameters][:, None], shift) for pattern in block]
+        self._columns = white @ np.hstack(made)
+        self._stands = s
+        effect = np.nan_to_num(np.concatenate([one.effect for one in effects]))
+        self._effect = white @ effect
         self.chosen: list[int] = []
 
-    def partial(self, effect: Floats) -> Floats:
-        """Return absolute t (s,) of each stand beyond the selected ones, from (s, 24) effects."""
-        columns, rest = self._columns, self._white @ effect @ self.share
+    def partial(self) -> Floats:
+        """Return absolute t (patterns, s) of each shift beyond the selected ones."""
+        columns, rest = self._columns, self._effect
         if self.chosen:
             basis = np.linalg.qr(columns[:, self.chosen])[0]
             columns, rest = columns - basis @ (basis.T @ columns), rest - basis @ (basis.T @ rest)
         own, before = np.sum(columns**2, axis=0), np.sum(self._columns**2, axis=0)
         distinct = own > _DISTINCT * before
-        return np.asarray(
-            np.abs(
-                np.divide(columns.T @ rest, np.sqrt(own), out=np.zeros(len(own)), where=distinct)
-            )
-        )
+        t = np.divide(columns.T @ rest, np.sqrt(own), out=np.zeros(len(own)), where=distinct)
+        return np.asarray(np.abs(t).reshape(len(self.patterns), self._stands))
 
-    def sizes(self, effect: Floats) -> tuple[Floats, Floats]:
+    def choose(self, pattern: int, stand: int) -> None:
+        """Select a shift."""
+        self.chosen.append(pattern * self._stands + stand)
+
+    def sizes(self) -> tuple[Floats, Floats]:
         """Return the joint sizes of the selected shifts, and their standard deviations."""
         columns = self._columns[:, self.chosen]
         inverse = np.linalg.inv(columns.T @ columns)
-        size = inverse @ (columns.T @ (self._white @ effect @ self.share))
-        return size, np.sqrt(np.diag(inverse))
+        return inverse @ (columns.T @ self._effect), np.sqrt(np.diag(inverse))
 
-    def added(self, size: Floats) -> Floats:
-        """Return the effects of the selected stands (s, 24), minus the mean of all stands."""
-        s = self._columns.shape[1]
-        return np.outer((np.eye(s) - 1 / s)[:, self.chosen] @ size, self.pattern.of)
+    def places(self) -> list[tuple[int, int]]:
+        """Return pattern and stand of the selected shifts."""
+        return [divmod(column, self._stands) for column in self.chosen]
+
+
+def _blocks(group: _Group) -> list[_Block]:
+    """Return the blocks of a group: a common cause with its parameters, and single parameters."""
+    left = [p for p in PATTERNS if all(group.effects[k].comparable for k in p.parameters)]
+    blocks = []
+    for common in [pattern for pattern in left if len(pattern.parameters) > 1]:
+        mine = [p for p in left if set(p.parameters) <= set(common.parameters)]
+        blocks.append(_Block(mine, group))
+        left = [p for p in left if p not in mine]
+    return [*blocks, *(_Block([pattern], group) for pattern in left)]
 
 
 def _shifts(
@@ -210,54 +238,56 @@ def _shifts(
     rules: Rules,
     groups: int,
 ) -> Iterator[StandShift]:
-    """Yield the shifts of stands in a group, pattern by pattern."""
-    tried = [
-        _Tested(pattern, group)
-        for pattern in PATTERNS
-        if all(group.effects[p].comparable for p in pattern.parameters)
-    ]
-    s = len(group.stands)
-    tests = groups * len(tried) * s
-    effect = np.nan_to_num(np.column_stack([one.effect for one in group.effects]))
-    explained = {one.pattern.name: np.zeros_like(effect) for one in tried}
+    """Yield the shifts of stands in a group, block by block."""
+    blocks = _blocks(group)
+    tests = groups * len(group.stands) * sum(len(block.patterns) for block in blocks)
     alternatives: dict[tuple[str, int], NDArray[np.bool_]] = {}
-    while tried and len(alternatives) < _MOST:
-        rest = effect - sum(explained.values())
-        t = np.array([one.partial(rest + explained[one.pattern.name]) for one in tried])
-        freedom = np.array([[one.freedom] for one in tried], dtype=float)
-        chance = 2 * scipy.special.stdtr(freedom, -t) * tests
-        # By t: the probabilities of large values are all zero.
-        i, k = divmod(int(np.argmax(t)), s)
-        if not chance[i, k] < rules.false_alarm:
+    while blocks and len(alternatives) < _MOST:
+        found = [_next_shift(block, tests, rules.false_alarm) for block in blocks]
+        most = max(range(len(found)), key=lambda b: found[b][0])
+        t, i, k, near = found[most]
+        if not t:
             break
-        best = tried[i]
-        # Odds of two stands with equal prior probabilities: exp of half of this.
-        near = t[i] ** 2 > t[i, k] ** 2 + 2 * np.log(rules.false_alarm)
-        alternatives[best.pattern.name, k] = near & (np.arange(s) != k)
-        best.chosen.append(k)
-        own = rest + explained[best.pattern.name]
-        explained[best.pattern.name] = best.added(best.sizes(own)[0])
-    total = sum(explained.values(), np.zeros_like(effect))
-    for one in tried:
-        if one.chosen:
-            size, std = one.sizes(effect - total + explained[one.pattern.name])
-            for place, value, deviation in zip(one.chosen, size, std, strict=True):
-                near = alternatives[one.pattern.name, place]
-                yield _shift(
-                    group,
-                    one,
-                    (place, float(value), float(deviation), near),
-                    every,
-                    units,
-                    of,
-                    tests,
-                    rules,
-                )
+        alternatives[blocks[most].patterns[i].name, k] = near
+        blocks[most].choose(i, k)
+    for block in blocks:
+        if not block.chosen:
+            continue
+        for (i, k), size, std in zip(block.places(), *block.sizes(), strict=True):
+            pattern = block.patterns[i]
+            shift = k, float(size), float(std), alternatives[pattern.name, k]
+            yield _shift(group, pattern, block.freedom, shift, every, units, of, tests, rules)
+
+
+def _next_shift(
+    block: _Block, tests: int, false_alarm: float
+) -> tuple[float, int, int, NDArray[np.bool_]]:
+    """Return the most significant further shift of a block.
+
+    A common cause goes before single parameters, unless one of these has better odds: a shift of
+    all by one size is an accident otherwise.
+
+    Returns:
+        Absolute t, 0 if none is significant, pattern and stand, and which other stands (s,) may be
+        meant.
+    """
+    t = block.partial()
+    chance = 2 * scipy.special.stdtr(float(block.freedom), -t) * tests
+    # Odds of two shifts with equal prior probabilities: exp of half of the difference of squares.
+    alike = t**2 > t.max() ** 2 + 2 * np.log(false_alarm)
+    common = np.array([len(pattern.parameters) > 1 for pattern in block.patterns])
+    first = alike & common[:, None] & (chance < false_alarm)
+    # By t: the probabilities of large values are all zero.
+    i, k = divmod(int(np.argmax(np.where(first, t, 0.0) if first.any() else t)), t.shape[1])
+    near = t[i] ** 2 > t[i, k] ** 2 + 2 * np.log(false_alarm)
+    size = float(t[i, k]) if chance[i, k] < false_alarm else 0.0
+    return size, i, k, near & (np.arange(t.shape[1]) != k)
 
 
 def _shift(
     group: _Group,
-    tested: _Tested,
+    pattern: Pattern,
+    freedom: int,
     found: tuple[int, float, float, NDArray[np.bool_]],
     every: Sequence[str],
     units: NDArray[np.int64],
@@ -269,16 +299,15 @@ def _shift(
     k, size, std, near = found
     names = [every[q] for q in group.stands]
     doubtful = [name for name, also in zip(names, near, strict=True) if also]
-    freedom = np.array(float(tested.freedom))
-    reach = float(quantile(freedom, 1 - (1 - rules.confidence) / tests)) * std
-    chance = 2 * float(scipy.special.stdtr(freedom, -abs(size) / std)) * tests
+    reach = float(quantile(np.array(float(freedom)), 1 - (1 - rules.confidence) / tests)) * std
+    chance = 2 * float(scipy.special.stdtr(float(freedom), -abs(size) / std)) * tests
     return StandShift(
         stand=names[k],
         others=tuple(doubtful or [name for name in names if name != names[k]]),
         identified=not doubtful,
-        what=tested.pattern.name,
-        parameters=tuple(PARAMETER_NAMES[p] for p in tested.pattern.parameters),
-        unit=tested.pattern.unit,
+        what=pattern.name,
+        parameters=tuple(PARAMETER_NAMES[p] for p in pattern.parameters),
+        unit=pattern.unit,
         shift=float(size),
         std=float(std),
         low=float(size - reach),

@@ -137,7 +137,7 @@ class AppliedCalibration:
         self._diagnostics.report(
             'calibration',
             Level.OK,
-            f'{self._source} is applied.',
+            ' '.join([f'{self._source} is applied.', *single.unknown_noise]),
             imu=single.imu.id,
             serial_number=single.serial_number or 'not stated',
             source=self._source,

@@ -87,7 +87,7 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
         float(np.sqrt(np.mean(part**2))) for part in (residuals[:3], residuals[3:])
     )
     message.condition_number = float(where['condition_number'])
-    message.random_walk = [float(walk) for walk in where['random_walk']]
+    message.random_walk = [float(walk) for walk in calibration.sensor_walk]
     if where['highest_rate'] is not None:
         message.highest_rate = float(where['highest_rate'])
     if where['temperature'] is not None:

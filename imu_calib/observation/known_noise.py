@@ -13,7 +13,7 @@ from ..errors import NotObservable
 from ..imu import ImuSpec
 from ..segmentation.segment import Segment, Statistics
 from ..segmentation.statistics import pooled_walk
-from ..stream import Floats
+from ..stream import Floats, Units
 
 _SMALLEST = 1e-24
 """Variance below which the noise is not determined, (m/s^2)^2: rounding of 64-bit numbers."""
@@ -62,6 +62,28 @@ def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, F
     walk = np.sqrt(np.where(stated > 0, blended, square + doubt))
     freedom = freedom + np.where(stated > 0, weight, 0.0)
     return np.asarray(walk), np.asarray(np.maximum(freedom, 1.0))
+
+
+def walk_of_sensors(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
+    """Return the random walk of the sensors without a hand's, (6,), rad/sqrt(s), (m/s)/sqrt(s).
+
+    By the data sheet, else by the differences of neighbouring samples at rest, less the rounding
+    of counts.
+
+    Returns:
+        NaN where neither gives it: increments of a counter hide it by the pulses.
+    """
+    stated = np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
+    found = np.full(6, np.nan)
+    variances = np.array([s.statistics.sample_variance for s in segments]).reshape(-1, 6)
+    variances = variances[np.isfinite(variances).all(axis=1)]
+    if spec.units is not Units.PULSES and len(variances):
+        counts = np.repeat([spec.gyro.scale_factor, spec.accel.scale_factor], 3)
+        rounding = counts**2 / 12 if spec.units is Units.COUNTS else np.zeros(6)
+        period = np.median([s.statistics.duration / s.statistics.samples for s in segments])
+        # The median: one hold may have been knocked.
+        found = np.sqrt(period * np.maximum(np.median(variances, axis=0) - rounding, 0.0))
+    return np.asarray(np.where(stated > 0, stated, found))
 
 
 def with_own_noise(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:

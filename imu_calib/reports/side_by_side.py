@@ -1,4 +1,4 @@
-"""Calibrations of one unit side by side, in the form of Cao 2022's Table 1."""
+"""Calibrations of one unit side by side."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from rich.table import Table
 from ..agreement import Agreement, agreement
 from ..calibration import Calibration
 from ..errors import InputError
-from ..model import AXES, PARAMETERS, Parameter, ParameterKind
+from ..model import AXES, Parameter, ParameterKind
 from ..model.motion import OF_MOTION
 from ..plain_table import plain_table
-from ..stream import Floats, Units
-from ..units import ARCSEC, PPM, STANDARD_GRAVITY
-from .parameter_table import Shown, decimals, engineering, section_of
+from ..stream import Floats
+from .parameter_table import decimals, engineering, section_of
 
 _MORE = 2
 """Most further decimals for a difference: a hundredth of the last digit is nothing."""
@@ -62,12 +61,7 @@ def side_by_side(calibrations: Sequence[Calibration]) -> SideBySide:
 
 
 def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
-    """Return calibrations side by side, in the units and the order of Cao 2022's Table 1.
-
-    That table gives K as a deviation of the scale factor, S - S0 = -S0 K / (1 + K), and names
-    misalignments by the transpose of the matrix in its eqs. (1)-(2) (its E_AXY is the response of
-    the Y channel to an input along X, eq. 18; that its gyro names follow suit is our reading). Both
-    names are printed.
+    """Return calibrations side by side, with the names, units and order of `parameter_table`.
 
     Args:
         compared: The calibrations.
@@ -76,33 +70,36 @@ def comparison_table(compared: SideBySide, names: Sequence[str]) -> Table:
     calibrations, found, std = compared.calibrations, compared.agreement, compared.std
     two = len(calibrations) == 2
     numbers = (*names, *(('difference', 'in std') if two else ('chi-square',)))
-    sides = f'll{"r" * len(numbers)}ll'
+    sides = f'l{"r" * len(numbers)}ll'
     # Columns that do not fit into a line continue in the next: no number and no unit is cut.
-    table = plain_table(('Table 1', 'here', *numbers, 'unit', ''), sides, no_wrap=True)
-    differ = dict(zip(found.parameters, found.differ, strict=True))
+    table = plain_table(('parameter', *numbers, 'unit', ''), sides, no_wrap=True)
     places = _places(compared)
     last = None
-    for parameter in sorted(found.parameters, key=_table_order):
+    for k, parameter in enumerate(found.parameters):
         if last is not None and section_of(parameter) != section_of(last):
             table.add_section()
         last = parameter
-        k = found.parameters.index(parameter)
-        shown, values = _as_table_1(parameter, calibrations)
-        digits = places[_alike(parameter)]
+        values, digits = _shown(parameter, calibrations), places[_alike(parameter)]
         rest = [f'{found.chi_square[k]:.1f}' if found.freedom[k] else '-']
         if two:
-            one, other = (float(c.model.values((parameter,))[0]) for c in calibrations)
-            ratio = _signed((one - other) / std[0, k], 2) if std[0, k] > 0 else '-'
-            rest = [_signed(values[0] - values[1], digits), ratio]
+            apart = values[0] - values[1]
+            deviation = std[0, k] / parameter.unit.scale
+            ratio = _signed(apart / deviation, 2) if deviation > 0 else '-'
+            rest = [_signed(apart, digits), ratio]
         table.add_row(
-            _table_name(parameter),
             parameter.name,
             *(f'{v:.{digits}f}' for v in values),
             *rest,
-            shown.unit,
-            'differs' if differ[parameter] else '',
+            engineering(parameter).unit,
+            'differs' if found.differ[k] else '',
         )
     return table
+
+
+def _shown(parameter: Parameter, calibrations: Sequence[Calibration]) -> list[float]:
+    """Return the values of a parameter in its unit for people."""
+    scale = engineering(parameter).scale
+    return [float(c.model.values((parameter,))[0]) / scale for c in calibrations]
 
 
 def _signed(value: float, digits: int) -> str:
@@ -120,8 +117,8 @@ def _places(compared: SideBySide) -> dict[tuple[object, ...], int]:
     """Return the decimals of rows: two of the deviation, and one of the difference of two."""
     places: dict[tuple[object, ...], int] = {}
     for k, parameter in enumerate(compared.parameters):
-        shown, values = _as_table_1(parameter, compared.calibrations)
-        own = _table_decimals(parameter, shown, float(np.min(compared.std[:, k])))
+        values = _shown(parameter, compared.calibrations)
+        own = decimals(float(np.min(compared.std[:, k])) / engineering(parameter).scale)
         if len(values) == 2 and (apart := abs(values[0] - values[1])):
             first = int(np.ceil(-np.log10(apart)))
             own = max(own, min(first, own + _MORE))
@@ -195,51 +192,3 @@ def _factor_of(parameter: Parameter, triads: Mapping[str, float], askew: float) 
     if parameter.kind in OF_MOTION:
         return 1.0
     return askew if parameter.row >= len(AXES) else triads[parameter.triad]
-
-
-def _table_name(parameter: Parameter) -> str:
-    """Return the name of a parameter in Table 1, which has only the 24."""
-    if parameter not in PARAMETERS:
-        return '-'
-    name = parameter.name.upper()
-    if parameter.kind is ParameterKind.MISALIGNMENT:
-        return name[:-2] + name[-1] + name[-2]
-    return name
-
-
-def _table_order(parameter: Parameter) -> tuple[bool, bool, int, str]:
-    """Return a key that sorts the 24 as in Table 1, and then the others in their order."""
-    if parameter not in PARAMETERS:
-        return True, False, 0, ''
-    kinds = [ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT, ParameterKind.BIAS]
-    return False, parameter.triad != 'g', kinds.index(parameter.kind), _table_name(parameter)
-
-
-def _as_table_1(
-    parameter: Parameter, calibrations: Sequence[Calibration]
-) -> tuple[Shown, list[float]]:
-    """Return the display of a parameter, and its values; a deviation has the same scale."""
-    values = [float(c.model.values((parameter,))[0]) for c in calibrations]
-    shown = engineering(parameter)
-    if parameter not in PARAMETERS:
-        return shown, [v / shown.scale for v in values]
-    if parameter.kind is not ParameterKind.SCALE_FACTOR_ERROR:
-        if shown.unit == 'ug':
-            shown = Shown('g', STANDARD_GRAVITY)
-        return shown, [v / shown.scale for v in values]
-    imu = calibrations[0].imu
-    if imu.units is not Units.PULSES:
-        return Shown('ppm', PPM), [v / PPM for v in values]
-    gyro = parameter.triad == 'g'
-    nominal = imu.gyro.scale_factor if gyro else imu.accel.scale_factor
-    unit = Shown('arcsec/p', ARCSEC / nominal) if gyro else Shown('(m/s)/p', 1 / nominal)
-    return unit, [-v / (1 + v) / unit.scale for v in values]
-
-
-def _table_decimals(parameter: Parameter, shown: Shown, std: float) -> int:
-    """Return the decimals by the deviation, at least two more than in the paper."""
-    if parameter not in PARAMETERS:
-        return decimals(std / shown.scale)
-    printed = {'arcsec/p': 3, '(m/s)/p': 4, 'ppm': 0, 'arcmin': 2, 'deg/h': 2, 'g': 4}
-    least = printed[shown.unit] + 2
-    return max(least, decimals(std / shown.scale)) if std > 0 else least

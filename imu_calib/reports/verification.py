@@ -61,7 +61,7 @@ def moved_table(moved: Sequence[ShiftedParameter]) -> Table:
 
 
 def _table(verification: Verification, quantities: Sequence[Quantity]) -> Table | None:
-    mine = [c for c in verification.compared if c.quantity in quantities]
+    mine = [c for c in verification.compared if c.quantity in quantities and c.says_something]
     if not mine:
         return None
     present = [q for q in quantities if any(c.quantity is q for c in mine)]
@@ -75,7 +75,10 @@ def _table(verification: Verification, quantities: Sequence[Quantity]) -> Table 
         first = row[0]
         cells = [first.name, f'{first.rate / DEG:+.4g}' if turns else f'{first.at:.1f}']
         for quantity in present:
-            one = next(c for c in row if c.quantity is quantity)
+            one = next((c for c in row if c.quantity is quantity), None)
+            if one is None:
+                cells += ['', '']
+                continue
             scale, digits = _SHOWN[quantity].scale, places[quantity]
             sign = '' if quantity in {Quantity.DIRECTION, Quantity.TURN_AXIS} else '+'
             cells += [f'{one.deviation / scale:{sign}.{digits}f}', f'{one.std / scale:.{digits}f}']

@@ -38,6 +38,9 @@ class Statistics:
         allan: Sums for the Allan variance; None where not computed.
         timing: How the samples were timed; None where not requested.
         time_error: Standard deviation of the sample interval, relative.
+        sample_variance: (6,) of single samples about their neighbours, which slow motion such as a
+            trembling hand does not raise, (rad/s)^2 and (m/s^2)^2; NaN where too few follow each
+            other.
     """
 
     samples: int
@@ -54,6 +57,7 @@ class Statistics:
     allan: AllanSums | None = None
     timing: Timing | None = None
     time_error: float = 0.0
+    sample_variance: Floats = field(default_factory=lambda: np.full(6, np.nan))
 
     def variance(self, walk: Floats) -> Floats:
         """Return the variance of `mean` for (6,) random-walk coefficients."""

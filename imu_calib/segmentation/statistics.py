@@ -47,6 +47,11 @@ _SMALLEST_VARIANCE = 1e-100
 """Prevents division by zero for noise-free blocks."""
 _SAMPLES_FOR_GRID = 4096
 """Samples whose values are searched for the smallest difference. A choice."""
+_ORDER = 8
+"""Of the differences between neighbouring samples, gain (2 sin(pi f T))^2n / C(2n, n): of a hand
+that trembles at 12 Hz a millionth of the variance is left at 100 Hz, a hundredth at 50 Hz."""
+_SAMPLES_FOR_NEIGHBOURS = 4096
+"""Samples that determine the variance about neighbours, to 4 %. A choice."""
 
 _Blocks = list[tuple[float, MeanRate]]
 """The middle of each block, s after the first sample began, and its mean."""
@@ -188,7 +193,24 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
         pulse=samples.pulse,
         allan=allan_sums([part.increments for part in parts], samples.period),
         timing=samples.timing,
+        sample_variance=_about_neighbours(parts),
     )
+
+
+def _about_neighbours(parts: list[Samples]) -> Floats:
+    """Return the variance (6,) of white noise with the differences that samples have.
+
+    The differences of the longest run: interpolated samples have no noise.
+    """
+    longest = max(parts, key=lambda part: len(part.stamp))
+    increments = longest.increments[:_SAMPLES_FOR_NEIGHBOURS]
+    differences = np.diff(increments, _ORDER, axis=0) / longest.period
+    if longest.filled is not None:
+        filled = np.convolve(longest.filled[: len(increments)], np.ones(_ORDER + 1), 'valid') > 0
+        differences = differences[~filled[: len(differences)]]
+    if not len(differences):
+        return np.full(6, np.nan)
+    return np.asarray((differences**2).mean(axis=0) / math.comb(2 * _ORDER, _ORDER))
 
 
 def statistics_between(samples: Samples, first: float, last: float, walk: Floats) -> Statistics:

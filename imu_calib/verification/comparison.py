@@ -62,6 +62,17 @@ class ComparedQuantity:
     std: float
     ratio: float
 
+    @property
+    def says_something(self) -> bool:
+        """Whether its deviation is meaningful.
+
+        The length of a rate follows from its square less that of the noise: where the square is
+        uncertain by more than itself, the length is anything from zero on.
+        """
+        return (
+            self.quantity is not Quantity.EARTH_RATE or self.std < self.deviation + 2 * EARTH_RATE
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
         return {
