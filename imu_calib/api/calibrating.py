@@ -113,7 +113,7 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
         InputError: It differs from what is stated.
         NotObservable: The data does not determine all parameters.
     """
-    lost = tuple(opened.recording.losses)
+    lost = opened.losses
     by_hand = ASSUMED_BY_HAND in opened.assumed
     before = calibrator.snapshot()
     try:
@@ -142,7 +142,7 @@ def documented(opened: Opened, result: Result) -> Result:
     already = compensated_already(opened.recording.custom_data, opened.streams.imu)
     assumed = (*opened.assumed, *already, *([] if rate is None else [_interpolated(rate)]))
     assumed += tuple(_kelvin(calibration.provenance.get('temperature')))
-    findings = (*assumed, *calibration.findings, *opened.recording.losses)
+    findings = (*assumed, *calibration.findings, *opened.losses)
     findings = tuple(map(printable, findings))
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)

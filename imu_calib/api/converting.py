@@ -17,7 +17,7 @@ from .joining import joined
 from .named import Named
 from .outputs import removed_on_failure
 from .progress import Progress, silent
-from .text import read_text
+from .text import read_sensors, read_text
 
 
 @checked
@@ -87,7 +87,7 @@ def convert(
                 'topics of their own, give `gyro_topic` and `accel_topic`.'
             )
         return joined(path, target, gyro_topic, accel_topic, imu, progress)
-    text = read_text(path, delimiter)
+    text, own = read_sensors(path, delimiter)
     needed = {'`gyro` NAME,NAME,NAME:UNIT': gyro, '`accel` NAME,NAME,NAME:UNIT': accel}
     needed |= {'`stamp` NAME:UNIT or `rate` HZ': stamp or rate}
     lacking = [name for name, value in needed.items() if value is None]
@@ -102,13 +102,16 @@ def convert(
             f'`stamp` {stamp} and `rate` {rate} both say when the rows were: give the one or the '
             'other.'
         )
-    if accel_file is None:
+    if accel_file is None and own is None:
         if accel_stamp is not None:
             raise InputError('`accel_stamp` is the time in `accel_file`, which is not given.')
         return from_text(text, target, stamp, rate, gyro, accel, joints, temperature, imu)
     if stamp is None:
-        raise InputError('Two files are joined by the time of their rows: give `stamp`, no `rate`.')
-    forces = read_text(located(accel_file), delimiter)
+        raise InputError(
+            'Gyros and accelerometers in rows of their own are joined by the time of the rows: '
+            'give `stamp`, no `rate`.'
+        )
+    forces = own if accel_file is None else read_text(located(accel_file), delimiter)
     others = (joints, temperature, imu, forces, accel_stamp)
     return from_text(text, target, stamp, None, gyro, accel, *others)
 

@@ -6,10 +6,15 @@ They are looked for in refused sessions alone: what is seen in a sound one may h
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import combinations
 
 import numpy as np
 
+from ..errors import Contradiction, InputError, NotObservable
+from ..segmentation.gravity_removed import gravity_removed
+from ..segmentation.halves import MESSAGES_APART
 from ..segmentation.segment import Segment
 from ..segmentation.segmented import Move, Segmented
 from ..stream import Floats
@@ -28,6 +33,34 @@ _FEWEST_MOVES = 2
 _TOO_FAR = math.degrees(1) / 2
 """Joint angles over rotation from which on they are degrees. True rad give 1, two or three where a
 turn is a whole one and more; degrees give 57 and more."""
+
+
+def refuse_apart(session: Segmented) -> None:
+    """Refuse a session whose gyros and accelerometers come in messages of their own.
+
+    Raises:
+        InputError: They do.
+    """
+    if session.facts.apart:
+        raise InputError(f'{MESSAGES_APART.format(topic="TOPIC")}.')
+
+
+@contextmanager
+def with_facts(session: Segmented) -> Iterator[None]:
+    """Add the facts of the stream to a refusal of its session, and name a cause that they show.
+
+    Raises:
+        InputError: As raised within, with the facts.
+        NotObservable: Likewise.
+    """
+    try:
+        yield
+    except (InputError, NotObservable) as error:
+        text, kind = str(error), type(error)
+        means = np.array([s.statistics.mean[3:] for s in session.segments]).reshape(-1, 3)
+        if removed := gravity_removed(means):
+            text, kind = removed, Contradiction
+        raise kind(f'{text} {session.facts.sentence}'.strip()) from None
 
 
 def dead_channels(session: Segmented) -> list[str]:

@@ -24,7 +24,7 @@ from ..stream import Block
 from ..table_clock import clock_share
 from .basis import Basis
 from .losses import loss_findings, losses_of_all_segments
-from .mistakes import dead_channels, joints_in_degrees
+from .mistakes import dead_channels, joints_in_degrees, refuse_apart, with_facts
 from .results import Result, Review
 from .setup import Setup
 from .unsupported import unsupported_steps
@@ -62,9 +62,11 @@ class Calibrator:
             NotObservable: The data does not determine all parameters; names them and the reason.
         """
         session = self._segmenter.finish()
-        if session.foreign_joints:
-            raise InputError(session.foreign_joints)
-        return self._solve(session, self._labelled(session), final=True)
+        refuse_apart(session)
+        with with_facts(session):
+            if session.foreign_joints:
+                raise InputError(session.foreign_joints)
+            return self._solve(session, self._labelled(session), final=True)
 
     def snapshot(self) -> Calibrator:
         """Return a calibrator with all data so far; this one continues independently.

@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..model import AXES, PARAMETERS, Parameter, ParameterKind
 from ..model.motion import OF_MOTION
 from ..plain_table import plain_table
-from ..stream import Floats, Units
+from ..stream import Floats
 from ..units import ARCSEC, PPM, STANDARD_GRAVITY
 from .parameter_table import Shown, decimals, engineering, section_of
 
@@ -228,7 +228,7 @@ def _as_table_1(
             shown = Shown('g', STANDARD_GRAVITY)
         return shown, [v / shown.scale for v in values]
     imu = calibrations[0].imu
-    if imu.units is not Units.PULSES:
+    if not imu.units.per_interval:
         return Shown('ppm', PPM), [v / PPM for v in values]
     gyro = parameter.triad == 'g'
     nominal = imu.gyro.scale_factor if gyro else imu.accel.scale_factor
