@@ -44,15 +44,17 @@ def convert(
     State the columns of a text file: 'NAME,NAME,NAME:UNIT', each NAME as in its heading or a place
     counted from 1. A bag of ROS 1 needs no such options. Gyros and accelerometers on separate
     topics (`gyro_topic`, `accel_topic`) or in separate text files (`accel_file`) are joined: the
-    accelerometers are interpolated linearly at the stamps of the gyros.
+    accelerometers are interpolated linearly at the stamps of the gyros. So are those in rows or
+    messages of their own: name one topic twice.
 
     Args:
         source: Text file, bag of ROS 1, recording of rosbag2, or a URL of one that fsspec reads.
         output: Folder to create.
         stamp: Column of each row's time, for instance 't:s' (s, ms, us, ns).
         rate: Of the rows, if there is no column of time: '200 Hz'; a number alone is in Hz.
-        gyro: Three columns, for instance 'wx,wy,wz:deg/s'; units of rate, pulse, or count.
-        accel: Three columns, for instance '5,6,7:g'; units of acceleration, pulse, or count.
+        gyro: Three columns, for instance 'wx,wy,wz:deg/s'; units of rate or angle, pulse, or count.
+        accel: Three columns, for instance '5,6,7:g'; units of acceleration or velocity, pulse,
+            or count.
         joints: Columns with the names of the table's joints, for instance 'outer,inner:deg'.
         temperature: One column, 'NAME:degC'.
         delimiter: Between fields; None detects it.
