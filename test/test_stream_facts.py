@@ -10,8 +10,12 @@ from numpy.typing import NDArray
 
 import imu_calib
 from imu_calib.bags import RecordingWriter
+from imu_calib.calibrator import HandCalibrator, Setup
 from imu_calib.cdr import RATES, encode_imu
+from imu_calib.earth import Site
 from imu_calib.errors import InputError, NotObservable
+from imu_calib.imu import load_imu
+from imu_calib.plan import load_plan
 from imu_calib.segmentation.gravity_removed import gravity_removed, quiet_means
 from imu_calib.segmentation.stream_facts import StreamFacts
 from imu_calib.stream import Floats, ImuBlock
@@ -160,3 +164,16 @@ def test_quiet_parts_show_gravity_in_any_unit(hand: Session) -> None:
     assert gravity_removed(quiet_means(without_gravity(hand))) != ''
     assert gravity_removed(np.tile([0.1, 0.0, 0.2], (9, 1))) != ''
     assert gravity_removed(np.zeros((9, 3))) == gravity_removed(quiet_means(accel[:10])) == ''
+
+
+def test_a_live_session_that_is_refused_at_its_end_says_the_facts_too() -> None:
+    site = Site.at(LATITUDE * DEG, gravity=9.8, latitude_std=0.0)
+    setup = Setup(load_imu('si'), load_plan('free_positions'), None, site)
+    calibrator = HandCalibrator(setup)
+    calibrator.feed(ImuBlock(STAMP, NOISE[:, :3], NOISE[:, 3:]))
+    assert 'The stream' not in calibrator.snapshot().review().refusal
+    assert calibrator.snapshot().conclude().refusal.endswith('100 Hz; none missing, in order.')
+    apart = HandCalibrator(setup)
+    alternate = np.arange(len(STAMP))[:, None] % 2
+    apart.feed(ImuBlock(STAMP, NOISE[:, :3] * alternate, NOISE[:, 3:] * (1 - alternate)))
+    assert 'in messages of their own' in apart.conclude().refusal

@@ -15,7 +15,7 @@ from ..compensation.thermal import (
     check_identity,
     first_of,
 )
-from ..errors import InputError, NotStated
+from ..errors import InputError, NotObservable, NotStated
 from ..imu import ImuSpec
 from ..metadata import compensated_already
 from ..methods.free_positions import NAME as FREE_POSITIONS
@@ -115,7 +115,10 @@ def _verify(
             segmenter.feed(block)
     session = segmenter.finish()
     calibration, notes = _at_temperature(loaded, session.temperature)
-    observed = observe(session, imu, site, plan, table, calibration.clock)
+    try:
+        observed = observe(session, imu, site, plan, table, calibration.clock)
+    except NotObservable as error:
+        raise type(error)(f'{error} {session.facts.sentence}'.strip()) from None
     already = compensated_already(recording.custom_data, streams.imu)
     found = judge(
         calibration, replace(observed, notes=(*already, *order.sentences, *notes, *observed.notes))

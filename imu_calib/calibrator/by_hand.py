@@ -36,7 +36,7 @@ from ..segmentation.segmenter import Segmenter
 from ..stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from ..units import DEG, STANDARD_GRAVITY, counted
 from .guidance import CHECKED, HOLD_SECONDS, Guidance, Stage, guide
-from .mistakes import dead_channels, refuse_apart, with_facts
+from .mistakes import dead_channels, explained, refuse_apart, with_facts
 from .provenance import provenance
 from .results import Result, Review, calibrated
 from .setup import Setup
@@ -231,7 +231,7 @@ class HandCalibrator:
 
     def conclude(self) -> HandReview:
         """End of the session: `review` solves it as `finish` does."""
-        return self.review()
+        return explained(self.review())
 
     def _guidance(
         self, session: Segmented, still: tuple[int, int] | None, reached: Floats | None

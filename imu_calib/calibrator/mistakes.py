@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from ..segmentation.halves import MESSAGES_APART
 from ..segmentation.segment import Segment
 from ..segmentation.segmented import Move, Segmented
 from ..stream import Floats
+from .results import Review
 
 _FEWEST_MEANS = 2
 """Means of static dwells and turns: one cannot change."""
@@ -35,6 +38,10 @@ _TOO_FAR = math.degrees(1) / 2
 turn is a whole one and more; degrees give 57 and more."""
 
 
+_APART = f'{MESSAGES_APART.format(topic="TOPIC")}.'
+_AnyReview = TypeVar('_AnyReview', bound=Review)
+
+
 def refuse_apart(session: Segmented) -> None:
     """Refuse a session whose gyros and accelerometers come in messages of their own.
 
@@ -42,7 +49,7 @@ def refuse_apart(session: Segmented) -> None:
         InputError: They do.
     """
     if session.facts.apart:
-        raise InputError(f'{MESSAGES_APART.format(topic="TOPIC")}.')
+        raise InputError(_APART)
 
 
 @contextmanager
@@ -56,11 +63,26 @@ def with_facts(session: Segmented) -> Iterator[None]:
     try:
         yield
     except (InputError, NotObservable) as error:
-        text, kind = str(error), type(error)
-        means = np.array([s.statistics.mean[3:] for s in session.segments]).reshape(-1, 3)
-        if removed := gravity_removed(means):
-            text, kind = removed, Contradiction
-        raise kind(f'{text} {session.facts.sentence}'.strip()) from None
+        kind = Contradiction if _without_gravity(session) else type(error)
+        raise kind(_explained(str(error), session)) from None
+
+
+def explained(review: _AnyReview) -> _AnyReview:
+    """Return the review of an ended session with the facts of the stream in its refusal."""
+    if not review.refusal:
+        return review
+    return replace(review, refusal=_explained(review.refusal, review.session))
+
+
+def _explained(refusal: str, session: Segmented) -> str:
+    if session.facts.apart:
+        return _APART
+    return f'{_without_gravity(session) or refusal} {session.facts.sentence}'.strip()
+
+
+def _without_gravity(session: Segmented) -> str:
+    means = np.array([segment.statistics.mean[3:] for segment in session.segments])
+    return gravity_removed(means.reshape(-1, 3))
 
 
 def dead_channels(session: Segmented) -> list[str]:
