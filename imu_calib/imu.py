@@ -200,11 +200,7 @@ def read_imu(section: Section) -> ImuSpec:
 
 @dataclass(frozen=True)
 class _Kind:
-    """Key of a triad's random walk, and the dimensions of the values in its section.
-
-    Attributes:
-        scale: Of the scale factor, by the units of the samples.
-    """
+    """Key of a triad's random walk, and the dimensions of its values; `scale` by units."""
 
     walk_key: str
     walk: Dimension
