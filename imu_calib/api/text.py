@@ -113,7 +113,7 @@ def _by_label(written: Sequence[str]) -> tuple[list[str], list[str]] | None:
         Counter(match[1] for match in labels if match and match[1].lower().startswith(kind))
         for kind in ('gyr', 'acc')
     ]
-    if any(sum(count.values()) < _LABELLED * len(written) for count in usual):
+    if any(sum(count.values()) <= _LABELLED * len(written) for count in usual):
         return None
     head = written[: next(k for k, match in enumerate(labels) if match)]
     names = [count.most_common(1)[0][0] for count in usual]
