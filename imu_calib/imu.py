@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -42,7 +43,8 @@ class TriadSpec:
     """Three channels of one kind.
 
     Attributes:
-        scale_factor: Nominal: rad or m/s per pulse, rad/s or m/s^2 per count, 1 for SI.
+        scale_factor: Nominal: rad or m/s per pulse or increment, rad/s or m/s^2 per count or rate,
+            1 for SI.
         random_walk: rad/sqrt(s) or (m/s)/sqrt(s); 0 when not stated.
         bias_instability: rad/s or m/s^2; 0 when not stated.
         range: Largest rate or specific force, rad/s or m/s^2; inf when not stated.
@@ -198,14 +200,14 @@ def read_imu(section: Section) -> ImuSpec:
 
 @dataclass(frozen=True)
 class _Kind:
-    """Key of a triad's random walk, and the dimensions of the values in its section."""
+    """Key of a triad's random walk, and the dimensions of its values; `scale` by units."""
 
     walk_key: str
     walk: Dimension
     value: Dimension
     per_kelvin: Dimension
     per_pulse: Dimension
-    per_count: Dimension
+    scale: Mapping[Units, Dimension]
 
 
 _OF_GYROS = _Kind(
@@ -214,7 +216,12 @@ _OF_GYROS = _Kind(
     Dimension.RATE,
     Dimension.RATE_PER_KELVIN,
     Dimension.ANGLE_PER_PULSE,
-    Dimension.RATE_PER_COUNT,
+    {
+        Units.PULSES: Dimension.ANGLE_PER_PULSE,
+        Units.COUNTS: Dimension.RATE_PER_COUNT,
+        Units.INCREMENTS: Dimension.ANGLE,
+        Units.RATES: Dimension.RATE,
+    },
 )
 _OF_ACCELS = _Kind(
     'velocity_random_walk',
@@ -222,7 +229,12 @@ _OF_ACCELS = _Kind(
     Dimension.ACCELERATION,
     Dimension.ACCELERATION_PER_KELVIN,
     Dimension.VELOCITY_PER_PULSE,
-    Dimension.ACCELERATION_PER_COUNT,
+    {
+        Units.PULSES: Dimension.VELOCITY_PER_PULSE,
+        Units.COUNTS: Dimension.ACCELERATION_PER_COUNT,
+        Units.INCREMENTS: Dimension.VELOCITY,
+        Units.RATES: Dimension.ACCELERATION,
+    },
 )
 
 
@@ -231,9 +243,8 @@ def _read_triad(parent: Section, name: str, kind: _Kind, units: Units) -> TriadS
     if si and not parent.has(name):
         return TriadSpec()
     section = parent.section(name)
-    step = kind.per_pulse if units is Units.PULSES else kind.per_count
     spec = TriadSpec(
-        1.0 if si else section.quantity('scale_factor', step, above=0),
+        1.0 if si else section.quantity('scale_factor', kind.scale[units], above=0),
         section.quantity(kind.walk_key, kind.walk, 0.0, least=0),
         section.quantity('bias_instability', kind.value, 0.0, least=0),
         section.quantity('range', kind.value, math.inf, above=0),
@@ -249,9 +260,9 @@ def check_live(spec: ImuSpec) -> None:
     """Refuse a unit that cannot be simulated live: the simulated device sends whole numbers.
 
     Raises:
-        InputError: Its samples are in SI units.
+        InputError: Its samples are no whole numbers.
     """
-    if spec.units is Units.SI:
+    if not spec.units.whole:
         raise InputError(
             f'IMU {spec.id}: units: found {spec.units.value}, expected pulses or counts: a '
             'simulated device sends whole numbers. Simulate another one, for example mems_counts '

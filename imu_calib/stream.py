@@ -24,8 +24,22 @@ class Units(Enum):
     """Increments counted over the sample interval that ends at the stamp."""
     COUNTS = 'counts'
     """Values proportional to rate, such as ADC codes or counts per second."""
+    INCREMENTS = 'increments'
+    """Angles and velocities gained over that interval, no whole numbers, as in rad and m/s."""
+    RATES = 'rates'
+    """Rates and specific forces in other units than SI: deg/s and g, for example."""
     SI = 'si'
     """rad/s and m/s^2."""
+
+    @property
+    def per_interval(self) -> bool:
+        """Whether a value is gained over the sample interval, rather than a rate."""
+        return self in (Units.PULSES, Units.INCREMENTS)
+
+    @property
+    def whole(self) -> bool:
+        """Whether values are whole numbers, resolved to the nominal scale factor."""
+        return self in (Units.PULSES, Units.COUNTS)
 
 
 class Mode(IntEnum):

@@ -27,7 +27,7 @@ def clock_slope(model: SensorModel, parameters: Sequence[Parameter], units: Unit
     """
     one = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in parameters])
     rates = np.array([PRODUCTS[p].degree_in_rate for p in parameters])
-    degree = (1 if units is Units.PULSES else 0) - rates
+    degree = (1 if units.per_interval else 0) - rates
     # Before a session a skewed gyro is unknown: its values are NaN, and count as zero.
     return np.asarray(degree * (one + np.nan_to_num(model.values(parameters))))
 

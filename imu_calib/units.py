@@ -40,6 +40,7 @@ _RATES: dict[str, float] = {
     for angle, value in _ANGLES.items()
     for time, seconds in {'s': 1.0, 'min': 60.0, 'h': HOUR}.items()
 }
+_VELOCITIES = {'m/s': 1.0, 'mm/s': 1e-3}
 _ROOT_HOUR = math.sqrt(HOUR)
 
 
@@ -71,7 +72,8 @@ class Dimension(Enum):
     RATIO = {'ppm': PPM, '%': 0.01}
     ANGLE_PER_PULSE = _per('pulse', _ANGLES)
     RATE_PER_COUNT = _per('count', _RATES)
-    VELOCITY_PER_PULSE = _per('pulse', {'m/s': 1.0, 'mm/s': 1e-3})
+    VELOCITY = _VELOCITIES
+    VELOCITY_PER_PULSE = _per('pulse', _VELOCITIES)
     ACCELERATION_PER_COUNT = _per('count', _ACCELERATIONS)
     ANGLE_RANDOM_WALK = {
         'rad/sqrt(s)': 1.0,

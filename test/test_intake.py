@@ -319,6 +319,9 @@ def test_between_its_points_a_course_is_linear() -> None:
 # What a sensor is
 
 
+ONES = np.ones((3, 6))
+
+
 def spec(units: Units, **more: float) -> ImuSpec:
     return ImuSpec('any', units, None, TriadSpec(0.5, **more), TriadSpec(0.25, **more))
 
@@ -331,10 +334,12 @@ def test_the_walk_is_the_data_sheets_or_a_twentieth_of_a_pulse() -> None:
 
 
 def test_a_mean_goes_on_by_a_count() -> None:
-    assert Sensor.of(spec(Units.PULSES)).step(0.1) == pytest.approx([5.0, 2.5])
-    assert Sensor.of(spec(Units.COUNTS)).step(0.1) == pytest.approx([0.5, 0.25])
-    assert Sensor.of(spec(Units.SI)).step(0.1) == pytest.approx([0.0, 0.0])
-    assert Sensor.of(spec(Units.SI, pulse=0.2)).step(0.1) == pytest.approx([2.0, 2.0])
+    assert Sensor.of(spec(Units.PULSES)).step(0.1, ONES) == pytest.approx([5.0, 2.5])
+    assert Sensor.of(spec(Units.COUNTS)).step(0.1, ONES) == pytest.approx([0.5, 0.25])
+    assert Sensor.of(spec(Units.SI)).step(0.1, ONES) == pytest.approx([0.0, 0.0])
+    assert Sensor.of(spec(Units.SI, pulse=0.2)).step(0.1, ONES) == pytest.approx([2.0, 2.0])
+    for units in (Units.PULSES, Units.COUNTS):
+        assert Sensor.of(spec(units)).step(0.1, 0.3 * ONES).tolist() == [0.0, 0.0]
     counted = [Sensor.of(spec(units)).counted for units in (Units.PULSES, Units.COUNTS, Units.SI)]
     assert counted == [True, False, False]
 

@@ -54,7 +54,10 @@ def test_a_misspelt_key_is_named() -> None:
         ('id: a\nunit: si', "'units' is missing; is 'unit' a misspelling of it"),
         ('id: a\nunits: si\nsample_rat: 1 Hz', r"'sample_rat'; known .*\. Is 'sample_rate' meant"),
         ('id: a\nunits: si\ncolour: red', r"unknown key 'colour'; known are [^?]*\.$"),
-        ('id: a\nunits: volts', "found 'volts', expected one of pulses, counts, si"),
+        (
+            'id: a\nunits: volts',
+            "found 'volts', expected one of pulses, counts, increments, r",
+        ),
         ('id: a\nunits: pulses\ngyro: {}\naccelerometer: {}', "'scale_factor' is missing"),
         (
             'id: a\nunits: pulses\ngyro: {scale_factor: 0 arcsec/pulse}',

@@ -21,15 +21,19 @@ from .keys import (
 )
 
 D = Dimension
-_PULSES, _COUNTS, _SI = (u.value for u in (Units.PULSES, Units.COUNTS, Units.SI))
+_PULSES, _COUNTS, _INCREMENTS, _RATES, _SI = (u.value for u in Units)
 
 _SCALE = {
     ('g', _PULSES): D.ANGLE_PER_PULSE,
     ('g', _COUNTS): D.RATE_PER_COUNT,
     ('a', _PULSES): D.VELOCITY_PER_PULSE,
     ('a', _COUNTS): D.ACCELERATION_PER_COUNT,
+    ('g', _INCREMENTS): D.ANGLE,
+    ('a', _INCREMENTS): D.VELOCITY,
+    ('g', _RATES): D.RATE,
+    ('a', _RATES): D.ACCELERATION,
 }
-_SCALE_MEANING = 'nominal size of one pulse or count'
+_SCALE_MEANING = 'nominal size of one pulse or count, or of the number 1'
 
 
 def _figures(letter: str) -> list[Key]:
@@ -96,11 +100,12 @@ def _triad(letter: str, units: str) -> Value:
 
 
 def _shown(letter: str) -> list[Key]:
-    pulses, counts = (
-        quantity(_SCALE[letter, units], 'above 0').words.removesuffix(', above 0')
-        for units in (_PULSES, _COUNTS)
+    every = (_PULSES, _COUNTS, _INCREMENTS, _RATES)
+    words = ', '.join(
+        f'{quantity(_SCALE[letter, u], "above 0").words.removesuffix(", above 0")} with {u}'
+        for u in every
     )
-    scale = Value({}, f'{pulses} with pulses, {counts} with counts; above 0')
+    scale = Value({}, f'{words}; above 0')
     return [
         Key('scale_factor', scale, _SCALE_MEANING, REQUIRED, 'must be given; not with `si`'),
         *_figures(letter),
@@ -137,8 +142,9 @@ KEYS = [
     Key(
         'units',
         choice([u.value for u in Units]),
-        'meaning of the numbers in the Imu messages: increments per sample, codes proportional to '
-        'rate and specific force, or rad/s and m/s^2',
+        'meaning of the numbers in the Imu messages: whole increments per sample, codes '
+        'proportional to rate and specific force, increments that are no whole numbers (rad, m/s), '
+        'rates in other units than SI (deg/s, g), or rad/s and m/s^2',
         REQUIRED,
     ),
     Key(

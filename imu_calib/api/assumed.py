@@ -9,9 +9,11 @@ import numpy as np
 
 from ..bags import Recording
 from ..cdr import Kind
-from ..errors import NotStated
+from ..errors import InputError, NotStated
 from ..imu import ImuSpec, load_imu
 from ..plan import Plan, load_plan
+from ..segmentation.gravity_removed import gravity_removed, quiet_means
+from ..segmentation.halves import MESSAGES_APART, halves
 from ..share import shipped
 from ..stream import Floats, ImuBlock
 from ..units import STANDARD_GRAVITY
@@ -49,11 +51,16 @@ def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
 
     Raises:
         NotStated: They do not, and their units are not stated.
+        InputError: Gravity was removed from them, or rates and accelerations come apart.
     """
     blocks = [b for _, b in islice(recording.read({topic: Kind.IMU}), _BLOCKS)]
     samples = [b for b in blocks if isinstance(b, ImuBlock)]
     force = np.vstack([np.zeros((0, 3)), *(b.accel for b in samples)])
     rate = np.vstack([np.zeros((0, 3)), *(b.gyro for b in samples)])
+    if halves(rate, force) is not None:
+        raise InputError(f'{recording.path}: {MESSAGES_APART.format(topic=topic)}.')
+    if removed := gravity_removed(quiet_means(force)):
+        raise InputError(f'{recording.path}: {topic}: {removed}')
     if seen := against_si(force, rate):
         raise NotStated(
             f"{recording.path} does not say what the IMU's numbers mean: give `imu` "

@@ -7,20 +7,27 @@ from typing import TYPE_CHECKING
 
 from ..bags import AnyPath
 from ..calibrator import Calibrator, HandCalibrator, Result, calibrator_of
-from ..errors import NotObservable, NotStated
+from ..errors import InputError, NotObservable, NotStated
 from ..imu import HOTTEST
 from ..metadata import compensated_already, interpolated_from
 from ..paths import printable
+from ..plan import load_plan
 from ..segmentation.segmented import Segmented
 from ..threads import by_one_thread
 from .assumed import ASSUMED_BY_HAND, ask_for_plan, is_hand_held
 from .conforming import specification_of
+from .in_order import InOrder
 from .keywords import Session, with_keywords
 from .named import Named
 from .opening import Opened, open_session
 from .progress import Progress, silent
 from .stamp_clock import clock_findings, refused_by_stamps
 from .stated import Stated
+
+_HOLDS_AND_TURNS = 'six_position_by_hand'
+_FEWEST_HOLDS, _MOST_HOLDS = 6, 18
+"""Of a session that may be of that plan: one for each position, up to three beside each turn. A
+judgement."""
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -115,7 +122,7 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
         InputError: It differs from what is stated.
         NotObservable: The data does not determine all parameters.
     """
-    lost = tuple(opened.recording.losses)
+    lost = opened.losses
     by_hand = ASSUMED_BY_HAND in opened.assumed
     before = calibrator.snapshot()
     with refused_by_stamps(opened.recording, opened.streams):
@@ -123,7 +130,14 @@ def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
             result = calibrator.finish()
         except NotObservable as error:
             if by_hand and isinstance(before, HandCalibrator):
-                _check_that_it_was(opened, before.segmented())
+                session = before.segmented()
+                _check_that_it_was(opened, session)
+                if _fits_holds_and_turns(opened, session):
+                    raise NotStated(
+                        f'{opened.recording.path} fits plan {_HOLDS_AND_TURNS} (each axis up and '
+                        'down, and a turn about each), not free positions: give `plan` '
+                        f'{_HOLDS_AND_TURNS}.'
+                    ) from None
             raise NotObservable(' '.join([str(error), *lost, *opened.assumed])) from None
         if by_hand:
             _check_that_it_was(opened, result.session)
@@ -146,7 +160,7 @@ def documented(opened: Opened, result: Result) -> Result:
     assumed = (*opened.assumed, *already, *([] if rate is None else [_interpolated(rate)]))
     assumed += tuple(clock_findings(opened.recording, opened.streams, opened.setup.imu.units))
     assumed += tuple(_kelvin(calibration.provenance.get('temperature')))
-    findings = (*assumed, *calibration.findings, *opened.recording.losses)
+    findings = (*assumed, *calibration.findings, *opened.losses)
     findings = tuple(map(printable, findings))
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)
@@ -172,6 +186,21 @@ def _interpolated(rate: float) -> str:
         f'gyros: over less than {2 / rate:.2g} s their noise seems smaller than it is. Parameters '
         'and standard deviations use longer times, and are not affected.'
     )
+
+
+def _fits_holds_and_turns(opened: Opened, session: Segmented) -> bool:
+    """Return whether a session without a plan can be solved as the holds and turns of imucal."""
+    if not _FEWEST_HOLDS <= len(session.segments) <= _MOST_HOLDS:
+        return False
+    setup = replace(opened.setup, plan=load_plan(_HOLDS_AND_TURNS))
+    calibrator = calibrator_of(setup)
+    for block in replace(opened, order=InOrder()).blocks():
+        calibrator.feed(block)
+    try:
+        calibrator.finish()
+    except (InputError, NotObservable):
+        return False
+    return True
 
 
 def _check_that_it_was(opened: Opened, session: Segmented) -> None:

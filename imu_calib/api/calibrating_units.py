@@ -16,7 +16,7 @@ from ..errors import ImuCalibError, InputError
 from ..estimation.several import TableEstimate
 from ..metadata import serial_key
 from ..mounted import MountedUnit
-from ..stream import Floats
+from ..stream import Block, Floats, ImuBlock
 from ..threads import by_one_thread
 from ..units import counted
 from .calibrating import documented, finished
@@ -247,6 +247,23 @@ class _Part:
     calibrator: Calibrator | HandCalibrator | None = None
     error: ImuCalibError | None = None
 
+    def take(self, topic: str, block: Block) -> None:
+        """Take a block of a topic: samples go to the calibrator in the order of their stamps."""
+        assert self.opened is not None
+        if topic == self.opened.streams.imu and isinstance(block, ImuBlock):
+            self.feed(self.opened.order.take(block))
+        else:
+            self.feed([block])
+
+    def feed(self, blocks: Sequence[Block]) -> None:
+        """Feed the calibrator; its error does not affect other units."""
+        try:
+            for block in blocks:
+                if self.calibrator is not None:
+                    self.calibrator.feed(block)
+        except ImuCalibError as error:
+            self.error, self.calibrator = error, None
+
     def finished(self) -> Result | None:
         """End the unit's session; None if it fails, with the reason in `error`."""
         if self.opened is None or self.calibrator is None:
@@ -288,9 +305,7 @@ def _feed_units(recording: Recording, parts: Sequence[_Part], progress: Progress
     with progress('reading') as show:
         for topic, block in recording.read(kinds, show):
             for part in takers[topic]:
-                if part.calibrator is None:
-                    continue
-                try:
-                    part.calibrator.feed(block)
-                except ImuCalibError as error:
-                    part.error, part.calibrator = error, None
+                part.take(topic, block)
+    for part in parts:
+        if part.opened is not None:
+            part.feed(part.opened.order.finish())

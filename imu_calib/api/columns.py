@@ -39,6 +39,8 @@ _READ = {k.type_name: k for k in (Kind.IMU, Kind.JOINTS, Kind.SETPOINTS, Kind.TE
 _NUMBERS = {
     Units.PULSES: ('pulse', 'pulse'),
     Units.COUNTS: ('count', 'count'),
+    Units.INCREMENTS: ('increment', 'increment'),
+    Units.RATES: ('rate', 'force'),
     Units.SI: ('rad/s', 'm/s^2'),
 }
 

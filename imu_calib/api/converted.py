@@ -11,7 +11,7 @@ import numpy as np
 from ..bags import RecordingWriter
 from ..cdr import Kind, Messages, encode_imu, encode_rates
 from ..errors import InputError
-from ..imu import load_imu
+from ..imu import ImuSpec, load_imu
 from ..share import named_file
 from ..stream import ImuBlock, Units
 from ..units import counted
@@ -24,6 +24,21 @@ RAW, SI, JOINTS, TEMPERATURE = (
     '/imu/temperature',
 )
 RAW_UNITS = {'pulse': 1.0, 'count': 1.0}
+_EXAMPLES = {Units.SI: 'si', Units.INCREMENTS: 'increments'}
+"""Shipped descriptions of numbers whose units are stated."""
+_FITTING = {
+    Units.SI: (Units.SI, Units.RATES),
+    Units.INCREMENTS: (Units.INCREMENTS,),
+    Units.PULSES: (Units.PULSES, Units.COUNTS),
+    Units.COUNTS: (Units.PULSES, Units.COUNTS),
+}
+"""Units that a file may state for columns: of whole numbers, a pulse is what the file says."""
+_NUMBERS = {
+    Units.SI: 'rates and accelerations',
+    Units.INCREMENTS: 'angles and velocities per sample',
+    Units.PULSES: 'pulses',
+    Units.COUNTS: 'counts',
+}
 _BLOCK = 1 << 16
 """Samples written per call; a choice between memory and calls."""
 
@@ -48,23 +63,29 @@ class Converted:
         return f'<Converted: {messages} in {self.path}, {counted(len(self.findings), "finding")}>'
 
 
-def described(imu: Named | None, raw: set[str]) -> dict[str, str]:
-    """Return the description of the IMU for the recording.
+def described(imu: Named | None, numbers: Units) -> tuple[dict[str, str], ImuSpec]:
+    """Return the description of the IMU for the recording, as text and as a value.
+
+    Args:
+        imu: Its file; None if not stated.
+        numbers: Of the columns: SI, INCREMENTS (rad and m/s), PULSES or COUNTS.
 
     Raises:
         InputError: The meaning of pulses or counts is not stated, or other units are stated.
     """
-    if imu is None and raw:
+    if imu is None and numbers not in _EXAMPLES:
         raise InputError(
-            f'`gyro` and `accel` are in {raw.pop()}s: give `imu`, a file that says what one is '
+            f'`gyro` and `accel` are in {numbers.value}: give `imu`, a file that says what one is '
             '(config/imus has examples).'
         )
-    file = named_file('imus', 'si' if imu is None else imu)
-    units = load_imu(file).units
-    if (units is Units.SI) == bool(raw):
-        found = f'{raw.pop()}s' if raw else 'rates and accelerations'
-        raise InputError(f'`imu` {imu}: units: found {units.value}, but the numbers are {found}.')
-    return {'imu_calib.imu': file.read_text(encoding='utf-8')}
+    file = named_file('imus', _EXAMPLES[numbers] if imu is None else imu)
+    spec = load_imu(file)
+    if spec.units not in _FITTING[numbers]:
+        raise InputError(
+            f'`imu` {imu}: units: found {spec.units.value}, but the numbers are '
+            f'{_NUMBERS[numbers]}.'
+        )
+    return {'imu_calib.imu': file.read_text(encoding='utf-8')}, spec
 
 
 def write_imu(writer: RecordingWriter, block: ImuBlock, *, raw: bool) -> None:

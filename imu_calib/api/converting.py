@@ -18,7 +18,7 @@ from .joining import joined
 from .named import Named
 from .outputs import removed_on_failure
 from .progress import Progress, silent
-from .text import read_text
+from .text import read_sensors, read_text
 
 
 @checked
@@ -45,15 +45,17 @@ def convert(
     State the columns of a text file: 'NAME,NAME,NAME:UNIT', each NAME as in its heading or a place
     counted from 1. A bag of ROS 1 needs no such options. Gyros and accelerometers on separate
     topics (`gyro_topic`, `accel_topic`) or in separate text files (`accel_file`) are joined: the
-    accelerometers are interpolated linearly at the stamps of the gyros.
+    accelerometers are interpolated linearly at the stamps of the gyros. So are those in rows or
+    messages of their own: name one topic twice.
 
     Args:
         source: Text file, bag of ROS 1, recording of rosbag2, or a URL of one that fsspec reads.
         output: Folder to create.
         stamp: Column of each row's time, for instance 't:s' (s, ms, us, ns).
         rate: Of the rows, if there is no column of time: '200 Hz'; a number alone is in Hz.
-        gyro: Three columns, for instance 'wx,wy,wz:deg/s'; units of rate, pulse, or count.
-        accel: Three columns, for instance '5,6,7:g'; units of acceleration, pulse, or count.
+        gyro: Three columns, for instance 'wx,wy,wz:deg/s'; units of rate or angle, pulse, or count.
+        accel: Three columns, for instance '5,6,7:g'; units of acceleration or velocity, pulse,
+            or count.
         joints: Columns with the names of the table's joints, for instance 'outer,inner:deg'.
         temperature: One column, 'NAME:degC'.
         delimiter: Between fields; None detects it.
@@ -89,7 +91,7 @@ def convert(
                 'topics of their own, give `gyro_topic` and `accel_topic`.'
             )
         return joined(path, target, gyro_topic, accel_topic, imu, progress)
-    text = read_text(path, delimiter)
+    text, own = read_sensors(path, delimiter)
     needed = {'`gyro` NAME,NAME,NAME:UNIT': gyro, '`accel` NAME,NAME,NAME:UNIT': accel}
     needed |= {'`stamp` NAME:UNIT or `rate` HZ': stamp or rate}
     lacking = [name for name, value in needed.items() if value is None]
@@ -104,13 +106,16 @@ def convert(
             f'`stamp` {stamp} and `rate` {rate} both say when the rows were: give the one or the '
             'other.'
         )
-    if accel_file is None:
+    if accel_file is None and own is None:
         if accel_stamp is not None:
             raise InputError('`accel_stamp` is the time in `accel_file`, which is not given.')
         return from_text(text, target, stamp, rate, gyro, accel, joints, temperature, imu)
     if stamp is None:
-        raise InputError('Two files are joined by the time of their rows: give `stamp`, no `rate`.')
-    forces = read_text(located(accel_file), delimiter)
+        raise InputError(
+            'Gyros and accelerometers in rows of their own are joined by the time of the rows: '
+            'give `stamp`, no `rate`.'
+        )
+    forces = own if accel_file is None else read_text(located(accel_file), delimiter)
     others = (joints, temperature, imu, forces, accel_stamp)
     return from_text(text, target, stamp, None, gyro, accel, *others)
 

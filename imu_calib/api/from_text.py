@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +14,20 @@ from ..errors import InputError
 from ..imu import COLDEST, HOTTEST
 from ..instants import LAST_SECOND
 from ..metadata import interpolation_description
-from ..stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock
+from ..segmentation.gravity_removed import gravity_removed, quiet_means
+from ..segmentation.halves import ROWS_APART, halves
+from ..stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock, Units
 from ..units import Dimension, counted, parse
 from .assumed import against_si
 from .converted import JOINTS, RAW, RAW_UNITS, SI, TEMPERATURE, Converted, described, write_imu
+from .in_order import places_by_stamp
 from .joining import rate_of, read_at, resampling
 from .named import Named
 from .outputs import removed_on_failure
 from .text import Text
 
-_GYRO = {**Dimension.RATE.value, **RAW_UNITS}
-_ACCEL = {**Dimension.ACCELERATION.value, **RAW_UNITS}
+_GYRO = {**Dimension.RATE.value, **Dimension.ANGLE.value, **RAW_UNITS}
+_ACCEL = {**Dimension.ACCELERATION.value, **Dimension.VELOCITY.value, **RAW_UNITS}
 _ANGLE: Mapping[str, float] = Dimension.ANGLE.value
 _STAMP = {'s': 1e9, 'ms': 1e6, 'us': 1e3, 'ns': 1.0}
 """ns per unit of a time."""
@@ -64,39 +68,61 @@ def from_text(
         InputError: A column or a unit is missing, or the values are not of an IMU.
     """
     sentences: list[str] = []
-    stamps = _stamps(text, stamp, rate, sentences)
+    text, stamps = _in_time(text, stamp, rate, sentences)
+    if accel_text is not None:
+        accel_text, forces_at = _in_time(accel_text, accel_stamp or stamp, None, sentences)
     rates, gyro_unit = _columns(text, gyro, '`gyro`', _GYRO, 3)
     forces, accel_unit = _columns(accel_text or text, accel, '`accel`', _ACCEL, 3)
-    raw = {gyro_unit, accel_unit} & set(RAW_UNITS)
-    if raw and gyro_unit != accel_unit:
-        raise InputError(
-            f'`gyro` and `accel`: found {gyro_unit} and {accel_unit}, expected both in SI units, '
-            'or both in pulses, or both in counts.'
-        )
-    data = described(imu, raw)
-    if accel_text is None:
+    numbers = _units_of(gyro_unit, accel_unit)
+    data, spec = described(imu, numbers)
+    topic = SI if spec.units is Units.SI else RAW
+    if accel_text is None and (apart := halves(rates, forces)) is not None:
+        of_gyro, of_accel = apart
+        sentences.append(ROWS_APART)
+        gyros = _of_sensor(text, stamps[of_gyro], rates[of_gyro], sentences)
+        accels = _of_sensor(None, stamps[of_accel], forces[of_accel], sentences)
+    elif accel_text is not None:
+        gyros = _of_sensor(text, stamps, rates, sentences)
+        accels = _of_sensor(accel_text, forces_at, forces, sentences)
+    else:
         times, (rates, forces) = _sound(stamps, rates, forces)
         sentences += _left_out(text, len(stamps) - len(times))
-    else:
-        forces_at = _stamps(accel_text, accel_stamp or stamp, None, sentences)
-        known, (forces,) = _sound(forces_at, forces)
-        wanted, (rates,) = _sound(stamps, rates)
-        sentences += _left_out(text, len(stamps) - len(wanted))
-        sentences += _left_out(accel_text, len(forces_at) - len(known))
-        before = len(sentences)
-        times, rates, forces = _of_two(wanted, rates, known, forces, sentences, exactly=bool(raw))
-        if len(sentences) > before:
-            data |= interpolation_description(SI, rate_of(known))
-    if not len(times):
+        gyros, accels = (times, rates), (times, forces)
+    if not len(gyros[0]):
         raise InputError(f'{text.path}: no row holds a number in each of the columns named.')
-    if not raw and (seen := against_si(forces, rates)):
+    if accels[0] is not gyros[0]:
+        before = len(sentences)
+        known = accels[0]
+        exactly = numbers is not Units.SI
+        times, rates, forces = _of_two(*gyros, *accels, sentences, exactly=exactly)
+        if len(sentences) > before:
+            data |= interpolation_description(topic, rate_of(known))
+    if numbers is Units.SI and (removed := gravity_removed(quiet_means(forces))):
+        sentences.append(removed)
+    elif numbers is Units.SI and (seen := against_si(forces, rates)):
         sentences.append(
             f'By the units that are stated {seen}: check the columns and units of `gyro` and '
             '`accel`.'
         )
+    if not spec.units.whole:
+        # Whole numbers are not converted: the file says what one is.
+        rates, forces = rates / spec.gyro.scale_factor, forces / spec.accel.scale_factor
     block = ImuBlock(times, rates, forces, 'imu_link')
-    counts = {(RAW if raw else SI): len(block)}
     # Read all columns before writing: a wrong name must not leave a partial recording.
+    others = _other_topics(text, stamps, joints, temperature)
+    counts = {topic: len(block)}
+    with removed_on_failure(target), RecordingWriter(target, data) as writer:
+        write_imu(writer, block, raw=topic == RAW)
+        for name, kind, messages, at in others:
+            writer.write(name, kind.type_name, messages, at)
+            counts[name] = len(at)
+    return Converted(target, counts, tuple(sentences))
+
+
+def _other_topics(
+    text: Text, stamps: Floats, joints: str | None, temperature: str | None
+) -> list[tuple[str, Kind, Messages, Stamps]]:
+    """Return the messages of joints and temperatures, with topic, kind and stamps."""
     others: list[tuple[str, Kind, Messages, Stamps]] = []
     if joints is not None:
         names = tuple(_parted(joints)[0])
@@ -110,12 +136,65 @@ def from_text(
         _refuse_no_celsius(celsius, temperature)
         encoded = encode_temperatures(TemperatureBlock(at, celsius[:, 0]))
         others.append((TEMPERATURE, Kind.TEMPERATURES, encoded, at))
-    with removed_on_failure(target), RecordingWriter(target, data) as writer:
-        write_imu(writer, block, raw=bool(raw))
-        for topic, kind, messages, at in others:
-            writer.write(topic, kind.type_name, messages, at)
-            counts[topic] = len(at)
-    return Converted(target, counts, tuple(sentences))
+    return others
+
+
+def _in_time(
+    text: Text, stamp: str | None, rate: str | None, sentences: list[str]
+) -> tuple[Text, Floats]:
+    """Return a table with its rows in the order of their times, and these, ns.
+
+    What was found on the way is added to `sentences`.
+
+    Raises:
+        InputError: They are no times of an IMU's samples.
+    """
+    stamps = _stamps(text, stamp, rate, sentences)
+    if rate is None:
+        places = places_by_stamp(stamps)
+        if places is not None:
+            late = int(np.count_nonzero(stamps < np.fmax.accumulate(stamps)))
+            sentences.append(
+                f'{late} rows of {text.path.name} came out of the order of their times, and are '
+                'written in that order.'
+            )
+            text, stamps = replace(text, values=text.values[places]), stamps[places]
+        _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: `stamp` {stamp}')
+    return text, stamps
+
+
+def _of_sensor(
+    text: Text | None, stamps: Floats, values: Floats, sentences: list[str]
+) -> tuple[Stamps, Floats]:
+    """Return the sound rows of one sensor; what a file lacks is added to `sentences`."""
+    times, (sound,) = _sound(stamps, values)
+    if text is not None:
+        sentences += _left_out(text, len(stamps) - len(times))
+    return times, sound
+
+
+def _units_of(gyro_unit: str, accel_unit: str) -> Units:
+    """Return the kind of numbers in columns of these units.
+
+    Raises:
+        InputError: The two are of different kinds.
+    """
+    kinds = [
+        {'pulse': Units.PULSES, 'count': Units.COUNTS}.get(
+            unit, Units.INCREMENTS if unit in increments else Units.SI
+        )
+        for unit, increments in (
+            (gyro_unit, Dimension.ANGLE.value),
+            (accel_unit, Dimension.VELOCITY.value),
+        )
+    ]
+    if kinds[0] is not kinds[1]:
+        raise InputError(
+            f'`gyro` and `accel`: found {gyro_unit} and {accel_unit}, expected a rate and an '
+            'acceleration, or an angle and a velocity per sample, or both in pulses, or both in '
+            'counts.'
+        )
+    return kinds[0]
 
 
 def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
@@ -137,7 +216,7 @@ def _of_two(
     shared = np.isin(stamps, known)
     if exactly and not shared.all():
         raise InputError(
-            f'The rows of `accel_file` have other times than {int((~shared).sum())} of the '
+            f'The rows of the accelerometers have other times than {int((~shared).sum())} of the '
             f'{len(stamps)} rows of the gyros, and pulses or counts cannot be interpolated '
             'between samples: state the columns in SI units, or shared times.'
         )
@@ -145,8 +224,8 @@ def _of_two(
     known, forces = known[order], forces[order]
     if len(known) < 2 or len(stamps) < 2 or known[-1] < stamps.min() or stamps.max() < known[0]:
         raise InputError(
-            'The times of the gyros and those of `accel_file` do not overlap: check the columns '
-            'and units of `stamp` and `accel_stamp`.'
+            'The times of the gyros and those of the accelerometers do not overlap: check the '
+            'columns and units of `stamp` and `accel_stamp`.'
         )
     times, read, within = read_at(known, forces, stamps)
     if not shared.all():
@@ -199,7 +278,6 @@ def _stamps(text: Text, stamp: str | None, rate: str | None, sentences: list[str
         )
     stamps = np.asarray(np.rint(times[:, 0]))
     sentences += _unwrap(stamps, f'{text.path.name}: `stamp` {stamp}')
-    _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: `stamp` {stamp}')
     return stamps
 
 

@@ -1,4 +1,4 @@
-"""Join gyros and accelerometers of separate topics to one topic."""
+"""Join gyros and accelerometers of separate topics or messages to one topic."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ import numpy as np
 from ..bags import AnyPath, Recording, RecordingWriter, open_recording
 from ..errors import InputError
 from ..metadata import interpolation_description
-from ..stream import Floats, ImuBlock, Stamps
+from ..segmentation.gravity_removed import gravity_removed, quiet_means
+from ..segmentation.halves import ROWS_APART, halves
+from ..stream import Floats, ImuBlock, Stamps, Units
 from .columns import columns_of
-from .converted import RAW_UNITS, SI, Converted, described, write_imu
+from .converted import RAW, SI, Converted, described, write_imu
 from .named import Named
 from .outputs import removed_on_failure
 from .progress import Progress
 
+_OF_SI = ('rad/s', 'm/s^2')
 _SILENT = 2.5
 """Longest gap between two accelerometer samples to interpolate, in sample intervals: a lost sample
 makes two, and jitter of the stamps adds less than a half."""
@@ -29,7 +32,7 @@ def joined(
     imu: Named | None,
     progress: Progress,
 ) -> Converted:
-    """Join two topics to one, and copy the other topics unchanged.
+    """Join two topics, or the halves of one, to one topic; copy the other topics unchanged.
 
     Args:
         path: The recording.
@@ -42,42 +45,55 @@ def joined(
     Raises:
         InputError: The topics hold too few samples, or pulses; or the joined topic exists.
     """
-    statements = described(imu, set())
+    statements, spec = described(imu, Units.SI)
     with open_recording(path) as recording:
         rates, forces = (columns_of(recording, topic) for topic in (gyro_topic, accel_topic))
     for columns in (rates, forces):
-        if (unit := next(iter(columns.units.values()))) in RAW_UNITS:
+        if (unit := next(iter(columns.units.values()))) not in _OF_SI:
             raise InputError(
                 f'{path}: {columns.topic} holds {unit}s, which cannot be interpolated between '
                 'samples: expected rad/s and m/s^2.'
             )
-    if len(rates) < 2 or len(forces) < 2:
-        raise InputError(
-            f'{path}: {gyro_topic} and {accel_topic} hold {len(rates)} and '
-            f'{len(forces)} samples: expected two or more of each.'
-        )
     gyro = np.column_stack([rates[f'angular_velocity.{a}'] for a in 'xyz'])
     accel = np.column_stack([forces[f'linear_acceleration.{a}'] for a in 'xyz'])
-    order = np.argsort(forces.stamp, kind='stable')
-    accel_at = forces.stamp[order]
-    stamps, interpolated, within = read_at(accel_at, accel[order], rates.stamp)
-    block = ImuBlock(stamps, gyro[within], interpolated, 'imu_link')
+    gyro_at, accel_at = rates.stamp, forces.stamp
+    findings: list[str] = []
+    if rates.topic == forces.topic and (apart := halves(gyro, accel)) is not None:
+        gyro, gyro_at = gyro[apart[0]], gyro_at[apart[0]]
+        accel, accel_at = accel[apart[1]], accel_at[apart[1]]
+        findings.append(ROWS_APART)
+    if len(gyro_at) < 2 or len(accel_at) < 2:
+        raise InputError(
+            f'{path}: {gyro_topic} and {accel_topic} hold {len(gyro_at)} and '
+            f'{len(accel_at)} samples: expected two or more of each.'
+        )
+    order = np.argsort(accel_at, kind='stable')
+    accel_at = accel_at[order]
+    stamps, interpolated, within = read_at(accel_at, accel[order], gyro_at)
+    scales = spec.gyro.scale_factor, spec.accel.scale_factor
+    block = ImuBlock(stamps, gyro[within] / scales[0], interpolated / scales[1], 'imu_link')
+    if removed := gravity_removed(quiet_means(interpolated)):
+        findings.append(removed)
     taken = {rates.topic, forces.topic}
-    counts = {SI: len(block)}
+    topic = SI if spec.units is Units.SI else RAW
+    counts = {topic: len(block)}
     with open_recording(path) as recording:
-        _refuse_taken(recording, taken)
+        _refuse_taken(recording, topic, taken)
         data = {**recording.custom_data, **statements}
-        findings = list(recording.losses)
+        findings += recording.losses
         if not np.isin(stamps, accel_at).all():
-            data |= interpolation_description(SI, rate_of(accel_at))
-            findings.insert(0, resampling(rates.stamp, accel_at, within))
+            data |= interpolation_description(topic, rate_of(accel_at))
+            findings.insert(0, resampling(gyro_at, accel_at, within))
         with (
             removed_on_failure(target),
             RecordingWriter(target, data) as writer,
             progress('converting') as show,
         ):
             writer.copy_records(recording)
-            write_imu(writer, block, raw=False)
+            write_imu(writer, block, raw=topic == RAW)
+            for one in recording.topics:
+                if one.name not in taken:
+                    writer.copy_topic(one)
             for one, messages, times in recording.messages(show):
                 if one.name not in taken:
                     writer.copy(one, messages, times)
@@ -85,9 +101,9 @@ def joined(
     return Converted(target, counts, tuple(findings))
 
 
-def _refuse_taken(recording: Recording, taken: set[str]) -> None:
-    if any(topic.name == SI for topic in recording.topics) and SI not in taken:
-        raise InputError(f'{recording.path} has a topic {SI} already.')
+def _refuse_taken(recording: Recording, target: str, taken: set[str]) -> None:
+    if any(topic.name == target for topic in recording.topics) and target not in taken:
+        raise InputError(f'{recording.path} has a topic {target} already.')
 
 
 def read_at(known: Stamps, values: Floats, wanted_at: Stamps) -> tuple[Stamps, Floats, Stamps]:

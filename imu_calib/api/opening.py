@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from ..bags import AnyPath, Recording, located, open_recording
 from ..calibrator.setup import Setup
@@ -11,6 +11,7 @@ from ..errors import InputError
 from ..plan import UNPLANNED
 from ..stream import Block
 from .assumed import ASSUMED_BY_HAND, ASSUMED_SI, plan_by_hand, taken_as_si
+from .in_order import InOrder
 from .progress import Progress, silent
 from .stated import (
     Stated,
@@ -33,18 +34,25 @@ class Opened:
         setup: Set-up for the calibrator.
         streams: Its topics.
         assumed: Assumptions about what is not stated, in sentences.
+        order: Sorts the samples of the IMU.
     """
 
     recording: Recording
     setup: Setup
     streams: Streams
     assumed: tuple[str, ...] = ()
+    order: InOrder = field(default_factory=InOrder)
 
     def blocks(self, progress: Progress = silent) -> Iterator[Block]:
-        """Read the needed topics, in order."""
+        """Read the needed topics, in order, the samples of the IMU in that of their stamps."""
         with progress('reading') as show:
-            for _, block in self.recording.read(self.streams.kinds(), show):
-                yield block
+            blocks = self.recording.read(self.streams.kinds(), show)
+            yield from self.order.passed(blocks, self.streams.imu)
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Sentences on what was unreadable or out of order, so far."""
+        return (*self.recording.losses, *self.order.sentences)
 
 
 def recording_path(bag: str | AnyPath) -> AnyPath:

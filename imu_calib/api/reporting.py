@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..arguments import checked
-from ..bags import located
+from ..bags import Recording, located
 from ..calibration import Calibration
 from ..calibrator import Result
 from ..compensation.thermal import AnyCalibration, ThermalCalibration
@@ -21,6 +21,7 @@ from ..imu import ImuSpec
 from ..methods import JOINT
 from ..model import AUTO_TERMS, NO_TERMS, terms_of
 from ..model.session_terms import SESSION_TERMS
+from ..plan import Plan, load_plan
 from ..reports.page import Contents, page
 from ..reports.thermal_page import thermal_page
 from .calibrating import solve
@@ -148,9 +149,9 @@ def _recalibrate(
     origin = calibration.provenance
     method = origin.get('method') if stated.method is None else stated.method
     terms = _terms(calibration) if stated.terms is None and method in JOINT else stated.terms
-    plan = NO_PLAN if stated.plan is None and origin.get('plan', '') is None else stated.plan
-    stated = replace(stated, method=method, terms=terms, plan=plan)
     recording = recording_at(located(bag))
+    plan = _plan_it_was(stated, origin, recording, name)
+    stated = replace(stated, method=method, terms=terms, plan=plan)
     try:
         opened = session_of(recording, stated)
     except NotStated:
@@ -172,6 +173,29 @@ def _recalibrate(
             '`plan`, `imu`, `table`, `latitude`, `method` and `terms` that it was made with.'
         )
     return result
+
+
+def _plan_it_was(
+    stated: Stated, origin: Mapping[str, Any], recording: Recording, name: str
+) -> Plan | Named | None:
+    """Return the plan that is stated, else that of the calibration if the recording states none.
+
+    Raises:
+        NotStated: The calibration names a plan that is not shipped.
+    """
+    if stated.plan is not None or 'plan' not in origin:
+        return stated.plan
+    if origin['plan'] is None:
+        return NO_PLAN
+    if 'imu_calib.plan' in recording.custom_data:
+        return None
+    try:
+        return load_plan(origin['plan'])
+    except InputError:
+        raise NotStated(
+            f'{name} was made with plan {origin["plan"]}, which is not shipped, and the recording '
+            'does not hold it: give its file with `plan`.'
+        ) from None
 
 
 def _where_it_was(stated: Stated, origin: Mapping[str, Any]) -> Stated:

@@ -85,7 +85,7 @@ def clock_findings(recording: Recording, streams: Streams, units: Units) -> list
     if clock is None or not (said := difference(clock)):
         return []
     # docs/mathematics.md, 'Uncertainty budget': pulses per angle do not depend on a clock.
-    gains = 'K_a' if units is Units.PULSES else 'K_g'
+    gains = 'K_a' if units.per_interval else 'K_g'
     return [
         f'The header stamps of {topic} run {said}, and clocks do not differ by more than '
         f'{_DIFFERENT / PPM:g} ppm: every {gains} contains this difference, unless the '

@@ -134,7 +134,7 @@ def stream_contents(opened: Opened, progress: Progress) -> StreamContents:
             ),
             *labelled.notes,
         ),
-        (*opened.recording.losses, *session.losses),
+        (*opened.losses, *session.losses),
     )
 
 

@@ -27,6 +27,10 @@ _LABEL = re.compile(r'(?:(?<=[\s,;])|^)([^\W\d][\w.]*)\s*[:=]\s*(?=[-+.\d])')
 """Name before a number in its field, as 'ax: 0.1' and 'ax=0.1' for a plotter of serial lines."""
 _LABELLED = 0.9
 """Least share of lines with the same labels: others are broken lines. A judgement."""
+_SENSOR = re.compile(r'(?:^|[,;\s])"?((?:gyr|acc)[a-z]*)"?(?=[,;\s]+"?[-+.\d])', re.IGNORECASE)
+"""Name of a sensor as a field of a row, before a number."""
+_OF_SENSOR = 0.05
+"""Share of the lines that name each sensor. A judgement: a log of a phone has ten of them."""
 _LOOKED_AT = 100
 """Number of lines, spread over the file, that determine how many fields a row has: lines above a
 table and broken lines are few in comparison."""
@@ -77,7 +81,64 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
     Raises:
         InputError: It cannot be read, or holds no numbers.
     """
-    written = [row for row in _decoded(path).splitlines() if row.strip()]
+    return _table(path, _written(path), delimiter)
+
+
+def read_sensors(path: AnyPath, delimiter: str | None = None) -> tuple[Text, Text | None]:
+    """Read a table of numbers, or two whose rows alternate and say which sensor they are of.
+
+    A label begins with gyr or acc (GYR, gyroscope; ACC, ACCE, accelerometer), in any letters.
+
+    Args:
+        path: The file.
+        delimiter: As for `read_text`.
+
+    Returns:
+        The table, or that of the gyros, and that of the accelerometers; None without labels.
+
+    Raises:
+        InputError: As for `read_text`.
+    """
+    written = _written(path)
+    found = _by_label(written)
+    if found is None:
+        return _table(path, written, delimiter), None
+    gyros, accels = (_table(path, rows, delimiter) for rows in found)
+    return gyros, accels
+
+
+def _by_label(written: Sequence[str]) -> tuple[list[str], list[str]] | None:
+    """Return the lines of gyros and those of accelerometers, each with the lines above the table.
+
+    The label becomes a field that is no number.
+    """
+    labels = [_SENSOR.search(row) for row in written]
+    usual = [
+        Counter(match[1] for match in labels if match and match[1].lower().startswith(kind))
+        for kind in ('gyr', 'acc')
+    ]
+    if any(sum(count.values()) <= _OF_SENSOR * len(written) for count in usual):
+        return None
+    head = written[: next(k for k, match in enumerate(labels) if match)]
+    names = [count.most_common(1)[0][0] for count in usual]
+    gyros, accels = (
+        [
+            f'{row[: match.start(1)]}nan{row[match.end(1) :]}'
+            for row, match in zip(written, labels, strict=True)
+            if match and match[1] == name
+        ]
+        for name in names
+    )
+    return [*head, *gyros], [*head, *accels]
+
+
+def _written(path: AnyPath) -> list[str]:
+    """Return the lines of a file that are not empty."""
+    return [row for row in _decoded(path).splitlines() if row.strip()]
+
+
+def _table(path: AnyPath, written: Sequence[str], delimiter: str | None) -> Text:
+    """Read a table from the lines of a file; as `read_text`."""
     lines = [row for row in written if not row.startswith(_COMMENTS)]
     if not lines:
         raise _no_table(path, 'holds no lines, expected a table of numbers.')

@@ -15,7 +15,7 @@ from ..compensation.thermal import (
     check_identity,
     first_of,
 )
-from ..errors import InputError, NotStated
+from ..errors import InputError, NotObservable, NotStated
 from ..imu import ImuSpec
 from ..metadata import compensated_already
 from ..methods.free_positions import NAME as FREE_POSITIONS
@@ -25,6 +25,7 @@ from ..segmentation.thermometer import Temperature
 from ..threads import by_one_thread
 from ..verification import Verification, observe
 from ..verification import verify as judge
+from .in_order import InOrder
 from .keywords import Verified, with_keywords
 from .named import Named, as_applied
 from .progress import Progress, silent
@@ -109,16 +110,22 @@ def _verify(
     table = table_of(stated, recording) if streams.joints is not None else None
     segmenter = Segmenter(imu, table)
     kinds = {t: kind for t, kind in streams.kinds().items() if t != streams.skew}
+    order = InOrder()
     with refused_by_stamps(recording, streams):
         with progress('reading') as show:
-            for _, block in recording.read(kinds, show):
+            for block in order.passed(recording.read(kinds, show), streams.imu):
                 segmenter.feed(block)
         session = segmenter.finish()
         calibration, notes = _at_temperature(loaded, session.temperature)
-        observed = observe(session, imu, site, plan, table, calibration.clock)
+        try:
+            observed = observe(session, imu, site, plan, table, calibration.clock)
+        except NotObservable as error:
+            raise type(error)(f'{error} {session.facts.sentence}'.strip()) from None
     notes += clock_findings(recording, streams, imu.units)
     already = compensated_already(recording.custom_data, streams.imu)
-    found = judge(calibration, replace(observed, notes=(*already, *notes, *observed.notes)))
+    found = judge(
+        calibration, replace(observed, notes=(*already, *order.sentences, *notes, *observed.notes))
+    )
     if calibration.provenance.get('sha256') != recording.sha256():
         return found
     return replace(found, findings=(_THE_SAME, *found.findings), own_recording=True)

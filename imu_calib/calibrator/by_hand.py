@@ -37,7 +37,7 @@ from ..segmentation.segmenter import Segmenter
 from ..stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from ..units import DEG, STANDARD_GRAVITY, counted
 from .guidance import CHECKED, HOLD_SECONDS, Guidance, Stage, guide
-from .mistakes import dead_channels
+from .mistakes import dead_channels, explained, refuse_apart, with_facts
 from .provenance import provenance
 from .results import Result, Review, calibrated
 from .setup import Setup
@@ -49,6 +49,8 @@ _LOST = 100.0
 """Ratio of the variance from lost samples in a turn to all its other variance above which the turn
 is not used: with ten times the std, it has a hundredth of the information of others."""
 
+_NEARLY_NONE = 0.05
+"""Of gravity: as in `segmentation.gravity_removed`."""
 _REMEDIES = {
     SATURATED: ': turn more slowly, or set a wider range',
     COARSE: ': turn more slowly, or check the unit of the gyros',
@@ -98,7 +100,10 @@ class HandCalibrator:
             InputError: The outputs are not in the units that the IMU's description states.
             NotObservable: The data does not determine all parameters; names them and the reason.
         """
-        return self._solve(self._segmenter.finish())
+        session = self._segmenter.finish()
+        refuse_apart(session)
+        with with_facts(session):
+            return self._solve(session)
 
     def segmented(self) -> Segmented:
         """End the session: return the contents of its streams, solved or not."""
@@ -164,10 +169,12 @@ class HandCalibrator:
             return ''
         counts = self._setup.imu.units is Units.COUNTS
         zero = ', and that counts are those from zero (an ADC has it in the middle: subtract it)'
+        removed = ' Near 0 gravity may have been removed: record the accelerometers themselves.'
         return (
             f'The accelerometers {when} read {length:.3g} times the gravity of the site: check '
             'that the columns are those of the accelerometers, and that the units or the scale '
             f"factor of the IMU's description are those of the recording{zero if counts else ''}."
+            f'{removed if length < _NEARLY_NONE else ""}'
         )
 
     def _least_motion(self) -> list[str]:
@@ -225,7 +232,7 @@ class HandCalibrator:
 
     def conclude(self) -> HandReview:
         """End of the session: `review` solves it as `finish` does."""
-        return self.review()
+        return explained(self.review())
 
     def _guidance(
         self, session: Segmented, still: tuple[int, int] | None, reached: Floats | None

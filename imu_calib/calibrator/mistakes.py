@@ -6,13 +6,21 @@ They are looked for in refused sessions alone: what is seen in a sound one may h
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
 
+from ..errors import Contradiction, InputError, NotObservable
+from ..segmentation.gravity_removed import gravity_removed
+from ..segmentation.halves import MESSAGES_APART
 from ..segmentation.segment import Segment
 from ..segmentation.segmented import Move, Segmented
 from ..stream import Floats
+from .results import Review
 
 _FEWEST_MEANS = 2
 """Means of static dwells and turns: one cannot change."""
@@ -28,6 +36,53 @@ _FEWEST_MOVES = 2
 _TOO_FAR = math.degrees(1) / 2
 """Joint angles over rotation from which on they are degrees. True rad give 1, two or three where a
 turn is a whole one and more; degrees give 57 and more."""
+
+
+_APART = f'{MESSAGES_APART.format(topic="TOPIC")}.'
+_AnyReview = TypeVar('_AnyReview', bound=Review)
+
+
+def refuse_apart(session: Segmented) -> None:
+    """Refuse a session whose gyros and accelerometers come in messages of their own.
+
+    Raises:
+        InputError: They do.
+    """
+    if session.facts.apart:
+        raise InputError(_APART)
+
+
+@contextmanager
+def with_facts(session: Segmented) -> Iterator[None]:
+    """Add the facts of the stream to a refusal of its session, and name a cause that they show.
+
+    Raises:
+        InputError: As raised within, with the facts.
+        NotObservable: Likewise.
+    """
+    try:
+        yield
+    except (InputError, NotObservable) as error:
+        kind = Contradiction if _without_gravity(session) else type(error)
+        raise kind(_explained(str(error), session)) from None
+
+
+def explained(review: _AnyReview) -> _AnyReview:
+    """Return the review of an ended session with the facts of the stream in its refusal."""
+    if not review.refusal:
+        return review
+    return replace(review, refusal=_explained(review.refusal, review.session))
+
+
+def _explained(refusal: str, session: Segmented) -> str:
+    if session.facts.apart:
+        return _APART
+    return f'{_without_gravity(session) or refusal} {session.facts.sentence}'.strip()
+
+
+def _without_gravity(session: Segmented) -> str:
+    means = np.array([segment.statistics.mean[3:] for segment in session.segments])
+    return gravity_removed(means.reshape(-1, 3))
 
 
 def dead_channels(session: Segmented) -> list[str]:

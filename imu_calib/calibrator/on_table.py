@@ -24,7 +24,13 @@ from ..stream import Block
 from ..table_clock import clock_share
 from .basis import Basis
 from .losses import loss_findings, losses_of_all_segments
-from .mistakes import dead_channels, joints_in_degrees
+from .mistakes import (
+    dead_channels,
+    explained,
+    joints_in_degrees,
+    refuse_apart,
+    with_facts,
+)
 from .results import Result, Review
 from .setup import Setup
 from .unsupported import unsupported_steps
@@ -62,9 +68,11 @@ class Calibrator:
             NotObservable: The data does not determine all parameters; names them and the reason.
         """
         session = self._segmenter.finish()
-        if session.foreign_joints:
-            raise InputError(session.foreign_joints)
-        return self._solve(session, self._labelled(session), final=True)
+        refuse_apart(session)
+        with with_facts(session):
+            if session.foreign_joints:
+                raise InputError(session.foreign_joints)
+            return self._solve(session, self._labelled(session), final=True)
 
     def snapshot(self) -> Calibrator:
         """Return a calibrator with all data so far; this one continues independently.
@@ -92,7 +100,7 @@ class Calibrator:
         Raises:
             InputError: The data does not agree with the set-up.
         """
-        return self._reviewed(final=True)
+        return explained(self._reviewed(final=True))
 
     def _reviewed(self, *, final: bool) -> Review:
         session = self._segmenter.finish()

@@ -26,7 +26,7 @@ from .dcc_elements import (
 )
 from .dsi import ARCSECOND, ONE, Digital, digital
 from .fields import CONDITIONS, Equipment
-from .statement import PROBABILITY, Certificate, Stated, groups
+from .statement import OUTPUT, PROBABILITY, Certificate, Stated, groups
 
 _UNITS = {
     'temperature': r'\degreecelsius',
@@ -179,30 +179,21 @@ def _shape(freedom: float) -> str:
 def _scales(calibration: Calibration) -> list[ET.Element]:
     """Return the nominal scale factors, which are not results: numbers without uncertainty."""
     imu, found = calibration.imu, []
-    units = {
-        Units.PULSES: (
-            Digital(ARCSECOND, ARCSEC),
-            Digital(r'\metre\second\tothe{-1}', 1.0),
-        ),
-        Units.SI: (ONE, ONE),
-    }.get(
-        imu.units,
-        (
-            Digital(ARCSECOND + r'\second\tothe{-1}', ARCSEC),
-            Digital(r'\metre\second\tothe{-2}', 1.0),
-        ),
+    units = (
+        Digital(ARCSECOND + r'\second\tothe{-1}', ARCSEC),
+        Digital(r'\metre\second\tothe{-2}', 1.0),
     )
+    if imu.units.per_interval:
+        units = (Digital(ARCSECOND, ARCSEC), Digital(r'\metre\second\tothe{-1}', 1.0))
+    elif imu.units is Units.SI:
+        units = (ONE, ONE)
     for spec, unit, name in zip(
         (imu.gyro, imu.accel), units, ('gyros', 'accelerometers'), strict=True
     ):
-        words = f'Nominal scale factor of the {name}, per {_output(imu.units)}'
+        words = f'Nominal scale factor of the {name}, per {OUTPUT[imu.units]}'
         real = number_with_unit(spec.scale_factor / unit.scale, unit.unit)
         found.append(element('quantity', content('name', words), real))
     return found
-
-
-def _output(units: Units) -> str:
-    return {Units.PULSES: 'pulse', Units.SI: 'unit of the output'}.get(units, 'count')
 
 
 def _budget(certificate: Certificate) -> ET.Element:

@@ -14,7 +14,7 @@ from ..stream import Units
 from ..units import ARCSEC
 from ..version import version
 from .fields import CONDITIONS, Contact, Equipment
-from .statement import PROBABILITY, Certificate, Stated, groups
+from .statement import OUTPUT, PROBABILITY, Certificate, Stated, groups
 from .style import style
 
 _MISSING = 'MISSING'
@@ -158,7 +158,7 @@ def _reference(equipment: Equipment) -> list[str]:
 def _results(certificate: Certificate) -> list[str]:
     calibration = certificate.calibration
     imu = calibration.imu
-    pulses = imu.units is Units.PULSES
+    pulses = imu.units.per_interval
     per = '/ sample interval' if pulses else ''
     by_sensors = calibration.provenance.get('frame') is not None
     frame = 'the frame that the remarks state' if by_sensors else 'the axes of the table'
@@ -192,11 +192,11 @@ def _budget(certificate: Certificate) -> list[str]:
 def _scale(value: float, units: Units, triad: str) -> str:
     if units is Units.SI:
         return '1: the output is in SI units'
-    per = 'pulse' if units is Units.PULSES else 'count'
+    per = OUTPUT[units]
     if triad == 'g':
-        shown, unit = value / ARCSEC, 'arcsec' if units is Units.PULSES else 'arcsec/s'
+        shown, unit = value / ARCSEC, 'arcsec' if units.per_interval else 'arcsec/s'
     else:
-        shown, unit = value, 'm/s' if units is Units.PULSES else 'm/s\u00b2'
+        shown, unit = value, 'm/s' if units.per_interval else 'm/s\u00b2'
     return f'{shown:.10g} {unit} per {per}'
 
 

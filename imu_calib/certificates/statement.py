@@ -12,9 +12,19 @@ from ..calibration import Calibration
 from ..errors import InputError
 from ..model import Parameter
 from ..specification import Specification
+from ..stream import Units
 from ..units import counted
 from .decision import WORST_LAST, Conformity, decide
 from .fields import Fields, missing
+
+OUTPUT = {
+    Units.PULSES: 'pulse',
+    Units.COUNTS: 'count',
+    Units.INCREMENTS: 'unit of the output',
+    Units.RATES: 'unit of the output',
+    Units.SI: 'unit of the output',
+}
+"""What a nominal scale factor refers to."""
 
 _ZONES = timedelta(days=1)
 """Largest difference between a local date and the UTC date of the same instant: one day."""

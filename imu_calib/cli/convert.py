@@ -26,10 +26,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     text.add_argument('--stamp', metavar='NAME:UNIT', help='time of each row, in s, ms, us or ns')
     text.add_argument('--rate', metavar='HZ', help='of the rows, if no column has their time')
     text.add_argument(
-        '--gyro', metavar=_COLUMNS, help='for instance wx,wy,wz:deg/s; also in pulse, or in count'
+        '--gyro',
+        metavar=_COLUMNS,
+        help='for instance wx,wy,wz:deg/s; also per sample, in rad, pulse or count',
     )
     text.add_argument(
-        '--accel', metavar=_COLUMNS, help='for instance ax,ay,az:g; also in pulse, or in count'
+        '--accel',
+        metavar=_COLUMNS,
+        help='for instance ax,ay,az:g; also per sample, in m/s, pulse or count',
     )
     text.add_argument(
         '--accel-file',
@@ -50,7 +54,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'Accelerometers are read at the stamps of the gyros, on straight lines between samples.',
     )
     two.add_argument('--gyro-topic', metavar='TOPIC', help='sensor_msgs/Imu of the gyros')
-    two.add_argument('--accel-topic', metavar='TOPIC', help='that of the accelerometers')
+    two.add_argument(
+        '--accel-topic',
+        metavar='TOPIC',
+        help='that of the accelerometers; the same where each message holds one of the two',
+    )
     parser.set_defaults(run=run)
 
 

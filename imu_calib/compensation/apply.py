@@ -120,7 +120,7 @@ class Compensation:
         self._single: SingleSample | None = None
         if channels is None and model.linear and len(self._levers) == len(_LINEAR):
             self._single = SingleSample(
-                self._units is Units.PULSES,
+                self._units.per_interval,
                 self._clock_ratio,
                 np.column_stack([self._scale, self._bias, self._limit, self._full]).tolist(),
                 self._to_inputs.T.tolist(),
@@ -138,7 +138,7 @@ class Compensation:
 
     def _noise(self, tau: Floats) -> Floats:
         """Return the variances of single samples, (n, channels) SI, by (n, 1) intervals, s."""
-        if self._units is Units.PULSES:
+        if self._units.per_interval:
             return np.asarray(self._power / tau + self._quantisation_variance / (tau * tau))
         return np.asarray(self._power / tau + self._quantisation_variance)
 
@@ -173,7 +173,7 @@ class Compensation:
         """Compensate raw samples (n, channels) of (n,) intervals, s, by arrays."""
         tau = interval[:, None] / self._clock_ratio
         outputs = raw * self._scale
-        if self._units is Units.PULSES:
+        if self._units.per_interval:
             outputs = outputs / tau
         free = outputs - self._bias
         both = _mix(free, self._to_inputs)
@@ -221,12 +221,12 @@ class Compensation:
             [self._smallest_full(*of) for of in zip(self._scale, self._least_ends, strict=True)]
         )
         self._bias = bias
-        steps = {Units.PULSES: 1 / 6, Units.COUNTS: 1 / 12, Units.SI: 0.0}
-        self._quantisation_variance = self._scale**2 * steps[self._units]
+        steps = {Units.PULSES: 1 / 6, Units.COUNTS: 1 / 12}
+        self._quantisation_variance = self._scale**2 * steps.get(self._units, 0.0)
 
     def _smallest_full(self, scale: float, least: float) -> float:
         """Return the smallest full scale that may be the end of a channel's range."""
-        if self._units is Units.SI:
+        if not self._units.whole:
             return np.inf
         if self._units is Units.PULSES:
             # What a pulse is in rate follows from the interval.
@@ -305,7 +305,7 @@ class Compensation:
             # rate.
             far &= np.abs(raw) > 1
             highest = highest + self._scale[: self._gyros].max() / tau
-        if self._units is not Units.SI:
+        if self._units.whole:
             far |= np.isin(np.abs(raw), FULL_SCALES) & (size >= self._least_ends)
         marks = marks | far[:, : self._gyros].any(axis=1) * _BITS[Mark.GYRO_RANGE]
         marks |= far[:, self._gyros :].any(axis=1) * _BITS[Mark.ACCEL_RANGE]

@@ -76,7 +76,7 @@ def _specific_force(accel: Floats, elapsed: Stamps, imu: ImuSpec) -> float:
     first = np.flatnonzero(np.diff(piece, prepend=-1))
     count = np.diff(first, append=len(piece))
     mean = np.add.reduceat(accel, first, axis=0) / count[:, None] * imu.accel.scale_factor
-    if imu.units is Units.PULSES:
+    if imu.units.per_interval:
         period = (elapsed[-1] - elapsed[0]) * 1e-9 / (len(elapsed) - 1)
         mean = mean / period
     return float(np.median(np.linalg.norm(mean, axis=1)))

@@ -26,6 +26,8 @@ _WIDEST_RATE, _WIDEST_FORCE = 2000 * DEG, 16 * STANDARD_GRAVITY
 _OUTPUT = {
     Units.PULSES: ('pulses counted in one sample interval', ' / seconds'),
     Units.COUNTS: ('counts proportional to rate and specific force', ''),
+    Units.INCREMENTS: ('angles and velocities gained in one sample interval', ' / seconds'),
+    Units.RATES: ('rates and specific forces as the sensor gives them', ''),
     Units.SI: ('rad/s and m/s^2 as the sensor gives them', ''),
 }
 

@@ -11,7 +11,6 @@ from ..calibration import Calibration
 from ..errors import InputError
 from ..imu import ImuSpec
 from ..model import Carried
-from ..stream import Units
 from ..units import counted
 
 
@@ -108,7 +107,7 @@ def common_omissions(calibration: Calibration, export: str) -> list[str]:
             'does not say so.'
         )
     clock = calibration.clock
-    if clock is not None and clock.is_noticed and calibration.imu.units is Units.PULSES:
+    if clock is not None and clock.is_noticed and calibration.imu.units.per_interval:
         sentences.append(
             f'Pulses count over seconds of the {clock.against}; the {clock.name} are of a clock '
             f'that is {clock.pace(1)}: divide an interval by it by {1 + clock.faster:.7f}. The '

@@ -21,6 +21,8 @@ _FORMAT = '2.0.0'
 _UNITS = {
     Units.PULSES: ('pulses', 'pulses'),
     Units.COUNTS: ('counts', 'counts'),
+    Units.INCREMENTS: ('increments', 'increments'),
+    Units.RATES: ('rates', 'rates'),
     Units.SI: ('m/s^2', 'rad/s'),
 }
 
@@ -34,7 +36,7 @@ def export(source: ExportSource) -> Exported:
     calibration = source.calibration
     imu, model = calibration.imu, calibration.model
     per_second, comment = 1.0, f'{imu.id}, by imu_calib'
-    if imu.units is Units.PULSES:
+    if imu.units.per_interval:
         per_second = source.rate_for('imucal has no sample interval, which pulses need')
         comment += f'; pulses per sample at {per_second:g} Hz'
     gyro_scale = imu.gyro.scale_factor * per_second
@@ -56,7 +58,7 @@ def export(source: ExportSource) -> Exported:
         f"Input: accelerometers in '{acc_unit}', gyros in '{gyr_unit}'; output: m/s^2 and deg/s.",
         *common_omissions(calibration, 'imucal'),
     ]
-    if imu.units is Units.PULSES:
+    if imu.units.per_interval:
         sentences.append(
             'A fixed sample interval is built in: intervals that vary are not followed.'
         )

@@ -72,7 +72,7 @@ def export(source: ExportSource) -> Exported:
         sentences.append(
             f'The topic has to carry rad/s and m/s^2: {calibration.imu.units.value} times the '
             'nominal scale factor'
-            + (' over the sample interval.' if calibration.imu.units is Units.PULSES else '.')
+            + (' over the sample interval.' if calibration.imu.units.per_interval else '.')
         )
     return Exported(_HEAD.format(imu=calibration.imu.id) + text, tuple(sentences))
 

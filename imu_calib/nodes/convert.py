@@ -36,6 +36,8 @@ _UNITS = {
     Units.PULSES: messages.ImuCalibration.UNIT_PULSES,
     Units.COUNTS: messages.ImuCalibration.UNIT_COUNTS,
     Units.SI: messages.ImuCalibration.UNIT_SI,
+    Units.INCREMENTS: messages.ImuCalibration.UNIT_INCREMENTS,
+    Units.RATES: messages.ImuCalibration.UNIT_RATES,
 }
 
 

@@ -384,7 +384,7 @@ class Evidence:
         Pulses are counted over seconds of one clock and turns timed by the other; counts and SI
         values are already rates.
         """
-        return self.clock_rate()[1] if self.units is Units.PULSES else 0.0
+        return self.clock_rate()[1] if self.units.per_interval else 0.0
 
     @property
     def clock_freedom(self) -> float:

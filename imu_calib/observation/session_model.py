@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..model.session_terms import Change
 from ..rotations import GENERATORS
-from ..stream import Floats, Units
+from ..stream import Floats
 from .evidence import Evidence
 from .headings import mean_over_turn
 from .layout import OutputLayout
@@ -268,7 +268,7 @@ class SessionModel:
         Where motions do not compare the clocks these seconds are used unchanged, but for turns,
         which are timed by the table's clock.
         """
-        if self.evidence.units is not Units.PULSES:
+        if not self.evidence.units.per_interval:
             return np.zeros(0, dtype=np.intp)
         if self.evidence.clocks_compared:
             return np.setdiff1d(np.arange(len(self.layout)), self.layout.moving)
@@ -277,7 +277,7 @@ class SessionModel:
     @cached_by_state
     def _clock_derivatives(self, state: Floats) -> Floats:
         """Return the derivatives of the moves by the rate between the clocks, (m, 6)."""
-        counted = self.evidence.units is Units.PULSES
+        counted = self.evidence.units.per_interval
         if counted and not self.evidence.clocks_compared:
             return np.zeros((len(self.evidence.used_moves), 6))
         force = self.surroundings(state).force

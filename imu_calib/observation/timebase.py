@@ -16,7 +16,6 @@ import numpy as np
 
 from ..segmentation.segment import Statistics, Turn
 from ..segmentation.segmented import Move
-from ..stream import Units
 from .evidence import Evidence
 
 
@@ -30,7 +29,7 @@ def in_table_time(evidence: Evidence) -> Evidence:
         return evidence
     faster = 1 + rate
     # Pulses are sums, divided by seconds to give rates; counts and SI values are rates.
-    on_rates, on_increments = (faster, 1.0) if evidence.units is Units.PULSES else (1.0, 1 / faster)
+    on_rates, on_increments = (faster, 1.0) if evidence.units.per_interval else (1.0, 1 / faster)
     return replace(
         evidence,
         segments=tuple(

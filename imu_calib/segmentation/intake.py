@@ -16,6 +16,7 @@ from .interruptions import Interruptions
 from .order import Ordered, StampOrder
 from .set_back import SetBackClock, set_back_sentences
 from .shared_stamps import SharedStamps
+from .stream_facts import StreamFacts
 
 _APART = 10_000_000_000
 """ns by which joint states may outlast the samples of a recording. A judgement: an operator ends
@@ -112,14 +113,14 @@ class StreamBuffer:
         interruptions: Of the IMU's stream.
         imu_clock: Where the stamps of the IMU go back.
         joint_clock: Where those of the joint states do.
-        samples: Number of IMU samples received.
+        facts: Of the IMU's stream, as it came in.
     """
 
     def __init__(self, table: Table | None, *, skewed: bool, rate: float | None = None) -> None:
         self.imu = RowBuffer(6)
         self.skew = RowBuffer(6) if skewed else None
         self.interruptions = Interruptions()
-        self.samples = 0
+        self.facts = StreamFacts()
         self._table = table
         self._losses = _Losses()
         self._imu = _Samples(self.imu, rate, self._losses)
@@ -136,6 +137,11 @@ class StreamBuffer:
         self._last_joint: int | None = None
         self._strange: dict[str, int] = {}
         self._further_joints: set[str] = set()
+
+    @property
+    def samples(self) -> int:
+        """Number of IMU samples received."""
+        return self.facts.samples
 
     @property
     def first_stamp(self) -> int | None:
@@ -156,8 +162,8 @@ class StreamBuffer:
 
     def take_imu(self, block: ImuBlock) -> None:
         """Add samples."""
-        self.samples += len(block.stamp)
         values = np.concatenate([block.gyro, block.accel], axis=1)
+        self.facts.take(block.stamp, values)
         self._take_imu(*self.imu_clock.take(block.stamp, values))
 
     def _take_imu(self, stamp: Stamps, values: Floats) -> None:

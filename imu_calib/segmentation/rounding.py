@@ -14,6 +14,7 @@ import numpy as np
 from ..imu import ImuSpec
 from ..stream import Floats, Units
 from ..units import DEG, STANDARD_GRAVITY
+from .statistics import whole_channels
 
 _SAMPLES = 1000
 """Of a static dwell that are looked at."""
@@ -29,30 +30,34 @@ without noise, of a simulation, differ by the rounding of double precision."""
 
 
 class Rounding:
-    """Finds channels in SI units that take few values in static dwells.
+    """Finds channels of rates that take few values in static dwells.
 
-    Pulses and counts are not looked at: what one of them resolves is part of their noise.
+    The resolution of pulses and counts is part of their noise: those are only tested for values
+    that are no whole numbers.
 
     Args:
         spec: The IMU.
     """
 
     def __init__(self, spec: ImuSpec) -> None:
-        is_si = spec.units is Units.SI
         triads = (spec.gyro, spec.accel)
-        self._channels = [k for k in range(6) if is_si and triads[k // 3].pulse == 0]
+        are_rates = spec.units in (Units.SI, Units.RATES)
+        self._channels = [k for k in range(6) if are_rates and triads[k // 3].pulse == 0]
+        self._scale = [triads[k // 3].scale_factor for k in range(6)]
         self._steps = [math.inf] * 6
+        self._units = spec.units
+        self._has_fractions = False
 
     def take(self, values: Floats) -> None:
         """Add the samples of a static dwell.
 
         Args:
-            values: (n, 6) as delivered, rad/s and m/s^2; NaN where samples were lost.
+            values: (n, 6) as delivered; NaN where samples were lost.
         """
-        if not self._channels:
-            return
         looked_at = values[:_SAMPLES]
         looked_at = looked_at[~np.isnan(looked_at).any(axis=1)]
+        if self._units.whole:
+            self._has_fractions |= not whole_channels(looked_at).all()
         if len(looked_at) < _FEWEST:
             return
         for channel in self._channels:
@@ -63,7 +68,7 @@ class Rounding:
             distinct = np.unique(column)
             if len(distinct) != _VALUES:
                 continue
-            step = float(distinct[1] - distinct[0])
+            step = float(distinct[1] - distinct[0]) * self._scale[channel]
             if step > _SMALLEST[channel]:
                 self._steps[channel] = min(self._steps[channel], step)
 
@@ -71,6 +76,13 @@ class Rounding:
     def sentences(self) -> list[str]:
         """What was seen, without a full stop: of one value alone the step is not known."""
         found = []
+        if self._has_fractions:
+            kind = Units.INCREMENTS if self._units.per_interval else Units.RATES
+            found.append(
+                "The values are no whole numbers, but the IMU's file states "
+                f'{self._units.value}: state `units: {kind.value}`, or compensated samples have '
+                'the covariance of values rounded to whole numbers'
+            )
         for first, triad, unit in ((0, 'gyro', 'rad/s'), (3, 'accelerometer', 'm/s^2')):
             coarse = [k for k in range(first, first + 3) if math.isfinite(self._steps[k])]
             if not coarse:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..stream import Floats, Setpoint
 from .clock import ClockFit
 from .segment import Segment, Statistics, Turn
+from .stream_facts import StreamFacts
 from .thermometer import Temperature
 
 
@@ -148,6 +149,7 @@ class Segmented:
         foreign_joints: Sentence on joint states if none were the table's; else empty.
         lost_moves: Motions from one segment to the next that are not used, with the reason.
         interruptions: Last stamp before and first after each interruption of the IMU's stream, ns.
+        facts: Of the IMU's stream, as it came in.
     """
 
     segments: tuple[Segment, ...]
@@ -166,3 +168,4 @@ class Segmented:
     foreign_joints: str = ''
     lost_moves: tuple[Rejected, ...] = ()
     interruptions: tuple[tuple[int, int], ...] = ()
+    facts: StreamFacts = field(default_factory=StreamFacts)

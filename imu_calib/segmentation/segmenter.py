@@ -173,6 +173,7 @@ class Segmenter:
             self._intake.foreign_joints,
             reader.moves.lost,
             tuple(self._intake.interruptions.found),
+            self._intake.facts,
         )
 
     @property
@@ -267,7 +268,8 @@ class Segmenter:
             if len(imu) < enough:
                 return
             period = sample_period(imu.stamp[:_SAMPLES_FOR_PERIOD])
-            self._stillness = StillnessTracker(period, self._sensor.step(WINDOW_SECONDS))
+            step = self._sensor.step(WINDOW_SECONDS, imu.values[:_SAMPLES_FOR_PERIOD])
+            self._stillness = StillnessTracker(period, step)
             self._period = period
             self._watched_until = int(imu.stamp[0]) - 1
         fresh = int(np.searchsorted(imu.stamp, self._watched_until, side='right'))

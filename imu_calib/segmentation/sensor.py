@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..imu import FULL_SCALES, NEARLY, ImuSpec, TriadSpec
 from ..stream import Floats, Stamps, Units
 from .pace import Pace
-from .statistics import Samples, to_samples
+from .statistics import Samples, to_samples, whole_channels
 
 _WALK_GUESS = 0.05
 """Pulses per root of a sample: first weights; the walk is then estimated from the session."""
@@ -48,16 +48,20 @@ class Sensor:
 
     @property
     def counted(self) -> bool:
-        """Whether values are increments of a counter."""
-        return self.spec.units is Units.PULSES
+        """Whether values are increments over the sample interval."""
+        return self.spec.units.per_interval
 
-    def step(self, seconds: float) -> Floats:
+    def step(self, seconds: float, values: Floats) -> Floats:
         """Return the resolution of means over so many seconds by one count or pulse, (2,).
 
-        Of gyros and of accelerometers, rad/s and m/s^2; zeros for values in SI.
+        Of gyros and of accelerometers, rad/s and m/s^2; zeros for values that are no whole numbers.
+
+        Args:
+            seconds: Duration of the mean.
+            values: (n, 6) first samples as delivered.
         """
         triads = (self.spec.gyro, self.spec.accel)
-        if self.spec.units is Units.SI:
+        if not (self.spec.units.whole and whole_channels(values).all()):
             return np.array([t.pulse / seconds for t in triads])
         return np.array([t.scale_factor / (seconds if self.counted else 1.0) for t in triads])
 
@@ -94,7 +98,7 @@ class Sensor:
         # Channel by channel: the absolute values of a million samples of all six are 48 MB.
         for c, limit in enumerate((NEARLY * limits).tolist()):
             clipped |= _at_its_end(samples.increments[:, c], limit, float(samples.pulse[c]))
-            if self.spec.units is not Units.SI:
+            if self.spec.units.whole:
                 sizes = np.abs(values[:, c])
                 # NaN, of lost samples, compares false.
                 if not sizes.max(initial=0.0) < FULL_SCALES[0]:

@@ -121,9 +121,9 @@ def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> S
         period: Sample interval, s.
     """
     scale = np.repeat([spec.gyro.scale_factor, spec.accel.scale_factor], 3)
-    if spec.units is not Units.PULSES:
+    if not spec.units.per_interval:
         increments = values * (scale * period)
-        if spec.units is Units.COUNTS and np.all(values == np.rint(values)):
+        if spec.units is Units.COUNTS and whole_channels(values).all():
             grid = scale * period
         else:
             # The smallest difference between values of each channel; 0 where all are equal.
@@ -132,8 +132,19 @@ def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> S
         carried = np.repeat([spec.gyro.pulse, spec.accel.pulse], 3)
         grid = np.where(carried > 0, 0.0, grid)
         return Samples(stamp, increments, np.zeros(6), period, grid, carried)
-    whole = [bool(channel.all()) for channel in (values == np.rint(values)).T]
-    return Samples(stamp, values * scale, np.where(whole, scale, 0.0), period, np.zeros(6))
+    pulse = np.where(spec.units.whole & whole_channels(values), scale, 0.0)
+    return Samples(stamp, values * scale, pulse, period, np.zeros(6))
+
+
+def whole_channels(values: Floats) -> NDArray[np.bool_]:
+    """Return which channels of (n, 6) values hold whole numbers, (6,).
+
+    A channel that reads 0 alone is judged by the others.
+    """
+    whole = np.asarray((values == np.rint(values)).all(axis=0))
+    if not whole.all():
+        whole &= (values != 0).any(axis=0)
+    return whole
 
 
 def sample_period(stamp: Stamps) -> float:

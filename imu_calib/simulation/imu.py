@@ -48,7 +48,7 @@ class _Channels:
         """Pulses since the start, plus the initial phase of the counter."""
 
     def deliver(self, mean: Floats, widths: Floats, period: float) -> Floats:
-        """Convert means over sample intervals to pulses, counts or SI.
+        """Convert means over sample intervals to the units of the IMU.
 
         Args:
             mean: (n, 3) mean inputs of the channels, rad/s or m/s^2.
@@ -64,11 +64,12 @@ class _Channels:
         mean = np.clip(mean, -self._limit, self._limit)
         if self._units is Units.SI:
             return np.asarray(mean)
-        if self._units is Units.COUNTS:
+        quantise = self._quantise and self._units.whole
+        if not self._units.per_interval:
             counts = mean / self._scale_factor
-            return np.asarray(np.rint(counts) if self._quantise else counts)
+            return np.asarray(np.rint(counts) if quantise else counts)
         increments = mean * widths[:, None] / self._scale_factor
-        return self._count(increments) if self._quantise else np.asarray(increments)
+        return self._count(increments) if quantise else np.asarray(increments)
 
     def _drift_of_biases(self, count: int, period: float) -> Floats:
         """Return the bias (n, 3): first-order Gauss-Markov, stationary from the start."""

@@ -58,7 +58,7 @@ class Observed:
         if spec.units is Units.SI:
             return np.ones(2)
         scales = np.array([spec.gyro.scale_factor, spec.accel.scale_factor])
-        return scales * (self.sample_rate if spec.units is Units.PULSES else 1.0)
+        return scales * (self.sample_rate if spec.units.per_interval else 1.0)
 
 
 def observe(
@@ -123,7 +123,7 @@ def _by_the_clock_of(clock: StampingClock | None, evidence: Evidence) -> Evidenc
             known = replace(evidence.clock, rate=clock.faster, rate_std=0.0)
             evidence = replace(evidence, clock=known)
         return in_table_time(evidence)
-    if evidence.units is not Units.PULSES:
+    if not evidence.units.per_interval:
         return evidence
     faster = 1 + evidence.clock_rate()[0]
     turns = (

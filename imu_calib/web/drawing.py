@@ -336,6 +336,8 @@ def _channels(streams: Streams, imu: ImuSpec) -> str:
     units = {
         Units.PULSES: ('pulses/s', 'pulses/s'),
         Units.COUNTS: ('counts', 'counts'),
+        Units.INCREMENTS: ('per s', 'per s'),
+        Units.RATES: ('', ''),
         Units.SI: ('rad/s', 'm/s\u00b2'),
     }[imu.units]
     cells = ''.join(

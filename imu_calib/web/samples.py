@@ -22,7 +22,7 @@ from ..segmentation.statistics import (
     statistics_at_rest,
     to_samples,
 )
-from ..stream import Floats, ImuBlock, Stamps, Units
+from ..stream import Floats, ImuBlock, Stamps
 
 _SETTLED = NS
 """ns excluded at either end of a dwell: the table's state and the samples have different delays."""
@@ -136,7 +136,7 @@ class Dwells:
         period = sample_period(stamp)
         steps = np.rint(np.diff(stamp) * 1e-9 / period)
         missing = self.streams.missing + int((steps[steps > 1] - 1).sum())
-        whole = self._imu.units is Units.PULSES
+        whole = self._imu.units.per_interval
         means = values.mean(axis=0) * (1 / period if whole else 1.0)
         self.streams = replace(self.streams, rate=1 / period, means=means, missing=missing)
 

@@ -1,0 +1,179 @@
+"""What a refusal says of the stream; samples out of order; accelerations without gravity."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import imu_calib
+from imu_calib.bags import RecordingWriter
+from imu_calib.calibrator import HandCalibrator, Setup
+from imu_calib.cdr import RATES, encode_imu
+from imu_calib.earth import Site
+from imu_calib.errors import InputError, NotObservable
+from imu_calib.imu import load_imu
+from imu_calib.plan import load_plan
+from imu_calib.segmentation.gravity_removed import gravity_removed, quiet_means
+from imu_calib.segmentation.stream_facts import StreamFacts
+from imu_calib.stream import Floats, ImuBlock
+from imu_calib.units import DEG, STANDARD_GRAVITY
+
+LATITUDE = 34.65
+Session = tuple[NDArray[np.int64], Floats, Floats]
+
+
+@pytest.fixture(scope='module')
+def hand(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """A session in the hand, SI, 100 Hz."""
+    bag = tmp_path_factory.mktemp('hand') / 'bag'
+    imu_calib.simulate('free_positions', bag, imu='si', truth='mems_counts', seed=3)
+    seen = imu_calib.read(bag, '/imu/pulses')
+    gyro = np.column_stack([seen[f'angular_velocity.{a}'] for a in 'xyz'])
+    accel = np.column_stack([seen[f'linear_acceleration.{a}'] for a in 'xyz'])
+    return seen.stamp, gyro, accel
+
+
+def bag(folder: Path, stamp: NDArray[np.int64], gyro: Floats, accel: Floats) -> Path:
+    with RecordingWriter(folder) as writer:
+        arrival = np.sort(stamp)
+        messages = encode_imu(ImuBlock(stamp, gyro, accel), RATES)
+        writer.write('/imu', 'sensor_msgs/msg/Imu', messages, arrival)
+    return folder
+
+
+def facts(stamp: NDArray[np.int64], values: Floats, size: int = 10**9) -> str:
+    found = StreamFacts()
+    for k in range(0, len(stamp), size):
+        found.take(stamp[k : k + size], values[k : k + size])
+    return found.sentence
+
+
+STAMP = 10**18 + np.arange(1, 2001) * 10_000_000
+NOISE = np.random.default_rng(5).normal(size=(2000, 6))
+
+
+def test_a_sound_stream_is_said_to_be_sound() -> None:
+    assert facts(STAMP, NOISE) == (
+        'The stream: 2000 samples in 19.99 s, 100 Hz; none missing, in order.'
+    )
+    assert facts(STAMP[:0], NOISE[:0]) == ''
+    assert facts(STAMP[:1], NOISE[:1]).startswith('The stream: 1 sample in 0 s')
+
+
+def test_what_is_unusual_is_counted_however_the_stream_is_cut() -> None:
+    rng = np.random.default_rng(1)
+    kept = np.sort(rng.permutation(2000)[:1200])
+    places = np.argsort(np.arange(1200) + 3 * (np.arange(1200) % 10 == 0) + 0.5)
+    stamp, values = STAMP[kept][places], NOISE[kept].copy()
+    values[:300, :3] = 0.0
+    values[300:330, 4] = np.nan
+    values[400:520, 5] = -39.2
+    whole = facts(stamp, values)
+    assert whole == facts(stamp, values, 7)
+    # Of 2000 two fifths were dropped, every tenth of the others comes three places late.
+    assert '40% are missing' in whole
+    assert '10% come after one with a later stamp' in whole
+    assert '25% have gyros of exactly 0 (not measured, or a dead band)' in whole
+    assert '2% hold values that are not numbers' in whole
+    assert '10% of accelerometer z are its largest value, 39.2' in whole
+    assert 'accelerometers of exactly 0' not in whole
+
+
+def test_stamps_of_few_digits_are_counted() -> None:
+    rounded = (STAMP - STAMP[0]) // 40_000_000 * 40_000_000 + STAMP[0]
+    assert '75% have the stamp of the one before' in facts(rounded, NOISE)
+
+
+def test_a_refusal_ends_with_the_facts(hand: Session, tmp_path: Path) -> None:
+    stamp, gyro, accel = hand
+    kept = np.random.default_rng(2).random(len(stamp)) > 0.4
+    path = bag(tmp_path / 'lossy', stamp[kept], gyro[kept], accel[kept])
+    with pytest.raises((NotObservable, InputError), match=r'The stream: \d+ samples in 14\d'):
+        imu_calib.calibrate(path, latitude=LATITUDE, imu='si', plan='twelve_position')
+    banded = np.where(np.abs(gyro) < 2 * DEG, 0.0, gyro)
+    path = bag(tmp_path / 'banded', stamp, banded, accel)
+    with pytest.raises((NotObservable, InputError), match='% have gyros of exactly 0'):
+        imu_calib.calibrate(path, latitude=LATITUDE)
+
+
+def test_samples_out_of_order_give_what_they_give_in_order(hand: Session, tmp_path: Path) -> None:
+    stamp, gyro, accel = hand
+    rng = np.random.default_rng(4)
+    late = rng.uniform(0, 8, len(stamp)) * (rng.random(len(stamp)) < 0.3)
+    places = np.argsort(np.arange(len(stamp)) + late)
+    path = bag(tmp_path / 'mixed', stamp[places], gyro[places], accel[places])
+    mixed = imu_calib.calibrate(path, latitude=LATITUDE).calibration
+    sound = imu_calib.calibrate(bag(tmp_path / 'sound', *hand), latitude=LATITUDE).calibration
+    assert mixed.values.tolist() == sound.values.tolist()
+    count = np.count_nonzero(places < np.maximum.accumulate(places))
+    assert any(f'{count} IMU samples came out of the order' in text for text in mixed.findings)
+    checked = imu_calib.verify(mixed, path, latitude=LATITUDE)
+    assert any('came out of the order' in text for text in checked.findings)
+
+
+def without_gravity(hand: Session) -> Floats:
+    """Accelerations as a phone gives them: each hold's mean is removed, noise and motion stay."""
+    accel = hand[2]
+    slow = np.column_stack([np.convolve(a, np.ones(101) / 101, mode='same') for a in accel.T])
+    return accel - slow + [0.05, -0.02, 0.03]
+
+
+def test_gravity_that_was_removed_is_named(hand: Session, tmp_path: Path) -> None:
+    stamp, gyro, _ = hand
+    force = without_gravity(hand)
+    path = bag(tmp_path / 'linear', stamp, gyro, force)
+    for stated in ({}, {'imu': 'si', 'plan': 'free_positions'}):
+        with pytest.raises((InputError, NotObservable), match='Gravity was removed') as refused:
+            imu_calib.calibrate(path, latitude=LATITUDE, **stated)
+        assert 'g would be' not in str(refused.value) and '1 would be' not in str(refused.value)
+    table = np.column_stack([(stamp - stamp[0]) * 1e-9, gyro, force])
+    np.savetxt(tmp_path / 'log.csv', table, delimiter=',', header='t,gx,gy,gz,ax,ay,az')
+    done = imu_calib.convert(
+        tmp_path / 'log.csv',
+        tmp_path / 'out',
+        stamp='t:s',
+        gyro='gx,gy,gz:rad/s',
+        accel='ax,ay,az:m/s^2',
+    )
+    assert any('Gravity was removed' in text for text in done.findings)
+
+
+def test_gravity_removed_on_a_table_is_named(tmp_path: Path) -> None:
+    imu_calib.simulate(
+        'six_position_by_hand', tmp_path / 'bag', imu='si', truth='mems_counts', seed=1
+    )
+    seen = imu_calib.read(tmp_path / 'bag')
+    imu = seen['/imu/pulses']
+    gyro = np.column_stack([imu[f'angular_velocity.{a}'] for a in 'xyz'])
+    noise = np.random.default_rng(1).normal(0.02, 0.01, gyro.shape)
+    path = bag(tmp_path / 'linear', imu.stamp, gyro, noise)
+    with pytest.raises((InputError, NotObservable), match='Gravity was removed'):
+        imu_calib.calibrate(path, latitude=LATITUDE, imu='si', plan='six_position_by_hand')
+
+
+def test_quiet_parts_show_gravity_in_any_unit(hand: Session) -> None:
+    _, _, accel = hand
+    for unit in (1.0, STANDARD_GRAVITY, 100.0, 1000.0):
+        means = quiet_means(accel / unit)
+        lengths = np.linalg.norm(means, axis=1)
+        assert np.median(lengths) == pytest.approx(STANDARD_GRAVITY / unit, rel=0.05)
+        assert gravity_removed(means) == ''
+    assert gravity_removed(quiet_means(without_gravity(hand))) != ''
+    assert gravity_removed(np.tile([0.1, 0.0, 0.2], (9, 1))) != ''
+    assert gravity_removed(np.zeros((9, 3))) == gravity_removed(quiet_means(accel[:10])) == ''
+
+
+def test_a_live_session_that_is_refused_at_its_end_says_the_facts_too() -> None:
+    site = Site.at(LATITUDE * DEG, gravity=9.8, latitude_std=0.0)
+    setup = Setup(load_imu('si'), load_plan('free_positions'), None, site)
+    calibrator = HandCalibrator(setup)
+    calibrator.feed(ImuBlock(STAMP, NOISE[:, :3], NOISE[:, 3:]))
+    assert 'The stream' not in calibrator.snapshot().review().refusal
+    assert calibrator.snapshot().conclude().refusal.endswith('100 Hz; none missing, in order.')
+    apart = HandCalibrator(setup)
+    alternate = np.arange(len(STAMP))[:, None] % 2
+    apart.feed(ImuBlock(STAMP, NOISE[:, :3] * alternate, NOISE[:, 3:] * (1 - alternate)))
+    assert 'in messages of their own' in apart.conclude().refusal
