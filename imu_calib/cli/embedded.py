@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TextIO, TypeAlias
+from typing import IO, Any, TypeAlias
 
 from ..errors import InputError
 from ..runtime import VARIABLE
@@ -37,7 +37,7 @@ class Embedded:
 
         self._files = NodeFiles(folder)
         self._container = Container(simulated=simulated)
-        self._logs: dict[str, TextIO] = {}
+        self._logs: dict[str, IO[str]] = {}
         self._needless: set[str] = set()
         self._missed: set[str] = set()
         self._interruptions = 0

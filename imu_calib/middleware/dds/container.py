@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import IO, TYPE_CHECKING, Any
 
 from .clock import STEADY
 from .context import CONTEXT, init, try_shutdown
@@ -31,7 +31,7 @@ class Hosted:
         failure: Why it has ended; empty while it runs.
     """
 
-    def __init__(self, node: Any, log: TextIO) -> None:
+    def __init__(self, node: Any, log: IO[str]) -> None:
         self.node = node
         self.failure = ''
         self._log = log
@@ -82,7 +82,7 @@ class Container:
         init(args=[])
         STEADY.simulate(simulated)
 
-    def load(self, name: str, factory: Callable[[], Any], args: Sequence[str], log: TextIO) -> Any:
+    def load(self, name: str, factory: Callable[[], Any], args: Sequence[str], log: IO[str]) -> Any:
         """Create a node, and return it.
 
         Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TextIO, TypeAlias
+from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 from ...errors import ImuCalibError
 from ...runtime import runtime
@@ -34,7 +34,7 @@ class Context:
         self.graph: Graph | memory.Graph
         self.nodes: list[Any] = []
         self.works: list[Any] = []
-        self.log: TextIO | None = None
+        self.log: IO[str] | None = None
 
     def ok(self) -> bool:
         """Return whether the context is between init and shutdown."""
@@ -61,7 +61,7 @@ class Context:
         self.graph = Graph(joined)
 
     @contextmanager
-    def given(self, args: Sequence[str], log: TextIO) -> Iterator[None]:
+    def given(self, args: Sequence[str], log: IO[str]) -> Iterator[None]:
         """Give the nodes made in this block arguments and a log of their own."""
         former, self.arguments, self.log = self.arguments, parse(args), log
         try:

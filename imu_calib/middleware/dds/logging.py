@@ -7,7 +7,7 @@ import time
 from contextlib import suppress
 from enum import IntEnum
 from functools import partialmethod
-from typing import TextIO
+from typing import IO
 
 from ...instants import NS
 
@@ -33,7 +33,7 @@ def set_logger_level(name: str, level: LoggingSeverity) -> None:
 class Logger:
     """Writes `[LEVEL] [time] [name]: text` to a file, None for the standard error output."""
 
-    def __init__(self, name: str, output: TextIO | None = None) -> None:
+    def __init__(self, name: str, output: IO[str] | None = None) -> None:
         self.name = name
         self._output = output
 
