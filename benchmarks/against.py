@@ -5,7 +5,10 @@ session, each in a separate process, one after the other, in reverse order for e
 that other load of the machine affects both. Measured is processor time of one thread, without the
 loading of modules.
 
-    python benchmarks/against.py COMMIT [--pairs 8]
+    python benchmarks/against.py COMMIT [--pairs 8] [--stand]
+
+With --stand the command of README's main job is run, as a whole: processor time of all its
+processes, loading included, and the time by the clock, for which nothing else should run.
 
 Exit code 1: this checkout is slower by more than `ALLOWED`, beyond the scatter of the pairs.
 """
@@ -88,6 +91,18 @@ print(json.dumps(found))
 """
 
 
+STAND = """
+import json, resource, subprocess, sys, tempfile, time
+with tempfile.TemporaryDirectory() as folder:
+    begin = time.monotonic()
+    words = ['imu_calib.cli.main', 'stand', 'twelve_position', '-o', folder + '/stand']
+    subprocess.run([sys.executable, '-m', *words], check=True, capture_output=True)
+    clock = time.monotonic() - begin
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(json.dumps({'stand, processor': used.ru_utime + used.ru_stime, 'stand, clock': clock}))
+"""
+
+
 @contextmanager
 def checked_out(commit: str, folder: Path) -> Iterator[Path]:
     """Yield a checkout of another commit; it is removed at the end."""
@@ -140,22 +155,25 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('commit')
     parser.add_argument('--pairs', type=int, default=8)
+    parser.add_argument('--stand', action='store_true')
     chosen = parser.parse_args()
     results: dict[bool, list[dict[str, float]]] = {True: [], False: []}
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
         with checked_out(chosen.commit, folder) as other:
-            bag = folder / 'bag'
-            words = ['-m', 'imu_calib.cli.main', 'simulate', *RECORDED, '-o', str(bag)]
-            run(HERE, *words)
+            job = ['-c', STAND]
+            if not chosen.stand:
+                job = ['-c', JOB, str(folder / 'bag')]
+                words = ['-m', 'imu_calib.cli.main', 'simulate', *RECORDED, '-o', job[-1]]
+                run(HERE, *words)
             for pair in range(chosen.pairs):
                 for mine in (pair % 2 == 0, pair % 2 == 1):
-                    printed = run(HERE if mine else other, '-c', JOB, str(bag))
+                    printed = run(HERE if mine else other, *job)
                     results[mine].append(json.loads(printed.splitlines()[-1]))
     kept = True
-    for job in results[True][0]:
-        mine, other_one = (np.array([r[job] for r in results[side]]) for side in (True, False))
-        kept &= compare(job, mine, other_one)
+    for name in results[True][0]:
+        mine, other_one = (np.array([r[name] for r in results[side]]) for side in (True, False))
+        kept &= compare(name, mine, other_one)
     return 0 if kept else 1
 
 
