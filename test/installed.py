@@ -1,10 +1,13 @@
 """What is installed: a test asks for those parts that it needs; its skip names what lacks."""
 
 import os
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+
+from imu_calib.errors import ImuCalibError
 
 ROS = Path('/opt/ros/jazzy/setup.bash')
 _INDEX = Path('share', 'ament_index', 'resource_index', 'packages')
@@ -30,8 +33,16 @@ def needs(*packages, verbs=()):
     return pytest.mark.skipif(bool(why), reason=why)
 
 
+def needs_nodes():
+    """Skip a test where no runtime of nodes loads; its files are skipped by conftest.py."""
+    try:
+        import_module('imu_calib.middleware')
+    except ImuCalibError as error:
+        pytest.skip(str(error))
+
+
 def needs_modules(*names):
-    """Skip a file where a module is missing, and load none.
+    """Skip a file or a test where a module is missing, and load none.
 
     Every worker collects every file; one alone runs it, and loads what it needs.
     """

@@ -1,4 +1,4 @@
-"""Any of the zstd packages will do, none is missed before it is needed, and none unpacks too much."""
+"""Any of the zstd packages will do; none is missed before it is needed, or unpacks too much."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def compression(request, monkeypatch):
 
 
 def zstd_frame(content: bytes, size: int | None = None, repeated: int = 0) -> bytes:
-    """A frame of stored blocks (RFC 8878): its size as told, if any; or of 128 KiB of zeros each."""
+    """A frame (RFC 8878) of blocks of 128 KiB of zeros and of content, stating a size if told."""
     blocks = [struct.pack('<I', (1 << 20) | 1 << 1)[:3] + b'\0'] * repeated
     parts = [content[k : k + 65536] for k in range(0, len(content), 65536)]
     blocks += [struct.pack('<I', len(part) << 3)[:3] + part for part in parts]

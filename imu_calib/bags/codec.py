@@ -24,8 +24,8 @@ unpacks to 128 KiB or less (RFC 8878, 3.1.1.2)."""
 _PIECES = {'zstd': 1 << 15, 'lz4': 1 << 17}
 """Bytes of a block of known size that are unpacked at once: few enough to remain in the processor's
 cache until they are copied, and enough that the interpreter, needed once per piece, costs
-little. The packages for zstd make no copy of their own up to 32 KiB; that for lz4 copies the rest of
-its input with each piece."""
+little. The packages for zstd make no copy of their own up to 32 KiB; that for lz4 copies the rest
+of its input with each piece."""
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 
