@@ -109,7 +109,7 @@ setup(
             'dsiunits>=3.1',
             'fastcrc>=0.5',
             'imucal>=2.6',
-            'jsonschema>=4',
+            'jsonschema>=4.10',
             'lxml>=5',
             'nbclient>=0.10',
             'ipykernel>=6.29',

@@ -10,6 +10,8 @@ import gc
 import os
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
@@ -49,22 +51,37 @@ def pytest_report_header() -> str:
     return f'not run, rosbags is not installed: {", ".join(_left_out)}' if _left_out else ''
 
 
+@contextmanager
+def _skipped_without_nodes() -> Iterator[None]:
+    """Skip what needs a runtime of nodes where none loads."""
+    try:
+        yield
+    except ImuCalibError as error:
+        missing = isinstance(error.__cause__, ImportError)
+        if not missing or 'imu_calib.middleware' in sys.modules:
+            raise
+        pytest.skip(str(error), allow_module_level=True)
+
+
 class _File(pytest.Module):
     """A file of tests."""
 
     def collect(self):
-        """Collect the tests; skip a file that needs a runtime of nodes where none loads."""
-        try:
+        """Collect the tests."""
+        with _skipped_without_nodes():
             return super().collect()
-        except ImuCalibError as error:
-            if 'imu_calib.middleware' in sys.modules:
-                raise
-            pytest.skip(str(error), allow_module_level=True)
 
 
 def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module:
     """Return the collector of a file."""
     return _File.from_parent(parent, path=module_path)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call():
+    """Skip a test that loads nodes itself where no runtime loads."""
+    with _skipped_without_nodes():
+        return (yield)
 
 
 _FOLDER = getattr(pytest, 'Dir', pytest.Session)

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from installed import needs_nodes
 from sessions import SITE, truth
 from test_exports import PROGRAM
 from test_information import CLOCK, SECOND, WALK, statistics
@@ -349,7 +348,6 @@ def provenance() -> dict[str, object]:
 
 def conversion() -> tuple[Callable[[Calibration], Any], Callable[[Any], Calibration]]:
     """Return what makes a message of a calibration, and what reads it."""
-    needs_nodes()
     from imu_calib.middleware import Time
     from imu_calib.nodes.convert import calibration_message, calibration_of
 
