@@ -41,8 +41,11 @@ NODES = (
     'web_node',
 )
 
-# The wheel has no build for other machines; there the nodes need ROS 2.
-DDS = "cyclonedds>=11; platform_machine == 'x86_64'"
+# Its wheels (11.0.1): Linux on x86_64, Python 3.10 to 3.13. Elsewhere DDS needs ROS 2.
+DDS = (
+    "cyclonedds>=11; platform_machine == 'x86_64' and sys_platform == 'linux' "
+    "and python_version < '3.14'"
+)
 
 PLOT = 'matplotlib>=3.6'
 DATA_FRAME = 'pandas>=2'
@@ -84,8 +87,9 @@ setup(
         'pyserial>=3.5',
         # Definitions and bytes of the messages that nodes exchange; ROS 1 bags.
         ROSBAGS,
-        'threadpoolctl>=3.5',
-        'zstandard>=0.22',
+        'threadpoolctl>=3.1',
+        # Part of Python from 3.14 on.
+        "backports.zstd>=1; python_version < '3.14'",
     ],
     extras_require={
         'dds': [DDS],
@@ -97,17 +101,17 @@ setup(
         'web': [WEB],
         'docs': DOCS,
         'test': [
-            'pytest>=7.4',
+            'pytest>=7.4.4',
             'pytest-timeout>=2.2',
-            'pytest-xdist>=3',
-            'hypothesis>=6',
+            'pytest-xdist>=3.4',
+            'hypothesis>=6.98.15',
             # Oracles.
             'allantools>=2024.6',
             'dsiunits>=3.1',
             'dcc-json-toolkit>=1.2',
             'fastcrc>=0.5',
             'imucal>=2.6',
-            'jsonschema>=4',
+            'jsonschema>=4.10',
             'lxml>=5',
             'nbclient>=0.10',
             'ipykernel>=6.29',

@@ -3,16 +3,25 @@
 rosbags is no ROS package, and `colcon test` must do without it.
 """
 
+# pytest 7.4, which Ubuntu 24.04 has, lacks names of the annotations.
+from __future__ import annotations
+
 import gc
 import os
 import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from itertools import islice
+from pathlib import Path
 
 import processes
 import pytest
 from extent import ALL
 from hypothesis import settings
+
+from imu_calib.errors import ImuCalibError
 
 # A shell that puts the tests in the background has them ignore Ctrl-C, and all that they start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -42,6 +51,41 @@ def pytest_report_header() -> str:
     return f'not run, rosbags is not installed: {", ".join(_left_out)}' if _left_out else ''
 
 
+@contextmanager
+def _skipped_without_nodes() -> Iterator[None]:
+    """Skip what needs a runtime of nodes where none loads."""
+    try:
+        yield
+    except ImuCalibError as error:
+        missing = isinstance(error.__cause__, ImportError)
+        if not missing or 'imu_calib.middleware' in sys.modules:
+            raise
+        pytest.skip(str(error), allow_module_level=True)
+
+
+class _File(pytest.Module):
+    """A file of tests."""
+
+    def collect(self):
+        """Collect the tests."""
+        with _skipped_without_nodes():
+            return super().collect()
+
+
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module:
+    """Return the collector of a file."""
+    return _File.from_parent(parent, path=module_path)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call():
+    """Skip a test that loads nodes itself where no runtime loads."""
+    with _skipped_without_nodes():
+        return (yield)
+
+
+_FOLDER = getattr(pytest, 'Dir', pytest.Session)
+"""What collects files; before pytest 8 no folder did."""
 _FAILED = pytest.StashKey[bool]()
 _REPEATS = pytest.StashKey[int]()
 
@@ -146,7 +190,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_make_collect_report(collector: pytest.Collector):
     """Begin each worker's collection at files of its own: what one compiles, the others load."""
     report = yield
-    if isinstance(collector, pytest.Dir) and report.result:
+    if isinstance(collector, _FOLDER) and report.result:
         worker = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0').removeprefix('gw'))
         first = worker * len(report.result) // int(os.environ.get('PYTEST_XDIST_WORKER_COUNT', '1'))
         report.result = [*report.result[first:], *report.result[:first]]

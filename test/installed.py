@@ -1,6 +1,7 @@
 """What is installed: a test asks for those parts that it needs; its skip names what lacks."""
 
 import os
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -30,8 +31,13 @@ def needs(*packages, verbs=()):
     return pytest.mark.skipif(bool(why), reason=why)
 
 
+def needs_nodes():
+    """Load the runtime of nodes; conftest.py skips a test or file where none loads."""
+    import_module('imu_calib.middleware')
+
+
 def needs_modules(*names):
-    """Skip a file where a module is missing, and load none.
+    """Skip a file or a test where a module is missing, and load none.
 
     Every worker collects every file; one alone runs it, and loads what it needs.
     """

@@ -40,10 +40,19 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin, Writer
 
-from imu_calib.bags import RecordingError, RecordingWriter, Topic, mcap, mcap_chunk, open_recording
+from imu_calib.bags import (
+    RecordingError,
+    RecordingWriter,
+    Topic,
+    codec,
+    mcap,
+    mcap_chunk,
+    open_recording,
+)
 from imu_calib.bags.merge import SPAN_NS
 from imu_calib.bags.storage import Cache
 from imu_calib.cdr import Messages, encode_imu, part
+from imu_calib.cli.main import main
 from imu_calib.errors import InputError
 from imu_calib.stream import ImuBlock
 
@@ -154,6 +163,19 @@ def test_what_we_write_rosbags_and_we_read(tmp_path, compression):
         assert reader.duration == SESSION[IMU].stamp[-1] - START + 1
     for topic in SESSION:
         assert payloads[topic] == [(t, data) for t, name, data in ROWS if name == topic]
+
+
+@pytest.mark.parametrize('compression', ['lz4', 'zstd'])
+def test_a_compression_without_a_package_is_a_sentence(tmp_path, capsys, monkeypatch, compression):
+    path = write_own(tmp_path / 'own', compression=compression)
+    monkeypatch.setattr(codec, '_optional', lambda name: None)
+    for words in (['info'], ['calibrate', '--plan', 'six_position', '--latitude', '48']):
+        assert main([words[0], str(path), *words[1:]]) == 2
+        shown = capsys.readouterr()
+        assert shown.err.count(f'compressed with {compression}, and no Python package') == 1
+        assert f'install python3-{"zstandard" if compression == "zstd" else "lz4"} (apt)' in (
+            ' '.join(shown.err.split())
+        )
 
 
 def test_a_writer_that_was_killed_leaves_its_flushed_chunks(tmp_path):

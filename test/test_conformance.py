@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 import subprocess
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from itertools import permutations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,7 +38,6 @@ from imu_calib.exports import EXPORTS, ExportSource
 from imu_calib.gravity import gravity_slope
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint
-from imu_calib.middleware import Time
 from imu_calib.model import (
     PARAMETERS,
     PRODUCTS,
@@ -49,7 +49,6 @@ from imu_calib.model import (
     parameters_of,
 )
 from imu_calib.model.session_terms import Course, change
-from imu_calib.nodes.convert import calibration_message, calibration_of
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.lengths import Sensors
@@ -347,11 +346,23 @@ def provenance() -> dict[str, object]:
     }
 
 
+def conversion() -> tuple[Callable[[Calibration], Any], Callable[[Any], Calibration]]:
+    """Return what makes a message of a calibration, and what reads it."""
+    from imu_calib.middleware import Time
+    from imu_calib.nodes.convert import calibration_message, calibration_of
+
+    stamp = Time(nanoseconds=1).to_msg()
+    return lambda calibration: calibration_message(
+        calibration, 0, 'imu_link', stamp
+    ), calibration_of
+
+
 @of_sets
 def test_a_message_keeps_every_parameter(terms: tuple[Term, ...]) -> None:
+    message_of, calibration_of = conversion()
     model = unit(terms)
     calibration = known(model, spread_of(model), **provenance())
-    message = calibration_message(calibration, 0, 'imu_link', Time(nanoseconds=1).to_msg())
+    message = message_of(calibration)
     again = calibration_of(message)
     assert again.parameters == calibration.parameters
     assert again.values.tolist() == calibration.values.tolist()
@@ -367,6 +378,7 @@ def test_a_message_keeps_every_parameter(terms: tuple[Term, ...]) -> None:
 
 @pytest.mark.parametrize('course', Course)
 def test_a_message_keeps_what_follows_time_or_temperature(course: Course) -> None:
+    message_of, calibration_of = conversion()
     model = unit(())
     changes = (change(course, 'K_gx'), change(course, 'D_az'))
     cross = np.arange(48.0).reshape(24, 2) * 1e-9
@@ -375,7 +387,7 @@ def test_a_message_keeps_what_follows_time_or_temperature(course: Course) -> Non
         known(model, spread_of(model), **provenance()),
         changes=Changes(changes, np.array([2e-5, -3e-4]), covariance, cross, 120.0, 1.7e9),
     )
-    message = calibration_message(calibration, 0, 'imu_link', Time(nanoseconds=1).to_msg())
+    message = message_of(calibration)
     found = calibration_of(message).changes
     assert found is not None
     assert found.changes == changes
@@ -397,6 +409,7 @@ def test_a_message_keeps_what_follows_time_or_temperature(course: Course) -> Non
 
 
 def test_a_calibration_by_message_follows_the_temperature_as_its_file_does() -> None:
+    message_of, calibration_of = conversion()
     model = unit(())
     kelvin = Changes(
         (change(Course.THERMAL, 'K_gx'),), np.array([2e-5]), np.eye(1), np.zeros((24, 1))
@@ -406,7 +419,7 @@ def test_a_calibration_by_message_follows_the_temperature_as_its_file_does() -> 
         known(model, spread_of(model), **{**provenance(), 'temperature': temperature}),
         changes=kelvin,
     )
-    message = calibration_message(calibration, 0, 'imu_link', Time(nanoseconds=1).to_msg())
+    message = message_of(calibration)
     ready = by_temperature(calibration_of(message), 'topic')
     assert isinstance(ready, ThermalCalibration)
     at, index = ready.at(30.0), calibration.parameters.index(PARAMETERS[0])

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -171,8 +172,17 @@ def at_work(process: int, where: str) -> bool:
         children = Path(f'/proc/{process}/task/{process}/children').read_text().split()
         maps = [Path(f'/proc/{child}/maps').read_text() for child in children]
         return sum('_multiarray_umath' in text for text in maps) == 2
-    connected = subprocess.run(['ss', '-tnp'], capture_output=True, text=True, check=False).stdout
-    return f'pid={process},' in connected
+    return is_connected(process)
+
+
+def is_connected(process: int) -> bool:
+    """Return whether a process holds an established connection over TCP (proc(5): net/tcp)."""
+    held = set()
+    for descriptor in Path(f'/proc/{process}/fd').iterdir():
+        with suppress(FileNotFoundError):
+            held.add(str(descriptor.readlink()))
+    rows = [line.split() for line in Path('/proc/net/tcp').read_text().splitlines()[1:]]
+    return any(row[3] == '01' and f'socket:[{row[9]}]' in held for row in rows)
 
 
 def in_group(group: int) -> list[str]:

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from installed import needs_nodes
 from loopback import CHECKOUT
 
 THREADS = """
@@ -49,6 +50,7 @@ def heaps(how):
 
 
 def test_the_threads_of_a_node_take_memory_from_one_heap():
+    needs_nodes()
     """What lies free in one heap is no other's: a calibrator would grow with each session."""
     if heaps('plain') == 1:
         pytest.skip('this C library has one heap for all threads')

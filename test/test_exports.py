@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from installed import needs_modules
 
 from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.errors import InputError
 from imu_calib.exports import EXPORTS, ExportSource
 from imu_calib.imu import load_imu
-from imu_calib.middleware.dds.arguments import parse
 from imu_calib.model import SensorModel, Triad
 from imu_calib.stream import Floats, Units
 from imu_calib.units import DEG, DEG_H
@@ -246,6 +246,9 @@ def test_the_c_header_gives_our_values(
 
 @pytest.mark.parametrize('node', ['/compensator_node', '/robot/compensator_node'])
 def test_the_ros_file_reaches_the_node_in_any_namespace(node: str, tmp_path: Path) -> None:
+    needs_modules('cyclonedds')
+    from imu_calib.middleware.dds.arguments import parse
+
     path = tmp_path / 'params.yaml'
     path.write_text(exported('ros', unit()))
     arguments = parse(['--ros-args', '--params-file', str(path)])

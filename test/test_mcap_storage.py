@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import tracemalloc
 import zlib
 from collections.abc import Callable, Hashable
 from dataclasses import replace
@@ -415,6 +416,19 @@ def test_a_chunk_that_is_not_sound_is_left_out_and_says_why(opened: Open) -> Non
         assert said == f'unpacks to {size} bytes instead of {other}'
     packed = struct.pack('<QQQI', *times, size, 0) + text('lz4') + struct.pack('<Q', 3) + b'abc'
     assert lost(opened, record(0x06, packed)).startswith('does not unpack (lz4: ')
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4'])
+def test_a_chunk_is_not_unpacked_beyond_its_stated_size(opened: Open, compression: str) -> None:
+    bomb = chunk(bytes(64 << 20), (10 * NS, 12 * NS), size=100_000, compression=compression)
+    assert len(bomb) < 1 << 20
+    tracemalloc.start()
+    try:
+        said = lost(opened, bomb)
+        assert tracemalloc.get_traced_memory()[1] < 8 << 20
+    finally:
+        tracemalloc.stop()
+    assert said == f'does not unpack ({compression}: it unpacks to more than 100000 bytes)'
 
 
 def test_a_chunk_without_a_checksum_is_taken_as_it_is(opened: Open) -> None:

@@ -10,7 +10,7 @@ from bag_files import ENCODERS, IMU, KINDS, NS, session, stamps, storage_file
 from test_bags import write_own
 
 from imu_calib.bags import RecordingWriter
-from imu_calib.bags.codec import decompressor
+from imu_calib.bags.codec import unpack
 from imu_calib.cdr import Messages, part
 
 SESSION = session()
@@ -119,9 +119,9 @@ class File:
     def chunk(self, start, content):
         fields = Fields(content)
         first, last, size, crc = fields.numbers('QQQI')
-        unpack = decompressor(fields.text())
+        compression = fields.text()
         (stored,) = fields.numbers('Q')
-        plain = unpack(fields.take(stored))
+        plain = unpack(fields.take(stored), compression, size)
         assert not fields.content
         assert (len(plain), zlib.crc32(plain)) == (size, crc)
         chunk = Written(start, 9 + len(content), stored, size, (first, last))

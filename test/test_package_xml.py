@@ -19,7 +19,7 @@ from imu_calib.bags import codec
 UNDECLARED = {
     'lz4': 'rosdep has no key for its Python module; README names the package of apt',
     'compression': 'part of Python from 3.14 on',
-    'backports': 'rosdep has no key; zstandard does the same',
+    'backports': 'rosdep has no key; zstandard, which README names, does the same',
     'typing_extensions': 'the type checker alone reads it; no program loads it',
     'threadpoolctl': 'no key of rosdep is known; without it threads are not limited',
     'zstandard': 'rosdep has no key; README names the package of apt',

@@ -5,6 +5,7 @@ import re
 from importlib.util import find_spec
 
 import pytest
+from installed import needs_nodes
 from loopback import until
 
 from imu_calib.cli.main import main
@@ -162,6 +163,7 @@ def test_options_that_do_not_go_together_are_refused_before_anything_starts(tmp_
 
 @pytest.mark.skipif(find_spec('nicegui') is None, reason='NiceGUI is not installed')
 def test_a_node_that_nobody_needs_may_end_and_it_is_said_once(tmp_path, capsys):
+    needs_nodes()
     # Without a latitude: it ends at once, and says why.
     with Processes(tmp_path, private_network()) as running:
         running.start('web_node', {'plan': 'twelve_position'}, needed=False)

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..cdr import Messages
 from .ahead import ReadAhead
-from .codec import CodecError, decompressor, unpacked_into
+from .codec import CodecError, unpack, unpacked_into
 from .log_order import LogOrder, time_order
 from .mcap_chunk import LONGEST_HEAD, TOGETHER, Chunk, ChunkGroup, chunk_at, grouped
 from .mcap_places import Part, Placed, located, log_at, times_at
@@ -311,7 +311,7 @@ def _unpacked(chunk: Chunk, stored: memoryview, memory: memoryview | None) -> by
         return stored
     if memory is not None and unpacked_into(memory, stored, chunk.compression):
         return memory
-    content = decompressor(chunk.compression)(stored)
+    content = unpack(stored, chunk.compression, chunk.size or 0)
     if memory is None or len(memory) != len(content):
         return content
     memory[:] = content

@@ -104,8 +104,8 @@ class _Scanner:
             )
 
     def _read(self, position: int, size: int) -> bytes:
-        if not self.elsewhere:
-            # One system call instead of two for each record.
+        if not self.elsewhere and hasattr(os, 'pread'):
+            # One system call instead of two for each record; Windows has none.
             return os.pread(self.file.fileno(), size, position)
         self.file.seek(position)
         return self.file.read(size)

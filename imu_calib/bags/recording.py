@@ -11,7 +11,7 @@ import numpy as np
 from ..cdr import Malformed, Messages
 from ..other_formats import other_encoding
 from ..stream import SetpointBlock
-from .codec import ZSTD_MAGIC, CodecError, decompressor
+from .codec import ZSTD_MAGIC, CodecError, unpack
 from .files import Found, Scratch, find_files, open_storage
 from .merge import Piece, merge
 from .recorded_clock import RecordedClock
@@ -37,6 +37,8 @@ CACHE_BYTES = 48 << 20
 """Bytes of chunks kept decompressed while topics are read side by side."""
 _HASH_BLOCK = 1 << 20
 """Bytes hashed at once."""
+_LARGEST_MESSAGE = 1 << 28
+"""Bytes of a message that is compressed by itself. A judgement: an image of 8K has 100 million."""
 
 
 def open_recording(path: str | AnyPath, sha256: str | None = None) -> Recording:
@@ -374,14 +376,13 @@ def _unpacked(messages: Messages, malformed: Malformed) -> Messages:
     """
     if not messages.payload(0).startswith(ZSTD_MAGIC):
         return messages
-    unpack = decompressor('zstd')
     plain = []
     for payload in messages.payloads():
         if not payload.startswith(ZSTD_MAGIC):
             plain.append(payload)
             continue
         try:
-            plain.append(unpack(payload))
+            plain.append(unpack(payload, 'zstd', _LARGEST_MESSAGE))
         except CodecError as error:
             malformed.add(f'a message does not unpack (zstd: {error})')
     return Messages.join(plain)

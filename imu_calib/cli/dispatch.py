@@ -8,6 +8,7 @@ import io
 import re
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
@@ -82,7 +83,9 @@ class _Parser(argparse.ArgumentParser):
         """
         of_one = message.removeprefix('argument ')
         if of_one == message:
-            self.print_usage(sys.stderr)
+            # Of Python 3.10: later ones do not miss it on a full disk.
+            with suppress(OSError):
+                self.print_usage(sys.stderr)
         raise _WrongUsage(self.prog.removeprefix('imu-calib').strip(), of_one)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import fcntl
 import os
 import shlex
 import time
@@ -163,6 +162,9 @@ def locked_folder(folder: Path) -> Iterator[int]:
 
 
 def _lock(descriptor: int, folder: Path) -> None:
+    # What Linux has is imported where it is used.
+    import fcntl
+
     deadline = time.monotonic() + _PATIENCE
     waits = False
     while True:

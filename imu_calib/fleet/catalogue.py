@@ -11,7 +11,6 @@ Columns and their versions: docs/fleet.md.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -281,6 +280,9 @@ class Catalogue:
     @contextmanager
     def _locked(self) -> Iterator[None]:
         """Lock the catalogue against other writers; the lock ends with its process."""
+        # What Linux has is imported where it is used.
+        import fcntl
+
         with (self.folder / 'lock').open('w') as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             yield
