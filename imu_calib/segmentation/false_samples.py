@@ -72,10 +72,9 @@ and 16 g. Assumed where the values around are all equal, as in a dead band or wi
 _FEW = 4096
 """Samples in question that are compared at once: some 2 MB."""
 
-LARGE = 1e-3
-"""Share of false samples from which on they are named first where a session is refused. A
-judgement: as many that are not found move scale factors by several deviations (issue: 0.3 % by
-five)."""
+_LARGE = 1e-3
+"""Share of false samples from which on a session may be refused for others that are not found. A
+judgement: in the hand 0.3 % of zeros move a scale factor by five deviations."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +101,11 @@ class FalseSamples:
         return self.on_all_axes + self.spikes
 
     @property
+    def is_large(self) -> bool:
+        """Whether their share is large enough to spoil a session."""
+        return self.count > _LARGE * self.received
+
+    @property
     def sentences(self) -> list[str]:
         """A sentence on them, without a full stop; empty without any."""
         if not self.count:
@@ -117,6 +121,10 @@ class FalseSamples:
             f'{verb} false, the first at {at(self.first)}: {", ".join(kinds)}. They count as '
             'missing; look at the bus of the sensor, its cable and its driver'
         ]
+
+
+NONE_FALSE = FalseSamples()
+"""Of a stream without samples."""
 
 
 class Rows(NamedTuple):

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..stream import Floats, Setpoint
 from .clock import ClockFit
+from .false_samples import NONE_FALSE, FalseSamples
 from .segment import Segment, Statistics, Turn
 from .thermometer import Temperature
 
@@ -148,6 +149,7 @@ class Segmented:
         foreign_joints: Sentence on joint states if none were the table's; else empty.
         lost_moves: Motions from one segment to the next that are not used, with the reason.
         interruptions: Last stamp before and first after each interruption of the IMU's stream, ns.
+        false_samples: Samples of the IMU that are false, and count as missing.
     """
 
     segments: tuple[Segment, ...]
@@ -166,3 +168,4 @@ class Segmented:
     foreign_joints: str = ''
     lost_moves: tuple[Rejected, ...] = ()
     interruptions: tuple[tuple[int, int], ...] = ()
+    false_samples: FalseSamples = NONE_FALSE

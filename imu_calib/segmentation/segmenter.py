@@ -175,6 +175,7 @@ class Segmenter:
             self._intake.foreign_joints,
             reader.moves.lost,
             tuple(self._intake.interruptions.found),
+            self._intake.false_samples,
         )
 
     @property
