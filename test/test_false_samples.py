@@ -110,10 +110,15 @@ def said(findings: Iterable[str]) -> list[str]:
     return [finding for finding in findings if 'false, the first at' in finding]
 
 
-@pytest.mark.parametrize('si', [True, False], ids=['si', 'counts'])
 @pytest.mark.parametrize(
-    ('spoil', 'share'),
-    [(zeros, 0.00304), (zeros, 0.01), (minus_one, 0.00304), (full_scale, 7e-4), (spikes, 7e-4)],
+    ('spoil', 'share', 'si'),
+    [
+        (zeros, 0.00304, True),
+        (zeros, 0.01, False),
+        (minus_one, 0.00304, True),
+        (full_scale, 7e-4, True),
+        (spikes, 7e-4, True),
+    ],
 )
 def test_in_the_hand_false_samples_are_missing_ones(spoil: Spoil, share: float, si: bool) -> None:
     stamp, values = in_hand()
@@ -144,8 +149,9 @@ def exchanged(blocks: Iterable[Block], imu: ImuBlock) -> list[Block]:
     return [*(one for one in blocks if not isinstance(one, ImuBlock)), imu]
 
 
-@pytest.mark.parametrize('spoil', [zeros, minus_one, full_scale, spikes])
-@pytest.mark.parametrize('pulses', [True, False], ids=['pulses', 'counts'])
+@pytest.mark.parametrize(
+    ('pulses', 'spoil'), [(True, zeros), (True, spikes), (False, minus_one), (False, spikes)]
+)
 def test_on_a_table_they_are_what_missing_ones_are(pulses: bool, spoil: Spoil) -> None:
     blocks, spec = on_table(pulses), FOG if pulses else MEMS
     stamp, values = columns(blocks)
