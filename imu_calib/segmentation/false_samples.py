@@ -390,7 +390,8 @@ def _step(around: Floats, near: NDArray[np.bool_], own: Floats, coarsest: Floats
     steps[~(near[:, 1:] & near[:, :-1])] = 0.0
     jumps = np.abs(np.stack([own - around[:, w - 1], own - around[:, w]], axis=1))
     seen, jumped = (_smallest(one) for one in (steps, jumps))
-    return np.where(np.isinf(seen), np.minimum(jumped, coarsest), np.minimum(seen, jumped))
+    fewest = np.where(np.isinf(seen), coarsest, seen)
+    return np.asarray(np.minimum(fewest, jumped))
 
 
 def _smallest(steps: Floats) -> Floats:

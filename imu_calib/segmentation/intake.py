@@ -77,6 +77,7 @@ class _Samples:
         false: Removes false samples, and counts them.
         first: Stamp of the first one, ns; None before it.
         last: Stamp of the last one, likewise.
+        certain: Stamp up to which they are certain and buffered, likewise.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class _Samples:
         self.false = FalseSampleFilter(units, of)
         self.first: int | None = None
         self.last: int | None = None
+        self.certain: int | None = None
         self._rows, self._losses, self._of = rows, losses, of
         self._order = StampOrder(6)
 
@@ -112,12 +114,13 @@ class _Samples:
         what = f'left out for stamps{self._of} that jump or stand still'
         self._losses.note(what, ordered.lost)
         if self._rows is not None and len(ordered.stamp):
+            self.first = int(ordered.stamp[0]) if self.first is None else self.first
+            self.last = int(ordered.stamp[-1])
             self._buffer(self.false.take(ordered.stamp, ordered.values))
 
     def _buffer(self, rows: Rows) -> None:
         if self._rows is not None and len(rows.stamp):
-            self.first = int(rows.stamp[0]) if self.first is None else self.first
-            self.last = int(rows.stamp[-1])
+            self.certain = int(rows.stamp[-1])
             self._rows.append(rows.stamp, rows.values)
 
 
@@ -275,8 +278,8 @@ class StreamBuffer:
         )
 
     def is_complete_until(self, until: float) -> bool:
-        """Return whether the samples up to an instant (ns) have come in."""
-        if self.last_stamp is None or self.last_stamp < until:
+        """Return whether the samples up to an instant (ns) have come in, and are certain."""
+        if self._imu.certain is None or self._imu.certain < until:
             return False
         return self.skew is None or (len(self.skew) > 0 and bool(self.skew.stamp[-1] >= until))
 
