@@ -373,7 +373,7 @@ def _roughness(around: Floats, near: NDArray[np.bool_]) -> Floats:
     w = around.shape[1] // 2
     bends[:, w - 2 : w] = 0.0
     across = np.abs(around[:, w - 1] + around[:, w] - around[:, w - 2] - around[:, w + 1]) / 2
-    return np.maximum(bends.max(axis=1), across)
+    return np.asarray(np.maximum(bends.max(axis=1), across))
 
 
 def _step(around: Floats, near: NDArray[np.bool_], own: Floats, coarsest: Floats) -> Floats:
@@ -390,8 +390,8 @@ def _step(around: Floats, near: NDArray[np.bool_], own: Floats, coarsest: Floats
     steps[~(near[:, 1:] & near[:, :-1])] = 0.0
     jumps = np.abs(np.stack([own - around[:, w - 1], own - around[:, w]], axis=1))
     seen, jumped = (_smallest(one) for one in (steps, jumps))
-    fewest = np.where(np.isinf(seen), coarsest, seen)
-    return np.asarray(np.minimum(fewest, jumped))
+    finest = np.where(np.isinf(seen), coarsest, seen)
+    return np.asarray(np.minimum(finest, jumped))
 
 
 def _smallest(steps: Floats) -> Floats:
