@@ -152,37 +152,43 @@ def test_samples_wait_until_they_are_dropped() -> None:
     intake = StreamBuffer(TABLE, skewed=False)
     assert (intake.duration, intake.first_stamp, intake.last_stamp) == (0.0, None, None)
     assert not intake.is_complete_until(0)
-    intake.take_imu(imu(1, 2, 3))
-    assert intake.samples == 3
+    intake.take_imu(imu(*range(1, 201)))
+    assert intake.samples == 200
     # The last one waits for the next.
-    assert (intake.first_stamp, intake.last_stamp) == (NS, 2 * NS)
-    assert intake.duration == 1.0
-    assert intake.is_complete_until(2 * NS)
-    assert not intake.is_complete_until(2 * NS + 1)
-    assert intake.imu.values.tolist() == [[0, 1, 2, 1, 1, 1], [3, 4, 5, 1, 1, 1]]
-    intake.take_imu(imu(4))
+    assert (intake.first_stamp, intake.last_stamp) == (NS, 199 * NS)
+    assert intake.duration == 198.0
+    # Those before wait for others that show whether they are false.
+    certain = int(intake.imu.stamp[-1])
+    assert 100 * NS < certain < 199 * NS
+    assert intake.is_complete_until(certain)
+    assert not intake.is_complete_until(certain + 1)
+    assert intake.imu.values[:2].tolist() == [[0, 1, 2, 1, 1, 1], [3, 4, 5, 1, 1, 1]]
+    intake.take_imu(imu(201))
     intake.finish()
-    assert (intake.samples, intake.last_stamp, intake.duration) == (4, 4 * NS, 3.0)
-    intake.remove_until(2 * NS)
-    assert intake.imu.stamp.tolist() == [3 * NS, 4 * NS]
+    assert (intake.samples, intake.last_stamp, intake.duration) == (201, 201 * NS, 200.0)
+    assert intake.is_complete_until(201 * NS)
+    intake.remove_until(199 * NS)
+    assert intake.imu.stamp.tolist() == [200 * NS, 201 * NS]
     assert intake.losses() == []
 
 
 def test_a_skewed_gyro_is_awaited() -> None:
     intake = StreamBuffer(TABLE, skewed=True)
     assert intake.skew is not None
-    intake.take_imu(imu(1, 2, 3, 4))
+    intake.take_imu(imu(*range(1, 301)))
     assert not intake.is_complete_until(NS)
-    stamp = np.array([1, 2, 3]) * NS
-    intake.take_skew(SkewBlock(stamp, np.array([7.0, np.nan, 9.0])))
-    assert intake.is_complete_until(NS)
-    assert not intake.is_complete_until(2 * NS)
-    assert intake.skew.values.tolist() == [[7.0, 0, 0, 0, 0, 0]]
+    stamp = np.arange(1, 201) * NS
+    intake.take_skew(SkewBlock(stamp, np.where(stamp == 2 * NS, np.nan, 7.0)))
+    certain = int(intake.skew.stamp[-1])
+    assert 100 * NS < certain < 199 * NS
+    assert intake.is_complete_until(certain)
+    assert not intake.is_complete_until(certain + 1)
+    assert intake.skew.values[:1].tolist() == [[7.0, 0, 0, 0, 0, 0]]
     intake.take_skew(SkewBlock(stamp[:1], np.array([7.0])))
     intake.finish()
-    assert intake.skew.stamp.tolist() == [NS, 3 * NS]
-    intake.remove_until(NS)
-    assert intake.skew.stamp.tolist() == [3 * NS]
+    assert intake.skew.stamp.tolist() == [NS, *(k * NS for k in range(3, 201))]
+    intake.remove_until(199 * NS)
+    assert intake.skew.stamp.tolist() == [200 * NS]
     assert intake.losses() == [
         '1 sample left out for values of the skewed gyro that are not numbers, the first at 2.000 '
         's',
@@ -190,7 +196,7 @@ def test_a_skewed_gyro_is_awaited() -> None:
         '1.000 s',
     ]
     plain = StreamBuffer(TABLE, skewed=False)
-    plain.take_skew(SkewBlock(stamp, np.ones(3)))
+    plain.take_skew(SkewBlock(stamp, np.ones(200)))
     assert plain.skew is None
 
 

@@ -37,6 +37,7 @@ from ..segmentation.segmenter import Segmenter
 from ..stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from ..units import DEG, STANDARD_GRAVITY, counted
 from .guidance import CHECKED, HOLD_SECONDS, Guidance, Stage, guide
+from .losses import false_samples_first
 from .mistakes import dead_channels, explained, refuse_apart, with_facts
 from .provenance import provenance
 from .results import Result, Review, calibrated
@@ -115,7 +116,7 @@ class HandCalibrator:
             if not (session.segments and is_clear(self.evidence(session))):
                 self._solve(session)
         except (InputError, NotObservable) as error:
-            return str(error)
+            return str(false_samples_first(error, session))
         return ''
 
     def evidence(self, session: Segmented) -> Evidence:
@@ -127,6 +128,12 @@ class HandCalibrator:
         return self._evidence(session.segments, session.moves)
 
     def _solve(self, session: Segmented) -> Result:
+        try:
+            return self._solve_as_read(session)
+        except (InputError, NotObservable) as error:
+            raise false_samples_first(error, session) from None
+
+    def _solve_as_read(self, session: Segmented) -> Result:
         lost = [*self._other_offsets(), *(f'{loss}.' for loss in session.losses)]
         if not session.segments:
             if other := self._other_length():

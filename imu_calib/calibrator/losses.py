@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..errors import ImuCalibError
 from ..methods.solution import Solution
 from ..observation.evidence import Evidence
 from ..segmentation.labelling import Labelled
@@ -29,6 +30,16 @@ def losses_of_all_segments(session: Segmented, labelled: Labelled, setup: Setup)
         text += f' {loose} static dwells fit no position of the plan.'
     sentences = [*(f'Left out: {reason}' for reason in reasons[:3]), *session.losses]
     return ' '.join([text, *(f'{sentence}.' for sentence in sentences)])
+
+
+def false_samples_first(error: ImuCalibError, session: Segmented) -> ImuCalibError:
+    """Return a refusal that names false samples first, if there are many: they may explain it."""
+    found = session.false_samples
+    if not found.is_large:
+        return error
+    (sentence,) = found.sentences
+    others = str(error).replace(f'{sentence}.', '').strip()
+    return type(error)(f'{sentence}. {others}')
 
 
 def loss_findings(

@@ -23,7 +23,7 @@ from ..segmentation.segmenter import Segmenter
 from ..stream import Block
 from ..table_clock import clock_share
 from .basis import Basis
-from .losses import loss_findings, losses_of_all_segments
+from .losses import false_samples_first, loss_findings, losses_of_all_segments
 from .mistakes import (
     dead_channels,
     explained,
@@ -198,11 +198,13 @@ class Calibrator:
         """
         try:
             return self._solve_as_stated(session, labelled, final=final)
-        except NotObservable:
+        except NotObservable as error:
             # All else that it says follows from that.
-            if degrees := joints_in_degrees(session):
-                raise Contradiction(degrees) from None
-            raise
+            degrees = joints_in_degrees(session)
+            refusal = Contradiction(degrees) if degrees else error
+            raise false_samples_first(refusal, session) from None
+        except InputError as error:
+            raise false_samples_first(error, session) from None
 
     def _solve_as_stated(self, session: Segmented, labelled: Labelled, *, final: bool) -> Result:
         setup = self._setup

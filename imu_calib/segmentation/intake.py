@@ -8,10 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..instants import at
-from ..stream import Floats, ImuBlock, JointBlock, Setpoint, SetpointBlock, SkewBlock, Stamps
+from ..stream import (
+    Floats,
+    ImuBlock,
+    JointBlock,
+    Setpoint,
+    SetpointBlock,
+    SkewBlock,
+    Stamps,
+    Units,
+)
 from ..turntable import Table
 from ..units import counted
 from .buffer import RowBuffer
+from .false_samples import FalseSampleFilter, FalseSamples, Rows
 from .interruptions import Interruptions
 from .order import Ordered, StampOrder
 from .set_back import SetBackClock, set_back_sentences
@@ -58,23 +68,33 @@ class _Samples:
     Args:
         rows: Where they are buffered; None if they are not expected.
         rate: Samples per second as stated; None if not stated.
+        units: Of the values.
         losses: Counts what is dropped.
         of: The sensor in sentences; empty for the IMU.
 
     Attributes:
         clock: Where its stamps go back; it takes the samples first.
         shared: Counts the stamps that samples share.
+        false: Removes false samples, and counts them.
         first: Stamp of the first one, ns; None before it.
         last: Stamp of the last one, likewise.
+        certain: Stamp up to which they are certain and buffered, likewise.
     """
 
     def __init__(
-        self, rows: RowBuffer | None, rate: float | None, losses: _Losses, of: str = ''
+        self,
+        rows: RowBuffer | None,
+        rate: float | None,
+        units: Units,
+        losses: _Losses,
+        of: str = '',
     ) -> None:
         self.clock = SetBackClock(6)
         self.shared = SharedStamps(rate)
+        self.false = FalseSampleFilter(units, of)
         self.first: int | None = None
         self.last: int | None = None
+        self.certain: int | None = None
         self._rows, self._losses, self._of = rows, losses, of
         self._order = StampOrder(6)
 
@@ -87,8 +107,9 @@ class _Samples:
         self._append(self._order.take(*rows[:2]))
 
     def finish(self) -> None:
-        """End the stream: buffer the sample that waits."""
+        """End the stream: buffer the samples that wait."""
         self._append(self._order.finish())
+        self._buffer(self.false.finish())
 
     def _append(self, ordered: Ordered) -> None:
         what = f'left out for stamps{self._of} that jump or stand still'
@@ -96,7 +117,12 @@ class _Samples:
         if self._rows is not None and len(ordered.stamp):
             self.first = int(ordered.stamp[0]) if self.first is None else self.first
             self.last = int(ordered.stamp[-1])
-            self._rows.append(ordered.stamp, ordered.values)
+            self._buffer(self.false.take(ordered.stamp, ordered.values))
+
+    def _buffer(self, rows: Rows) -> None:
+        if self._rows is not None and len(rows.stamp):
+            self.certain = int(rows.stamp[-1])
+            self._rows.append(rows.stamp, rows.values)
 
 
 class StreamBuffer:
@@ -106,6 +132,7 @@ class StreamBuffer:
         table: The table whose joint states come in; None when the IMU stands alone.
         skewed: Whether a skewed gyro is expected.
         rate: Samples per second as stated; None if not stated.
+        units: Of the samples.
 
     Attributes:
         imu: Buffered samples, six columns.
@@ -116,15 +143,22 @@ class StreamBuffer:
         facts: Of the IMU's stream, as it came in.
     """
 
-    def __init__(self, table: Table | None, *, skewed: bool, rate: float | None = None) -> None:
+    def __init__(
+        self,
+        table: Table | None,
+        *,
+        skewed: bool,
+        rate: float | None = None,
+        units: Units = Units.SI,
+    ) -> None:
         self.imu = RowBuffer(6)
         self.skew = RowBuffer(6) if skewed else None
         self.interruptions = Interruptions()
         self.facts = StreamFacts()
         self._table = table
         self._losses = _Losses()
-        self._imu = _Samples(self.imu, rate, self._losses)
-        self._skew = _Samples(self.skew, rate, self._losses, ' of the skewed gyro')
+        self._imu = _Samples(self.imu, rate, units, self._losses)
+        self._skew = _Samples(self.skew, rate, units, self._losses, ' of the skewed gyro')
         self.imu_clock = self._imu.clock
         self._joint_order = StampOrder(len(table.names) if table else 0)
         self.joint_clock = SetBackClock(len(table.names) if table else 0)
@@ -159,6 +193,11 @@ class StreamBuffer:
         if self.first_stamp is None or self.last_stamp is None:
             return 0.0
         return (self.last_stamp - self.first_stamp) * 1e-9
+
+    @property
+    def false_samples(self) -> FalseSamples:
+        """False samples of the IMU."""
+        return self._imu.false.found
 
     def take_imu(self, block: ImuBlock) -> None:
         """Add samples."""
@@ -245,8 +284,8 @@ class StreamBuffer:
         )
 
     def is_complete_until(self, until: float) -> bool:
-        """Return whether the samples up to an instant (ns) have come in."""
-        if self.last_stamp is None or self.last_stamp < until:
+        """Return whether the samples up to an instant (ns) have come in, and are certain."""
+        if self._imu.certain is None or self._imu.certain < until:
             return False
         return self.skew is None or (len(self.skew) > 0 and bool(self.skew.stamp[-1] >= until))
 
@@ -258,7 +297,8 @@ class StreamBuffer:
 
     def losses(self, ahead: int = 0) -> list[str]:
         """Return sentences on losses; the IMU's clock is `ahead` (ns) of the table's."""
-        lost = self._losses.sentences() + self._imu.shared.words()
+        lost = self.false_samples.sentences + self._skew.false.found.sentences
+        lost += self._losses.sentences() + self._imu.shared.words()
         lost += self._skew.shared.words(' of the skewed gyro')
         cut = 'a motion that this falls into is left out'
         if self._table is not None:

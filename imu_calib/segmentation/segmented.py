@@ -8,6 +8,7 @@ import numpy as np
 
 from ..stream import Floats, Setpoint
 from .clock import ClockFit
+from .false_samples import NONE_FALSE, FalseSamples
 from .segment import Segment, Statistics, Turn
 from .stream_facts import StreamFacts
 from .thermometer import Temperature
@@ -150,6 +151,7 @@ class Segmented:
         lost_moves: Motions from one segment to the next that are not used, with the reason.
         interruptions: Last stamp before and first after each interruption of the IMU's stream, ns.
         facts: Of the IMU's stream, as it came in.
+        false_samples: Samples of the IMU that are false, and count as missing.
     """
 
     segments: tuple[Segment, ...]
@@ -169,3 +171,4 @@ class Segmented:
     lost_moves: tuple[Rejected, ...] = ()
     interruptions: tuple[tuple[int, int], ...] = ()
     facts: StreamFacts = field(default_factory=StreamFacts)
+    false_samples: FalseSamples = NONE_FALSE

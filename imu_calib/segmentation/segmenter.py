@@ -66,7 +66,9 @@ class Segmenter:
         self._spec = spec
         self._table = table
         self._sensor = Sensor.of(spec)
-        self._intake = StreamBuffer(table, skewed=spec.skewed is not None, rate=spec.sample_rate)
+        self._intake = StreamBuffer(
+            table, skewed=spec.skewed is not None, rate=spec.sample_rate, units=spec.units
+        )
         self._joints = JointTracker() if table is not None else None
         self._stillness: StillnessTracker | None = None
         self._thermometer = Thermometer()
@@ -174,6 +176,7 @@ class Segmenter:
             reader.moves.lost,
             tuple(self._intake.interruptions.found),
             self._intake.facts,
+            self._intake.false_samples,
         )
 
     @property

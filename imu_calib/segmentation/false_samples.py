@@ -1,0 +1,400 @@
+"""Single false samples: readings that failed, and spikes. They are removed, as if never received.
+
+A failed read of a bus gives 0, -1 or the full scale on all axes of a triad, a flipped bit another
+number on one. What a body does shows in the samples around, since it neither turns nor is
+accelerated for one sample alone: a knock rings, a motion goes on.
+
+Source: docs/mathematics.md, 'Stamps and lost samples'.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..instants import at
+from ..stream import Floats, Stamps, Units
+from ..units import DEG, STANDARD_GRAVITY, counted
+from .interruptions import INTERRUPTION
+from .rows import all_in_row, any_in_row
+
+_SPIKE = 20.0
+"""Times the roughness of the samples around by which a single sensor has to be beyond both
+neighbours. A judgement, far above chance (white noise gets beyond 4 once in 60 000 values, beyond
+20 in none of 4 10^7, simulated): a knock of one sample rings on with more than a twentieth."""
+
+_ALONE = 3.0
+"""The same by which other sensors may be off the mean of both neighbours: a knock moves several."""
+
+_ALL_AXES = 6.0
+"""The same as `_SPIKE` for one number on all axes of a triad, all axes together (root of the sum of
+squares). White noise gets so far about once in 10^6 samples (simulated), and by chance one sample
+in thirty or fewer has one number; a counter that passes five pulses on each axis reads 0 as well as
+one that passes seven on one."""
+
+_LONGEST = 8
+"""Most samples in a row that read one number on all axes each; longer runs are a device that is
+frozen (`repeated_samples`), or a sensor that reads nothing at rest."""
+
+_BESIDE = 8
+"""Samples on either side that are looked at: a knock rings for longer, and a hand moves little in a
+tenth of a second."""
+
+_FEWEST = 4
+"""Fewest samples on either side: they show two second differences."""
+
+_WITHIN = 12
+"""Rows on either side within which these samples lie, others being left out between."""
+
+_APART = 2
+"""Rows from a second difference to the next one that has not the middle of it in common."""
+
+_NEXT = _APART + 1
+"""Rows from a spike to the last one by which it is told from the next."""
+
+_RADIUS = 3 * _WITHIN + _LONGEST + 1
+"""Rows on either side that decide on one. A spike is judged by those around it, which must not be
+spikes themselves, by those around them, nor read one number on all axes, by those around them and
+the length of their runs."""
+
+_AT_ONCE = 32
+"""Fewest rows that are judged at once, except at the end: a live stream brings one at a time."""
+
+_LEAST = np.repeat([0.1 * DEG, 0.01], 3)
+"""rad/s and m/s^2: deviations of values in SI below which nothing is looked for. One in a second at
+100 Hz is 4 deg/h and 10 ug: below the biases of chips, and better units give pulses or counts."""
+
+_COARSEST = np.repeat([10 * DEG, STANDARD_GRAVITY], 3)
+"""rad/s and m/s^2: coarsest steps of values in SI, a few times those of eight bits over 250 deg/s
+and 16 g. Assumed where the values around are all equal, as in a dead band or without noise."""
+
+_FEW = 4096
+"""Samples in question that are compared at once: some 2 MB."""
+
+_LARGE = 1e-3
+"""Share of false samples from which on a session may be refused for others that are not found. A
+judgement: in the hand 0.3 % of zeros move a scale factor by five deviations."""
+
+
+@dataclass(frozen=True)
+class FalseSamples:
+    """False samples of a stream.
+
+    Attributes:
+        on_all_axes: Number of those that read one number on all axes of a triad.
+        spikes: Number of those on which a single sensor stands out.
+        first: Stamp of the first, ns; 0 without one.
+        received: Number of samples of the stream, these included.
+        of: The sensor in sentences; empty for the IMU.
+    """
+
+    on_all_axes: int = 0
+    spikes: int = 0
+    first: int = 0
+    received: int = 0
+    of: str = ''
+
+    @property
+    def count(self) -> int:
+        """Number of false samples."""
+        return self.on_all_axes + self.spikes
+
+    @property
+    def is_large(self) -> bool:
+        """Whether their share is large enough to spoil a session."""
+        return self.count > _LARGE * self.received
+
+    @property
+    def sentences(self) -> list[str]:
+        """A sentence on them, without a full stop; empty without any."""
+        if not self.count:
+            return []
+        kinds = []
+        if self.on_all_axes:
+            kinds.append(f'{self.on_all_axes} read one number on all axes (as failed reads do)')
+        if self.spikes:
+            kinds.append(f'{self.spikes} jump on one sensor and back')
+        verb = 'is' if self.count == 1 else 'are'
+        return [
+            f'{counted(self.count, "sample")}{self.of} ({100 * self.count / self.received:.2g} %) '
+            f'{verb} false, the first at {at(self.first)}: {", ".join(kinds)}. They count as '
+            'missing; look at the bus of the sensor, its cable and its driver'
+        ]
+
+
+NONE_FALSE = FalseSamples()
+"""Of a stream without samples."""
+
+
+class Rows(NamedTuple):
+    """Stamps (n,), ns, and values (n, 6)."""
+
+    stamp: Stamps
+    values: Floats
+
+
+class _Limits(NamedTuple):
+    """How far values have to stand out.
+
+    Attributes:
+        ratio: Times the roughness around, and the step of the values.
+        step: Of pulses and counts; 0 where it is seen around the values, in SI.
+        least: (6,) by how much at least.
+    """
+
+    ratio: float
+    step: float
+    least: Floats
+
+    @classmethod
+    def of(cls, units: Units, ratio: float) -> _Limits:
+        """Return those of values in units, by a ratio."""
+        if units is Units.SI:
+            return cls(ratio, 0.0, _LEAST)
+        # Of three axes that reach the ratio together, one reaches this.
+        return cls(ratio, 1.0, np.full(6, ratio / math.sqrt(3)))
+
+
+class FalseSampleFilter:
+    """Removes false samples from a stream; the result does not depend on how it is cut into blocks.
+
+    The last `_RADIUS` samples wait for those after them.
+
+    Args:
+        units: Of the values.
+        of: The sensor in sentences; empty for the IMU.
+
+    Attributes:
+        found: What was removed.
+    """
+
+    def __init__(self, units: Units, of: str = '') -> None:
+        self.found = FalseSamples(of=of)
+        self._limits = _Limits.of(units, _ALL_AXES), _Limits.of(units, _SPIKE)
+        self._rows = Rows(np.empty(0, dtype=np.int64), np.empty((0, 6)))
+        self._judged = 0
+        """The number of these, the first ones, that are kept for those after them alone."""
+
+    def take(self, stamp: Stamps, values: Floats) -> Rows:
+        """Take (n,) stamps, ns, with (n, 6) values; return the rows that are certain."""
+        if len(self._rows.stamp):
+            stamp = np.concatenate([self._rows.stamp, stamp])
+            values = np.concatenate([self._rows.values, values])
+        return self._passed(Rows(stamp, values), len(stamp) - _RADIUS, _AT_ONCE)
+
+    def finish(self) -> Rows:
+        """End the stream: return the rows that wait."""
+        return self._passed(self._rows, len(self._rows.stamp), 0)
+
+    def _passed(self, rows: Rows, end: int, fewest: int) -> Rows:
+        """Return the sound rows of those up to `end` that have not been judged yet."""
+        first = self._judged
+        if end - first < fewest:
+            self._rows = rows
+            return Rows(rows.stamp[:0], rows.values[:0])
+        stamp, values = rows.stamp[first:end], rows.values[first:end]
+        on_all_axes, spikes = _false_samples(rows, *self._limits)
+        wrong = (on_all_axes | spikes)[first:end]
+        self.found = replace(self.found, received=self.found.received + len(stamp))
+        if wrong.any():
+            self.found = replace(
+                self.found,
+                on_all_axes=self.found.on_all_axes + int(on_all_axes[first:end].sum()),
+                spikes=self.found.spikes + int(spikes[first:end].sum()),
+                first=self.found.first if self.found.count else int(stamp[np.argmax(wrong)]),
+            )
+            stamp, values = stamp[~wrong], values[~wrong]
+        begin = max(0, end - _RADIUS)
+        # Copies: views would keep the whole block.
+        self._rows = Rows(rows.stamp[begin:].copy(), rows.values[begin:].copy())
+        self._judged = end - begin
+        return Rows(stamp, values)
+
+
+def _false_samples(
+    rows: Rows, on_all_axes: _Limits, of_spikes: _Limits
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which rows (n,) read one number on all axes without cause, and which are spikes."""
+    alike = np.zeros(len(rows.stamp), dtype=bool)
+    with np.errstate(over='ignore', invalid='ignore'):
+        for triad in (0, 3):
+            alike[_on_all_axes(rows, triad, on_all_axes)] = True
+        spikes = np.zeros_like(alike)
+        places = np.arange(len(alike))
+        if alike.any():
+            places = places[~alike]
+            rows = Rows(rows.stamp[places], rows.values[places])
+        spikes[places[_spikes(rows, places, of_spikes)]] = True
+    return alike, spikes
+
+
+def _on_all_axes(rows: Rows, triad: int, limits: _Limits) -> NDArray[np.intp]:
+    """Return the rows on which the axes of a triad read one number, unlike those around.
+
+    Args:
+        rows: In order.
+        triad: Its first column.
+        limits: For rows of one number.
+    """
+    channels = slice(triad, triad + 3)
+    values = rows.values[:, channels]
+    x, y, z = values.T
+    # Drivers change the signs of axes.
+    alike = np.flatnonzero((x == y) | (x == -y))
+    alike = alike[np.abs(y[alike]) == np.abs(z[alike])]
+    starts = np.flatnonzero(np.diff(alike, prepend=-2) > 1)
+    lengths = np.diff(starts, append=len(alike))
+    first, last = alike[starts], alike[starts + lengths - 1]
+    # Most sound rows of one number are like those beside them.
+    jumps = any_in_row(np.abs(values[first] - values[first - 1]) > limits.least[channels])
+    jumps |= any_in_row(np.abs(values[last] - values[(last + 1) % len(x)]) > limits.least[channels])
+    short = lengths <= _LONGEST
+    if not (short & jumps).any():
+        return np.empty(0, dtype=np.intp)
+    others = np.ones(len(x), dtype=bool)
+    others[alike[np.repeat(short, lengths)]] = False
+    asked = alike[np.repeat(short & jumps, lengths)]
+    ratios = _ratios(rows, np.arange(len(x)), asked, np.flatnonzero(others), channels, limits)
+    x, y, z = ratios.beyond.T
+    return np.asarray(asked[x * x + y * y + z * z > limits.ratio**2])
+
+
+def _spikes(rows: Rows, places: NDArray[np.intp], limits: _Limits) -> NDArray[np.intp]:
+    """Return the rows on which a single sensor jumps and is back with the next.
+
+    Args:
+        rows: In order.
+        places: (n,) of the rows in the stream.
+        limits: For spikes.
+    """
+    if len(places) <= 2 * _NEXT:
+        return places[:0]
+    values, width = np.ascontiguousarray(rows.values).ravel(), 6 * _APART
+    # Without columns, and what is no spike by two neighbours is left out first: a pass over all
+    # values costs a nanosecond a sample.
+    steps = values[6:] - values[:-6]
+    bends = np.abs(steps[6:] - steps[:-6])
+    most = limits.ratio * bends
+    own = bends[width:-width]
+    own = np.flatnonzero((own > most[2 * width :]) & (own > most[: -2 * width])) + width
+    now = own[bends[own] > 2 * limits.least[own % 6]] + 6
+    beyond = (values[now] - values[now - 6]) * (values[now] - values[now + 6]) > 0
+    # Sorted, as they are found row by row.
+    asked = np.unique(now[beyond] // 6)
+    near = np.maximum(places[asked + _NEXT] - places[asked], places[asked] - places[asked - _NEXT])
+    asked = asked[near <= _WITHIN]
+    if not len(asked):
+        return np.empty(0, dtype=np.intp)
+    others = np.delete(np.arange(len(places)), asked)
+    ratios = _ratios(rows, places, asked, others, slice(0, 6), limits)
+    spikes = ratios.beyond > limits.ratio
+    # A knock moves the other sensors, too.
+    return np.asarray(asked[any_in_row(spikes) & all_in_row(spikes | (ratios.off <= _ALONE))])
+
+
+class _Ratios(NamedTuple):
+    """How rows stand out of those around, (m, channels) each; 0 where too few are around.
+
+    Attributes:
+        beyond: Distance from the nearer one of both neighbours, if these are on one side, over the
+            roughness around or the step of the values, whichever is larger.
+        off: Distance from the mean of both neighbours, over the same.
+    """
+
+    beyond: Floats
+    off: Floats
+
+
+def _ratios(
+    rows: Rows,
+    places: NDArray[np.intp],
+    asked: NDArray[np.intp],
+    others: NDArray[np.intp],
+    channels: slice,
+    limits: _Limits,
+) -> _Ratios:
+    """Compare rows with those around.
+
+    Args:
+        rows: n of them, in order.
+        places: (n,) of the rows in the stream.
+        asked: (m,) which rows.
+        others: Which rows may be those around them, without these.
+        channels: One triad, or both.
+        limits: Rows that are not beyond both neighbours by the least are not looked at closer.
+    """
+    values = rows.values[:, channels]
+    found = _Ratios(*np.zeros((2, len(asked), values.shape[1])))
+    after = np.searchsorted(others, asked)
+    some = np.flatnonzero((after >= _FEWEST) & (after <= len(others) - _FEWEST))
+    first, own, last = others[after[some] - 1], asked[some], others[after[some]]
+    silence = np.maximum(rows.stamp[own] - rows.stamp[first], rows.stamp[last] - rows.stamp[own])
+    beyond, _ = _distances(values[first], values[own], values[last])
+    some = some[any_in_row(beyond > limits.least[channels]) & (silence < INTERRUPTION)]
+    for part in np.split(some, range(_FEW, len(some), _FEW)) if len(some) else ():
+        own, k = asked[part], after[part]
+        window = k[:, None] + np.arange(-_BESIDE, _BESIDE)
+        near = (window >= 0) & (window < len(others))
+        window = others[np.clip(window, 0, len(others) - 1)]
+        near &= np.abs(places[window] - places[own][:, None]) <= _WITHIN
+        around = values[window]
+        scale = np.maximum(_roughness(around, near), limits.step)
+        if not limits.step:
+            scale = np.maximum(scale, _step(around, near, values[own], _COARSEST[channels]))
+        enough = near[:, _BESIDE - _FEWEST] & near[:, _BESIDE + _FEWEST - 1]
+        scale[~enough] = np.inf
+        distances = _distances(values[others[k - 1]], values[own], values[others[k]])
+        for ratio, distance in zip(found, distances, strict=True):
+            ratio[part] = distance / scale
+    return found
+
+
+def _distances(before: Floats, own: Floats, after: Floats) -> tuple[Floats, Floats]:
+    """Return how far rows (m, channels) are beyond both neighbours, and off the mean of both."""
+    first, last = own - before, own - after
+    beyond = np.where(first * last > 0, np.minimum(np.abs(first), np.abs(last)), 0.0)
+    return beyond, np.abs(first + last) / 2
+
+
+def _roughness(around: Floats, near: NDArray[np.bool_]) -> Floats:
+    """Return the largest deviation of a row from the mean of its neighbours, (m, channels).
+
+    Args:
+        around: (m, 2 w, channels) rows around one that is left out, w on either side.
+        near: (m, 2 w) which of them count.
+    """
+    bends = np.abs(around[:, :-2] - 2 * around[:, 1:-1] + around[:, 2:]) / 2
+    bends *= (near[:, :-2] & near[:, 1:-1] & near[:, 2:])[:, :, None]
+    # Those across the row left out.
+    w = around.shape[1] // 2
+    bends[:, w - 2 : w] = 0.0
+    across = np.abs(around[:, w - 1] + around[:, w] - around[:, w - 2] - around[:, w + 1]) / 2
+    return np.asarray(np.maximum(bends.max(axis=1), across))
+
+
+def _step(around: Floats, near: NDArray[np.bool_], own: Floats, coarsest: Floats) -> Floats:
+    """Return the steps of values in SI, (m, channels): the smallest difference in a triad.
+
+    Args:
+        around: (m, 2 w, channels) rows around one.
+        near: (m, 2 w) which of them count.
+        own: (m, channels) the one.
+        coarsest: (channels,) steps that are not exceeded.
+    """
+    w = around.shape[1] // 2
+    steps = np.abs(np.diff(around, axis=1))
+    steps[~(near[:, 1:] & near[:, :-1])] = 0.0
+    jumps = np.abs(np.stack([own - around[:, w - 1], own - around[:, w]], axis=1))
+    seen, jumped = (_smallest(one) for one in (steps, jumps))
+    finest = np.where(np.isinf(seen), coarsest, seen)
+    return np.asarray(np.minimum(finest, jumped))
+
+
+def _smallest(steps: Floats) -> Floats:
+    """Return the smallest of steps (m, n, channels) that is not 0 in a triad, (m, channels)."""
+    least = np.where(steps == 0, np.inf, steps).min(axis=1)
+    return np.asarray(np.repeat(least.reshape(len(steps), -1, 3).min(axis=2), 3, axis=1))
