@@ -158,7 +158,7 @@ def unpack_file(source: AnyPath, target: Path) -> str:
             while block := packed.read(_BLOCK):
                 for start in range(0, len(block), _FED):
                     content.writelines(stream.feed(block[start : start + _FED]))
-        except (*_errors(), CodecError) as error:
+        except _errors() as error:
             return str(error)
     return '' if stream.at_boundary else 'the compressed data ends in the middle of a frame'
 
@@ -212,10 +212,10 @@ def _stated_size(module: Any, start: bytes) -> int | None:
 
 @cache
 def _errors() -> tuple[type[Exception], ...]:
-    """Return the exceptions of the packages for corrupt data."""
+    """Return the exceptions for corrupt data, of the packages too."""
     packages = [_optional(name) for name in _ZSTD_MODULES]
     own = [package.ZstdError for package in packages if package is not None]
-    return (RuntimeError, ValueError, EOFError, MemoryError, OverflowError, *own)
+    return (CodecError, RuntimeError, ValueError, EOFError, MemoryError, OverflowError, *own)
 
 
 @cache
