@@ -93,6 +93,7 @@ setup(
     ],
     extras_require={
         'dds': [DDS],
+        'ros1': [ROSBAGS],
         'plot': [PLOT],
         'dataframe': [DATA_FRAME],
         'pdf': ['weasyprint>=62'],

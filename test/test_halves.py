@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import imu_calib
 from imu_calib.api.in_order import HELD, InOrder, places_by_stamp
 from imu_calib.api.text import read_sensors
 from imu_calib.bags import RecordingWriter, open_recording
+from imu_calib.bags.storage import Times
 from imu_calib.cdr import Messages, encode_imu
 from imu_calib.cli.main import main
 from imu_calib.errors import InputError
@@ -98,10 +100,9 @@ def test_topics_of_other_types_are_copied(tmp_path: Path) -> None:
         writer.write('/camera', 'std_msgs/msg/String', Messages.join([b'\0\1\0\0abcd']), STAMP[:1])
     with open_recording(tmp_path / 'camera') as recording:
         (topic,) = recording.topics
-    object.__setattr__(topic, 'type', CAMERA)
     with RecordingWriter(bag) as writer:
-        writer.copy_topic(topic)
-        writer.write('/camera', CAMERA, Messages.join([b'\0\1\0\0abcd']), STAMP[:1])
+        one = Messages.join([b'\0\1\0\0abcd'])
+        writer.copy(replace(topic, type=CAMERA), one, Times(STAMP[:1], STAMP[:1]))
         zeros = np.zeros_like(RATE)
         for name, block in (
             ('/g', ImuBlock(STAMP, RATE, zeros)),

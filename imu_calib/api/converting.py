@@ -10,6 +10,7 @@ from ..bags import AnyPath, RecordingError, local, located, open_recording
 from ..bags.files import is_storage
 from ..cdr import Kind
 from ..errors import InputError
+from ..extras import require
 from ..other_formats import BAG_OF_ROS_1
 from ..paths import user_path
 from .converted import Converted
@@ -130,6 +131,7 @@ def _is_bag_of_ros_1(path: AnyPath) -> bool:
 
 def _from_ros1(path: AnyPath, target: Path) -> Converted:
     """Convert a bag of ROS 1, with the messages that calibration uses."""
+    require('rosbags', f'{path}: a bag of ROS 1', 'ros1')
     from rosbags.convert import ConverterError
     from rosbags.convert import convert as rewritten
     from rosbags.typesys import Stores, get_typestore

@@ -193,5 +193,5 @@ def _joined(first: MessageBatch, second: MessageBatch) -> MessageBatch | None:
 
 
 def _of_times(several: list[Times], rows: slice | Indices) -> Times:
-    names = [field.name for field in fields(Times)]
-    return Times(*(np.concatenate([getattr(t, n) for t in several])[rows] for n in names))
+    columns = [[getattr(times, field.name) for times in several] for field in fields(Times)]
+    return Times(*(None if c[0] is None else np.concatenate(c)[rows] for c in columns))
