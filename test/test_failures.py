@@ -1,4 +1,4 @@
-"""The failure table: every row has a test that exists; and a stand whose processes hang."""
+"""Failures and situations: every row has a test that exists; and a stand whose processes hang."""
 
 import ast
 import os
@@ -19,15 +19,16 @@ try:
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
-PAGE = CHECKOUT / 'docs' / 'failures.md'
+DOCS = CHECKOUT / 'docs'
 TEST = re.compile(r'`(test_\w+)::(test_\w+)`')
 
 
-def rows():
-    """Return the rows of the page's tables as lists of cells."""
-    lines = [line for line in PAGE.read_text(encoding='utf-8').splitlines() if line[:1] == '|']
-    cells = [[cell.strip() for cell in line.strip('|').split('|')] for line in lines]
-    return [row for row in cells if set(row[0]) != {'-'} and row[0] != 'what fails']
+def rows(page):
+    """Return the rows of a page's tables below their headings as lists of cells."""
+    lines = (DOCS / page).read_text(encoding='utf-8').splitlines()
+    cells = [[c.strip() for c in line.strip('|').split('|')] for line in lines if line[:1] == '|']
+    rules = {k for k, row in enumerate(cells) if set(row[0]) == {'-'}}
+    return [row for k, row in enumerate(cells) if not rules & {k, k + 1}]
 
 
 @cache
@@ -42,10 +43,14 @@ def names_in(module):
     }
 
 
-def test_every_row_of_the_failure_table_has_tests_and_every_test_exists():
-    assert len(rows()) > 25
-    for row in rows():
-        assert len(row) == 5, row
+@pytest.mark.parametrize(
+    ('page', 'least', 'width'), [('failures.md', 50, 5), ('situations.md', 40, 3)]
+)
+def test_every_row_of_a_page_has_tests_and_every_test_exists(page, least, width):
+    found = rows(page)
+    assert len(found) > least
+    for row in found:
+        assert len(row) == width, row
         assert all(row), row
         named = TEST.findall(row[-1])
         assert named, f'no test: {row[0]}'
