@@ -24,6 +24,8 @@ T = TypeVar('T')
 
 _EXPONENTIAL = re.compile(r'[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+')
 
+LARGEST = 1e100
+"""Largest amount of a number in a file: none in SI units is near, and its square is finite."""
 
 _KINDS = {
     'plans': 'the file of a plan',
@@ -151,7 +153,14 @@ class Section:
             raise InputError(
                 f'{self.key(name)}: found {self.raw(name)!r}, expected a number.{point}'
             )
+        self._check_size(name, abs(value))
         return value
+
+    def _check_size(self, name: str, amount: float) -> None:
+        if amount > LARGEST:
+            raise InputError(
+                f'{self.key(name)}: found {amount:g}, expected amounts up to {LARGEST:g}.'
+            )
 
     def whole(
         self, name: str, least: int, most: int | None = None, default: int | None = None
@@ -177,6 +186,7 @@ class Section:
             raise InputError(f'{self.key(name)}: found {found} numbers, expected {expected}.')
         if not np.isfinite(values).all():
             raise InputError(f'{self.key(name)}: found {found} numbers that are not all finite.')
+        self._check_size(name, np.abs(values).max(initial=0.0))
         return values
 
     def texts(self, name: str) -> tuple[str, ...]:
@@ -208,6 +218,7 @@ class Section:
         if default is not None and not self.has(name):
             return default
         value = parse(self.raw(name), dimension, self.key(name))
+        self._check_size(name, abs(value))
         if value < least or not value > above:
             bound = f'{least:g} or more' if value < least else f'above {above:g}'
             raise InputError(f'{self.key(name)}: found {self.raw(name)}, expected {bound}.')

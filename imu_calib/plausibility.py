@@ -118,13 +118,21 @@ def _check_covariance(calibration: Calibration, name: str) -> None:
     covariance = calibration.covariance[np.ix_(estimated, estimated)]
     if not np.isfinite(covariance).all():
         raise InputError(f'{name}: covariance: found values that are not numbers.')
-    std = np.sqrt(np.diag(covariance))
-    scale = np.where(std > 0, std, 1.0)
-    correlation = covariance / np.outer(scale, scale)
-    lopsided = np.abs(correlation - correlation.T).max(initial=0.0)
-    lowest = np.linalg.eigvalsh((correlation + correlation.T) / 2).min(initial=0.0)
-    if lopsided > _ROUNDING or lowest < -_ROUNDING:
+    if not is_covariance(covariance):
         raise InputError(
             f'{name}: covariance: not that of any errors (it must be symmetric and positive '
             'semidefinite).'
         )
+
+
+def is_covariance(matrix: Floats) -> bool:
+    """Return whether a matrix (n, n) of finite numbers is symmetric and positive semidefinite."""
+    variances = np.diag(matrix)
+    if (variances < 0).any():
+        return False
+    std = np.sqrt(variances)
+    scale = np.where(std > 0, std, 1.0)
+    correlation = matrix / np.outer(scale, scale)
+    lopsided = np.abs(correlation - correlation.T).max(initial=0.0)
+    lowest = np.linalg.eigvalsh((correlation + correlation.T) / 2).min(initial=0.0)
+    return bool(lopsided <= _ROUNDING and lowest >= -_ROUNDING)
