@@ -13,9 +13,9 @@ import numpy as np
 
 from .config import Section
 from .errors import InputError
+from .gaussian import is_covariance
 from .model import Parameter
 from .model.session_terms import Change, Course, change, names_of
-from .plausibility import is_covariance
 from .stream import Floats
 from .units import significant
 

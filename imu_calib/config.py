@@ -15,6 +15,7 @@ from yaml.reader import ReaderError
 
 from .errors import InputError
 from .other_formats import other_format
+from .paths import read_bytes
 from .share import named_file
 from .stream import Floats
 from .units import Dimension, parse, point_for_comma
@@ -63,9 +64,7 @@ class Section:
             InputError: Unreadable, not YAML, or not a mapping.
         """
         try:
-            text = path.read_text(encoding='utf-8')
-        except OSError as error:
-            raise InputError(f'{path}: cannot be read ({error.strerror}).') from None
+            text = read_bytes(path).decode('utf-8')
         except UnicodeDecodeError:
             sentence = f'{path}: found binary data, expected YAML text.'
             raise InputError(other_format(path, expected) or sentence) from None

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .errors import InputError
+from .gaussian import is_covariance
 from .model import TRIADS, ParameterKind
 from .stream import Floats, Units
 from .units import DEG
@@ -22,10 +23,6 @@ Cao 2022's Table 1 read literally, is off by 25 %."""
 _TILT = 30 * DEG
 """Largest angle between an input axis and its body axis. Beyond it a channel belongs to another
 axis; data sheets of MEMS units state up to 2 deg of misalignment."""
-
-_ROUNDING = 1e-9
-"""Largest negative eigenvalue of a correlation matrix due to rounding; double precision gives some
-1e-14 for 40 parameters, a file with nine digits 1e-9."""
 
 
 def is_of_strapdown(response: Floats) -> bool:
@@ -123,16 +120,3 @@ def _check_covariance(calibration: Calibration, name: str) -> None:
             f'{name}: covariance: not that of any errors (it must be symmetric and positive '
             'semidefinite).'
         )
-
-
-def is_covariance(matrix: Floats) -> bool:
-    """Return whether a matrix (n, n) of finite numbers is symmetric and positive semidefinite."""
-    variances = np.diag(matrix)
-    if (variances < 0).any():
-        return False
-    std = np.sqrt(variances)
-    scale = np.where(std > 0, std, 1.0)
-    correlation = matrix / np.outer(scale, scale)
-    lopsided = np.abs(correlation - correlation.T).max(initial=0.0)
-    lowest = np.linalg.eigvalsh((correlation + correlation.T) / 2).min(initial=0.0)
-    return bool(lopsided <= _ROUNDING and lowest >= -_ROUNDING)

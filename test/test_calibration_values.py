@@ -6,15 +6,19 @@ import copy
 import random
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from extent import again
 from loopback import CHECKOUT
+from sessions import truth
 
 import imu_calib
+from imu_calib.budget import Budget, BudgetLine, Source
 from imu_calib.calibration import Calibration
 from imu_calib.errors import InputError
 from imu_calib.reports.page import Contents, page
@@ -119,6 +123,14 @@ def test_one_changed_value_is_refused_by_its_key_or_does_no_harm(
                 # Another day or serial number than that of the fields.
                 assert str(error).startswith(str(FIELDS)), (path, error)
     assert CHANGES / 10 < accepted < CHANGES
+
+
+def test_a_budget_of_exact_parameters_has_no_picture_and_no_certificate(tmp_path: Path) -> None:
+    line = BudgetLine(Source.NOISE, np.zeros(24), np.full(24, np.inf))
+    exact = replace(truth(), budget=Budget((line,)))
+    assert 'Uncertainty budget' not in imu_calib.report(exact, tmp_path / 'r.html').read_text()
+    with pytest.raises(InputError, match='no uncertainty budget'):
+        imu_calib.certificate(exact, FIELDS, tmp_path / 'c.html', draft=True)
 
 
 def test_what_is_loaded_can_be_verified(recordings: dict[str, Path]) -> None:

@@ -12,6 +12,7 @@ from ..bags import RecordingWriter
 from ..cdr import Kind, Messages, encode_imu, encode_rates
 from ..errors import InputError
 from ..imu import load_imu
+from ..paths import read_text
 from ..share import named_file
 from ..stream import ImuBlock, Units
 from ..units import counted
@@ -64,7 +65,7 @@ def described(imu: Named | None, raw: set[str]) -> dict[str, str]:
     if (units is Units.SI) == bool(raw):
         found = f'{raw.pop()}s' if raw else 'rates and accelerations'
         raise InputError(f'`imu` {imu}: units: found {units.value}, but the numbers are {found}.')
-    return {'imu_calib.imu': file.read_text(encoding='utf-8')}
+    return {'imu_calib.imu': read_text(file)}
 
 
 def write_imu(writer: RecordingWriter, block: ImuBlock, *, raw: bool) -> None:
