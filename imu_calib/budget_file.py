@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .budget import LEAST_FREEDOM, PROBABILITY, Budget, BudgetLine, Source
-from .config import LARGEST, Section, numbers_of
+from .config import Section, numbers_of
 from .errors import InputError
 from .model import Parameter
 from .stream import Floats
+from .units import LARGEST
 
 _ROUNDED = 1e-6
 """Ratio by which the sum of the sources may differ from a variance: seven digits in a text."""
@@ -104,8 +105,7 @@ def read_budget(section: Section, parameters: Sequence[Parameter], variances: Fl
     doubt = np.abs(budget.variances.sum(axis=0) - variances)[known]
     if not (doubt <= _ROUNDED * variances[known]).all():
         raise InputError(
-            f'{section.key("sources")}: their squares do not add up to the variances in '
-            '`covariance`.'
+            f'{section.key("sources")}: their squares do not add up to the variances in covariance.'
         )
     return budget
 

@@ -558,7 +558,7 @@ def _check_std(section: Section, expected: Mapping[str, Any]) -> None:
             found, wanted = section.array(key, np.shape(values)), np.array(values)
             if not (np.abs(found - wanted) <= _ROUNDED * wanted).all():
                 raise InputError(
-                    f'{section.key(key)}: not the square roots of the variances in `covariance`.'
+                    f'{section.key(key)}: not the square roots of the variances in covariance.'
                 )
     section.finish()
 

@@ -142,7 +142,7 @@ def read_changes(section: Section, parameters: Sequence[Parameter], covariance: 
     if not (np.abs(found - expected) <= _ROUNDED * expected).all():
         raise InputError(
             f'{section.key("coefficients")}: std: not the square roots of the variances in '
-            '`covariance`.'
+            'covariance.'
         )
     shapes = (section.number(key, float('nan')) for key in ('time_constant', 'instant'))
     read = Changes(tuple(coefficients), np.array(values), own, cross, *shapes)

@@ -18,15 +18,12 @@ from .other_formats import other_format
 from .paths import read_bytes
 from .share import named_file
 from .stream import Floats
-from .units import Dimension, parse, point_for_comma
+from .units import LARGEST, Dimension, parse, point_for_comma
 from .yaml_text import load
 
 T = TypeVar('T')
 
 _EXPONENTIAL = re.compile(r'[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+')
-
-LARGEST = 1e100
-"""Largest amount of a number in a file: none in SI units is near, and its square is finite."""
 
 _KINDS = {
     'plans': 'the file of a plan',

@@ -11,10 +11,11 @@ from math import isfinite, isnan
 from typing import Any
 
 from .channel_noise import COEFFICIENTS, CURVE
-from .config import LARGEST, Section, as_number
+from .config import Section, as_number
 from .earth import LEAST_GRAVITY, MOST_GRAVITY
 from .errors import InputError
 from .model import MOST_SKEWED, TERMS, coefficients_of, parameters_of
+from .units import LARGEST
 
 _CHANNELS = 6
 """Channels of an IMU, gx to az."""
@@ -100,7 +101,7 @@ def _numbers(
 ) -> list[float | None]:
     """Return a list of numbers, some possibly unknown."""
     values = section.raw(name)
-    found = [as_number(value) for value in values] if isinstance(values, list) else [None]
+    found = [as_number(value) for value in values] if isinstance(values, list) else []
     known = isinstance(values, list) and all(
         value is None or (number is not None and (isnan(number) or least <= number <= LARGEST))
         for value, number in zip(values, found, strict=True)
@@ -199,12 +200,10 @@ def _noise(section: Section) -> dict[str, Any]:
 def _channel(section: Section) -> dict[str, Any]:
     names = [f'{name}{end}' for name in COEFFICIENTS for end in ('', '_std', '_below')]
     section.raw('timed')
-    found = {
-        **{key: _number(section, key, 0.0) for key in names if section.has(key)},
-        **{key: _numbers(section, key, least=_LEAST if key == 'tau' else 0.0) for key in CURVE},
-        'timed': section.flag('timed', default=False),
-    }
+    found = {key: _number(section, key, 0.0) for key in names if section.has(key)}
+    curve = {key: _numbers(section, key, least=_LEAST if key == 'tau' else 0.0) for key in CURVE}
+    timed = section.flag('timed', default=False)
     section.finish()
-    if len({len(found[key]) for key in CURVE}) > 1:
+    if len({len(values) for values in curve.values()}) > 1:
         raise InputError(f'{section.where}: found {", ".join(CURVE)} of different lengths.')
-    return found
+    return {**found, **curve, 'timed': timed}

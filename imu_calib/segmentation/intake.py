@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..instants import at
 from ..stream import Floats, ImuBlock, JointBlock, Setpoint, SetpointBlock, SkewBlock, Stamps
 from ..turntable import Table
-from ..units import counted
+from ..units import LARGEST, counted
 from .buffer import RowBuffer
 from .interruptions import Interruptions
 from .order import Ordered, StampOrder
@@ -35,8 +35,8 @@ class _Losses:
             self._found[what] = (count + len(lost), first)
 
     def without_nan(self, what: str, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
-        """Return the rows without NaN or infinity; count the others."""
-        finite = np.isfinite(values)
+        """Return the rows of numbers, as 1e300 is none; count the others."""
+        finite = np.abs(values) <= LARGEST
         if finite.all():
             return stamp, values
         mask: NDArray[np.bool_] = np.asarray(finite.all(axis=1))
