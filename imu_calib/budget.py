@@ -19,7 +19,7 @@ from .stream import Floats
 PROBABILITY = 0.95
 """Level of confidence of the expanded uncertainties."""
 
-_LEAST_FREEDOM = 1.0
+LEAST_FREEDOM = 1.0
 """Fewest degrees of freedom for a coverage factor: Student's t is not tabulated for fewer, and
 factors beyond 12.7 are of no use."""
 
@@ -237,7 +237,7 @@ class Budget:
         """Factors (n,) from standard to expanded uncertainties: Student's t, GUM G.3.2."""
         from scipy.special import stdtrit
 
-        freedom = np.maximum(self.freedom, _LEAST_FREEDOM)
+        freedom = np.maximum(self.freedom, LEAST_FREEDOM)
         return np.asarray(stdtrit(freedom, (1 + PROBABILITY) / 2))
 
     @property

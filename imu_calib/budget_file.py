@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .budget import PROBABILITY, Budget, BudgetLine, Source
+from .budget import LEAST_FREEDOM, PROBABILITY, Budget, BudgetLine, Source
 from .config import Section, numbers_of
 from .errors import InputError
 from .model import Parameter
 from .stream import Floats
+from .units import LARGEST
 
+_ROUNDED = 1e-6
+"""Ratio by which the sum of the sources may differ from a variance: seven digits in a text."""
 _FOLLOWS = (
     'units',
     'standard_uncertainty',
@@ -61,19 +64,19 @@ def budget_document(
     }
 
 
-def read_budget(
-    section: Section, parameters: Sequence[Parameter], known: NDArray[np.bool_]
-) -> Budget:
+def read_budget(section: Section, parameters: Sequence[Parameter], variances: Floats) -> Budget:
     """Read a budget from its mapping; quantities that follow from the sources are recomputed.
 
     Args:
         section: The mapping.
         parameters: Those of the calibration, n.
-        known: (n,) mask of the estimated ones.
+        variances: (n,) theirs, NaN for those that were not estimated.
 
     Raises:
-        InputError: Other parameters, an unknown source, or no standard deviations.
+        InputError: Other parameters, an unknown source, no standard deviations, or sources that do
+            not add up to the variances.
     """
+    known = np.isfinite(variances)
     names = [p.name for p, k in zip(parameters, known, strict=True) if k]
     if section.items('parameters') != names:
         raise InputError(
@@ -83,17 +86,28 @@ def read_budget(
     lines = []
     for entry in section.sections('sources'):
         source = entry.choice('source', {s.value: s for s in Source})
-        rows = [_row(entry, key, known) for key in ('standard_uncertainty', 'degrees_of_freedom')]
-        if not np.isfinite(rows[0][known]).all():
+        std = _row(entry, 'standard_uncertainty', known)
+        freedom = _row(entry, 'degrees_of_freedom', known)
+        if not (std[known] <= LARGEST).all():
             raise InputError(f'{entry.key("standard_uncertainty")}: expected finite numbers.')
+        if not (freedom[known] >= LEAST_FREEDOM).all():
+            raise InputError(
+                f'{entry.key("degrees_of_freedom")}: expected {LEAST_FREEDOM:g} or more each.'
+            )
         for key in ('evaluation', 'description'):
             entry.text(key, '')
         entry.finish()
-        lines.append(BudgetLine(source, rows[0], rows[1]))
+        lines.append(BudgetLine(source, std, freedom))
     for key in _FOLLOWS:
         section.has(key)
     section.finish()
-    return Budget(tuple(lines))
+    budget = Budget(tuple(lines))
+    doubt = np.abs(budget.variances.sum(axis=0) - variances)[known]
+    if not (doubt <= _ROUNDED * variances[known]).all():
+        raise InputError(
+            f'{section.key("sources")}: their squares do not add up to the variances in covariance.'
+        )
+    return budget
 
 
 def _row(entry: Section, key: str, known: NDArray[np.bool_]) -> Floats:

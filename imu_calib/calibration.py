@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -55,6 +56,9 @@ _FORMAT = 1
 BY_ACCELEROMETERS = 'accelerometers'
 """Value of `frame` in the provenance: the axes of a session in the hand."""
 
+_ROUNDED = 1e-6
+"""Ratio by which a stated standard deviation may differ from that of the covariance: seven digits
+in a text, single precision in other software."""
 _EXPECTED = 'a calibration file, which imu-calib calibrate makes of a recording'
 _RECORDINGS = {'.mcap', '.db3'}
 
@@ -139,11 +143,7 @@ class Calibration:
 
     @property
     def noise(self) -> dict[str, ChannelNoise]:
-        """The noise of the session, by channel ('gx'); empty if unknown.
-
-        Raises:
-            InputError: The file's entry is invalid.
-        """
+        """The noise of the session, by channel ('gx'); empty if unknown."""
         return read_noise(self.provenance.get('noise') or {})
 
     @property
@@ -202,7 +202,6 @@ class Calibration:
         Raises:
             InputError: An estimated parameter is not a finite number.
         """
-        std = SensorModel.from_vector(self.std[indices_of(PARAMETERS, self.parameters)])
         known = np.isfinite(self.std)
         # Of the accelerometers all are estimated, or none.
         of_accels = np.array([p.triad == 'a' for p in self.parameters])
@@ -218,9 +217,9 @@ class Calibration:
             'imu': self.imu.id,
             'serial_number': self.serial_number,
             'units': self.imu.units.value,
-            'gyro': self._triad_document('g', self.imu.gyro, self.model.gyro, std.gyro),
+            'gyro': self._triad_document('g', self.imu.gyro, self.model.gyro),
             'accelerometer': (
-                self._triad_document('a', self.imu.accel, self.model.accel, std.accel)
+                self._triad_document('a', self.imu.accel, self.model.accel)
                 if self.has_accelerometers
                 else _spec_document(self.imu.accel)
             ),
@@ -273,41 +272,63 @@ class Calibration:
             further += '# The accelerometers were not calibrated.\n'
         return further
 
-    def _triad_document(
-        self, letter: str, spec: TriadSpec, triad: Triad, std: Triad
-    ) -> dict[str, Any]:
+    def _triad_document(self, letter: str, spec: TriadSpec, triad: Triad) -> dict[str, Any]:
         """Return a triad's section: the linear part, and its terms."""
-        terms = [term for term in terms_of(self.parameters) if term.triad == letter]
         return {
             **_spec_document(spec),
             'error_matrix': _nested_lists(triad.error_matrix),
             'bias': _row(triad.bias),
-            **{term.name: _shaped(self.model.values(term.parameters)) for term in terms},
-            'std': {
-                'error_matrix': _nested_lists(std.error_matrix),
-                'bias': _row(std.bias),
-                **{
-                    term.name: _shaped(self.std[indices_of(term.parameters, self.parameters)])
-                    for term in terms
-                },
-            },
+            **self._term_documents(letter, self.values),
+            'std': self._std_document(letter),
+        }
+
+    def _term_documents(self, letter: str, values: Floats) -> dict[str, Any]:
+        """Return values of the parameters that belong to the terms of a triad."""
+        return {
+            term.name: _shaped(values[indices_of(term.parameters, self.parameters)])
+            for term in terms_of(self.parameters)
+            if term.triad == letter
+        }
+
+    def _std_document(self, letter: str) -> dict[str, Any]:
+        """Return the standard deviations in the section of a triad."""
+        std = SensorModel.from_vector(self.std[indices_of(PARAMETERS, self.parameters)])
+        triad = std.gyro if letter == 'g' else std.accel
+        return {
+            'error_matrix': _nested_lists(triad.error_matrix),
+            'bias': _row(triad.bias),
+            **self._term_documents(letter, self.std),
         }
 
     def _skewed_document(self) -> dict[str, Any]:
         skewed = self.model.skewed
         if skewed is None:
             return {}
-        spec = self.imu.skewed or self.imu.gyro
-        mine = skewed_parameters(len(skewed.bias))
-        std = self.std[indices_of(mine, self.parameters)].reshape(-1, 4)
         return {
             'skewed_gyro': {
-                **_spec_document(spec),
+                **_spec_document(self.imu.skewed or self.imu.gyro),
                 'response': _nested_lists(skewed.response),
                 'bias': _row(skewed.bias),
-                'std': {'response': _nested_lists(std[:, :3]), 'bias': _row(std[:, 3])},
+                'std': self._skewed_std_document(len(skewed.bias)),
             }
         }
+
+    def _skewed_std_document(self, channels: int) -> dict[str, Any]:
+        """Return the standard deviations in the section of the skewed gyros."""
+        mine = indices_of(skewed_parameters(channels), self.parameters)
+        std = self.std[mine].reshape(-1, 4)
+        return {'response': _nested_lists(std[:, :3]), 'bias': _row(std[:, 3])}
+
+    def _check_stated_std(self, section: Section) -> None:
+        """Refuse standard deviations in a file that are not those of its covariance."""
+        expected = {'gyro': self._std_document('g')}
+        if self.has_accelerometers:
+            expected['accelerometer'] = self._std_document('a')
+        if self.model.skewed is not None:
+            expected['skewed_gyro'] = self._skewed_std_document(len(self.model.skewed.bias))
+        for key, std in expected.items():
+            if section.section(key).has('std'):
+                _check_std(section.section(key).section('std'), std)
 
     @classmethod
     @checked
@@ -420,8 +441,8 @@ class Calibration:
         serial_number = section.text('serial_number', '')
         budget = None
         if section.has('uncertainty_budget'):
-            known = np.isfinite(np.diag(covariance))
-            budget = read_budget(section.section('uncertainty_budget'), parameters, known)
+            variances = np.diag(covariance)
+            budget = read_budget(section.section('uncertainty_budget'), parameters, variances)
         calibration = cls(
             spec,
             model,
@@ -432,11 +453,14 @@ class Calibration:
             serial_number,
             parameters,
             budget,
-            read_changes(section.section(CHANGES), parameters) if section.has(CHANGES) else None,
+            read_changes(section.section(CHANGES), parameters, covariance)
+            if section.has(CHANGES)
+            else None,
             read_clock(section.section(CLOCK)) if section.has(CLOCK) else None,
         )
         section.finish()
         check_plausible(calibration, section.where)
+        calibration._check_stated_std(section)
         return calibration
 
 
@@ -543,7 +567,7 @@ def _read_triad(section: Section) -> tuple[TriadSpec, Triad | None]:
     triad = None
     if section.has('error_matrix') or section.has('bias'):
         triad = Triad(section.array('error_matrix', (3, 3)), section.array('bias', (3,)))
-    section.skip('std')
+        section.skip('std')
     return _finish_spec(section, scale), triad
 
 
@@ -566,6 +590,18 @@ def _read_skewed(section: Section) -> tuple[TriadSpec | None, Skewed | None]:
     skewed = Skewed(block.array('response', (channels, 3)), block.array('bias', (channels,)))
     block.skip('std')
     return _finish_spec(block, scale), skewed
+
+
+def _check_std(section: Section, expected: Mapping[str, Any]) -> None:
+    """Refuse standard deviations that contradict expected ones, each by its key."""
+    for key, values in expected.items():
+        if section.has(key):
+            found, wanted = section.array(key, np.shape(values)), np.array(values)
+            if not (np.abs(found - wanted) <= _ROUNDED * wanted).all():
+                raise InputError(
+                    f'{section.key(key)}: not the square roots of the variances in covariance.'
+                )
+    section.finish()
 
 
 def _read_residuals(section: Section) -> tuple[ResidualRow, ...]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from .config import Section
 from .errors import InputError
+from .gaussian import is_covariance
 from .model import Parameter
 from .model.session_terms import Change, Course, change, names_of
 from .stream import Floats
@@ -20,6 +21,8 @@ from .units import significant
 
 KEY = 'session_terms'
 """Section in calibration.yaml."""
+_ROUNDED = 1e-6
+"""Ratio by which a stated standard deviation may differ from that of the covariance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,13 +103,18 @@ class Changes:
         return found
 
 
-def read_changes(section: Section, parameters: Sequence[Parameter]) -> Changes:
+def read_changes(section: Section, parameters: Sequence[Parameter], covariance: Floats) -> Changes:
     """Read a file's section.
+
+    Args:
+        section: The mapping.
+        parameters: Those of the calibration, n.
+        covariance: (n, n) theirs, NaN for those that were not estimated.
 
     Raises:
         InputError: A wrong name or number; names the key.
     """
-    coefficients, values = [], []
+    coefficients, values, deviations = [], [], []
     for row in section.sections('coefficients'):
         course = row.choice('term', {course.value: course for course in Course})
         try:
@@ -114,17 +122,30 @@ def read_changes(section: Section, parameters: Sequence[Parameter]) -> Changes:
         except InputError as error:
             raise InputError(f'{row.key("of")}: {error}') from None
         values.append(row.number('value'))
-        row.number('std')
+        deviations.append(row.number('std'))
         if (unit := row.text('unit')) != coefficients[-1].si:
             raise InputError(
                 f'{row.key("unit")}: found {unit!r}, expected {coefficients[-1].si!r}.'
             )
         row.finish()
     k = len(coefficients)
-    covariance = section.array('covariance', (k, k))
+    own = section.array('covariance', (k, k))
     cross = section.array('cross_covariance', (len(parameters), k))
+    known = np.isfinite(np.diag(covariance))
+    square = covariance[np.ix_(known, known)]
+    if not is_covariance(np.block([[square, cross[known]], [cross[known].T, own]])):
+        raise InputError(
+            f'{section.where}: covariance and cross_covariance: not those of any errors (with that '
+            'of the parameters they must be symmetric and positive semidefinite).'
+        )
+    found, expected = np.array(deviations), np.sqrt(np.diag(own))
+    if not (np.abs(found - expected) <= _ROUNDED * expected).all():
+        raise InputError(
+            f'{section.key("coefficients")}: std: not the square roots of the variances in '
+            'covariance.'
+        )
     shapes = (section.number(key, float('nan')) for key in ('time_constant', 'instant'))
-    read = Changes(tuple(coefficients), np.array(values), covariance, cross, *shapes)
+    read = Changes(tuple(coefficients), np.array(values), own, cross, *shapes)
     section.finish()
     return read
 

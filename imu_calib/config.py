@@ -15,15 +15,15 @@ from yaml.reader import ReaderError
 
 from .errors import InputError
 from .other_formats import other_format
+from .paths import read_bytes
 from .share import named_file
 from .stream import Floats
-from .units import Dimension, parse, point_for_comma
+from .units import LARGEST, Dimension, parse, point_for_comma
 from .yaml_text import load
 
 T = TypeVar('T')
 
 _EXPONENTIAL = re.compile(r'[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+')
-
 
 _KINDS = {
     'plans': 'the file of a plan',
@@ -61,9 +61,7 @@ class Section:
             InputError: Unreadable, not YAML, or not a mapping.
         """
         try:
-            text = path.read_text(encoding='utf-8')
-        except OSError as error:
-            raise InputError(f'{path}: cannot be read ({error.strerror}).') from None
+            text = read_bytes(path).decode('utf-8')
         except UnicodeDecodeError:
             sentence = f'{path}: found binary data, expected YAML text.'
             raise InputError(other_format(path, expected) or sentence) from None
@@ -151,7 +149,14 @@ class Section:
             raise InputError(
                 f'{self.key(name)}: found {self.raw(name)!r}, expected a number.{point}'
             )
+        self._check_size(name, abs(value))
         return value
+
+    def _check_size(self, name: str, amount: float) -> None:
+        if amount > LARGEST:
+            raise InputError(
+                f'{self.key(name)}: found {amount:g}, expected amounts up to {LARGEST:g}.'
+            )
 
     def whole(
         self, name: str, least: int, most: int | None = None, default: int | None = None
@@ -177,6 +182,7 @@ class Section:
             raise InputError(f'{self.key(name)}: found {found} numbers, expected {expected}.')
         if not np.isfinite(values).all():
             raise InputError(f'{self.key(name)}: found {found} numbers that are not all finite.')
+        self._check_size(name, np.abs(values).max(initial=0.0))
         return values
 
     def texts(self, name: str) -> tuple[str, ...]:
@@ -208,6 +214,7 @@ class Section:
         if default is not None and not self.has(name):
             return default
         value = parse(self.raw(name), dimension, self.key(name))
+        self._check_size(name, abs(value))
         if value < least or not value > above:
             bound = f'{least:g} or more' if value < least else f'above {above:g}'
             raise InputError(f'{self.key(name)}: found {self.raw(name)}, expected {bound}.')

@@ -13,6 +13,7 @@ import numpy as np
 from .earth import MEASURED, NORMAL_GRAVITY, Site
 from .errors import InputError, NotStated
 from .imu import ImuSpec, imu_text
+from .paths import read_text
 from .share import named_file
 from .stream import Floats
 from .turntable import Table
@@ -60,7 +61,7 @@ def describe(
         InputError: One of the files does not exist.
     """
     texts = {
-        f'imu_calib.{kind}': named_file(f'{kind}s', name).read_text(encoding='utf-8')
+        f'imu_calib.{kind}': read_text(named_file(f'{kind}s', name))
         for kind, name in (('plan', plan), ('imu', imu), ('table', table))
         if isinstance(name, str | Path)
     }
@@ -93,7 +94,7 @@ def unit_description(topic: str, imu: str, serial_number: str) -> dict[str, str]
     Raises:
         InputError: There is no such file.
     """
-    text = named_file('imus', imu).read_text(encoding='utf-8')
+    text = read_text(named_file('imus', imu))
     return {imu_key(topic): text, serial_key(topic): serial_number}
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .errors import InputError
+from .gaussian import is_covariance
 from .model import TRIADS, ParameterKind
 from .stream import Floats, Units
 from .units import DEG
@@ -22,10 +23,6 @@ Cao 2022's Table 1 read literally, is off by 25 %."""
 _TILT = 30 * DEG
 """Largest angle between an input axis and its body axis. Beyond it a channel belongs to another
 axis; data sheets of MEMS units state up to 2 deg of misalignment."""
-
-_ROUNDING = 1e-9
-"""Largest negative eigenvalue of a correlation matrix due to rounding; double precision gives some
-1e-14 for 40 parameters, a file with nine digits 1e-9."""
 
 
 def is_of_strapdown(response: Floats) -> bool:
@@ -118,12 +115,7 @@ def _check_covariance(calibration: Calibration, name: str) -> None:
     covariance = calibration.covariance[np.ix_(estimated, estimated)]
     if not np.isfinite(covariance).all():
         raise InputError(f'{name}: covariance: found values that are not numbers.')
-    std = np.sqrt(np.diag(covariance))
-    scale = np.where(std > 0, std, 1.0)
-    correlation = covariance / np.outer(scale, scale)
-    lopsided = np.abs(correlation - correlation.T).max(initial=0.0)
-    lowest = np.linalg.eigvalsh((correlation + correlation.T) / 2).min(initial=0.0)
-    if lopsided > _ROUNDING or lowest < -_ROUNDING:
+    if not is_covariance(covariance):
         raise InputError(
             f'{name}: covariance: not that of any errors (it must be symmetric and positive '
             'semidefinite).'

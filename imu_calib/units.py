@@ -9,6 +9,8 @@ from enum import Enum
 
 from .errors import InputError
 
+LARGEST = 1e100
+"""Largest amount of a value: none in SI units, counts or pulses is near; its square is finite."""
 DEG = math.pi / 180
 """rad."""
 ARCMIN = DEG / 60

@@ -75,6 +75,16 @@ def test_a_turn_has_one_turn_more_to_start_and_stop_in(follower):
     assert orders[0].angle == 0
 
 
+@pytest.mark.parametrize(
+    ('off', 'starts'), [(0.4, True), (-0.4, True), (0.6, False), (-0.6, False)]
+)
+def test_a_turn_starts_within_half_a_degree_of_its_angles(follower, off, starts):
+    for axis in range(3):
+        beside = Reading(off * DEG * np.eye(3)[axis], np.zeros(3))
+        assert bool(follower.command(turn(step=axis), 0, 0.0, beside)) is starts
+        assert ('from rest at its angles' in follower.refusal) is not starts
+
+
 def test_a_stale_setpoint_moves_nothing_and_keeps_nothing_moving(follower):
     assert follower.command(setpoint(), 2 * NS, 0.0, REST) == ()
     assert follower.refusal == 'A setpoint is 2 s old, accepted is up to 0.5 s.'

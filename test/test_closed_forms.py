@@ -51,6 +51,16 @@ def test_twelve_positions_that_lean_are_put_upright() -> None:
     assert np.abs(off[21:24]).max() < 5e-5
 
 
+@pytest.mark.parametrize('again', [(0,), (0, 0), (1, 6, 11)])
+def test_a_position_that_is_measured_again_counts_once_in_the_mean(again: tuple[int, ...]) -> None:
+    once = evidence_of(model=TRUE)
+    repeated = tuple(once.segments[k] for k in again)
+    solution = twelve_position.solve(replace(once, segments=(*once.segments, *repeated)))
+    off = solution.model.gyro.bias - TRUE.gyro.bias
+    # The bias of a group whose shares did not add up to one would be off by a fifth of it.
+    assert np.abs(off).max() < 1e-4 * DEG_H
+
+
 @pytest.mark.parametrize('azimuth', [0.0, 0.4])
 def test_six_positions_take_the_earth_rate_at_their_azimuth(azimuth: float) -> None:
     evidence = evidence_of('six_position', TRUE, azimuth=azimuth, known=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
@@ -163,6 +164,55 @@ def test_a_foreign_sqlite_file_is_described(tmp_path):
     )
     with pytest.raises(InputError, match=expected):
         open_recording(tmp_path / 'f.db3')
+
+
+ENDLESS = (
+    'WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) '
+    'SELECT i AS id, 1 AS topic_id, i AS timestamp, zeroblob(100000) AS data, i AS metadata FROM n'
+)
+
+
+def crafted(path, *statements):
+    """Write an empty recording of sqlite3 by further statements."""
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        database.execute(
+            'CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, '
+            'serialization_format TEXT)'
+        )
+        for statement in statements:
+            database.execute(statement)
+        database.commit()
+    return path
+
+
+@pytest.mark.timeout(60)
+def test_views_of_a_sqlite_file_are_not_executed(tmp_path):
+    whole = 'CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INT, timestamp INT, data BLOB)'
+    beside = [
+        f'CREATE VIEW metadata AS {ENDLESS}',
+        'CREATE VIEW message_definitions AS SELECT id AS topic_type, id AS encoding, '
+        f'data AS encoded_message_definition FROM ({ENDLESS})',
+    ]
+    topic = "INSERT INTO topics VALUES (1, '/imu', 'sensor_msgs/msg/Imu', 'cdr')"
+    with open_recording(crafted(tmp_path / 'a.db3', whole, topic, *beside)) as recording:
+        assert [one.name for one in recording.topics] == ['/imu']
+    with pytest.raises(InputError, match=r'expected table messages .* found no such table'):
+        open_recording(crafted(tmp_path / 'b.db3', f'CREATE VIEW messages AS {ENDLESS}'))
+
+
+@pytest.mark.timeout(60)
+def test_work_beyond_the_size_of_a_sqlite_file_is_broken_off(tmp_path):
+    # Far apart and without an index: each of the rows is looked for among all.
+    messages = 'CREATE TABLE messages(id INT, topic_id INT, timestamp INT, data BLOB)'
+    many = (
+        'WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n LIMIT 20000) '
+        "INSERT INTO messages SELECT i * 1000000, 1, i, x'00010000' FROM n"
+    )
+    topic = "INSERT INTO topics VALUES (1, '/imu', 'std_msgs/msg/Empty', 'cdr')"
+    with open_recording(crafted(tmp_path / 'a.db3', messages, topic, many)) as recording:
+        read = sum(1 for _ in recording.messages())
+        assert 0 < read < 20000
+        assert 'far more work than a recording of its size' in ' '.join(recording.losses)
 
 
 @pytest.mark.parametrize(

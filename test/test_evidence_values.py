@@ -469,6 +469,21 @@ def test_it_is_told_from_half_a_deviation_on(times: float, told: bool) -> None:
     assert widened_for_tilt(CLEAN, ACCEL, known_exactly, halving, sure) == (known_exactly, [])
 
 
+def test_biases_by_one_tilt_are_widened_together() -> None:
+    def both(session: Evidence) -> Triad:
+        """A closed form whose biases of x and y follow the same output, the other way round."""
+        output = session.outputs()[0, 3]
+        return Triad(bias=np.array([output / 2, -output / 4, 0.0]))
+
+    sure = replace(TILT, std=1e-6)
+    bias = tilt_bias(CLEAN, ACCEL, both, sure)[9]
+    covariance = np.eye(24) * bias**2
+    widened, _ = widened_for_tilt(CLEAN, ACCEL, covariance, both, sure)
+    own = np.zeros((24, 24))
+    own[21:23, 21:23] = bias**2 * np.array([[1.0, -0.5], [-0.5, 0.25]])
+    np.testing.assert_allclose(widened - covariance, own, atol=1e-9 * bias**2)
+
+
 # Attitudes that are sought
 
 

@@ -155,11 +155,23 @@ ORIGIN = {
     'temperature': {'mean': 25.0, 'lowest': 24.0, 'highest': 26.0},
     'missing_positions': ['7'],
     'shared_with': ['A1002'],
-    'closed_form': {'method': 'twelve_position'},
+    'closed_form': {
+        'method': 'twelve_position',
+        'joint_std_over_closed_form': 0.9,
+        'difference_in_std': {'K_gx': -0.5},
+    },
     'clock': {'offset_s': 0.001, 'rate_ppm': 3.0, 'rate_std_ppm': 0.1, 'motions': 20},
     'versions': {'numpy': '2'},
     'frame': 'accelerometers',
-    'tests_of_terms': {'g_sensitivity': {'state': 'off', 'log10_p': -0.5}},
+    'tests_of_terms': {
+        'gyro_cubic': {
+            'state': 'off',
+            'log10_p': -0.5,
+            'found_from': [1e-5, None, 2e-5],
+            'would_move': {'C_gx': {'parameter': 'K_gx', 'by': 2.8}},
+        },
+        'trend': {'state': 'off', 'probability': 0.2},
+    },
     'noise': {'gx': {**CURVE, 'random_walk': 1e-6, 'random_walk_std': 1e-7, 'timed': True}},
 }
 """Every key that is checked; laboratories may add theirs."""
@@ -170,7 +182,9 @@ def calibrations():
     gyros = example('calibration')
     names = gyros['covariance']['parameters']
     line = {'source': 'sensor_noise', 'evaluation': 'A', 'description': 'noise'}
-    line |= {'standard_uncertainty': [3e-6] * 12, 'degrees_of_freedom': [float('inf')] * 12}
+    std = np.sqrt(np.diag(gyros['covariance']['matrix'])).tolist()
+    line |= {'standard_uncertainty': std, 'degrees_of_freedom': [float('inf')] * 12}
+    gyros['gyro']['std'] = {'bias': std[9:]}
     gyros['uncertainty_budget'] = {'parameters': names, 'coverage_factor': [2.0], 'sources': [line]}
     coefficient = {'term': 'thermal', 'of': 'D_gx', 'value': 1e-8, 'std': 1e-9, 'unit': 'rad/s/K'}
     gyros['session_terms'] = {
@@ -182,7 +196,7 @@ def calibrations():
         'instant': 1.7e9,
     }
     gyros['provenance'] |= ORIGIN
-    yield gyros, [('uncertainty_budget',), ('session_terms',), ('provenance',)]
+    yield gyros, [('uncertainty_budget',), ('session_terms',), ('provenance',), ('gyro', 'std')]
     whole = example('calibration', 1)
     whole['skewed_gyro'] = {'scale_factor': 1, 'response': [[0.58, 0.58, 0.58]], 'bias': [0.0]}
     whole['gyro'] |= {'g_sensitivity': [[0.0] * 3] * 3, 'std': {'bias': [0, 0, 0]}}
@@ -420,6 +434,7 @@ BEYOND_A_SCHEMA = {
         ({'gyro__error_matrix__0__1': 1.0}, 'lies .* off its body axis'),
         ({'gyro__bias__0': 2.0}, 'found .* expected at most'),
         ({'gyro__bias__0': float('nan')}, 'bias: found 3 numbers that are not all finite'),
+        ({'gyro__bias__0': 1e300}, r'bias: found 1e\+300, expected amounts up to'),
         ({'gyro__bias__0': 10**400}, 'bias: found 3 numbers that are not all finite'),
     ],
     'certificate': [
@@ -452,13 +467,54 @@ OF_CALIBRATIONS = [
         {'uncertainty_budget__sources__0__degrees_of_freedom': [1]},
         'expected 12 numbers, none of them negative',
     ),
+    (
+        0,
+        {'uncertainty_budget__sources__0__standard_uncertainty__0': 1.0},
+        'sources: their squares do not add up',
+    ),
+    (0, {'gyro__std__bias__0': -1e-9}, 'gyro: std: bias: not the square roots'),
+    (0, {'gyro__std__bias__0': float('nan')}, 'std: bias: found 3 numbers that are not all finite'),
+    (0, {'session_terms__coefficients__0__std': 2e-9}, 'coefficients: std: not the square roots'),
+    (
+        0,
+        {'session_terms__cross_covariance__0__0': 1.0},
+        'cross_covariance: not those of any errors',
+    ),
+    (
+        0,
+        {'provenance__tests_of_terms__gyro_cubic__found_from': [1e-5]},
+        'found_from: found .* expected a list of 3 numbers',
+    ),
+    (
+        0,
+        {'provenance__tests_of_terms__gyro_cubic__would_move__C_gx__parameter': 'K_gw'},
+        'parameter: found .* expected the name of a parameter',
+    ),
+    (
+        0,
+        {
+            'provenance__tests_of_terms__gyro_cubic__would_move': {
+                'C_gw': {'parameter': 'K_gx', 'by': 1}
+            }
+        },
+        'would_move: found .* expected C_gx, C_gy, C_gz',
+    ),
+    (0, {'provenance__tests_of_terms__trend:D_gw': {'state': 'off'}}, "trend: found 'D_gw'"),
+    (0, {'provenance__temperature__lowest': 25.5}, 'temperature: found mean 25, expected one from'),
+    (0, {'provenance__height': 1e300}, 'height: found 1e.300, expected amounts up to'),
     (0, {'provenance': {}}, 'provenance: temperature: found'),
     (0, {'provenance__noise__gx__tau': [1.0]}, 'noise: gx: found .* of different lengths'),
     (2, {'calibrations__0__imu': 'another'}, 'found .* expected .* as in'),
     (2, {'calibrations__0__gyro__gyro_asymmetry': None}, 'parameters: found .* as in'),
     (
         2,
-        {'calibrations__0__provenance__temperature__mean': 40.2},
+        {
+            'calibrations__0__provenance__temperature': {
+                'mean': 40.2,
+                'lowest': 40.0,
+                'highest': 41.0,
+            }
+        },
         'Two calibrations at .* between them',
     ),
     (2, {'order': 4}, 'expected an order from 1 to 1'),

@@ -387,6 +387,10 @@ def test_older_columns_are_filled_in_and_newer_refused(tmp_path: Path) -> None:
     assert kept.add([a_row(2, operator='me')]) == 1
     assert [row['operator'] for row in rows(tmp_path / 'c')] == [None, 'me']
     assert Catalogue(tmp_path / 'c').table().schema == schema()
+    text = table.set_column(table.column_names.index('seconds'), 'seconds', [['soon']])
+    pq.write_table(text, part)
+    with pytest.raises(InputError, match='its columns are not those of a catalogue'):
+        Catalogue(tmp_path / 'c').table()
     newer = table.replace_schema_metadata({b'imu_calib.catalogue': b'4'})
     pq.write_table(newer, part)
     with pytest.raises(InputError, match=r'found version 4 .* expected 3 or older'):
@@ -584,7 +588,7 @@ def test_no_scheduler_gets_a_sentence(
     assert 'no Dask scheduler answers there' in capsys.readouterr().err
     assert main([*command, '--workers', '0']) == 2
     assert main([*command, '--memory', 'much']) == 2
-    assert '--memory much' in capsys.readouterr().err
+    assert "--memory: found 'much'" in capsys.readouterr().err
 
 
 def test_where_no_catalogue_can_be_nothing_is_begun(

@@ -79,3 +79,31 @@ def test_what_forbids_stops_once_and_nothing_goes_on_by_itself(gate):
     assert gate.forbid('No heartbeat.') is None
     assert gate.checked(HOLD, A, 0.8) == HOLD
     assert gate.reason == 'No heartbeat.'
+
+
+# The whole timeout counts, and no more: seconds after the last word of the cause.
+WAITS = [(0.75 * TIMEOUT, Mode.HOLD), (0.99 * TIMEOUT, Mode.HOLD), (1.01 * TIMEOUT, GO.mode)]
+
+
+@pytest.mark.parametrize(('wait', 'mode'), WAITS)
+def test_another_leads_after_the_whole_timeout(gate, wait, mode):
+    gate.checked(GO, A, 0.0)
+    assert gate.checked(GO, B, wait).mode is mode
+
+
+@pytest.mark.parametrize(('wait', 'mode'), WAITS)
+def test_of_two_one_is_followed_after_the_whole_timeout_without_the_other(gate, wait, mode):
+    gate.checked(HOLD, A, 0.0)
+    gate.checked(HOLD, B, 0.1)
+    # The first holds meanwhile: it is silent for less than the timeout.
+    gate.checked(HOLD, A, 0.1 + wait / 2)
+    assert gate.checked(GO, A, 0.1 + wait).mode is mode
+
+
+@pytest.mark.parametrize(('wait', 'mode'), WAITS)
+def test_what_was_refused_is_followed_after_the_whole_timeout_of_holding(gate, wait, mode):
+    gate.forbid('No heartbeat.')
+    gate.checked(GO, A, 0.0)
+    gate.forbid('')
+    gate.checked(HOLD, A, wait / 2)
+    assert gate.checked(GO, A, wait).mode is mode

@@ -290,14 +290,15 @@ COUNTERS = Sensor.of(
 )
 
 
-def whole_way(seed: int, walk: float, bias: float) -> Turn:
+def whole_way(seed: int, walk: float, bias: float, sense: float = 1.0, outer: float = 0.0) -> Turn:
     """Whole turns at 20 deg/s between ramps of 9 s, two from rest to rest, by steps of 0.05 deg.
 
-    The gyro about up is scaled by 1.001, has a bias, and a random walk in rad/s^0.5.
+    The gyro about Z is scaled by 1.001, has a bias, and a random walk in rad/s^0.5. The inner
+    joint turns in a sense, 1 or -1; the outer one stands at an angle in degrees.
     """
     rng = np.random.default_rng(seed)
     edges = np.arange(0.0, 64.0, PERIOD)
-    rate = 20 * DEG * np.interp(edges, [5.0, 14.0, 41.0, 50.0], [0, 1, 1, 0])
+    rate = sense * 20 * DEG * np.interp(edges, [5.0, 14.0, 41.0, 50.0], [0, 1, 1, 0])
     angle = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2) * PERIOD])
     steps = np.rint((angle + rng.uniform() * DEG) / (0.05 * DEG)) * 0.05 * DEG
     moving = slice(490, 5010)
@@ -306,7 +307,7 @@ def whole_way(seed: int, walk: float, bias: float) -> Turn:
         int(stamp[490]),
         int(stamp[5009]),
         stamp[moving],
-        np.column_stack([np.zeros(len(edges)), steps])[moving],
+        np.column_stack([np.full(len(edges), outer * DEG), steps])[moving],
     )
     seen = np.diff(angle) * 1.001 + bias * PERIOD
     seen += walk * sqrt(PERIOD) * rng.standard_normal(len(seen))
@@ -320,6 +321,17 @@ def whole_way(seed: int, walk: float, bias: float) -> Turn:
     (turn,) = read_turns(around(samples, COUNTERS), motion, TABLE, 0)
     assert isinstance(turn, Turn)
     return turn
+
+
+@pytest.mark.parametrize('outer', [0.0, 180.0])
+@pytest.mark.parametrize('sense', [1.0, -1.0])
+def test_a_whole_way_has_the_sense_of_its_turn_about_up(sense: float, outer: float) -> None:
+    turn = whole_way(1, 0.0, 0.02 * DEG, sense, outer)
+    assert turn.whole_way is not None
+    # Z is up or down. Of 20 deg/s the gyro shows a thousandth more, and its bias.
+    up = 1.0 if outer == 0.0 else -1.0
+    assert turn.rate() == pytest.approx(sense * up * 20 * DEG, rel=2e-4)
+    assert turn.statistics.mean[2] - 0.02 * DEG == pytest.approx(1.001 * turn.rate() * up, rel=2e-5)
 
 
 @pytest.mark.parametrize('walk', [0.0, 3 * ARCSEC])

@@ -2,12 +2,29 @@
 
 import os
 import stat
+import subprocess
+import sys
 import threading
+from dataclasses import replace
+from functools import partial
 
+import numpy as np
 import pytest
+from loopback import CHECKOUT
+from sessions import truth
 
+import imu_calib
+from imu_calib.api.stated import Stated
+from imu_calib.bags import open_recording
+from imu_calib.budget import Budget, BudgetLine, Source
+from imu_calib.calibration import Calibration
+from imu_calib.config import Section
 from imu_calib.errors import InputError
-from imu_calib.paths import write_whole
+from imu_calib.fleet.recordings import read_manifest
+from imu_calib.mounted import load_units
+from imu_calib.paths import read_text, write_whole
+from imu_calib.turntable import load_table
+from imu_calib.web.shape import table_shape
 
 
 def names(folder):
@@ -54,3 +71,95 @@ def test_what_cannot_be_written_is_said_and_leaves_nothing(tmp_path):
     assert names(tmp_path) == ['results']
     with pytest.raises(InputError, match='No such file or directory'):
         write_whole(tmp_path / 'no' / 'result.yaml', 'new')
+
+
+FULL_DISK = """
+import resource, sys
+from pathlib import Path
+import imu_calib
+from imu_calib.cli.row_files import write_rows
+from imu_calib.errors import InputError
+from imu_calib.share import named_file
+
+folder, fields = Path(sys.argv[1]), sys.argv[2]
+calibration = imu_calib.Calibration.load(folder / 'calibration.yaml')
+rows = [{'a': 'x' * 99}] * 99
+writers = {
+    'report.html': lambda path: imu_calib.report(calibration, path),
+    'certificate.html': lambda path: imu_calib.certificate(calibration, fields, path, draft=True),
+    'calibration.h': lambda path: imu_calib.export(calibration, 'c', path),
+    'rows.csv': lambda path: write_rows(path, ['a'], rows, rows),
+    'rows.json': lambda path: write_rows(path, ['a'], rows, rows),
+    'calibration.yaml': calibration.save,
+}
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+for name, write in writers.items():
+    try:
+        write(folder / name)
+    except InputError as error:
+        print(error)
+"""
+
+
+def test_a_full_disk_leaves_every_file_as_it_was(tmp_path):
+    noise = BudgetLine(Source.NOISE, np.full(24, 1e-6), np.full(24, np.inf))
+    calibration = replace(truth(), covariance=1e-12 * np.eye(24), budget=Budget((noise,)))
+    calibration.save(tmp_path / 'calibration.yaml')
+    before = {'calibration.yaml': (tmp_path / 'calibration.yaml').read_text()}
+    for name in ('report.html', 'certificate.html', 'calibration.h', 'rows.csv', 'rows.json'):
+        before[name] = 'of yesterday'
+        (tmp_path / name).write_text(before[name])
+    fields = CHECKOUT / 'config' / 'certificates' / 'example.yaml'
+    command = [sys.executable, '-c', FULL_DISK, str(tmp_path), str(fields)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.stderr == ''
+    written = [f'{tmp_path / name}: cannot be written (File too large).' for name in before]
+    assert sorted(ended.stdout.splitlines()) == sorted(written)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
+
+
+def test_a_file_keeps_its_permissions(tmp_path):
+    path = tmp_path / 'result.yaml'
+    path.write_text('old')
+    path.chmod(0o640)
+    write_whole(path, 'new')
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+READERS = [
+    Calibration.load,
+    read_text,
+    *(partial(Section.named, kind) for kind in ('plans', 'imus', 'tables', 'devices')),
+    lambda path: list(read_manifest(path, Stated())),
+    lambda path: imu_calib.convert(path, path.parent / 'bag', stamp='t:s', gyro='a,b,c:rad/s'),
+    load_units,
+    lambda path: table_shape(load_table('three_axis'), str(path)),
+]
+
+
+@pytest.mark.parametrize('read', READERS)
+@pytest.mark.timeout(20)
+def test_no_device_and_no_pipe_is_read_as_a_file(read, tmp_path):
+    pipe = tmp_path / 'file.yaml'
+    os.mkfifo(pipe)
+    endless = tmp_path / 'endless.yaml'
+    endless.symlink_to('/dev/zero')
+    for path in (pipe, endless):
+        with pytest.raises(InputError, match=r'a device or a pipe, expected a file'):
+            read(path)
+
+
+@pytest.mark.timeout(20)
+def test_a_pipe_with_the_name_of_a_recording_is_not_read(tmp_path):
+    for name in ('a.mcap', 'b.bag'):
+        os.mkfifo(tmp_path / name)
+    with pytest.raises(InputError, match=r'a\.mcap: found a device or a pipe'):
+        open_recording(tmp_path)
+    with pytest.raises(InputError, match=r'b\.bag: found a device or a pipe'):
+        imu_calib.convert(tmp_path / 'b.bag', tmp_path / 'out')
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    (tmp_path / 'a').write_bytes(b'\xff\xfe\x00')
+    with pytest.raises(InputError, match='a: found binary data, expected text in UTF-8'):
+        read_text(tmp_path / 'a')

@@ -168,6 +168,20 @@ def test_terms_of_the_session_have_units_of_their_own(result: Result) -> None:
     assert 'K_gz: 0.1 ppm for 1 ppm per h' in shown
 
 
+def test_a_trend_of_chosen_biases_is_shown_as_a_trend(result: Result) -> None:
+    # As sessions in the hand write it: 1e-8 m/s^3 would move D_ax by 2e-5 m/s^2.
+    tested = {
+        'state': 'off',
+        'found_from': [1e-8, 1e-8, 5e-9],
+        'would_move': {'D_ax': {'parameter': 'D_ax', 'by': 2000.0}},
+    }
+    provenance = {**result.calibration.provenance, 'tests_of_terms': {'trend:D_a': tested}}
+    shown = ' '.join(terms_section(replace(result.calibration, provenance=provenance)))
+    assert 'parameters that drift evenly with time' in shown
+    assert 'D_a 3.7 ug per h<' in shown
+    assert 'D_ax: 0.56 ug for 1 ug per h' in shown
+
+
 def test_what_was_not_used_is_named_with_its_reason(text: str) -> None:
     cells = [[words(c) for c in row] for row in parsed(text).iter('tr')]
     assert ['7', '22:13:21', '1.0', '2.0', 'somebody <knocked> on the table'] in cells

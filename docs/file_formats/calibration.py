@@ -58,7 +58,6 @@ _SCALE = Key(
 _RANGE = Key(
     'range', number(above=0), 'rad/s or m/s^2: beyond, a bias is refused', None, 'no limit'
 )
-_STD = Key('std', Value({'type': 'object'}, 'keys'), f'standard deviations by key; {_READERS}')
 _MATRIX = Key(
     'error_matrix',
     _matrix(3, 3),
@@ -84,16 +83,25 @@ def _terms(letter: str) -> list[Key]:
     return keys
 
 
+def _std(keys: list[Key]) -> Key:
+    """Return the key for the standard deviations of others."""
+    mine = [replace(key, default=None, otherwise='') for key in keys]
+    return Key(
+        'std',
+        mapping(mine),
+        'standard deviations by key, for people: refused if they are not those of `covariance`',
+    )
+
+
 def _triad(letter: str) -> list[Key]:
-    return [_SCALE, _RANGE, _MATRIX, _BIAS, *_terms(letter), _STD]
+    linear = [_MATRIX, _BIAS, *_terms(letter)]
+    return [_SCALE, _RANGE, *linear, _std(linear)]
 
 
 _BOTH = given('error_matrix', 'bias')
-_ESTIMATED = when({'anyOf': [given(k.name) for k in [_MATRIX, _BIAS, *_terms('a')]]}, _BOTH)
+_ESTIMATED = when({'anyOf': [given(k.name) for k in _triad('a')[2:]]}, _BOTH)
 
-_SKEWED = [
-    _SCALE,
-    _RANGE,
+_EACH_SKEWED = [
     Key(
         'response',
         array(_row(3), 1, MOST_SKEWED, 'a row of 3 numbers for each gyro'),
@@ -101,8 +109,8 @@ _SKEWED = [
         REQUIRED,
     ),
     Key('bias', array(_NUMBER, 1, MOST_SKEWED, 'a number for each gyro'), 'rad/s', REQUIRED),
-    _STD,
 ]
+_SKEWED = [_SCALE, _RANGE, *_EACH_SKEWED, _std(_EACH_SKEWED)]
 _COVARIANCE = [
     Key(
         'parameters',
@@ -125,7 +133,7 @@ _LINE = [
     ),
     Key(
         'degrees_of_freedom',
-        array(number(least=0), words='list of numbers, 0 or more, or `.inf`'),
+        array(number(least=1), words='list of numbers, 1 or more, or `.inf`'),
         'of each',
         REQUIRED,
     ),
@@ -195,13 +203,18 @@ def _noted(keys: list[Key]) -> Value:
 
 def _named(value: Value, words: str) -> Value:
     """Return a mapping of names that somebody gave to values of one kind."""
-    anything = {'anyOf': [value.schema, {'type': 'null'}]}
-    return Value({'type': 'object', 'additionalProperties': anything}, words)
+    return Value({'type': 'object', 'additionalProperties': value.schema}, words)
 
 
-_MAYBE = Value({'type': ['number', 'null']}, 'number')
-_SIX = array(_MAYBE, 6, 6, 'list of 6 numbers')
-_CURVE_OF = array(_MAYBE, 0, None, 'list of numbers')
+_MAYBE = Value({'type': ['number', 'null'], 'minimum': 0}, 'number')
+_SIX = array(_MAYBE, 6, 6, 'list of 6 numbers, 0 or more')
+_CURVE_OF = array(_MAYBE, 0, None, 'list of numbers, 0 or more')
+_TIMES = array(
+    Value({'type': ['number', 'null'], 'exclusiveMinimum': 0}, 'number'),
+    0,
+    None,
+    'list of numbers above 0',
+)
 _COUNT = whole(0)
 _TEMPERATURE = [
     Key(name, _NUMBER, f'{words}, degC', REQUIRED)
@@ -229,19 +242,51 @@ _CHANNEL = [
         )
         for end, what in (('', ''), ('_std', ': standard deviation'), ('_below', ': 95 % limit'))
     ),
-    Key('tau', _CURVE_OF, 'averaging times of the Allan deviation, s', REQUIRED),
+    Key('tau', _TIMES, 'averaging times of the Allan deviation, s', REQUIRED),
     Key('deviation', _CURVE_OF, 'Allan deviation, SI units', REQUIRED),
     Key('std', _CURVE_OF, 'its standard deviation', REQUIRED),
     Key('timed', flag(), 'whether pulses were timed', REQUIRED),
 ]
-_TEST = [Key('state', text(), 'estimated, off or requested', REQUIRED)]
+_MOVED = [
+    Key('parameter', text(), 'its name', REQUIRED),
+    Key('by', _NUMBER, 'for a coefficient of 1, SI units', REQUIRED),
+]
+_TEST = [
+    Key('state', text(), 'estimated, off or requested', REQUIRED),
+    Key(
+        'log10_p',
+        Value({'type': 'number', 'maximum': 0}, 'number, 0 or less'),
+        'decimal logarithm of the probability by chance',
+    ),
+    Key('probability', _between(0, 1), 'of a drift that was not detected'),
+    Key(
+        'found_from',
+        array(_MAYBE, 0, None, 'list of numbers, 0 or more'),
+        'coefficients that would be found nine times in ten, SI units',
+    ),
+    Key(
+        'would_move',
+        _named(mapping(_MOVED), 'by coefficient: `parameter`, `by`'),
+        'the parameter that a coefficient would move most',
+    ),
+]
+_CLOSED_FORM = [
+    Key('method', text(), 'its name'),
+    Key('refusal', text(), 'why it has no result'),
+    Key('joint_std_over_closed_form', number(least=0), 'ratio of the standard deviations'),
+    Key(
+        'difference_in_std',
+        _named(_NUMBER, 'by parameter'),
+        'closed form less joint, in standard deviations',
+    ),
+]
 _PROVENANCE = [
     Key('recording', text(), 'name of the recording'),
     Key('sha256', text(), 'of its files'),
     Key('topics', array(text(), 0, words='list of texts'), 'topics that were read'),
     Key(
         'accel_interpolated_from_hz',
-        number(least=0),
+        number(above=0),
         'rate of the accelerometers before `convert` read them at the stamps of the gyros, Hz',
     ),
     Key('recorded', text(), 'when it began, `2026-01-31T12:00:00Z`'),
@@ -259,7 +304,7 @@ _PROVENANCE = [
     Key('height', _NUMBER, 'of the site above the ellipsoid, m'),
     Key('height_assumed', flag(), 'whether it was not stated'),
     Key('azimuth_seen_deg', _NUMBER, "heading of the table's zero by the session, deg"),
-    Key('azimuth_seen_std_deg', _NUMBER, 'its standard deviation, deg'),
+    Key('azimuth_seen_std_deg', number(least=0), 'its standard deviation, deg'),
     Key('segments', _COUNT, 'static dwells'),
     Key('turns', _COUNT, 'turns'),
     Key('samples', _COUNT, 'samples used'),
@@ -278,9 +323,9 @@ _PROVENANCE = [
     Key('temperature', _noted(_TEMPERATURE), 'of the unit', None, 'not recorded'),
     Key('missing_positions', array(text(), 0, words='list of texts'), 'of the plan'),
     Key('shared_with', array(text(), 0, words='list of texts'), 'other units of its table'),
-    Key('closed_form', Value({'type': 'object'}, 'keys'), 'the closed form of the plan beside it'),
+    Key('closed_form', _noted(_CLOSED_FORM), 'the closed form of the plan beside it'),
     Key('clock', _noted(_COMPARED), 'comparison of the clocks'),
-    Key('versions', Value({'type': 'object'}, 'keys'), 'of the software'),
+    Key('versions', _named(text(), 'by name'), 'of the software'),
     Key('frame', text(), '`accelerometers`: the axes of a session in the hand'),
     Key('tests_of_terms', _named(_noted(_TEST), 'by the name of the term'), 'terms, as tested'),
     Key('noise', _named(mapping(_CHANNEL), 'by channel, `gx` to `az`'), 'noise of the session'),
@@ -376,6 +421,8 @@ TABLES: Tables = {
     'temperature': _TEMPERATURE,
     'clocks': _COMPARED,
     'tests': _TEST,
+    'moved': _MOVED,
+    'closed form': _CLOSED_FORM,
     'noise': _CHANNEL,
     'combined': COMBINED,
 }

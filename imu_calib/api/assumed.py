@@ -16,7 +16,7 @@ from ..segmentation.gravity_removed import gravity_removed, quiet_means
 from ..segmentation.halves import MESSAGES_APART, halves
 from ..share import shipped
 from ..stream import Floats, ImuBlock
-from ..units import STANDARD_GRAVITY
+from ..units import LARGEST, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     # Loads slowly; most commands do not need it.
@@ -71,8 +71,7 @@ def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
 
 def against_si(force: Floats, rate: Floats) -> str:
     """Return which of (n, 3) forces and rates are not in SI units; else empty."""
-    lengths = np.linalg.norm(force, axis=1)
-    lengths = lengths[np.isfinite(lengths)]
+    lengths = np.linalg.norm(force[(np.abs(force) <= LARGEST).all(axis=1)], axis=1)
     length = float(np.median(lengths)) if len(lengths) else float('nan')
     if not abs(length / STANDARD_GRAVITY - 1) < _NEAR_GRAVITY:
         unit = '; 1 would be g' if abs(length - 1) < _NEAR_GRAVITY else ''
@@ -81,7 +80,7 @@ def against_si(force: Floats, rate: Floats) -> str:
     fastest = float(finite.max()) if len(finite) else 0.0
     if fastest > _FASTEST:
         return (
-            f'the gyros read up to {fastest:.0f}, faster than any IMU turns in rad/s; '
+            f'the gyros read up to {fastest:.4g}, faster than any IMU turns in rad/s; '
             'deg/s is possible'
         )
     return ''

@@ -17,7 +17,7 @@ from ..compensation.thermal import AnyCalibration, ThermalCalibration, load_cali
 from ..config import Section
 from ..errors import InputError
 from ..imu import ImuSpec
-from ..paths import user_path
+from ..paths import user_path, write_whole
 from .named import Named, as_calibration, as_imu, as_list
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def certificate(
     made = certificate_of(found, fields, specification, dcc='.xml' in kinds, draft=draft)
     html = certificate_page(made)
     for target, kind in zip(targets, kinds, strict=True):
-        _write(target, _bytes(kind, html, made))
+        write_whole(target, _bytes(kind, html, made))
     return made
 
 
@@ -92,10 +92,3 @@ def _bytes(kind: str, html: str, made: Certificate) -> bytes:
     if kind == '.pdf':
         return pdf(html)
     return (html if kind == '.html' else dcc(made)).encode()
-
-
-def _write(path: Path, data: bytes) -> None:
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        raise InputError(f'{path}: cannot be written ({error.strerror}).') from None

@@ -12,6 +12,7 @@ from ..bags import RecordingWriter
 from ..cdr import Kind, Messages, encode_imu, encode_rates
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu
+from ..paths import read_text
 from ..share import named_file
 from ..stream import ImuBlock, Units
 from ..units import counted
@@ -85,7 +86,7 @@ def described(imu: Named | None, numbers: Units) -> tuple[dict[str, str], ImuSpe
             f'`imu` {imu}: units: found {spec.units.value}, but the numbers are '
             f'{_NUMBERS[numbers]}.'
         )
-    return {'imu_calib.imu': file.read_text(encoding='utf-8')}, spec
+    return {'imu_calib.imu': read_text(file)}, spec
 
 
 def write_imu(writer: RecordingWriter, block: ImuBlock, *, raw: bool) -> None:

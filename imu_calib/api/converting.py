@@ -12,7 +12,7 @@ from ..cdr import Kind
 from ..errors import InputError
 from ..extras import require
 from ..other_formats import BAG_OF_ROS_1
-from ..paths import user_path
+from ..paths import refuse_device, user_path
 from .converted import Converted
 from .from_text import from_text
 from .joining import joined
@@ -74,6 +74,7 @@ def convert(
     if target.exists():
         raise InputError(f'{target}: exists already; name a folder that does not.')
     path = located(source)
+    refuse_device(path)
     columns = {'stamp': stamp, 'gyro': gyro, 'accel': accel, 'joints': joints}
     columns |= {'temperature': temperature, 'rate': rate, 'accel_stamp': accel_stamp}
     columns |= {'accel_file': None if accel_file is None else str(accel_file)}

@@ -21,6 +21,7 @@ from ..imu import ImuSpec
 from ..methods import JOINT
 from ..model import AUTO_TERMS, NO_TERMS, terms_of
 from ..model.session_terms import SESSION_TERMS
+from ..paths import write_whole
 from ..plan import Plan, load_plan
 from ..reports.page import Contents, page
 from ..reports.thermal_page import thermal_page
@@ -83,7 +84,8 @@ def written(
     if combined is not None:
         unit = None if imu is None else as_imu(imu)
         _refuse_with_combined(calibration, bag, compare)
-        _write(path, thermal_page(combined, _name(calibration, combined.calibrations[0]), unit))
+        text = thermal_page(combined, _name(calibration, combined.calibrations[0]), unit)
+        write_whole(path, text)
         return path, unit
     assert not isinstance(calibration, ThermalCalibration)
     result = calibration if isinstance(calibration, Result) else None
@@ -98,19 +100,12 @@ def written(
     unit = None if result is None else result.calibration.imu
     if unit is None and imu is not None:
         unit = as_imu(imu)
-    _write(path, page(Contents(found, name, unit, result, others)))
+    write_whole(path, page(Contents(found, name, unit, result, others)))
     return path, unit
 
 
 def _name(calibration: Result | AnyCalibration | Named, found: Calibration) -> str:
     return Path(calibration).name if isinstance(calibration, str | Path) else found.imu.id
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding='utf-8')
-    except OSError as error:
-        raise InputError(f'{path}: cannot be written ({error.strerror}).') from None
 
 
 def _refuse_with_combined(

@@ -15,6 +15,7 @@ import numpy as np
 from ..bags import AnyPath
 from ..errors import InputError
 from ..other_formats import CONVERTIBLE, other_format
+from ..paths import read_bytes
 from ..stream import Floats
 from ..units import counted
 
@@ -195,11 +196,7 @@ def _without_labels(lines: list[str]) -> tuple[list[str], list[str]]:
 
 def _decoded(path: AnyPath) -> str:
     """Return the text of a file."""
-    try:
-        with path.open('rb') as file:
-            data = file.read()
-    except OSError as error:
-        raise InputError(f'{path}: cannot be read ({error.strerror}).') from None
+    data = read_bytes(path)
     try:
         return data.decode('utf-16' if data.startswith(_UTF_16) else 'utf-8-sig')
     except UnicodeDecodeError:
@@ -250,7 +247,11 @@ def _is_row(line: str, delimiter: str | None, count: int) -> bool:
 def _fields(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
         return line.split()
-    return [field.strip() for field in next(csv.reader([line], delimiter=delimiter), [])]
+    try:
+        return [field.strip() for field in next(csv.reader([line], delimiter=delimiter), [])]
+    except csv.Error:
+        # A field of more than 128 KiB, which is no number and no name.
+        return []
 
 
 def _is_number(field: str, delimiter: str | None) -> bool:

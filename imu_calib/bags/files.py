@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..other_formats import BAG_OF_ROS_1, bag_of_ros_1, other_format
+from ..paths import refuse_device
 from .codec import ZSTD_MAGIC, unpack_file
 from .mcap import McapStorage
 from .metadata import NAME, Metadata, read_metadata
@@ -139,6 +140,7 @@ def open_storage(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage:
     Raises:
         RecordingError: The file is neither mcap nor sqlite3, or not readable.
     """
+    refuse_device(path)
     try:
         with path.open('rb') as file:
             magic = file.read(16)

@@ -8,7 +8,7 @@ the right one: messages of both times would take turns.
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -193,5 +193,5 @@ def _joined(first: MessageBatch, second: MessageBatch) -> MessageBatch | None:
 
 
 def _of_times(several: list[Times], rows: slice | Indices) -> Times:
-    columns = [[getattr(times, field.name) for times in several] for field in fields(Times)]
+    columns: list[list[Any]] = [[getattr(times, field.name) for times in several] for field in fields(Times)]
     return Times(*(None if c[0] is None else np.concatenate(c)[rows] for c in columns))

@@ -93,7 +93,7 @@ def custom_data_of(text: str) -> Mapping[str, str]:
 def _counts(entries: Any) -> dict[str, int]:
     try:
         return {str(e['topic_metadata']['name']): int(e['message_count']) for e in entries}
-    except (TypeError, KeyError, ValueError):
+    except (TypeError, KeyError, ValueError, OverflowError):
         return {}
 
 

@@ -75,14 +75,15 @@ class RemotePath:
 
         try:
             files, inside = fsspec.core.url_to_fs(url)
-        except (ImportError, ValueError) as error:
+            # In a long-lived process, cached listings would be out of date.
+            files.invalidate_cache()
+        except Exception as error:
+            # Each protocol has its own exceptions for a host, a file or an option that it lacks.
             raise InputError(
                 f'{url}: cannot be opened ({error}). The extra remote brings what reads S3 and '
                 "HTTP (pip install 'imu_calib[remote]'); other protocols need libraries of their "
                 'own.'
             ) from None
-        # In a long-lived process, cached listings would be out of date.
-        files.invalidate_cache()
         inside = inside.rstrip('/')
         return cls(url.rstrip('/'), files, inside, _looked_up(url, files, inside))
 

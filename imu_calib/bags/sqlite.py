@@ -40,6 +40,12 @@ _EXPECTED = {
     'topics': {'id', 'name', 'type', 'serialization_format'},
     'messages': {'id', 'topic_id', 'timestamp', 'data'},
 }
+_STEP = 10_000
+"""Operations of SQLite's machine between looks at its work: some tenths of a millisecond."""
+_LEAST_STEPS = 1000
+"""Steps for any file: some tenths of a second."""
+_PER_BYTE = 10
+"""Operations for each byte of a file: a row of 25 bytes, the shortest of a message, takes 30."""
 
 
 _APART = 1 << 18
@@ -211,6 +217,9 @@ class SqliteStorage:
         address = f'file:{quote(str(self.path.absolute()))}?{options}'
         connection = sqlite3.connect(address, uri=True)
         connection.text_factory = partial(str, encoding='utf-8', errors='replace')
+        # A crafted file may ask for more work than would ever end.
+        steps = iter(range(_LEAST_STEPS + _PER_BYTE * self.size // _STEP))
+        connection.set_progress_handler(lambda: next(steps, None) is None, _STEP)
         if self._tolerant:
             # SQLite refuses a file shorter than its header states, except in this mode.
             connection.execute('PRAGMA writable_schema=ON')
@@ -244,8 +253,12 @@ class SqliteStorage:
     def _describe(self) -> None:
         """Read the description in the file."""
         with closing(self._connect()) as database:
-            self._check_schema(database)
+            tables = _tables(database)
+            self._check_schema(database, tables)
             rows = database.execute('SELECT id, name, type, serialization_format FROM topics')
+            profiles = _profiles(database)
+            of_types = 'message_definitions' in tables
+            definitions = _definitions(database) if of_types else {}
             self._ids: dict[str, list[int]] = {}
             self.topics: dict[str, Topic] = {}
             for key, name, kind, encoding in rows.fetchall():
@@ -257,21 +270,22 @@ class SqliteStorage:
                 self._ids.setdefault(str(name), []).append(key)
                 # Counting would need a pass over the whole file; metadata.yaml usually has the
                 # counts.
-                described = _described(database, str(name), str(kind))
+                language, definition = definitions.get(str(kind), ('', ''))
+                described = Described(definition, language, profiles.get(str(name), ''))
                 topic = Topic(str(name), str(kind), None, str(encoding), described)
                 before = self.topics.get(topic.name)
                 self.topics[topic.name] = before.merged(topic) if before else topic
             self._find_ranges(database)
             self._root = _root(database)
-            self.custom_data = _custom_data(database)
+            self.custom_data = _custom_data(database) if 'metadata' in tables else {}
 
-    def _check_schema(self, database: sqlite3.Connection) -> None:
+    def _check_schema(self, database: sqlite3.Connection, tables: Sequence[str]) -> None:
         for table, expected in _EXPECTED.items():
-            found = {row[1] for row in database.execute(f'PRAGMA table_info({table})')}
+            columns = database.execute(f'PRAGMA table_info({table})') if table in tables else ()
+            found = {row[1] for row in columns}
             if not expected <= found:
                 what = f'columns {", ".join(sorted(found))}' if found else 'no such table'
-                tables = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
-                held = ', '.join(str(row[0]) for row in tables) or 'none'
+                held = ', '.join(tables) or 'none'
                 raise RecordingError(
                     f'{self.path.name} is a sqlite3 file, but not a recording of rosbag2: expected '
                     f'table {table} with columns {", ".join(sorted(expected))}, found {what} '
@@ -300,6 +314,12 @@ def _with_bounds(
         batch = next(batches, None)
         yield before, None if batch is None else int(batch.log.min())
         before = batch
+
+
+def _tables(database: sqlite3.Connection) -> list[str]:
+    """Return the names of the tables; views and virtual tables would be executed."""
+    query = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
+    return [str(row[0]) for row in database.execute(query)]
 
 
 def _stated_size(head: bytes) -> int:
@@ -337,21 +357,23 @@ def _root(database: sqlite3.Connection) -> int | None:
     return int(row[0]) if alias and row else None
 
 
-def _described(database: sqlite3.Connection, topic: str, kind: str) -> Described:
-    """Return the description of a topic: later versions of the schema contain more."""
-    profiles, definition, language = '', '', ''
+def _profiles(database: sqlite3.Connection) -> dict[str, str]:
+    """Return the QoS by topic: later versions of the schema contain it."""
+    found: dict[str, str] = {}
     with suppress(*DAMAGE):
-        query = 'SELECT offered_qos_profiles FROM topics WHERE name = ?'
-        row = database.execute(query, (topic,)).fetchone()
-        profiles = str(row[0]) if row else ''
+        for name, profiles in database.execute('SELECT name, offered_qos_profiles FROM topics'):
+            found.setdefault(str(name), str(profiles))
+    return found
+
+
+def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
+    """Return language and definition by type."""
+    query = 'SELECT topic_type, encoding, encoded_message_definition FROM message_definitions'
+    found: dict[str, tuple[str, str]] = {}
     with suppress(*DAMAGE):
-        query = (
-            'SELECT encoding, encoded_message_definition FROM message_definitions '
-            'WHERE topic_type = ?'
-        )
-        row = database.execute(query, (kind,)).fetchone()
-        language, definition = (str(row[0]), str(row[1])) if row else ('', '')
-    return Described(definition, language, profiles)
+        for kind, language, definition in database.execute(query):
+            found.setdefault(str(kind), (str(language), str(definition)))
+    return found
 
 
 def _custom_data(database: sqlite3.Connection) -> Mapping[str, str]:

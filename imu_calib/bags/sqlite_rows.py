@@ -167,11 +167,11 @@ class RowQueries:
 
 def damage_text(error: Exception) -> str:
     """Return the damage of a file, in words."""
-    return (
-        'it states a length beyond the memory of this machine'
-        if isinstance(error, MemoryError)
-        else str(error)
-    )
+    if isinstance(error, MemoryError):
+        return 'it states a length beyond the memory of this machine'
+    if str(error) == 'interrupted':
+        return 'its tables take far more work than a recording of its size'
+    return str(error)
 
 
 def _first_row(

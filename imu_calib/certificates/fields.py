@@ -208,9 +208,6 @@ def _date(section: Section, name: str) -> date | None:
             return date.fromisoformat(raw)
         except ValueError:
             pass
-    # YAML reads an unquoted date as a date.
-    if type(raw) is date:
-        return raw
     raise InputError(f'{section.key(name)}: found {raw!r}, expected a date as 2026-01-31.')
 
 

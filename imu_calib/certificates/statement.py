@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime, timedelta
 
+import numpy as np
+
 from ..budget import PROBABILITY, Budget
 from ..calibration import Calibration
 from ..errors import InputError
@@ -122,7 +124,7 @@ def certificate_of(
             (everything missing is named), or the fields contradict the calibration.
     """
     budget = calibration.budget
-    if budget is None:
+    if budget is None or not np.nanmax(calibration.std) > 0:
         raise InputError(
             'The calibration has no uncertainty budget, and ISO/IEC 17025 asks for uncertainties '
             'with their coverage: expected one with uncertainty_budget (docs/budget.md).'

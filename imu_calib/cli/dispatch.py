@@ -53,6 +53,8 @@ COMMANDS = {
 }
 """Help of each command; the module of the same name implements it."""
 
+_NO_VALUE = re.compile(r'(--[\w-]+(?==)|-\w)=?--')
+"""An option whose value is two dashes."""
 _NEGATIVE = re.compile(r'-\.?\d')
 """Start of a negative value; no option begins like this."""
 
@@ -195,6 +197,10 @@ def _take_any_text() -> None:
 
 
 def _parsed(argv: Sequence[str]) -> argparse.Namespace:
+    for word in argv:
+        if empty := _NO_VALUE.fullmatch(word):
+            # argparse takes the value for the end of the options, and gives an empty list.
+            raise _WrongUsage(argv[0], f"{empty[1]}: found '--', expected a value.")
     return build_parser(argv).parse_args(argv)
 
 

@@ -13,6 +13,7 @@ from rich.table import Table as Rows
 from ..api.outputs import output_path
 from ..api.repeating import montecarlo
 from ..errors import InputError
+from ..paths import write_by
 from ..plain_table import plain_table
 from ..plan import METHOD_NAMES
 from ..reports.parameter_table import decimals, engineering
@@ -21,8 +22,6 @@ from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from ..repetition import Outcome
 
 _HEADINGS = (
@@ -97,7 +96,8 @@ def run(arguments: argparse.Namespace) -> None:
     )
     sentence_list('Worth knowing', repeated.findings)
     if target is not None:
-        _save_plot(repeated.plot(), target)
+        figure, ending = repeated.plot(), target.suffix.removeprefix('.')
+        write_by(target, lambda file: figure.savefig(file, format=ending.lower()))
         OUTPUT.print(f'\ndrawn to {target}', markup=False)
 
 
@@ -139,10 +139,3 @@ def _plot_path(text: str) -> Path:
             f'{", ".join(known)}.'
         )
     return target
-
-
-def _save_plot(figure: Figure, target: Path) -> None:
-    try:
-        figure.savefig(target)
-    except OSError as error:
-        raise InputError(f'{target}: cannot be written ({error.strerror}).') from None

@@ -15,7 +15,7 @@ import yaml
 
 from ..api.journals import end_of_journal, is_finished
 from ..errors import InputError
-from ..paths import user_path
+from ..paths import read_text, user_path
 from ..share import named_file
 from . import several
 from .terminal import ERRORS
@@ -69,7 +69,7 @@ def save_settings(arguments: argparse.Namespace, folder: Path) -> None:
     for option, kind in _FILES.items():
         name = getattr(arguments, option)
         if name:
-            text = named_file(kind, name).read_text(encoding='utf-8')
+            text = read_text(named_file(kind, name))
             (settings / f'{option}.yaml').write_text(text, encoding='utf-8')
     if arguments.imus:
         several.save_settings(arguments, settings)

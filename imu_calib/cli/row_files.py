@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from ..api.outputs import output_path
 from ..errors import InputError
+from ..paths import write_by
 from .outcome import finite
 
 _ENDINGS = ('.csv', '.json')
@@ -32,14 +34,23 @@ def row_file(stated: str | None) -> Path | None:
 def write_rows(
     path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]], whole: Any
 ) -> None:
-    """Write rows to a .csv file, or their source as plain values to a .json file."""
-    with path.open('w', encoding='utf-8', newline='') as file:
+    """Write rows to a .csv file, or their source as plain values to a .json file.
+
+    Raises:
+        InputError: It cannot be written; a file that was there is unchanged.
+    """
+
+    def write(file: IO[bytes]) -> None:
+        text = io.TextIOWrapper(file, encoding='utf-8', newline='')
         if path.suffix == '.json':
-            json.dump(finite(whole), file, indent=1, allow_nan=False)
-            return
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        for row in rows:
-            writer.writerow(
-                {k: json.dumps(v) if isinstance(v, list) else v for k, v in finite(row).items()}
-            )
+            json.dump(finite(whole), text, indent=1, allow_nan=False)
+        else:
+            writer = csv.DictWriter(text, columns)
+            writer.writeheader()
+            for row in rows:
+                writer.writerow(
+                    {k: json.dumps(v) if isinstance(v, list) else v for k, v in finite(row).items()}
+                )
+        text.detach()
+
+    write_by(path, write)

@@ -17,12 +17,13 @@ from ..devices import SCHEME, check_port, load_format
 from ..errors import InputError
 from ..imu import load_imu
 from ..mounted import PULSES, TRUTHS, MountedUnit, load_units, remaining
-from ..paths import user_path
+from ..paths import read_text, user_path
 from ..plain_table import plain_table
 from ..plan import load_plan
 from ..reports.parameter_table import engineering
 from ..share import named_file
 from ..units import significant
+from ..yaml_text import load
 from .options import refuse_with_imus
 from .terminal import OUTPUT, sentence_list
 
@@ -166,7 +167,7 @@ def save_settings(arguments: argparse.Namespace, settings: Path) -> None:
     """Copy the units' file and all files that it names into the settings of a session."""
     file = user_path(arguments.imus)
     units = {unit.name: unit for unit in load_units(file)}
-    kept = yaml.safe_load(file.read_text(encoding='utf-8'))
+    kept = load(read_text(file))
     folder = settings / 'units'
     folder.mkdir()
     for entry, (name, unit) in zip(kept['units'], units.items(), strict=True):
@@ -174,7 +175,7 @@ def save_settings(arguments: argparse.Namespace, settings: Path) -> None:
             given = getattr(unit, key)
             if given:
                 copy = folder / f'{name}_{key}.yaml'
-                text = named_file(kind, given).read_text(encoding='utf-8')
+                text = read_text(named_file(kind, given))
                 copy.write_text(text, encoding='utf-8')
                 entry[key] = os.path.relpath(copy, settings)
     (settings / 'imus.yaml').write_text(yaml.safe_dump(kept, sort_keys=False), encoding='utf-8')

@@ -167,8 +167,8 @@ class Compensation:
         ]
         return concatenated(parts)
 
-    # Infinite values are marked, without a warning.
-    @np.errstate(invalid='ignore')
+    # Infinite and huge values are marked, without a warning.
+    @np.errstate(invalid='ignore', over='ignore')
     def _apply(self, raw: Floats, interval: Floats) -> CompensatedSamples:
         """Compensate raw samples (n, channels) of (n,) intervals, s, by arrays."""
         tau = interval[:, None] / self._clock_ratio

@@ -334,13 +334,14 @@ def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
             f'{part}: found version {version.decode() or "none"} of the columns, expected '
             f'{VERSION} or older: a newer imu_calib wrote it.'
         )
-    if columns is not None:
-        return found
-    today = schema()
+    today = schema() if columns is None else pa.schema([schema().field(one) for one in columns])
     missing = [one for one in today if one.name not in found.column_names]
     for one in missing:
         found = found.append_column(one, pa.nulls(len(found), one.type))
-    return found.select(today.names).cast(today)
+    try:
+        return found.select(today.names).cast(today)
+    except pa.ArrowException as error:
+        raise InputError(f'{part}: its columns are not those of a catalogue ({error}).') from None
 
 
 def _contents(catalogue: Catalogue, where: str) -> str:

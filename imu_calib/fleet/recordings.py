@@ -19,7 +19,7 @@ from ..bags import AnyPath, RemotePath, is_url, located
 from ..bags.files import is_storage
 from ..errors import InputError
 from ..other_formats import OTHERS, other_format
-from ..paths import user_path
+from ..paths import read_text, user_path
 from ..units import point_for_comma
 from ..yaml_text import load
 
@@ -251,12 +251,7 @@ def read_manifest(path: AnyPath, stated: Stated, imus: str = '') -> Iterator[Job
 
 
 def _rows(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
-    try:
-        text = path.read_text(encoding='utf-8-sig')
-    except OSError as error:
-        raise InputError(f'{path}: cannot be read ({error.strerror}).') from None
-    except UnicodeDecodeError:
-        raise InputError(f'{path}: found binary data, expected a table in UTF-8.') from None
+    text = read_text(path)
     if path.suffix.lower() == '.csv':
         rows = _rows_of_csv(path, text.splitlines())
         first = 2
@@ -287,10 +282,11 @@ def _rows_of_csv(path: AnyPath, lines: list[str]) -> list[Any]:
     """
     # If the comma is the decimal sign, spreadsheets use another delimiter.
     parts = max(',;\t', key=lines[0].count) if lines else ','
-    names, *table = [
-        [cell.strip() for cell in row]
-        for row in csv.reader(lines, delimiter=parts, skipinitialspace=True)
-    ] or [[]]
+    try:
+        read = list(csv.reader(lines, delimiter=parts, skipinitialspace=True))
+    except csv.Error as error:
+        raise InputError(f'{path}: not a table of recordings ({error}).') from None
+    names, *table = [[cell.strip() for cell in row] for row in read] or [[]]
     names = [name.lower() for name in names]
     if not set(COLUMNS) & set(names):
         # Not one column of a manifest: the text file of a recording.

@@ -28,7 +28,7 @@ from ..imu import load_imu
 from ..instants import NS
 from ..model import PARAMETER_NAMES, PARAMETERS, indices_of
 from ..mounted import MountedUnit, load_units
-from ..paths import user_path
+from ..paths import read_text, user_path
 from ..reports.assessment import assess, worst
 from ..share import named_file
 from ..specification import Specification
@@ -84,7 +84,7 @@ def key_of(job: Job, sha256: str) -> str:
     stated = {one.name: getattr(job.stated, one.name) for one in fields(job.stated)}
     for name, folder in _FOLDERS.items():
         if stated[name] not in (None, NO_PLAN):
-            stated[name] = named_file(folder, stated[name]).read_text(encoding='utf-8')
+            stated[name] = read_text(named_file(folder, stated[name]))
     whole = [sha256, stated, asdict(job.labels), version()]
     if job.imus:
         whole.append(_texts_of(job.imus))
@@ -108,14 +108,14 @@ def _texts_of(imus: str) -> list[str]:
         InputError: The first is broken. An unreadable type concerns only its units.
     """
     units = load_units(imus)
-    own = user_path(imus).read_text(encoding='utf-8')
+    own = read_text(user_path(imus))
     return [own, *(_text_of_type(unit) for unit in units)]
 
 
 def _text_of_type(unit: MountedUnit) -> str:
     """Return the content of the file of a unit's type; empty if it is unreadable."""
     try:
-        return named_file('imus', unit.imu).read_text(encoding='utf-8')
+        return read_text(named_file('imus', unit.imu))
     except (InputError, OSError):
         return ''
 

@@ -32,6 +32,7 @@ from .terms import (
     TERMS,
     Term,
     asks_for_search,
+    coefficients_of,
     named_terms,
     term,
 )
@@ -63,6 +64,7 @@ __all__ = [
     'Unit',
     'asks_for_search',
     'by_name',
+    'coefficients_of',
     'indices_of',
     'named_terms',
     'parameters_of',

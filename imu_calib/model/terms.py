@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..units import DEG
 from .kinds import ParameterKind
 from .parameters import AXES, NOTHING, Parameter, Product
-from .session_terms import SESSION_TERMS
+from .session_terms import SESSION_TERMS, Change, session_term
 
 NO_TERMS = 'none'
 """Input that stands for the 24 parameters alone."""
@@ -274,3 +274,14 @@ def term(name: str) -> Term:
             return known
     names = ', '.join([*(known.name for known in TERMS), *SESSION_TERMS])
     raise InputError(f'No term is called {name!r}; there are: {names}.')
+
+
+def coefficients_of(name: str) -> tuple[Parameter | Change, ...]:
+    """Return the coefficients of a term of the sensors or of a session; none for other names.
+
+    Raises:
+        InputError: A term of a session with an unknown parameter.
+    """
+    if name.partition(':')[0] in SESSION_TERMS:
+        return session_term(name)
+    return tuple(p for one in TERMS if one.name == name for p in one.parameters)

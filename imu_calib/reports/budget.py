@@ -209,7 +209,8 @@ def _range(freedom: Floats, std: Floats) -> str:
 
 def budget_section(calibration: Calibration) -> list[str]:
     """Return picture, note and tables of a budget for the report; empty without a budget."""
-    if calibration.budget is None:
+    if calibration.budget is None or not np.nanmax(calibration.std) > 0:
+        # Exact parameters, as those of a truth, have no variance to divide.
         return []
     shown = _Shown.of(calibration, calibration.budget)
     words = 'Each bar is the variance of a parameter, divided among its sources.'

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
+from typing import Any
 
 from ..calibration import Calibration
-from ..model import TERMS, Parameter, by_name
-from ..model.session_terms import SESSION_TERMS, Change, Course, largest, session_term
+from ..model import Parameter, by_name, coefficients_of
+from ..model.session_terms import Change, largest
 from ..units import significant
 from .html import paragraph, table
 
@@ -21,64 +22,69 @@ _NOTE = (
 def terms_section(calibration: Calibration) -> tuple[str, ...]:
     """Return the section's contents; empty for a calibration without entries on terms."""
     tests = calibration.provenance.get('tests_of_terms')
-    if not isinstance(tests, Mapping):
+    if tests is None:
         return ()
-    known = {term.name: term for term in TERMS}
     rows = []
     for name, test in tests.items():
-        term = known.get(name)
-        words = 'error of the table' if term is None else term.kind.value.words
-        changes: tuple[Change, ...] = ()
-        if name in SESSION_TERMS:
-            words, changes = Course(name).words, session_term(str(name))
-        parameters = () if term is None else term.parameters
+        coefficients = coefficients_of(name)
         rows.append(
             [
-                escape(str(name)),
-                escape(words),
-                escape(str(test.get('state', '-'))),
+                escape(name),
+                escape(_kind(coefficients)),
+                escape(test['state']),
                 _chance(test.get('log10_p')),
-                _smallest(parameters, changes, test.get('found_from')),
-                _moved(parameters, changes, test.get('would_move')),
+                _smallest(coefficients, test.get('found_from')),
+                _moved(coefficients, test.get('would_move')),
             ]
         )
     headings = ['', 'kind', 'state', 'chance', 'found from', 'would move']
     return table(headings, rows, 'terms stacked', 'lllrll'), paragraph(_NOTE, 'note')
 
 
-def _chance(log10_p: object) -> str:
-    if not isinstance(log10_p, (int, float)):
+def _kind(coefficients: Sequence[Parameter | Change]) -> str:
+    if not coefficients:
+        return 'error of the table'
+    first = coefficients[0]
+    return first.course.words if isinstance(first, Change) else first.kind.value.words
+
+
+def _unit(coefficient: Parameter | Change) -> tuple[str, float]:
+    """Return the unit in which a coefficient is shown, and its SI value."""
+    unit = coefficient.unit
+    if not isinstance(coefficient, Change):
+        return unit.shown, unit.scale
+    words, scale = coefficient.course.shown_per
+    return f'{unit.shown}{words}', unit.scale * scale
+
+
+def _chance(log10_p: float | None) -> str:
+    if log10_p is None:
         return '-'
     return f'{10**log10_p:.2g}' if log10_p > -3 else f'10<sup>{log10_p:.0f}</sup>'
 
 
 def _smallest(
-    parameters: tuple[Parameter, ...], changes: tuple[Change, ...], found_from: object
+    coefficients: Sequence[Parameter | Change], found_from: Sequence[float | None] | None
 ) -> str:
     """Return the largest coefficient among the detection limits."""
-    if changes and isinstance(found_from, list) and len(found_from) == len(changes):
+    if not coefficients or found_from is None:
+        return '-'
+    changes = [one for one in coefficients if isinstance(one, Change)]
+    if changes:
         return escape(largest(changes, found_from)) or 'not shown'
-    if not parameters or not isinstance(found_from, list):
-        return '-'
-    seen = [v for v in found_from if isinstance(v, (int, float))]
-    unit = parameters[0].unit
-    return escape(f'{significant(max(seen) / unit.scale)} {unit.shown}') if seen else 'not shown'
+    seen = [value for value in found_from if value is not None]
+    unit, scale = _unit(coefficients[0])
+    return escape(f'{significant(max(seen) / scale)} {unit}') if seen else 'not shown'
 
 
-def _moved(parameters: tuple[Parameter, ...], changes: tuple[Change, ...], moved: object) -> str:
+def _moved(
+    coefficients: Sequence[Parameter | Change], moved: Mapping[str, Mapping[str, Any]] | None
+) -> str:
     """Return the effect of the most important coefficient on a parameter, per unit."""
-    if not isinstance(moved, Mapping) or not moved:
+    if not coefficients or not moved:
         return '-'
-    coefficient, entry = max(moved.items(), key=lambda pair: abs(pair[1]['by']))
+    name, entry = max(moved.items(), key=lambda pair: abs(pair[1]['by']))
     other = by_name([entry['parameter']])[0]
-    by = abs(entry['by']) / other.unit.scale
-    for one in changes:
-        if one.name == coefficient:
-            words, scale = one.course.shown_per
-            by *= one.unit.scale * scale
-            return escape(
-                f'{other.name}: {significant(by)} {other.unit.shown} for 1 {one.unit.shown}{words}'
-            )
-    unit = next(p.unit for p in parameters if p.name == coefficient)
-    by *= unit.scale
-    return escape(f'{other.name}: {significant(by)} {other.unit.shown} for 1 {unit.shown}')
+    unit, scale = _unit(next(one for one in coefficients if one.name == name))
+    by = abs(entry['by']) * scale / other.unit.scale
+    return escape(f'{other.name}: {significant(by)} {other.unit.shown} for 1 {unit}')

@@ -19,7 +19,7 @@ from ..stream import (
     Units,
 )
 from ..turntable import Table
-from ..units import counted
+from ..units import LARGEST, counted
 from .buffer import RowBuffer
 from .false_samples import FalseSampleFilter, FalseSamples, Rows
 from .interruptions import Interruptions
@@ -46,8 +46,8 @@ class _Losses:
             self._found[what] = (count + len(lost), first)
 
     def without_nan(self, what: str, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
-        """Return the rows without NaN or infinity; count the others."""
-        finite = np.isfinite(values)
+        """Return the rows of numbers, as 1e300 is none; count the others."""
+        finite = np.abs(values) <= LARGEST
         if finite.all():
             return stamp, values
         mask: NDArray[np.bool_] = np.asarray(finite.all(axis=1))

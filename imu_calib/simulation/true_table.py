@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from ..paths import write_whole
 from ..rotations import rotation
 from ..stream import Floats
 from ..turntable import Table
@@ -130,7 +131,7 @@ class TrueTable:
             for joint, described in zip(self.joints, table.joints, strict=True)
         ]
         text = yaml.safe_dump({'table': table.name, 'joints': joints}, sort_keys=False)
-        path.write_text(_HEAD + text, encoding='utf-8')
+        write_whole(path, _HEAD + text)
 
 
 _HEAD = """\

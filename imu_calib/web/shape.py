@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ..errors import InputError
-from ..paths import user_path
+from ..paths import read_text, user_path
 from ..rotations import rotation
 from ..share import share_folder
 from ..stream import Floats
@@ -113,10 +113,8 @@ def table_shape(table: Table, urdf: str = '') -> Link:
 def _of_urdf(path: Path) -> Link:
     """Read a URDF (XML as described in wiki.ros.org/urdf/XML); meshes are ignored."""
     try:
-        robot = ElementTree.fromstring(path.read_text(encoding='utf-8'))
-    except OSError as error:
-        raise InputError(f'{path}: cannot be read ({error.strerror}).') from None
-    except (ElementTree.ParseError, UnicodeDecodeError) as error:
+        robot = ElementTree.fromstring(read_text(path))
+    except ElementTree.ParseError as error:
         raise InputError(f'{path}: is not XML: {error}.') from None
     try:
         return _robot(robot)
