@@ -32,8 +32,9 @@ from ..security import in_enclave
 from .terminal import ERRORS
 
 START = 30.0
-"""Longest wait for the nodes to discover each other, s. A choice: a node takes some 2 s of a core
-to load, so that five on one core take 10 s."""
+"""Longest wait for the nodes to discover each other, s, and between two signs that an old journal
+is being read. A choice: a node takes some 2 s of a core to load, so that five on one core take
+10 s."""
 _PATIENCE = 6.0
 """s for a process to end after SIGINT, before SIGTERM: a node stops its table within three."""
 

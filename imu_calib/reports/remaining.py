@@ -1,4 +1,4 @@
-"""Remaining time of a session by the wall clock, and its text."""
+"""Remaining time of a session by the wall clock, and what it waits for, as texts."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import math
 from collections import deque
 from datetime import datetime, timedelta
 
+READING = 'The journal is read: '
+"""Beginning of the report while the session before an interruption is read."""
 _SPAN = 20.0
 """s of the wall clock over which the stand's time is compared with it: longer than the motion of a
 table between positions, during which simulated time advances unevenly."""
@@ -51,6 +53,11 @@ class Pace:
             return 1.0
         speed = (last - stamp) / (now - begun)
         return 1.0 if abs(speed - 1) < _REAL else speed
+
+
+def reading_sentence(share: float) -> str:
+    """Return a sentence on how much of the journal of a resumed session is read, 0 to 1."""
+    return f'{READING}{100 * share:.0f} %.'
 
 
 def in_words(seconds: float) -> str:
