@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 import pytest
-from live import Stand, State, finishes, short_plan
+from live import NODES, Stand, State, finishes, short_plan
 from loopback import environment, patience, until
 from processes import start
 from test_ascii_table import Servo
@@ -139,6 +139,33 @@ def test_pause_abort_and_faults_of_the_line_are_answered_as_by_processes(tmp_pat
         garbage = 'Bytes are received that belong to no frame'
         assert stand.wait(lambda: stand.has_status('imu_node', garbage))
         finishes(stand)
+
+
+@pytest.mark.skipif(ros.RUNTIME == 'rclpy', reason='this process speaks through rclpy')
+def test_a_calibrator_tells_how_much_of_its_journal_it_has_read(tmp_path):
+    with Stand(tmp_path, embedded=True) as stand:
+        assert stand.reaches(State.DWELLING, step=3)
+        stand.processes.end_all_but(())
+        stand.start('calibrator_node')
+        log = (stand.folder / 'nodes' / 'calibrator_node.log').read_text()
+        (told,) = re.findall(r'The journal is read: (\d+) %', log)
+        assert 0 <= int(told) <= 100
+        assert stand.wait(lambda: stand.has_status('calibrator_node: journal', 'is read'))
+        assert stand.wait(lambda: stand.has_status('calibrator_node: journal', 'is resumed'))
+
+
+@pytest.mark.skipif(ros.RUNTIME == 'rclpy', reason='this process speaks through rclpy')
+def test_a_journal_that_cannot_be_read_is_a_finding_of_the_session(tmp_path):
+    with Stand(tmp_path, embedded=True, nodes=()) as stand:
+        journal = stand.folder / 'journal'
+        journal.mkdir()
+        (journal / 'journal_0.mcap').write_bytes(b'\x89MCAP0\r\n' + b'\x01' + bytes(41))
+        for name in NODES:
+            stand.start(name)
+        assert stand.wait(lambda: stand.has_status('calibrator_node: journal', 'can be read'))
+        final = finishes(stand)
+        assert 'Nothing of the session before the restart can be read' in final.status_text
+        assert any('journal_0.mcap' in text for text in result(stand.folder).findings)
 
 
 @pytest.mark.skipif(ros.RUNTIME == 'rclpy', reason='this process speaks through rclpy')

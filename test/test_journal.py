@@ -106,6 +106,41 @@ def test_what_a_killed_session_flushed_is_gone_on_with(tmp_path: Path) -> None:
         Journal(folder, SESSION, NAMES)
 
 
+def test_how_much_of_an_old_session_is_read_rises_to_all_of_it(tmp_path: Path) -> None:
+    folder = tmp_path / 'one'
+    for k in range(2):
+        journal = Journal(folder, SESSION, NAMES)
+        for second in range(200 * k, 200 * k + 200):
+            journal.write(IMU, Kind.IMU.type_name, samples(100 * second, 100), EPOCH + second * NS)
+        journal.close(finished=False)
+    shares: list[float] = []
+    again = Journal(folder, SESSION, NAMES, shares.append)
+    assert shares[-1] == pytest.approx(0.5, abs=0.01)
+    assert sum(len(block) for _, block in again.replay()) == 40_000
+    again.close(finished=False)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    # Some megabytes at once: here 7 in each of two files, read twice.
+    assert np.diff([0.0, *shares]).max() < 0.25
+
+
+def test_of_an_old_session_that_cannot_be_read_it_is_said_why(tmp_path: Path) -> None:
+    folder = tmp_path / 'one'
+    journal = Journal(folder, SESSION, NAMES)
+    assert journal.losses == []
+    journal.write(IMU, Kind.IMU.type_name, samples(0), EPOCH)
+    journal.close(finished=False)
+    (folder / 'metadata.yaml').unlink()
+    (file,) = folder.iterdir()
+    file.write_bytes(file.read_bytes()[:50])
+    again = Journal(folder, SESSION, NAMES)
+    assert not again.resumed
+    (sentence,) = again.losses
+    assert sentence.startswith('Nothing of the session before the restart can be read: ')
+    assert f'{file.name} is cut off at byte 38 of 50' in sentence
+    again.close(finished=False)
+
+
 @pytest.mark.parametrize(
     ('key', 'word'), [('imu_calib.plan', 'plan'), ('imu_calib.latitude_deg', 'latitude')]
 )

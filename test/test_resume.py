@@ -19,6 +19,7 @@ from imu_calib.bags import Journal, open_recording
 from imu_calib.calibration import Calibration
 from imu_calib.cdr import Kind, Messages, encode_imu
 from imu_calib.cli import dispatch, main, resume
+from imu_calib.cli.processes import Processes
 from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.sequencing import Phase, Rules
 from imu_calib.share import named_file
@@ -75,13 +76,13 @@ def comes_to(process, folder, step, *, word='', run=1):
     assert until(has_reached)
 
 
-def numbers(folder):
-    """Return the process numbers of the nodes whose parameters are in a folder."""
+def numbers(folder, node=''):
+    """Return the process numbers of the nodes, or one, whose parameters are in a folder."""
     listed = subprocess.run(
         ['ps', '-eww', '-o', 'pid,args'], capture_output=True, text=True, check=True
     )
     rows = [line.split(maxsplit=1) for line in listed.stdout.splitlines()]
-    return [int(row[0]) for row in rows if len(row) == 2 and f'{folder}/nodes/' in row[1]]
+    return [int(row[0]) for row in rows if len(row) == 2 and f'{folder}/nodes/{node}' in row[1]]
 
 
 def kill_everything(process, folder):
@@ -185,6 +186,28 @@ def test_sigterm_says_how_to_go_on_too(tmp_path):
     process, folder = begin(tmp_path, '--speed', '30')
     comes_to(process, folder, 1)
     assert interrupted(process, signal.SIGTERM) == f"imu-calib stand --resume '{folder}'"
+
+
+@pytest.mark.parametrize('node', ['stand_node', 'imu_node', 'calibrator_node', 'turntable_node'])
+def test_a_session_whose_node_is_killed_ends_in_order(tmp_path, node):
+    process, folder = begin(tmp_path, '--speed', '20', '--processes')
+    comes_to(process, folder, 1)
+    (number,) = numbers(folder, node)
+    os.kill(number, signal.SIGKILL)
+    _, errors = process.communicate(timeout=patience())
+    assert process.returncode == 2, errors
+    assert f'imu-calib stand: {node} was killed (signal 9). The session ends' in errors
+    assert errors.splitlines()[-1] == f"To go on with it: imu-calib stand --resume '{folder}'"
+    assert not numbers(folder)
+    assert stop_count(folder) == (node != 'stand_node')
+
+
+def test_a_node_that_ends_by_itself_is_told_with_its_last_line(tmp_path):
+    with Processes(tmp_path, {}) as nodes:
+        nodes.start('imu_node', {'imu': 'fog_medium', 'port': ''})
+        assert until(lambda: not nodes.runs('imu_node'))
+        with pytest.raises(InputError, match=r'imu_node has ended \(exit code 2\): .*port'):
+            nodes.check()
 
 
 def interrupted(process, number):

@@ -542,6 +542,30 @@ def test_after_an_abort_the_plan_starts_anew():
     stand.phase(Phase.DONE)
 
 
+@pytest.mark.parametrize('phase', [Phase.MOVING, Phase.TURNING, Phase.SETTLING, Phase.DWELLING])
+@pytest.mark.parametrize('then', [[], ['pause'], ['calibrator']])
+def test_after_an_abort_in_any_phase_every_step_is_run_again(phase, then):
+    """Also if it was paused before, and if the calibrator is not there when it is started."""
+    stand = Stand(rules=Rules())
+    stand.tick()
+    stand.sequencer.set_calibrator_present(present=True)
+    stand.sequencer.start()
+    stand.run(lambda state: state.step > 0 and state.phase is phase)
+    if 'pause' in then:
+        stand.sequencer.pause()
+    stand.sequencer.abort()
+    assert stand.stands()
+    if 'calibrator' in then:
+        stand.sequencer.set_calibrator_present(present=False)
+    before = len(stand.sent)
+    stand.sequencer.start()
+    stand.tick()
+    stand.sequencer.set_calibrator_present(present=True)
+    stand.run(lambda _: stand.sequencer.reviewing)
+    moved = [s.step for s in stand.sent[before:] if s.mode is not Mode.HOLD]
+    assert list(dict.fromkeys(moved)) == list(range(stand.sequencer.state().steps))
+
+
 def test_the_emergency_stop_holds_and_its_release_moves_nothing():
     stand = turning(Stand())
     stand.sequencer.emergency(True)

@@ -237,6 +237,58 @@ def test_the_time_left_is_by_the_clock_on_the_wall(expected):
     assert board.snapshot(9.0).share == pytest.approx(180 / 600)
 
 
+def test_a_pause_changes_neither_the_time_left_nor_the_share(expected):
+    """Simulated time is 20 times real time while a plan runs, and real time while it is paused."""
+    board = Board(expected)
+
+    def shown(now):
+        snapshot = board.snapshot(now)
+        return time_left(snapshot, NOON)[0], snapshot.share
+
+    for k in range(10):
+        board.take_state(state(100.0 + 20.0 * k, seconds_left=600.0 - 20.0 * k), float(k))
+    before = shown(9.0)
+    assert before[0] == '21 s'
+    for k in range(120):
+        board.take_state(state(281.0 + k, Phase.PAUSED, seconds_left=420.0), 10.0 + k)
+        assert shown(10.0 + k) == before
+    for k in range(10):
+        left = 420.0 - 20.0 * k
+        board.take_state(state(401.0 + 20.0 * k, seconds_left=left), 130.0 + k)
+        assert time_left(board.snapshot(130.0 + k), NOON)[0] == f'{round(left / 20)} s'
+        assert shown(130.0 + k)[1] == pytest.approx(1 - left / 600)
+
+
+@pytest.mark.parametrize('end', [Phase.ABORTED, Phase.IDLE, Phase.DONE])
+def test_a_plan_that_begins_anew_has_no_step_done(expected, end):
+    """IDLE: turntable_node was started anew. What the calibrator has is of the run before."""
+    board = Board(expected)
+    board.take_state(state(0.0, Phase.IDLE, step=0), 0.0)
+    for step in range(26):
+        board.take_state(state(10.0 + step, step=step, seconds_left=500.0), 1.0 + step)
+    board.take_progress(progress(36.0, 1e-3, step=26, repeat_steps=[7]), 27.0)
+    assert (board.snapshot(27.0).seen, board.snapshot(27.0).repeats) == (26, (7,))
+    board.take_state(state(37.0, end, step=25, seconds_left=0.0), 28.0)
+    for step in range(9):
+        board.take_state(state(40.0 + step, step=step, seconds_left=600.0), 30.0 + step)
+        shown = board.snapshot(30.0 + step)
+        assert shown.seen == step
+        assert shown.repeats == ((7,) if step > 7 else ())
+        assert shown.share == pytest.approx(step / (600 + step))
+    # Paused, it is gone on with.
+    board.take_state(state(50.0, Phase.PAUSED, step=8), 40.0)
+    board.take_state(state(51.0, step=8), 41.0)
+    assert board.snapshot(41.0).seen == 8
+
+
+def test_a_session_that_is_gone_on_with_keeps_its_steps(expected):
+    board = Board(expected)
+    board.take_state(state(0.0, Phase.IDLE, step=0), 0.0)
+    board.take_progress(progress(1.0, 1e-3, step=12, repeat_steps=[]), 1.0)
+    board.take_state(state(2.0, Phase.MOVING, step=3), 2.0)
+    assert board.snapshot(2.0).seen == 12
+
+
 @pytest.mark.parametrize('phase', [Phase.IDLE, Phase.ABORTED])
 def test_what_has_not_begun_is_not_done(expected, phase):
     board = Board(expected)

@@ -13,7 +13,7 @@ from .storage import RecordingError
 from .writer import RecordingWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from ..cdr import Kind, Messages
     from ..stream import Block
@@ -32,6 +32,12 @@ class Journal:
         path: Folder; an unfinished session in it is resumed.
         description: The recording's own entries (plan, IMU, table, site).
         topics: Kind of each topic used in the calibration.
+        progress: Called now and then with the read share of an unfinished session, 0 to 1: its
+            messages are counted, and then read by `replay`, half of it each.
+
+    Attributes:
+        path: The folder.
+        losses: Sentences on what of an unfinished session could not be read.
 
     Raises:
         InputError: The folder holds a finished session, one of another plan, IMU, table or site,
@@ -39,17 +45,24 @@ class Journal:
     """
 
     def __init__(
-        self, path: Path, description: Mapping[str, str], topics: Mapping[str, Kind]
+        self,
+        path: Path,
+        description: Mapping[str, str],
+        topics: Mapping[str, Kind],
+        progress: Callable[[float], None] = lambda _: None,
     ) -> None:
         self.path = path
         self.losses: list[str] = []
+        self._progress = progress
         self._topics = dict(topics)
         self._last: dict[str, int] = {}
         self._newest = 0
         resumed = path.is_dir() and any(path.iterdir())
         # Opened before the writer adds its file, so that only older files are read.
-        self._former = _unfinished(path, description) if resumed else None
-        self._writer = RecordingWriter(path, description, resume=resumed)
+        self._former = self._unfinished(description) if resumed else None
+        self._writer = RecordingWriter(
+            path, description, resume=resumed, progress=lambda share: progress(share / 2)
+        )
         for topic, kind in topics.items():
             self._writer.add_topic(topic, kind.type_name)
 
@@ -78,7 +91,7 @@ class Journal:
             filled = {t.name for t in recording.topics if t.count != 0}
             topics = {name: kind for name, kind in self._topics.items() if name in filled}
             if topics:
-                yield from _readable_blocks(recording, topics)
+                yield from self._readable_blocks(recording, topics)
             self.losses = recording.losses
 
     def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
@@ -130,38 +143,40 @@ class Journal:
             self._writer.add_custom_data({FINISHED: 'true'})
         self._writer.close()
 
+    def _readable_blocks(
+        self, recording: Recording, topics: Mapping[str, Kind]
+    ) -> Iterator[tuple[str, Block]]:
+        """Yield the readable blocks; none if the file is cut off in its first messages."""
+        empty = True
+        try:
+            for topic, block in recording.read(topics, self._note_read):
+                empty = False
+                yield topic, block
+        except RecordingError:
+            if not empty:
+                raise
 
-def _readable_blocks(
-    recording: Recording, topics: Mapping[str, Kind]
-) -> Iterator[tuple[str, Block]]:
-    """Yield the readable blocks; none if the file is cut off in its first messages."""
-    empty = True
-    try:
-        for topic, block in recording.read(topics):
-            empty = False
-            yield topic, block
-    except RecordingError:
-        if not empty:
-            raise
+    def _note_read(self, done: int, total: int) -> None:
+        self._progress(0.5 + 0.5 * done / max(total, 1))
 
-
-def _unfinished(path: Path, description: Mapping[str, str]) -> Recording | None:
-    """Open an unfinished session of the same kind; None if it has no messages."""
-    try:
-        recording = open_recording(path)
-    except RecordingError:
-        # A file without messages has no topics either; the writer refuses other files.
-        return None
-    held = recording.custom_data
-    if FINISHED in held:
-        raise InputError(
-            f'{path} holds a completed session; choose another folder for the journal.'
-        )
-    for key, text in description.items():
-        if held.get(key) != text:
-            what = key.removeprefix('imu_calib.').removesuffix('_deg')
+    def _unfinished(self, description: Mapping[str, str]) -> Recording | None:
+        """Open an unfinished session of the same kind; None if it has no messages."""
+        try:
+            recording = open_recording(self.path)
+        except RecordingError as error:
+            # A file without messages has no topics either; the writer refuses other files.
+            self.losses = [f'Nothing of the session before the restart can be read: {error}']
+            return None
+        held = recording.custom_data
+        if FINISHED in held:
             raise InputError(
-                f'{path} holds a session with another {what}; '
-                'name another folder for the journal, or give the same.'
+                f'{self.path} holds a completed session; choose another folder for the journal.'
             )
-    return recording
+        for key, text in description.items():
+            if held.get(key) != text:
+                what = key.removeprefix('imu_calib.').removesuffix('_deg')
+                raise InputError(
+                    f'{self.path} holds a session with another {what}; '
+                    'name another folder for the journal, or give the same.'
+                )
+        return recording

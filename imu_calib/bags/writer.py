@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ from .mcap_writer import McapWriter
 from .storage import Cache, Losses, RecordingError, Storage, Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from typing import Any
 
     from ..cdr import Messages
@@ -48,6 +49,7 @@ class RecordingWriter:
         compression: '', 'lz4' or 'zstd', applied chunk by chunk.
         chunk_bytes: Size at which a chunk is closed.
         resume: Add another file to an existing recording, whose files stay unchanged.
+        progress: Called now and then with the share of it, 0 to 1, whose messages are counted.
 
     Raises:
         InputError: The folder exists already or cannot be made, the compression is unknown, or the
@@ -62,6 +64,7 @@ class RecordingWriter:
         chunk_bytes: int = CHUNK_BYTES,
         *,
         resume: bool = False,
+        progress: Callable[[float], None] = lambda _: None,
     ) -> None:
         self.path = user_path(path)
         self._custom_data = dict(custom_data or {})
@@ -73,7 +76,7 @@ class RecordingWriter:
         self._open = True
         pack = compressor(compression)
         if resume:
-            self._former = _former_files(self.path)
+            self._former = _former_files(self.path, progress)
         elif self.path.exists():
             raise RecordingError(f'{self.path} exists already; recordings are not overwritten.')
         with _in_words(self.path):
@@ -269,27 +272,41 @@ class _Former:
     topics: tuple[Topic, ...]
 
 
-def _former_files(path: Path) -> list[_Former]:
+def _former_files(path: Path, progress: Callable[[float], None]) -> list[_Former]:
     """Count the messages of a recording's files, the damaged ones too."""
     losses, scratch = Losses(), Scratch()
     try:
         found = find_files(path, losses)
         # A file cut off within its first bytes is empty and not recognised by its format.
         begun = [path for path in found.paths if path.stat().st_size >= _SHORTEST]
-        return [_counted(open_storage(p, scratch, losses)) for p in begun]
+        sizes = [p.stat().st_size for p in begun]
+        counted = []
+        for k, file in enumerate(begun):
+            part = partial(_report_part, progress, sum(sizes[:k]), sizes[k], sum(sizes))
+            counted.append(_counted(open_storage(file, scratch, losses), part))
+        return counted
     except OSError as error:
         raise RecordingError(f'{path} cannot be read: {error.strerror or error}.') from None
     finally:
         scratch.remove()
 
 
-def _counted(storage: Storage) -> _Former:
+def _report_part(
+    progress: Callable[[float], None], before: int, size: int, total: int, share: float
+) -> None:
+    """Report the share of all files from that of one, given bytes before it, in it, and in all."""
+    progress((before + size * share) / total)
+
+
+def _counted(storage: Storage, progress: Callable[[float], None]) -> _Former:
     names = frozenset(storage.topics)
-    topics, starts = [], []
+    topics: list[Topic] = []
+    starts = []
     for name, cursor in storage.cursors(names, Cache(CHUNK_BYTES)).items():
         count = 0
         for batch in cursor:
             count += len(batch.messages)
+            progress((len(topics) + batch.position / storage.size) / len(names))
             starts.append(batch.log_ns)
         topics.append(Topic(name, storage.topics[name].type, count))
     start = min(starts, default=0) if storage.start_ns is None else storage.start_ns

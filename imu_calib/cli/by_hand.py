@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import select
 import sys
-import time
 from typing import Any
 
 import numpy as np
@@ -12,12 +11,12 @@ from rich.console import Group
 from rich.live import Live
 from rich.text import Text
 
-from ..errors import InputError
 from ..plain_table import plain_table
 from ..units import ARCMIN, PPM, significant
 from .embedded import Nodes
 from .node_reports import NodeReports
 from .processes import START, Outcome
+from .starting import Start
 from .terminal import ERRORS, OUTPUT
 
 _SHOWN = 6
@@ -39,7 +38,7 @@ def follow(processes: Nodes, reports: NodeReports) -> Outcome:
         watching(processes, reports) as monitor,
         Live(console=ERRORS, refresh_per_second=8, transient=True) as display,
     ):
-        deadline = time.monotonic() + START
+        start = Start(reports, START)
         shown = ''
         while monitor.outcome is None:
             monitor.spin(0.1)
@@ -48,8 +47,10 @@ def follow(processes: Nodes, reports: NodeReports) -> Outcome:
             if progress is not None and progress.state != progress.WAITING:
                 display.update(view(progress, monitor.refusal))
                 shown = _print_changed(progress.text, shown)
-            elif time.monotonic() > deadline:
-                raise InputError('The session does not start: the IMU sends nothing.')
+            else:
+                if start.words:
+                    display.update(Text(start.words))
+                start.check('The session does not start: the IMU sends nothing.')
             if _entered():
                 monitor.solve()
         finished, text = monitor.outcome

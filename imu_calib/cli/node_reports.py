@@ -94,6 +94,11 @@ class NodeReports:
             before.text = text
         self._came |= came
 
+    def text(self, name: str) -> str:
+        """Return the last report on a part of a node; empty before the first."""
+        part = self._parts.get(name)
+        return '' if part is None else part.text
+
     def show(self) -> None:
         """Show new reports.
 

@@ -32,8 +32,9 @@ from ..security import in_enclave
 from .terminal import ERRORS
 
 START = 30.0
-"""Longest wait for the nodes to discover each other, s. A choice: a node takes some 2 s of a core
-to load, so that five on one core take 10 s."""
+"""Longest wait for the nodes to discover each other, s, and between two signs that an old journal
+is being read. A choice: a node takes some 2 s of a core to load, so that five on one core take
+10 s."""
 _PATIENCE = 6.0
 """s for a process to end after SIGINT, before SIGTERM: a node stops its table within three."""
 
@@ -210,19 +211,26 @@ class Processes:
         """Check that all needed nodes still run; report other ended nodes once.
 
         Raises:
-            InputError: One has ended; the text has its last line.
+            InputError: One was killed, or has ended; the text has its last line.
         """
         for node, (process, _) in self._running.items():
             if process.poll() is None:
                 continue
-            text = f'{node} has ended ({_how(process.returncode)}): {self.last_line(node)}'
+            text = self._why(node, process.returncode)
             if node not in self._needless:
-                raise InputError(text)
+                raise InputError(f'{text} The session ends, and its journal is kept.')
             if node not in self._missed:
                 self._missed.add(node)
                 ERRORS.print(
                     f'{text} The session goes on without it.', style='yellow', markup=False
                 )
+
+    def _why(self, node: str, code: int) -> str:
+        """Return how a node has ended, in a sentence."""
+        if code < 0:
+            # A killed node could not say why: its last line would be of something else.
+            return f'{node} was killed (signal {-code}).'
+        return f'{node} has ended (exit code {code}): {self.last_line(node).rstrip(".")}.'
 
     def last_line(self, node: str) -> str:
         """Return the last line that a node wrote."""
@@ -285,7 +293,3 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             process.kill()
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(timeout=0.5)
-
-
-def _how(code: int) -> str:
-    return f'signal {-code}' if code < 0 else f'exit code {code}'

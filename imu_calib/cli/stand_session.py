@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.live import Live
+from rich.text import Text
 
 from ..api.stand_checks import check_stand, has_simulated_hands, setup_of_stand, true_table_of
 from ..api.stated import DEFAULT_TERMS, TRUE_TABLE
@@ -33,6 +34,7 @@ from .embedded import Embedded, Nodes
 from .node_reports import NodeReports, NothingComes
 from .processes import START, Outcome, Processes, free_ports, network_of_hardware, private_network
 from .stand import complete
+from .starting import Start
 from .table_view import view
 from .terminal import ERRORS, OUTPUT, sentence_list
 
@@ -356,14 +358,15 @@ def _follow(
         Live(console=ERRORS, refresh_per_second=4, transient=True) as display,
     ):
         several_units = len(board.names) if isinstance(board, UnitsBoard) else 0
-        deadline = time.monotonic() + START + _START_OF_EACH * several_units
+        start = Start(reports, START + _START_OF_EACH * several_units)
         shown = ''
         while True:
             monitor.spin(0.1)
             processes.check()
             now = time.monotonic()
             units = board.unit_rows(now) if isinstance(board, UnitsBoard) else ()
-            display.update(view(board.snapshot(now), datetime.now(), ERRORS.width, units))
+            screen = view(board.snapshot(now), datetime.now(), ERRORS.width, units)
+            display.update(Text(start.words) if start.words else screen)
             if monitor.outcome is not None:
                 return Outcome(*monitor.outcome, monitor.duration)
             if monitor.stopped and not control:
@@ -375,5 +378,5 @@ def _follow(
                         f'The table has stopped. {shown} Go on from the page, or end with Ctrl-C.'
                     )
                     ERRORS.print(text, style='yellow', markup=False)
-            if not monitor.is_running and time.monotonic() > deadline:
-                raise InputError(f'The stand does not start: {monitor.text}.')
+            if not monitor.is_running:
+                start.check(f'The stand does not start: {monitor.text}.')

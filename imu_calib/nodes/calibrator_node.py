@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ from ..cdr import Kind
 from ..errors import InputError
 from ..middleware import messages
 from ..paths import user_path
+from ..reports.remaining import reading_sentence
 from . import qos
 from .declared import declare
 from .diagnostics import Diagnostics, Level
@@ -99,7 +101,8 @@ class CalibratorNode(ros.Node):
         self.create_service(ros.Trigger, '~/reset', self._on_reset)
         self.create_service(ros.Trigger, '~/save', self._on_save)
         state = None if table is None else self._turntable.topic
-        self._factory = SessionFactory(self._units, description, journal, state)
+        self._told_at = -math.inf
+        self._factory = SessionFactory(self._units, description, journal, state, self._tell_read)
         self._sessions = self._new_sessions()
         self.create_timer(_TICK, self._on_tick, clock=steady)
         self.create_timer(_SECOND, self._on_second, clock=steady)
@@ -155,9 +158,19 @@ class CalibratorNode(ros.Node):
         resumed = f'The session is resumed from {path}, which holds {held} messages.'
         if held:
             self._diagnostics.report('journal', Level.WARN, resumed)
+        elif sessions.journal.losses:
+            self._diagnostics.report('journal', Level.WARN, ' '.join(sessions.journal.losses))
         else:
             self._diagnostics.report('journal', Level.OK, journal_sentence(path))
         return sessions
+
+    def _tell_read(self, share: float) -> None:
+        """Tell now and then how much of a journal is read: until then the node does not answer."""
+        now = time.monotonic()
+        if now - self._told_at > _SECOND:
+            self._told_at = now
+            self._diagnostics.report('journal', Level.OK, reading_sentence(share))
+            self._diagnostics.publish()
 
     def _on_tick(self) -> None:
         self._take_all()

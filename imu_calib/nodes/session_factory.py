@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from ..bags import Journal
@@ -21,6 +21,7 @@ class SessionFactory:
         description: Set-up that every journal contains.
         journal: Folder of the first; later ones have a number at the end of their names.
         state: Full name of turntable/state; None without a table.
+        progress: Called now and then with the read share of a journal that is resumed, 0 to 1.
     """
 
     def __init__(
@@ -29,11 +30,13 @@ class SessionFactory:
         description: Mapping[str, str],
         journal: Path,
         state: str | None,
+        progress: Callable[[float], None] = lambda _: None,
     ) -> None:
         self._units = units
         self._description = description
         self._journal = journal
         self._state = state
+        self._progress = progress
         self._count = 0
 
     def begin(self, common: Mapping[Kind, str], of_units: Sequence[Mapping[Kind, str]]) -> Sessions:
@@ -51,7 +54,7 @@ class SessionFactory:
             path = path.with_name(f'{path.name}_{self._count + 1}')
         self._count += 1
         kinds = {topic: kind for names in (common, *of_units) for kind, topic in names.items()}
-        journal = Journal(path, self._described(of_units), kinds)
+        journal = Journal(path, self._described(of_units), kinds, self._progress)
         if self._state is not None:
             journal.add_latched_topic(self._state, STATE_TYPE)
         return Sessions(self._units, of_units, journal, common)

@@ -57,6 +57,9 @@ class Sessions:
         )
         if journal.resumed:
             self._go_on()
+        else:
+            for session in self.all:
+                session.notes += journal.losses
 
     def _go_on(self) -> None:
         """Feed the sessions with the journal's data from before a crash."""

@@ -13,10 +13,12 @@ from ..reports.convergence import Courses
 from ..reports.remaining import Pace, in_words
 from ..sequencing import Phase
 from .samples import Streams
-from .snapshot import Expected, Outcome, Sentence, Snapshot, TableState
+from .snapshot import NOT_BEGUN, Expected, Outcome, Sentence, Snapshot, TableState
 
 _SILENT = 5.0
 """s: a node publishes once or twice a second."""
+_BEGINS_ANEW = NOT_BEGUN | {Phase.DONE}
+"""From these a plan that has run begins with its first step."""
 
 
 @dataclass
@@ -55,6 +57,8 @@ class Board:
         self._nodes: dict[str, float] = {}
         self._pace = Pace()
         self._first: float | None = None
+        self._ran_at: float | None = None
+        self._reached: int | None = None
         self._worked_from: float | None = None
 
     def take_state(self, message: Any, now: float) -> None:
@@ -74,12 +78,31 @@ class Board:
             float(message.turns_done),
             float(message.seconds_left),
         )
+        self._follow_run(state, stamp, now)
         if state.phase not in {Phase.IDLE, Phase.DONE}:
             self._first = stamp if self._first is None else self._first
         if self._first is not None and state.phase is not Phase.DONE:
             self._state = replace(self._state, elapsed=max(0.0, stamp - self._first))
-        self._pace.note(stamp, now)
         self._state = replace(self._state, table=state)
+
+    def _follow_run(self, state: TableState, stamp: float, now: float) -> None:
+        """Follow how far the plan has run, and how fast; pauses are left out."""
+        if not state.phase.at_a_step:
+            self._pace.pause()
+            self._ran_at = None
+            return
+        before = self._state.table
+        if before is not None and before.phase in _BEGINS_ANEW and self._first is not None:
+            # What the calibrator has of the run before is to be measured again.
+            self._reached = 0
+            self._state = replace(self._state, worked=0.0)
+        if self._reached is not None:
+            self._reached = max(self._reached, state.step)
+        if self._ran_at is not None:
+            worked = self._state.worked + max(0.0, stamp - self._ran_at)
+            self._state = replace(self._state, worked=worked)
+        self._ran_at = stamp
+        self._pace.note(stamp, now)
 
     def take_progress(self, message: Any, now: float) -> None:
         """Take imu_calib_msgs/CalibrationProgress."""
@@ -176,8 +199,12 @@ class Board:
 
     def snapshot(self, now: float) -> Snapshot:
         """Return the state at a moment."""
+        state = self._state
+        seen = state.seen if self._reached is None else min(state.seen, self._reached)
         return replace(
-            self._state,
+            state,
+            seen=seen,
+            repeats=tuple(step for step in state.repeats if step < seen),
             table_silent=self._table.silence(now),
             calibrator_silent=self._calibrator.silence(now),
             rows=self._courses.rows(),

@@ -108,7 +108,7 @@ class Snapshot:
         table_silent: Duration without a state, s; 0 while states come.
         calibrator_silent: The same for the calibrator.
         progress: One sentence of the calibrator; empty before the first.
-        seen: Steps of the plan that have begun.
+        seen: Steps of the plan that have begun in its present run.
         repeats: Steps to be repeated.
         next: Attitudes that a hand should hold next.
         outcome: Outcome of the session.
@@ -119,6 +119,7 @@ class Snapshot:
         celsius: The unit's temperature, degrees Celsius; NaN if not measured.
         speed: Seconds of the stand per second of the wall clock.
         elapsed: Since the session began, s of the stand's time.
+        worked: Of the present run of the plan, without pauses, s of the stand's time.
         answer: Answer to the last command of a viewer; empty before the first.
         report: Name of the report's file when it is written.
         report_text: Text on the report.
@@ -140,6 +141,7 @@ class Snapshot:
     celsius: float = math.nan
     speed: float = 1.0
     elapsed: float = 0.0
+    worked: float = 0.0
     answer: str = ''
     report: str = ''
     report_text: str = ''
@@ -175,5 +177,5 @@ class Snapshot:
             return 1.0
         if self.table is not None and self.table.phase in NOT_BEGUN:
             return 0.0
-        whole = self.elapsed + seconds
-        return self.elapsed / whole if whole > 0 else 0.0
+        whole = self.worked + seconds
+        return self.worked / whole if whole > 0 else 0.0
