@@ -111,7 +111,8 @@ setup(
             'dsiunits>=3.1',
             'dcc-json-toolkit>=1.2',
             'fastcrc>=0.5',
-            'imucal>=2.6',
+            # Its latest (2.6.0) refuses Python 3.14.
+            "imucal>=2.6; python_version < '3.14'",
             'jsonschema>=4.10',
             'lxml>=5',
             'nbclient>=0.10',

@@ -118,7 +118,7 @@ def test_nothing_is_left_out_that_is_declared_or_that_nobody_needs(name):
     assert not {name, f'python3-{name}'} & keys
     needed = {n for folder in ('imu_calib', 'launch', 'test', 'docs') for n in imported(folder)}
     needed |= {module.partition('.')[0] for module in codec._ZSTD_MODULES}
-    needed |= set(re.findall(r"'([a-z0-9]+)(?=>=)", (CHECKOUT / 'setup.py').read_text('utf-8')))
+    needed |= set(re.findall(r'[\'"]([a-z0-9]+)(?=>=)', (CHECKOUT / 'setup.py').read_text('utf-8')))
     assert name in needed
 
 

@@ -193,5 +193,7 @@ def _joined(first: MessageBatch, second: MessageBatch) -> MessageBatch | None:
 
 
 def _of_times(several: list[Times], rows: slice | Indices) -> Times:
-    columns: list[list[Any]] = [[getattr(times, field.name) for times in several] for field in fields(Times)]
+    columns: list[list[Any]] = [
+        [getattr(times, field.name) for times in several] for field in fields(Times)
+    ]
     return Times(*(None if c[0] is None else np.concatenate(c)[rows] for c in columns))
