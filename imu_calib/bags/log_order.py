@@ -193,7 +193,8 @@ def _joined(first: MessageBatch, second: MessageBatch) -> MessageBatch | None:
 
 
 def _of_times(several: list[Times], rows: slice | Indices) -> Times:
-    columns: list[list[Any]] = [
-        [getattr(times, field.name) for times in several] for field in fields(Times)
-    ]
-    return Times(*(None if c[0] is None else np.concatenate(c)[rows] for c in columns))
+    columns: list[Any] = []
+    for field in fields(Times):
+        column = [getattr(times, field.name) for times in several]
+        columns.append(None if column[0] is None else np.concatenate(column)[rows])
+    return Times(*columns)
