@@ -15,8 +15,9 @@ from .model import Parameter
 from .stream import Floats
 from .units import LARGEST
 
-_ROUNDED = 1e-6
-"""Ratio by which the sum of the sources may differ from a variance: seven digits in a text."""
+_ROUNDED = 1e-3
+"""Ratio by which the sum of the sources may differ from a variance: certificates state two digits
+of an uncertainty. Differences of nearly equal covariances lose some 1e-5 in exact sessions."""
 _FOLLOWS = (
     'units',
     'standard_uncertainty',
