@@ -366,7 +366,8 @@ def _follow(
             now = time.monotonic()
             units = board.unit_rows(now) if isinstance(board, UnitsBoard) else ()
             screen = view(board.snapshot(now), datetime.now(), ERRORS.width, units)
-            display.update(Text(start.words) if start.words else screen)
+            reading = '' if monitor.is_running else start.words
+            display.update(Text(reading) if reading else screen)
             if monitor.outcome is not None:
                 return Outcome(*monitor.outcome, monitor.duration)
             if monitor.stopped and not control:
