@@ -365,6 +365,6 @@ def test_how_to_look_on_is_printed_to_who_asks(tmp_path, monkeypatch, capsys, ve
         raise InputError('The test ends here.')
 
     monkeypatch.setattr(stand_session, '_session', session)
-    words = ['--verbose'] if verbose else []
+    words = ['--processes', *(['--verbose'] if verbose else [])]
     assert main(['stand', 'twelve_position', '-o', str(tmp_path / 'stand'), *words]) == 2
     assert ('ROS_DOMAIN_ID' in capsys.readouterr().out) == verbose

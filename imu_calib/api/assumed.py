@@ -12,8 +12,6 @@ from ..cdr import Kind
 from ..errors import InputError, NotStated
 from ..imu import ImuSpec, load_imu
 from ..plan import Plan, load_plan
-from ..segmentation.gravity_removed import gravity_removed, quiet_means
-from ..segmentation.halves import MESSAGES_APART, halves
 from ..share import shipped
 from ..stream import Floats, ImuBlock
 from ..units import LARGEST, STANDARD_GRAVITY
@@ -53,6 +51,10 @@ def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
         NotStated: They do not, and their units are not stated.
         InputError: Gravity was removed from them, or rates and accelerations come apart.
     """
+    # Loaded here, as the rest of segmentation is: most commands do not need it.
+    from ..segmentation.gravity_removed import gravity_removed, quiet_means
+    from ..segmentation.halves import MESSAGES_APART, halves
+
     blocks = [b for _, b in islice(recording.read({topic: Kind.IMU}), _BLOCKS)]
     samples = [b for b in blocks if isinstance(b, ImuBlock)]
     force = np.vstack([np.zeros((0, 3)), *(b.accel for b in samples)])
