@@ -144,7 +144,7 @@ def north(case: Case) -> list[str]:
 
 
 def covering(cases: list[Case]) -> list[Case]:
-    """Each plan with one unit: that which has had the fewest plans so far."""
+    """Each plan with the unit that has had the fewest plans so far; then a plan for each other."""
     times: Counter[str] = Counter()
     chosen: list[Case] = []
     # Plans that few units can run choose first.
@@ -155,6 +155,10 @@ def covering(cases: list[Case]) -> list[Case]:
         mine = [c for c in cases if c.plan == plan and (not held or c.imu == HELD)]
         chosen.append(min(mine, key=lambda c: times[c.imu]))
         times[chosen[-1].imu] += 1
+    on_table = [c for c in cases if not plan_of(c.plan).by_hand]
+    for imu in sorted({c.imu for c in cases} - set(times)):
+        mine = [c for c in on_table if c.imu == imu]
+        chosen.append(min(mine, key=lambda c: len(plan_of(c.plan).positions)))
     return chosen
 
 
