@@ -6,6 +6,8 @@ import importlib
 import os
 import platform
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 
 from .errors import ImuCalibError
@@ -30,6 +32,20 @@ def runtime() -> str:
             raise ImuCalibError(f'{VARIABLE} is {forced!r}, expected {", ".join(RUNTIMES)}.')
         return forced
     return 'rclpy' if find_spec('rclpy') is not None else 'dds'
+
+
+@contextmanager
+def forced(chosen: str) -> Iterator[None]:
+    """Force a runtime in this block, also for the modules of nodes that it loads."""
+    former = os.environ.get(VARIABLE)
+    os.environ[VARIABLE] = chosen
+    try:
+        yield
+    finally:
+        if former is None:
+            del os.environ[VARIABLE]
+        else:
+            os.environ[VARIABLE] = former
 
 
 def require(chosen: str) -> None:

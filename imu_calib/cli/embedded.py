@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Collection, Mapping
+from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any, TypeAlias
 
 from ..errors import InputError
-from ..runtime import VARIABLE
+from ..runtime import forced
 from .processes import NodeFiles, Processes
 from .terminal import ERRORS
 
@@ -31,12 +32,17 @@ class Embedded:
     environment: Mapping[str, str] = MappingProxyType({})
 
     def __init__(self, folder: Path, *, simulated: bool) -> None:
-        # Before the middleware is loaded: the nodes' modules take their names from it.
-        os.environ[VARIABLE] = 'embedded'
-        from ..middleware.dds.container import Container
-
         self._files = NodeFiles(folder)
-        self._container = Container(simulated=simulated)
+        self._until_the_end = ExitStack()
+        # Before the middleware is loaded: the nodes' modules take their names from it.
+        self._until_the_end.enter_context(forced('embedded'))
+        try:
+            from ..middleware.dds.container import Container
+
+            self._container = Container(simulated=simulated)
+        except BaseException:
+            self._until_the_end.close()
+            raise
         self._logs: dict[str, IO[str]] = {}
         self._needless: set[str] = set()
         self._missed: set[str] = set()
@@ -55,6 +61,7 @@ class Embedded:
         try:
             self._container.shutdown()
         finally:
+            self._until_the_end.close()
             for log in self._logs.values():
                 log.close()
             for number, handler in self._former.items():

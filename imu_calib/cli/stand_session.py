@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shutil
 import signal
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from ..errors import InputError, NotObservable
 from ..imu import ImuSpec, load_imu
 from ..plan import Plan, load_plan
 from ..reports.parameter_table import parameter_tables
-from ..runtime import VARIABLE
+from ..runtime import forced
 from ..turntable import Table, load_table
 from ..web.board import Board
 from ..web.expectation import expectation, units_board
@@ -61,9 +60,8 @@ def check(
         NotObservable: The text states what cannot be determined, and why.
     """
     # The runtime is checked only here: the other commands need none.
-    if several.is_embedded(arguments):
-        os.environ[VARIABLE] = 'embedded'
-    from . import monitor  # noqa: F401
+    with forced('embedded') if several.is_embedded(arguments) else nullcontext():
+        from . import monitor  # noqa: F401
 
     setup = setup_of_stand(options.stated(arguments), imu, plan, table, site)
     check_stand(setup)
