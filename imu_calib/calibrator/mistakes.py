@@ -52,6 +52,10 @@ def refuse_apart(session: Segmented) -> None:
         raise InputError(_APART)
 
 
+_NO_BIAS = 1.0
+"""rad/s that no gyro reads at rest: ten times the worst zero-rate output of a data sheet."""
+
+
 @contextmanager
 def with_facts(session: Segmented) -> Iterator[None]:
     """Add the facts of the stream to a refusal of its session, and name a cause that they show.
@@ -81,8 +85,11 @@ def _explained(refusal: str, session: Segmented) -> str:
 
 
 def _without_gravity(session: Segmented) -> str:
-    means = np.array([segment.statistics.mean[3:] for segment in session.segments])
-    return gravity_removed(means.reshape(-1, 3))
+    means = np.array([segment.statistics.mean for segment in session.segments]).reshape(-1, 6)
+    if len(means) and np.median(np.linalg.norm(means[:, :3], axis=1)) > _NO_BIAS:
+        # Something else is in the columns of the gyros: gravity, maybe.
+        return ''
+    return gravity_removed(means[:, 3:])
 
 
 def dead_channels(session: Segmented) -> list[str]:
