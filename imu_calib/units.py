@@ -43,6 +43,7 @@ _RATES: dict[str, float] = {
     for time, seconds in {'s': 1.0, 'min': 60.0, 'h': HOUR}.items()
 }
 _VELOCITIES = {'m/s': 1.0, 'mm/s': 1e-3}
+"""m/s per unit of a velocity."""
 _ROOT_HOUR = math.sqrt(HOUR)
 
 

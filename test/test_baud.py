@@ -35,6 +35,8 @@ def started(monkeypatch):
     given = {}
 
     class Recorder:
+        environment: dict[str, str] = {}  # noqa: RUF012
+
         def __init__(self, *_):
             pass
 

@@ -59,7 +59,7 @@ def test_an_interruption_is_told_by_its_length_and_its_beginning() -> None:
 
 def test_lost_samples_are_told_by_their_share() -> None:
     held = Segmenter(SPEC, TABLE)
-    held._intake.samples, held._reader.bridged = 17, 3
+    held._intake.facts.samples, held._reader.bridged = 17, 3
     held._reader.off_grid = {START + 9 * NS, START + 2 * NS}
     held._intake.interruptions.feed(np.array([START, START + 2 * NS]))
     assert held._loss_sentences() == (

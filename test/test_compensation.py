@@ -48,7 +48,7 @@ def test_the_outputs_are_the_inputs_that_the_model_was_given(units):
     spec = ImuSpec('any', units, None, TriadSpec(scale[0]), TriadSpec(scale[1]))
     rate, force = inputs(1000)
     gyro, accel = with_g().predict(rate, force)
-    width = TAU if units is Units.PULSES else 1.0
+    width = TAU if units.per_interval else 1.0
     result = Compensation(known(spec, with_g())).apply(
         gyro * width / scale[0], accel * width / scale[1], np.full(1000, TAU)
     )

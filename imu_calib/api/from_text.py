@@ -32,6 +32,7 @@ _ANGLE: Mapping[str, float] = Dimension.ANGLE.value
 _STAMP = {'s': 1e9, 'ms': 1e6, 'us': 1e3, 'ns': 1.0}
 """ns per unit of a time."""
 _CELSIUS = {'degC': 1.0, 'mdegC': 1e-3}
+"""Degrees Celsius per unit of a temperature."""
 _COUNTERS = {2**32 * 1e3: 'microseconds', 2**32 * 1e6: 'milliseconds'}
 """ns until a counter of 32 bits begins anew, and what it counts: micros() and millis()."""
 _LONGEST_LOSS = 10e9

@@ -14,12 +14,12 @@ from ..domain import domain_id
 from . import logging, memory
 from .arguments import Arguments, parse
 from .graph import Graph
-from .participant import Participant
+from .wire import WireParticipant
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-AnyParticipant: TypeAlias = Participant | memory.Participant
+AnyParticipant: TypeAlias = WireParticipant | memory.Participant
 
 
 class Context:
@@ -57,7 +57,7 @@ class Context:
             self.graph = memory.Graph(self.participant)
             return
         refuse_to_pretend()
-        self.participant = joined = Participant(domain_id())
+        self.participant = joined = WireParticipant(domain_id())
         self.graph = Graph(joined)
 
     @contextmanager

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...errors import ImuCalibError
 from ..domain import configuration
-
-if TYPE_CHECKING:
-    from .qos import QoSProfile
-    from .wire import Reader, WaitSet, Writer
 
 
 class TransportError(Exception):
@@ -77,37 +72,6 @@ class Participant:
                 f'not {idl.__idl_typename__}.'
             )
         return self._topics[name]
-
-    def reader(
-        self, topic: str, type_name: str, qos: QoSProfile, user_data: str = '', prefix: str = ''
-    ) -> Reader:
-        """Create a reader of a DDS topic."""
-        from .wire import Reader
-
-        return Reader(self, topic, type_name, qos, user_data, prefix)
-
-    def writer(
-        self, topic: str, type_name: str, qos: QoSProfile, user_data: str = '', prefix: str = ''
-    ) -> Writer:
-        """Create a writer of a DDS topic."""
-        from .wire import Writer
-
-        return Writer(self, topic, type_name, qos, user_data, prefix)
-
-    def wait_set(self, readers: Sequence[Reader]) -> WaitSet:
-        """Create what waits for messages of readers.
-
-        Raises:
-            TransportError: A reader was deleted.
-        """
-        from cyclonedds.core import DDSException
-
-        from .wire import WaitSet
-
-        try:
-            return WaitSet(self, readers)
-        except DDSException as error:
-            raise TransportError(str(error)) from error
 
     def leave(self) -> None:
         """Delete all entities."""

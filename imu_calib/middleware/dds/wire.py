@@ -313,3 +313,32 @@ def _incompatible(status: Any) -> QoSIncompatibleInfo | None:
         return None
     kind = _POLICIES.get(status.last_policy_id, 0)
     return QoSIncompatibleInfo(status.total_count, status.total_count_change, kind)
+
+
+class WireParticipant(Participant):
+    """A participant that makes its endpoints."""
+
+    def reader(
+        self, topic: str, type_name: str, qos: QoSProfile, user_data: str = '', prefix: str = ''
+    ) -> Reader:
+        """Create a reader of a DDS topic."""
+        return Reader(self, topic, type_name, qos, user_data, prefix)
+
+    def writer(
+        self, topic: str, type_name: str, qos: QoSProfile, user_data: str = '', prefix: str = ''
+    ) -> Writer:
+        """Create a writer of a DDS topic."""
+        return Writer(self, topic, type_name, qos, user_data, prefix)
+
+    def wait_set(self, readers: Sequence[Reader]) -> WaitSet:
+        """Create what waits for messages of readers.
+
+        Raises:
+            TransportError: A reader was deleted.
+        """
+        from cyclonedds.core import DDSException
+
+        try:
+            return WaitSet(self, readers)
+        except DDSException as error:
+            raise TransportError(str(error)) from error
