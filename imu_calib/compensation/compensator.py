@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..calibration import Calibration
 from ..segmentation.shared_stamps import SharedStamps
-from ..stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock, Units
+from ..stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
 from .apply import Compensation
 from .gravity_seen import GravitySeen
 from .in_motion import Applied, InMotion
@@ -131,7 +131,7 @@ class Compensator:
         self._takes_skewed = single.model.skewed is not None
         # Pulses become rates, and motion terms differences, by the time between samples.
         moving = any(one.moving for one in ready.values())
-        self._clock.required = single.imu.units is Units.PULSES or moving
+        self._clock.required = single.imu.units.per_interval or moving
         celsius, self._used = self._used, None
         if celsius is not None:
             self._use(celsius)

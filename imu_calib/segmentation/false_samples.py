@@ -151,10 +151,10 @@ class _Limits(NamedTuple):
     least: Floats
 
     @classmethod
-    def of(cls, units: Units, ratio: float) -> _Limits:
-        """Return those of values in units, by a ratio."""
+    def of(cls, units: Units, ratio: float, least: Floats) -> _Limits:
+        """Return those of values in units, by a ratio; and by how much at least in SI."""
         if units is Units.SI:
-            return cls(ratio, 0.0, _LEAST)
+            return cls(ratio, 0.0, least)
         # Of three axes that reach the ratio together, one reaches this.
         return cls(ratio, 1.0, np.full(6, ratio / math.sqrt(3)))
 
@@ -174,7 +174,11 @@ class FalseSampleFilter:
 
     def __init__(self, units: Units, of: str = '') -> None:
         self.found = FalseSamples(of=of)
-        self._limits = _Limits.of(units, _ALL_AXES), _Limits.of(units, _SPIKE)
+        # In SI a single pulse of a slow counter is a spike too, of one coarse step.
+        self._limits = (
+            _Limits.of(units, _ALL_AXES, _LEAST),
+            _Limits.of(units, _SPIKE, _COARSEST),
+        )
         self._rows = Rows(np.empty(0, dtype=np.int64), np.empty((0, 6)))
         self._judged = 0
         """The number of these, the first ones, that are kept for those after them alone."""
