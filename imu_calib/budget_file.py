@@ -15,6 +15,8 @@ from .model import Parameter
 from .stream import Floats
 from .units import LARGEST
 
+_NOTHING = 1e-24
+"""Variance in SI of what is held at its value: what rounding leaves of it is no contradiction."""
 _ROUNDED = 1e-3
 """Ratio by which the sum of the sources may differ from a variance: certificates state two digits
 of an uncertainty. Differences of nearly equal covariances lose some 1e-5 in exact sessions."""
@@ -104,7 +106,7 @@ def read_budget(section: Section, parameters: Sequence[Parameter], variances: Fl
     section.finish()
     budget = Budget(tuple(lines))
     doubt = np.abs(budget.variances.sum(axis=0) - variances)[known]
-    if not (doubt <= _ROUNDED * variances[known]).all():
+    if not (doubt <= _ROUNDED * variances[known] + _NOTHING).all():
         raise InputError(
             f'{section.key("sources")}: their squares do not add up to the variances in covariance.'
         )

@@ -27,6 +27,9 @@ OTHERS = {
     'other_formats.py': 'a whole command',
     'fleet/history.py': 'a whole command',
     'api/standing.py': 'runs a command',
+    'api/streams.py': 'a whole command',
+    'segmentation/halves.py': 'a whole command',
+    'runtime.py': 'a whole command',
     'middleware/ros.py': 'a command of ROS',
     **dict.fromkeys(
         ('reports/style.py', 'reports/fleet/style.py', 'web/style.py'), 'variables of CSS'

@@ -97,8 +97,9 @@ def test_too_few_samples_and_lost_ones_show_nothing() -> None:
 
 def test_pulses_counts_and_values_made_of_pulses_are_not_looked_at() -> None:
     dwells = rounded(0.05, 0.005)
-    assert not sentences(dwells, load_imu('fog_medium'))
-    assert not sentences(dwells, load_imu('mems_counts'))
+    whole = np.rint(dwells / 0.005)
+    assert not sentences(whole, load_imu('fog_medium'))
+    assert not sentences(whole, load_imu('mems_counts'))
     pulsed = TriadSpec(pulse=0.05)
     assert not sentences(dwells, replace(SI, accel=pulsed))
 

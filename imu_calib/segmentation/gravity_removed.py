@@ -6,7 +6,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ..stream import Floats
-from ..units import STANDARD_GRAVITY
+from ..units import LARGEST, STANDARD_GRAVITY
 
 _NEAR_ZERO = 0.05 * STANDARD_GRAVITY
 """m/s^2. A judgement: what phones and fusion chips leave at rest is a tenth of that, and an
@@ -51,7 +51,7 @@ def quiet_means(force: Floats) -> Floats:
     Args:
         force: (n, 3) in any unit.
     """
-    force = force[np.isfinite(force).all(axis=1)]
+    force = force[(np.abs(force) <= LARGEST).all(axis=1)]
     if len(force) < _WINDOW:
         return np.empty((0, 3))
     windows = sliding_window_view(force, _WINDOW, axis=0)[::_WINDOW]
