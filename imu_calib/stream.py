@@ -27,7 +27,7 @@ class Units(Enum):
     INCREMENTS = 'increments'
     """Angles and velocities gained over that interval, no whole numbers, as in rad and m/s."""
     RATES = 'rates'
-    """Rates and specific forces in other units than SI: deg/s and g, for example."""
+    """Rates and specific forces in other units than SI, as deg/s and g."""
     SI = 'si'
     """rad/s and m/s^2."""
 
