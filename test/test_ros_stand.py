@@ -137,7 +137,8 @@ def test_what_ros_recorded_is_what_the_journal_holds_and_ends_in_the_true_parame
 @pytest.mark.skipif(not has_wheel(), reason='the wheel cyclonedds is not in this Python')
 def test_the_tool_of_ros_cancels_a_goal_of_a_node_without_ros(tmp_path):
     folder = tmp_path / 'stand'
-    words = ['stand', str(short_plan(tmp_path)), '-o', str(folder), '--latitude', str(LATITUDE)]
+    words = ['stand', str(short_plan(tmp_path)), '-o', str(folder), '--processes']
+    words += ['--latitude', str(LATITUDE)]
     parameters = stand_session.parameters(dispatch.build_parser().parse_args(words), folder)
     parameters['turntable_node'] |= {'autostart': False, 'supervised': False}
     parameters['stand_node']['speed'] = 2.0
@@ -186,7 +187,8 @@ def test_the_stand_passes_its_launch_test(tmp_path):
 @pytest.mark.parametrize('on_ros', [{'calibrator_node'}, set(NODES) - {'calibrator_node'}])
 def test_nodes_on_both_runtimes_make_one_stand(on_ros, tmp_path):
     folder = tmp_path / 'stand'
-    words = ['stand', str(short_plan(tmp_path)), '-o', str(folder), '--latitude', str(LATITUDE)]
+    words = ['stand', str(short_plan(tmp_path)), '-o', str(folder), '--processes']
+    words += ['--latitude', str(LATITUDE)]
     parameters = stand_session.parameters(dispatch.build_parser().parse_args(words), folder)
     folder.mkdir()
     net = Network(tmp_path)
