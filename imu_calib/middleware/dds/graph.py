@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from .codec import deserialize_message, serialize_message
 from .message_classes import message_class
-from .participant import Participant, delete
+from .participant import delete
 from .qos import DurabilityPolicy, HistoryPolicy, QoSProfile, from_dds
+from .wire import WireParticipant
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -47,7 +48,7 @@ class TopicEndpointInfo:
 class Graph:
     """The ROS graph as one participant sees it."""
 
-    def __init__(self, participant: Participant) -> None:
+    def __init__(self, participant: WireParticipant) -> None:
         from cyclonedds.builtin import (
             BuiltinDataReader,
             BuiltinTopicDcpsPublication,
