@@ -18,14 +18,14 @@ command_of() {
 
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
-git archive --prefix=root/imu_calib/ --output="$folder/checkout.tar" HEAD
+git archive --prefix=srv/imu_calib/ --output="$folder/checkout.tar" HEAD
 suite="$(command_of 'the test command') ${*@Q}"
 if [ "$architecture" != "$(dpkg --print-architecture)" ] && [ $# = 0 ]; then
   suite='echo Of the suite nothing was run.'
 fi
 cat > "$folder/steps" << END
 set -euxo pipefail
-cd /root/imu_calib
+cd /srv/imu_calib
 ln -s /usr/bin/python$python /usr/local/bin/python3
 uname -m
 python3 --version
@@ -46,11 +46,11 @@ done
 # matrices wrongly.
 way+=(QEMU_CPU=cortex-a72)
 # The Release file of unstable is valid for a week; a mirror may be older.
-env -i "${way[@]}" PIP_ONLY_BINARY=:all: PIP_NO_COMPILE=1 PATH="$PATH" HOME=/root LANG=C.UTF-8 \
+env -i "${way[@]}" PIP_ONLY_BINARY=:all: PIP_NO_COMPILE=1 PATH="$PATH" HOME=/tmp LANG=C.UTF-8 \
   mmdebstrap --format=null --variant=apt --architectures="$architecture" \
   --aptopt='Acquire::Check-Valid-Until "false"' --include="ca-certificates,python$python-venv" "${hooks[@]}" \
   --customize-hook='echo 127.0.0.1 localhost > "$1/etc/hosts"' \
   --customize-hook="tar-in $folder/checkout.tar /" \
-  --customize-hook="copy-in $folder/steps /root" \
-  --customize-hook='chroot "$1" bash /root/steps' \
+  --customize-hook="copy-in $folder/steps /srv" \
+  --customize-hook='chroot "$1" bash /srv/steps' \
   unstable
