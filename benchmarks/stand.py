@@ -51,7 +51,7 @@ def run(
         folder = Path(scratch) / 'stand'
         arguments = ['stand', plan, '-o', str(folder), '--sample-rate', str(rate)]
         began = time.monotonic()
-        code = main.main([*arguments, '--speed', str(speed), *further])
+        code = main.main([*arguments, '--processes', '--speed', str(speed), *further])
         wall = time.monotonic() - began
         if code:
             return code

@@ -60,7 +60,7 @@ def run(count: int, rate: float, plan: str, speed: float) -> int:
         folder = Path(scratch) / 'stand'
         words = ['stand', plan, '--imus', str(units_file(Path(scratch), count)), '-o', str(folder)]
         began = time.monotonic()
-        code = main.main([*words, '--sample-rate', str(rate), '--speed', str(speed)])
+        code = main.main([*words, '--processes', '--sample-rate', str(rate), '--speed', str(speed)])
         wall = time.monotonic() - began
         if code:
             return code

@@ -1,4 +1,4 @@
-"""imu-calib stand: run a plan live, with the suite's nodes in separate processes."""
+"""imu-calib stand: run a plan live, with the suite's nodes in this process or in their own."""
 
 from __future__ import annotations
 
