@@ -335,6 +335,61 @@ def test_a_joint_beyond_its_limits_is_stopped():
     pauses(stand, 'middle', 'is at 170.000 deg, beyond its limits of -100 to 100 deg')
 
 
+def of_nothing(_angles, _stamps):
+    return 500
+
+
+def of_a_jump(angles, _):
+    angles[330:, 1] += 3 * DEG
+    return 500
+
+
+def of_one_stray(angles, _):
+    angles[300, 1] += 3 * DEG
+    return 500
+
+
+def of_a_gap(_, stamps):
+    stamps[300:] += 10**10
+    return 500
+
+
+def of_a_step_back(_, stamps):
+    """What comes in one block with an invalid joint state, and after it, is not taken."""
+    stamps[300:] -= 10**10
+    return 301
+
+
+def of_no_number(angles, _):
+    angles[300, 0] = np.nan
+    return 301
+
+
+@pytest.mark.parametrize(
+    'happens', [of_nothing, of_a_jump, of_one_stray, of_a_gap, of_a_step_back, of_no_number]
+)
+@pytest.mark.parametrize('dwell', [100.0, 4.0])
+def test_joint_states_of_a_table_that_dwells_say_the_same_however_they_come(happens, dwell):
+    """Most of those that come at once are passed over: nothing may change by that."""
+    stand = Stand(small_plan(dwell=dwell, rates=(200 * DEG,)), wrapped=True).started()
+    stand.run(lambda state: state.phase is Phase.TURNING)
+    stand.phase(Phase.DWELLING)
+    times = stand.time + PERIOD * np.arange(1, 501)
+    angles, rates = stand.table.read(times)
+    stamps = EPOCH + np.rint(times * 1e9).astype(np.int64)
+    count = happens(angles, stamps)
+    seen = []
+    for size in (1, 7, 500):
+        sequencer = deepcopy(stand.sequencer)
+        for k in range(0, count, size):
+            part = slice(k, min(k + size, count))
+            sequencer.take(JointBlock(stamps[part], stand.names, angles[part], rates[part]))
+        seen.append((sequencer.state(), sequencer.feedback, sequencer.revision))
+    assert seen[0] == seen[1] == seen[2]
+    ended = happens is not of_nothing or dwell < 5.0
+    assert (seen[0][0].phase is not Phase.DWELLING) == ended
+
+
 @pytest.mark.parametrize('bring', [moving, turning])
 def test_a_table_that_goes_the_wrong_way_is_stopped(bring):
     stand = bring(Stand(block=1))
