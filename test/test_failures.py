@@ -75,10 +75,10 @@ def hangs(stand, node, seconds):
 def test_every_node_may_hang_and_the_session_ends_in_the_true_parameters(tmp_path, seconds):
     """Of ten frames one is damaged besides, in the steps between."""
     waits = {'calibrator_timeout': 2.0, 'watchdog_timeout': 2.0}
-    # Long enough that steps are left for the last node while the others are missed, also where the
-    # machine is busy and a call takes a second.
+    # Long and slow enough that steps are left for the last node while the others are missed, also
+    # where the machine is busy and a call takes a second.
     plan = short_plan(tmp_path, dwell=6.0, rates=(120, -120))
-    with Stand(tmp_path, plan=plan, turntable_node=waits) as stand:
+    with Stand(tmp_path, '--speed', '60', plan=plan, turntable_node=waits) as stand:
         # Its frames wait in the line, and simulated time waits for them.
         assert stand.reaches(State.DWELLING, step=1)
         with hangs(stand, 'imu_node', seconds):

@@ -45,7 +45,7 @@ def test_calibrator_and_leader_are_killed_and_the_session_goes_on_from_its_journ
     """The calibrator twice: the second time its journal is one that had been gone on with."""
     # On a busy machine a calibrator that lives may be silent for seconds.
     waits = {'calibrator_timeout': 5.0, 'watchdog_timeout': LEASE + 10.0}
-    with Stand(tmp_path, turntable_node=waits) as stand:
+    with Stand(tmp_path, '--speed', '60', turntable_node=waits) as stand:
         assert stand.reaches(State.TURNING, step=1)
         stand.kill('turntable_node')
         # The table stops by itself.
@@ -112,7 +112,7 @@ def test_a_full_disk_stops_the_table_and_loses_nothing_and_then_the_table_vanish
 
 def test_a_table_that_does_not_do_as_it_is_told(tmp_path):
     """It stands and says why, time after time; then the session ends as if nothing had been."""
-    with Stand(tmp_path) as stand:
+    with Stand(tmp_path, '--speed', '60') as stand:
         for fault, phase, step, word in (
             ('stall', State.TURNING, 1, 'Joint'),
             ('overshoot 5', State.MOVING, 3, 'Joint'),

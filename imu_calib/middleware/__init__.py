@@ -1,4 +1,4 @@
-"""rclpy where ROS 2 is, else the same subset of it over Cyclone DDS, on ROS 2's wire.
+"""rclpy where ROS 2 is, else the same subset of it over Cyclone DDS or within one process.
 
     from imu_calib.middleware import Node, QoSProfile, messages, run
 
@@ -9,11 +9,12 @@
 
     run(Talker)
 
-`RUNTIME` names the one in use; IMU_CALIB_MIDDLEWARE=rclpy|dds forces it. In addition to rclpy's
-names there are `open_drain` and `drain` (all that has arrived as serialised bytes, in bulk),
-`open_stream` (the same as soon as it arrives), `publish_all`, `acknowledged`, `GoalServer` (an
-action whose goals the node ends), `ManagedNode` (a lifecycle node that can start by itself) and
-`run`; `LEASE` is the time, s, for which a process that was killed is still listed.
+`RUNTIME` names the one in use; IMU_CALIB_MIDDLEWARE=rclpy|dds|embedded forces it. In addition to
+rclpy's names there are `open_drain` and `drain` (all that has arrived as serialised bytes, in
+bulk), `open_stream` (the same as soon as it arrives), `publish_all`, `acknowledged`, `GoalServer`
+(an action whose goals the node ends), `ManagedNode` (a lifecycle node that can start by itself),
+`run_beside` (work beside callbacks), `in_step` (whether a simulation in this process makes the
+time) and `run`; `LEASE` is the time, s, for which a process that was killed is still listed.
 `dds.node.Node` lists what the subset lacks; services over DDS do not reach peers on
 rmw_fastrtps.
 """

@@ -91,7 +91,7 @@ class CalibratorNode(ros.Node):
             Subscriptions(self, topics_of_unit(unit.setup, unit.name, unit.topic))
             for unit in self._units
         ]
-        self._latest = self._reviewed = 0
+        self._latest = 0
         self._turntable = TurntableStateIntake(self, plan, self._steps, self._diagnostics)
         if self._setup.table is not None:
             self.create_subscription(
@@ -150,6 +150,7 @@ class CalibratorNode(ros.Node):
         """Begin a session, or resume the one in the journal."""
         of_units = [subscriptions.topics for subscriptions in self._of_units]
         sessions = self._factory.begin(self._of_table.topics, of_units)
+        self._reviewed = 0
         for subscriptions, results in zip(self._of_units, self._results, strict=True):
             subscriptions.begin()
             results.begin()

@@ -142,7 +142,7 @@ class Solved:
     until: int
 
 
-class InTurn:
+class AtOnce:
     """Executes at once, in the thread that asks, what a thread pool would do meanwhile."""
 
     def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
@@ -173,7 +173,7 @@ class SharedSolver:
         self._concluded = concluded
         self._reviews = 0
         self._since = self._rested_at = 0.0
-        self.threads = InTurn() if in_step() else ThreadPoolExecutor(1, 'solver')
+        self.threads = AtOnce() if in_step() else ThreadPoolExecutor(1, 'solver')
 
     @property
     def may_review(self) -> bool:

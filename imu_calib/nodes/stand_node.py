@@ -46,11 +46,11 @@ _STEP_AT_REST = 0.2
 nodes. With `_AHEAD` it is less than the age at which the table refuses a setpoint."""
 _LONGEST_STEP = 1.0
 """s per step at most, where nothing is to be decided: a pause is obeyed after so long. A choice."""
+_LONGEST_STEP_AT_REST = 5.0
+"""The same for a table that dwells, which a pause cannot stop."""
 _UNPACED = 10.0
 """s without the command of a motion in which the time of a simulation in step with its nodes does
 not follow the wall clock yet: they start, or review the session, and nobody watches. A choice."""
-_LONGEST_STEP_AT_REST = 5.0
-"""The same for a table that dwells, which a pause cannot stop."""
 _SHORT = 0.02
 """s of the wall clock that a longer step may take at most under a limited speed: too short to be
 seen. A choice."""

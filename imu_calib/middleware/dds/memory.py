@@ -11,6 +11,7 @@ import threading
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
+from ...errors import ImuCalibError
 from .codec import deserialize_message, serialize_message
 from .graph import TopicEndpointInfo
 from .message_classes import Message
@@ -25,10 +26,6 @@ from .qos import (
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
-
-_ID = 8
-"""Bytes that identify a writer among those of the process."""
-
 
 class Participant:
     """All topics of the process."""
@@ -53,7 +50,7 @@ class Participant:
         reader = Reader(self, topic, f'{type_name} {prefix}', qos, user_data)
         self._enter(reader, self.readers)
         for writer in self.writers.get(topic, ()):
-            if not writer.mismatch(reader) and reader.is_latched:
+            if reader.is_latched and writer.sends_to(reader):
                 reader.receive(writer, writer.sent)
         return reader
 
@@ -106,7 +103,10 @@ class _End:
         self.kind = kind
         self.qos = qos
         self.user_data = user_data.encode()
-        self.gid = participant.number().to_bytes(16, 'little')
+        # As on the wire the first twelve bytes are the participant's: there is one.
+        self.gid = participant.number().to_bytes(16, 'big')
+        self._known: Sequence[Any] = ()
+        self._mismatches = 0
 
     @property
     def is_latched(self) -> bool:
@@ -115,18 +115,13 @@ class _End:
 
     def incompatible(self) -> QoSIncompatibleInfo | None:
         """Return mismatches since the last call, None without any."""
-        others = self._others()
-        if others is self._seen:
+        known, self._known = self._known, self._others()
+        new = [one for one in self._known if one not in known and one.kind == self.kind]
+        policies = [policy for one in new if (policy := self._mismatch(one))]
+        if not policies:
             return None
-        known, self._seen = self._seen, others
-        kinds = [kind for one in others if one not in known and (kind := self._mismatch(one))]
-        if not kinds:
-            return None
-        self._count += len(kinds)
-        return QoSIncompatibleInfo(self._count, len(kinds), int(kinds[-1]))
-
-    _seen: Sequence[Any] = ()
-    _count = 0
+        self._mismatches += len(policies)
+        return QoSIncompatibleInfo(self._mismatches, len(policies), int(policies[-1]))
 
     def _others(self) -> Sequence[Any]:
         raise NotImplementedError
@@ -155,6 +150,10 @@ class Writer(_End):
             return QoSPolicyKind.RELIABILITY
         return QoSPolicyKind.DURABILITY if reader.is_latched and not self.is_latched else None
 
+    def sends_to(self, reader: Reader) -> bool:
+        """Return whether a reader of the topic receives what is written."""
+        return self.kind == reader.kind and not self.mismatch(reader)
+
     def write(self, payload: bytes) -> None:
         """Hand on one serialised message."""
         self._hand_on([payload])
@@ -164,7 +163,13 @@ class Writer(_End):
         self._hand_on(list(payloads))
 
     def write_message(self, message: Message) -> None:
-        """Hand on a message as it is."""
+        """Hand on a message as it is.
+
+        Raises:
+            TypeError: A list in it holds an element of another type.
+        """
+        if reason := message.invalid_field():
+            raise TypeError(reason)
         self._hand_on([message])
 
     def acknowledged(self, timeout_ns: int) -> bool:  # noqa: ARG002 (as of wire)
@@ -180,6 +185,8 @@ class Writer(_End):
         self.participant.remove(self, self.participant.writers)
 
     def _hand_on(self, messages: list[Any]) -> None:
+        if not self.participant.ok():
+            raise ImuCalibError(f'{self.name}: nothing can be sent: the context is shut down.')
         if self.is_latched:
             self.sent.extend(messages)
         readers = self._readers()
@@ -191,8 +198,7 @@ class Writer(_End):
     def _readers(self) -> list[Reader]:
         changes = self.participant.changes
         if self._matched[0] != changes:
-            found = [r for r in self._others() if r.kind == self.kind and not self.mismatch(r)]
-            self._matched = changes, found
+            self._matched = changes, [one for one in self._others() if self.sends_to(one)]
         return self._matched[1]
 
     def _others(self) -> list[Reader]:
@@ -228,11 +234,11 @@ class Reader(_End):
 
     def drain_sources(self, most: int | None = None) -> list[tuple[bytes, bytes]]:
         """Return the oldest arrived messages, serialised, each with the number of its writer."""
-        return [(_bytes(message), writer.gid[:_ID]) for writer, message in self._taken(most)]
+        return [(_bytes(message), writer.gid) for writer, message in self._taken(most)]
 
     def user_data_of(self, source: bytes) -> bytes | None:
         """Return the user data of a writer, None if it has left; see `drain_sources`."""
-        found = [one for one in self._others() if one.gid[:_ID] == source]
+        found = [one for one in self._others() if one.gid == source]
         return found[0].user_data if found else None
 
     def delete(self) -> None:
