@@ -73,7 +73,7 @@ class Stand:
         self._environ = dict(os.environ)
         if embedded:
             self.environment = {}
-            self.processes = Embedded(self.folder, simulated=True)
+            self.processes = Embedded(self.folder, in_step=not arguments.speed)
         else:
             self.environment = {**private_network(), **same_middleware()}
             self.processes = Processes(self.folder, self.environment)

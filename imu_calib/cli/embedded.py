@@ -26,12 +26,12 @@ class Embedded:
 
     Args:
         folder: Its folder `nodes` takes parameter files and logs.
-        simulated: Whether the hardware is simulated.
+        in_step: Whether simulated hardware, at any speed, makes the time of the nodes.
     """
 
     environment: Mapping[str, str] = MappingProxyType({})
 
-    def __init__(self, folder: Path, *, simulated: bool) -> None:
+    def __init__(self, folder: Path, *, in_step: bool) -> None:
         self._files = NodeFiles(folder)
         self._until_the_end = ExitStack()
         # Before the middleware is loaded: the nodes' modules take their names from it.
@@ -39,7 +39,7 @@ class Embedded:
         try:
             from ..middleware.dds.container import Container
 
-            self._container = Container(simulated=simulated)
+            self._container = Container(in_step=in_step)
         except BaseException:
             self._until_the_end.close()
             raise

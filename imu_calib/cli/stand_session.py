@@ -182,7 +182,7 @@ def _of_true_table(arguments: argparse.Namespace, folder: Path) -> list[str]:
 def _nodes(arguments: argparse.Namespace, folder: Path, claim: int) -> Nodes:
     """Return what runs the nodes: this process, or one for each."""
     if several.is_embedded(arguments):
-        return Embedded(folder, simulated=not several.is_real(arguments))
+        return Embedded(folder, in_step=not (several.is_real(arguments) or arguments.speed))
     return Processes(folder, _network(arguments), (claim,))
 
 

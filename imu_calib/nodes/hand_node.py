@@ -15,7 +15,6 @@ from .. import middleware as ros
 from ..calibration import Calibration
 from ..calibrator.guidance import direction
 from ..earth import LUOYANG, Site
-from ..errors import ImuCalibError
 from ..imu import load_imu
 from ..instants import NS
 from ..middleware import messages
@@ -69,7 +68,7 @@ class HandNode(ros.Node):
         self.create_timer(0.1, self._report, clock=ros.Clock(clock_type=ros.ClockType.STEADY_TIME))
         self._anchor: tuple[float, float, float] | None = None
         self._ending = threading.Event()
-        self._life = ros.run_beside(self._live, 'hand')
+        self._life = ros.run_beside(self, self._live, 'simulation')
 
     def stop(self) -> list[Any]:
         """Switch off."""
@@ -114,19 +113,13 @@ class HandNode(ros.Node):
         self._hardware.advise(int(message.step), direction(best[0]) if best else None)
 
     def _live(self) -> float | None:
-        """Advance simulated time if it is due; return the wait for the next call, s, None at the
-        end.
-        """
+        """Advance simulated time if it is due; return the wait for the next call, s, or None."""
         if self._ending.is_set():
             return None
         self._line.serve()
         if rest := self._rest():
             return rest
-        try:
-            self._advance()
-        except ImuCalibError as error:
-            self.get_logger().fatal(f'the simulation ends: {error}')
-            return None
+        self._advance()
         return 0.0
 
     def _rest(self) -> float:

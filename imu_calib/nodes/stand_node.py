@@ -20,7 +20,7 @@ from .. import middleware as ros
 from ..calibration import Calibration
 from ..cdr import encode_joints
 from ..earth import LUOYANG, Site
-from ..errors import ImuCalibError, InputError
+from ..errors import InputError
 from ..imu import load_imu
 from ..instants import NS
 from ..middleware import messages
@@ -111,7 +111,7 @@ class StandNode(ros.Node):
         self.create_timer(0.1, self._report, clock=ros.Clock(clock_type=ros.ClockType.STEADY_TIME))
         self._ending = threading.Event()
         # Beside the callbacks: publishing waits for slow subscribers.
-        self._life = ros.run_beside(self._live, 'hardware')
+        self._life = ros.run_beside(self, self._live, 'simulation')
 
     def stop(self) -> list[Any]:
         """Switch off after the table has stopped: it brakes without setpoints."""
@@ -185,10 +185,7 @@ class StandNode(ros.Node):
         return SimulatedHardware(table, units, site, options, switched_on(seed, start))
 
     def _live(self) -> float | None:
-        """Advance simulated time by a step if it is due; return the wait for the next call, s.
-
-        None at the end: the table stands, or the simulation cannot go on.
-        """
+        """Advance simulated time if it is due; return the wait for the next call, s, or None."""
         ending = self._ending.is_set()
         if ending and self._hardware.state.at_rest:
             return None
@@ -196,11 +193,7 @@ class StandNode(ros.Node):
         self._lines.serve()
         if not ending and (rest := self._rest()):
             return rest
-        try:
-            self._advance()
-        except ImuCalibError as error:
-            self.get_logger().fatal(f'the simulation ends: {error}')
-            return None
+        self._advance()
         return 0.0
 
     def _rest(self) -> float:
@@ -292,7 +285,7 @@ class _Pace:
 
     def __init__(self, speed: float) -> None:
         self._speed = speed
-        self._in_step = ros.in_step() and not speed
+        self._in_step = ros.in_step()
         self._unpaced_until = _UNPACED
         self._newest = -math.inf
         self._received_at = -math.inf

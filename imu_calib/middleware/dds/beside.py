@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import Any
 
-from ..beside import Beside
+from ..beside import Beside, Work, guarded
 from . import memory
 from .context import CONTEXT
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 class InTurn:
     """Work that the container calls when no message waits; see `Beside`."""
 
-    def __init__(self, work: Callable[[], float | None]) -> None:
+    def __init__(self, work: Work) -> None:
         self._work = work
         self._due = 0.0
         self._done = False
@@ -43,13 +40,8 @@ class InTurn:
             CONTEXT.works.remove(self)
 
 
-def run_beside(work: Callable[[], float | None], name: str) -> Beside | InTurn:
-    """Call a function again and again, beside the callbacks of a node.
-
-    Args:
-        work: Returns the seconds until its next call, None when it is done.
-        name: Of the thread where there is one.
-    """
+def run_beside(node: Any, work: Work, name: str) -> Beside | InTurn:
+    """Call a function again and again, beside the callbacks of a node; see `Beside`."""
     if isinstance(CONTEXT.participant, memory.Participant):
-        return InTurn(work)
-    return Beside(work, name)
+        return InTurn(guarded(node, work, name))
+    return Beside(node, work, name)

@@ -6,6 +6,7 @@ import time
 import traceback
 from typing import IO, TYPE_CHECKING, Any
 
+from . import memory
 from .clock import STEADY
 from .context import CONTEXT, init, try_shutdown
 
@@ -72,15 +73,18 @@ class Container:
     """Nodes that share a thread; messages between them are handed on in memory.
 
     Args:
-        simulated: Whether the hardware is simulated: its steps are then the steady time of the
-            nodes, and a session is the same in every run.
+        in_step: Whether a simulation as fast as its nodes makes the time: its steps are then the
+            steady time of the nodes, and a session is the same in every run.
     """
 
-    def __init__(self, *, simulated: bool) -> None:
+    def __init__(self, *, in_step: bool) -> None:
         self._hosted: dict[str, Hosted] = {}
         self._rested = False
         init(args=[])
-        STEADY.simulate(simulated)
+        participant = CONTEXT.joined()
+        assert isinstance(participant, memory.Participant), 'the runtime is not the embedded one'
+        self._arrived = participant.arrived
+        STEADY.simulate(in_step)
 
     def load(self, name: str, factory: Callable[[], Any], args: Sequence[str], log: IO[str]) -> Any:
         """Create a node, and return it.
@@ -138,6 +142,8 @@ class Container:
         ran = True
         while ran:
             ran = False
+            # What comes from now on is either found below, or ends the next wait at once.
+            self._arrived.clear()
             for hosted in list(self._hosted.values()):
                 ran |= hosted.run()
 
@@ -166,6 +172,4 @@ class Container:
 
     def _wait(self, seconds: float) -> None:
         """Wait for a message."""
-        arrived = CONTEXT.joined().arrived  # type: ignore[union-attr]
-        arrived.clear()
-        arrived.wait(min(seconds, _LONGEST_WAIT))
+        self._arrived.wait(min(seconds, _LONGEST_WAIT))

@@ -27,6 +27,7 @@ from .qos import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+
 class Participant:
     """All topics of the process."""
 
