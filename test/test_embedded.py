@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -89,6 +90,21 @@ def test_processes_of_their_own_measure_the_same_unit(finished):
     # The same stand: neither knows more than the other. Dwells of three seconds tell the scatter of
     # a single parameter to a fifth.
     assert np.median(other.std / one.std) == pytest.approx(1, abs=0.2)
+
+
+def test_a_node_may_rely_on_the_same_as_on_the_wire():
+    """Of test_middleware all that is not about several processes, on this runtime."""
+    file = Path(__file__).with_name('test_middleware.py')
+    done = subprocess.run(
+        [sys.executable, '-m', 'pytest', '-p', 'no:cacheprovider', str(file)],
+        env={**os.environ, 'IMU_CALIB_MIDDLEWARE': 'embedded'},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+    passed = int(re.search(r'(\d+) passed', done.stdout)[1])
+    assert passed >= 50, done.stdout
 
 
 def test_ctrl_c_stops_the_table_and_the_session_can_be_resumed(tmp_path):

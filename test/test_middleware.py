@@ -171,6 +171,9 @@ class LateClient:
         return self.wire.Reader(self.participant, 'rr/lateReply', kind, self.QOS, *self.IDENTITY)
 
 
+BETWEEN_PROCESSES = pytest.mark.skipif(
+    ros.RUNTIME == 'embedded', reason='all nodes are in one process'
+)
 ONLY_DDS = pytest.mark.skipif(ros.RUNTIME != 'dds', reason='of the runtime without ROS')
 
 
@@ -582,6 +585,7 @@ print(acknowledged(publisher, float(sys.argv[2]))); shutdown()
 """
 
 
+@BETWEEN_PROCESSES
 def test_another_process_is_drained_without_loss(node):
     subscription = ros.open_drain(node, ros.messages.Imu, 'imu/pulses', KEEP_ALL)
     source = start(BURST, '5000', str(patience()))
@@ -616,6 +620,7 @@ heard = open_drain(node, messages.Imu, 'imu/pulses', qos); spin(node)
 """
 
 
+@BETWEEN_PROCESSES
 @pytest.mark.parametrize('rmw', ['rmw_cyclonedds_cpp', 'rmw_fastrtps_cpp'])
 def test_a_killed_subscriber_costs_the_others_nothing_but_time(domain, rmw):
     if ros.RUNTIME == 'dds' and rmw != 'rmw_cyclonedds_cpp':
@@ -654,6 +659,7 @@ raise SystemExit(0 if run(Table, args=[]) else 3)
 """
 
 
+@BETWEEN_PROCESSES
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_a_node_after_its_last_message(node, number):
     got = []
@@ -665,6 +671,7 @@ def test_a_signal_ends_a_node_after_its_last_message(node, number):
     finish(process)
 
 
+@BETWEEN_PROCESSES
 def test_a_node_that_is_to_outlive_its_terminal_does(node):
     got = []
     node.create_subscription(ros.messages.String, 'state', lambda m: got.append(m.data), 100)
@@ -678,6 +685,7 @@ def test_a_node_that_is_to_outlive_its_terminal_does(node):
     finish(process)
 
 
+@BETWEEN_PROCESSES
 def test_a_node_whose_terminal_is_gone_goes_on_and_says_its_last_word(node):
     got = []
     node.create_subscription(ros.messages.String, 'state', lambda m: got.append(m.data), 100)
@@ -759,6 +767,7 @@ def test_a_misspelt_parameter_is_named(domain):
     assert said.count('There is no parameter') == 1
 
 
+@BETWEEN_PROCESSES
 def test_two_nodes_of_one_name_are_said(domain):
     processes = [start(LAST_WORD) for _ in range(2)]
     assert [p.stdout.readline() for p in processes] == ['ready\n'] * 2
@@ -812,6 +821,7 @@ def test_run_ends_when_its_node_is_done(domain):
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
 
 
+@BETWEEN_PROCESSES
 def test_a_peer_that_vanishes_does_not_hold_up_the_others(node):
     listener = (
         'from imu_calib.middleware import *\n'
@@ -835,6 +845,7 @@ def test_a_peer_that_vanishes_does_not_hold_up_the_others(node):
     assert time.monotonic() - begin < patience(3.0)
 
 
+@BETWEEN_PROCESSES
 def test_a_source_that_leaves_leaves_no_empty_message(node):
     subscription = ros.open_drain(node, ros.messages.Imu, 'imu/pulses', KEEP_ALL)
     finish(start(BURST, '3', str(patience())))
@@ -876,6 +887,7 @@ def test_an_argument_that_is_not_understood_is_refused(domain, args):
     ros.try_shutdown()
 
 
+@BETWEEN_PROCESSES
 @pytest.mark.parametrize('text', ['233', '-1', 'seven', '1e2', '99999999999'])
 def test_a_domain_out_of_range_is_said(text, monkeypatch):
     monkeypatch.setenv('ROS_DOMAIN_ID', text)
