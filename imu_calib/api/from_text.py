@@ -222,8 +222,8 @@ def _of_two(
     if exactly and not shared.all():
         raise InputError(
             f'The rows of the accelerometers have other times than {int((~shared).sum())} of the '
-            f'{len(stamps)} rows of the gyros, and pulses or counts cannot be interpolated '
-            'between samples: state the columns in SI units, or shared times.'
+            f'{len(stamps)} rows of the gyros, and pulses, counts and increments cannot be '
+            'interpolated: state the columns in SI units, or shared times.'
         )
     order = np.argsort(known, kind='stable')
     known, forces = known[order], forces[order]
