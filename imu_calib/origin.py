@@ -27,7 +27,7 @@ _NUMBERS = ('height', 'azimuth_seen_deg', 'condition_number')
 _SIX = ('random_walk', 'sensor_random_walk', 'residual_rms', 'bias_drift')
 _NOT_NEGATIVE = (
     *('table_clock_std', 'latitude_std_deg', 'gravity_std', 'highest_rate'),
-    *('azimuth_seen_std_deg', 'accel_interpolated_from_hz'),
+    'azimuth_seen_std_deg',
 )
 _LEAST = 1e-30
 """Smallest averaging time and sample rate in SI: none is near, and its square is not zero."""

@@ -533,6 +533,14 @@ def test_a_wrong_option_leaves_nothing_behind(
     assert [p.name for p in tmp_path.iterdir()] == ['log.csv']
 
 
+def test_rates_that_are_not_si_are_not_said_to_lie_on_no_line(tmp_path: Path) -> None:
+    path = write(tmp_path / 'log.csv', ROW + '1,3,0,-1,0,0,1\n1.01,4,0,-1,0,0,1\n')
+    imu_calib.convert(path, tmp_path / 'bag', imu='rates', **WORDS)  # type: ignore[arg-type]
+    topics = {'gyro_topic': '/imu/pulses', 'accel_topic': '/imu/pulses'}
+    with pytest.raises(InputError, match='holds rates, in other units: expected rad/s and m/s'):
+        imu_calib.convert(tmp_path / 'bag', tmp_path / 'out', **topics)  # type: ignore[arg-type]
+
+
 def test_names_of_joints_may_stand_apart(tmp_path: Path) -> None:
     text = ROW.replace('az', 'az,outer,inner') + '1,2,3,4,5,6,7,90,180\n1.1,2,3,4,5,6,7,90,180\n'
     converted(write(tmp_path / 'log.csv', text), joints='outer, inner : deg')

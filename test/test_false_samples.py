@@ -29,7 +29,7 @@ from imu_calib.simulation import ImuOptions
 from imu_calib.simulation.hand import as_planned
 from imu_calib.stream import Block, Floats, ImuBlock, Stamps, Units
 from imu_calib.turntable import load_table
-from imu_calib.units import DEG
+from imu_calib.units import DEG, STANDARD_GRAVITY
 
 MEMS, FOG, TABLE = load_imu('mems_counts'), load_imu('fog_medium'), load_table('three_axis')
 TRUTH = Calibration.load(named_file('truths', 'mems_counts')).model
@@ -195,6 +195,40 @@ def test_info_says_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     arguments = ['info', str(tmp_path / 'held'), '--plan', HAND.name, '--imu', MEMS.id]
     assert main([*arguments, '--latitude', '49.6']) == 0
     assert '45 samples (0.3 %) are false, ' in ' '.join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ('units', 'value'),
+    [
+        (Units.RATES, (DEG, STANDARD_GRAVITY)),
+        (Units.INCREMENTS, (100.0, 100.0)),
+        (Units.INCREMENTS, (100.0 * DEG, 100.0)),
+    ],
+)
+def test_values_in_any_unit_have_those_that_si_has(
+    units: Units, value: tuple[float, float]
+) -> None:
+    """A value stands for so many rad/s and m/s^2; increments are of samples of 100 Hz."""
+    stamp, values = in_hand()
+    values = values * np.repeat([MEMS.gyro.scale_factor, MEMS.accel.scale_factor], 3)
+    rows = some(len(stamp), 0.01)
+    zeros(values, rows[::2])
+    values[rows[1::2], 4] = 16 * STANDARD_GRAVITY
+    gyro, accel = np.array(value) / (100.0 if units.per_interval else 1.0)
+    spec = in_si(MEMS)
+    other = replace(
+        spec,
+        units=units,
+        gyro=replace(spec.gyro, scale_factor=gyro),
+        accel=replace(spec.accel, scale_factor=accel),
+    )
+    found = []
+    for of, seen in ((spec, values), (other, values / np.repeat(value, 3))):
+        segmenter = Segmenter(of, None)
+        segmenter.feed(block(stamp, seen))
+        found.append(segmenter.finish().false_samples)
+    assert found[1] == found[0]
+    assert (found[0].on_all_axes, found[0].spikes) == (len(rows[::2]), len(rows[1::2]))
 
 
 # The filter

@@ -211,3 +211,19 @@ def test_rows_of_a_table_out_of_order_are_sorted(tmp_path: Path) -> None:
     seen = imu_calib.read(tmp_path / 'out', '/imu/data_raw')
     assert seen.stamp.tolist() == (AT * 5_000_000).tolist()
     assert seen['angular_velocity.x'] == pytest.approx(RATE[:, 0])
+
+
+@pytest.mark.parametrize('place', [0, 1000])
+def test_a_row_without_a_time_does_not_hide_that_others_are_late(
+    place: int, tmp_path: Path
+) -> None:
+    seconds = np.arange(2000) / 100
+    seconds = seconds.reshape(-1, 10)[:, ::-1].ravel()
+    lines = ['t,wx,wy,wz,ax,ay,az', *(f'{t:.2f},1,2,3,0.1,0.2,0.9' for t in seconds)]
+    lines[1 + place] = lines[1 + place].replace(f'{seconds[place]:.2f}', 'x', 1)
+    (tmp_path / 'a.csv').write_text('\n'.join(lines), encoding='utf-8')
+    words = {'stamp': 't:s', 'gyro': 'wx,wy,wz:deg/s', 'accel': 'ax,ay,az:g'}
+    done = imu_calib.convert(tmp_path / 'a.csv', tmp_path / 'bag', **words)
+    assert 'came out of the order of their times' in done.findings[0]
+    stamp = imu_calib.read(tmp_path / 'bag', '/imu/data_raw').stamp
+    assert len(stamp) == 1999 and (np.diff(stamp) > 0).all()

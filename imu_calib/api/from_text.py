@@ -152,8 +152,12 @@ def _in_time(
     """
     stamps = _stamps(text, stamp, rate, sentences)
     if rate is None:
-        places = places_by_stamp(stamps)
-        if places is not None:
+        # Rows without a time stay in their places.
+        known = np.flatnonzero(np.isfinite(stamps))
+        order = places_by_stamp(stamps[known])
+        if order is not None:
+            places = np.arange(len(stamps))
+            places[known] = known[order]
             late = int(np.count_nonzero(stamps < np.fmax.accumulate(stamps)))
             sentences.append(
                 f'{late} rows of {text.path.name} came out of the order of their times, and are '
@@ -218,8 +222,8 @@ def _of_two(
     if exactly and not shared.all():
         raise InputError(
             f'The rows of the accelerometers have other times than {int((~shared).sum())} of the '
-            f'{len(stamps)} rows of the gyros, and pulses or counts cannot be interpolated '
-            'between samples: state the columns in SI units, or shared times.'
+            f'{len(stamps)} rows of the gyros, and pulses, counts and increments cannot be '
+            'interpolated: state the columns in SI units, or shared times.'
         )
     order = np.argsort(known, kind='stable')
     known, forces = known[order], forces[order]

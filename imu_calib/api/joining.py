@@ -50,9 +50,9 @@ def joined(
         rates, forces = (columns_of(recording, topic) for topic in (gyro_topic, accel_topic))
     for columns in (rates, forces):
         if (unit := next(iter(columns.units.values()))) not in _OF_SI:
+            why = 'in other units' if unit == 'rate' else 'which cannot be interpolated'
             raise InputError(
-                f'{path}: {columns.topic} holds {unit}s, which cannot be interpolated between '
-                'samples: expected rad/s and m/s^2.'
+                f'{path}: {columns.topic} holds {unit}s, {why}: expected rad/s and m/s^2.'
             )
     gyro = np.column_stack([rates[f'angular_velocity.{a}'] for a in 'xyz'])
     accel = np.column_stack([forces[f'linear_acceleration.{a}'] for a in 'xyz'])

@@ -36,7 +36,8 @@ _FEWEST_MOVES = 2
 _TOO_FAR = math.degrees(1) / 2
 """Joint angles over rotation from which on they are degrees. True rad give 1, two or three where a
 turn is a whole one and more; degrees give 57 and more."""
-
+_NO_BIAS = 1.0
+"""rad/s that no gyro reads at rest: ten times the worst zero-rate output of a data sheet."""
 
 _APART = f'{MESSAGES_APART.format(topic="TOPIC")}.'
 _AnyReview = TypeVar('_AnyReview', bound=Review)
@@ -50,10 +51,6 @@ def refuse_apart(session: Segmented) -> None:
     """
     if session.facts.apart:
         raise InputError(_APART)
-
-
-_NO_BIAS = 1.0
-"""rad/s that no gyro reads at rest: ten times the worst zero-rate output of a data sheet."""
 
 
 @contextmanager

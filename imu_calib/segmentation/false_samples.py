@@ -65,12 +65,16 @@ _AT_ONCE = 32
 """Fewest rows that are judged at once, except at the end: a live stream brings one at a time."""
 
 _LEAST = np.repeat([0.1 * DEG, 0.01], 3)
-"""rad/s and m/s^2: deviations of values in SI below which nothing is looked for. One in a second at
-100 Hz is 4 deg/h and 10 ug: below the biases of chips, and better units give pulses or counts."""
+"""rad/s and m/s^2: deviations of values that are no whole numbers below which nothing is looked
+for. One in a second at 100 Hz is 4 deg/h and 10 ug: below the biases of chips, and better units
+give pulses or counts."""
 
 _COARSEST = np.repeat([10 * DEG, STANDARD_GRAVITY], 3)
-"""rad/s and m/s^2: coarsest steps of values in SI, a few times those of eight bits over 250 deg/s
+"""rad/s and m/s^2: coarsest steps of such values, a few times those of eight bits over 250 deg/s
 and 16 g. Assumed where the values around are all equal, as in a dead band or without noise."""
+
+SCALE_OF_SI = np.ones(6)
+"""Scale factors of values in SI."""
 
 _FEW = 4096
 """Samples in question that are compared at once: some 2 MB."""
@@ -142,21 +146,32 @@ class _Limits(NamedTuple):
 
     Attributes:
         ratio: Times the roughness around, and the step of the values.
-        step: Of pulses and counts; 0 where it is seen around the values, in SI.
+        step: Of pulses and counts; 0 where it is seen around the values.
+        coarsest: (6,) largest step that is seen there.
         least: (6,) by how much at least.
     """
 
     ratio: float
     step: float
+    coarsest: Floats
     least: Floats
 
     @classmethod
-    def of(cls, units: Units, ratio: float, least: Floats) -> _Limits:
-        """Return those of values in units, by a ratio; and by how much at least in SI."""
-        if units is Units.SI:
-            return cls(ratio, 0.0, least)
+    def of_whole(cls, ratio: float) -> _Limits:
+        """Return those of pulses or counts, by a ratio."""
         # Of three axes that reach the ratio together, one reaches this.
-        return cls(ratio, 1.0, np.full(6, ratio / math.sqrt(3)))
+        return cls(ratio, 1.0, np.ones(6), np.full(6, ratio / math.sqrt(3)))
+
+    @classmethod
+    def of_others(cls, ratio: float, least: Floats, value: Floats) -> _Limits:
+        """Return those of other values, by a ratio, and by how much at least.
+
+        Args:
+            ratio: The ratio.
+            least: (6,) rad/s and m/s^2.
+            value: (6,) rad/s and m/s^2 that the value 1 stands for.
+        """
+        return cls(ratio, 0.0, _COARSEST / value, least / value)
 
 
 class FalseSampleFilter:
@@ -166,19 +181,18 @@ class FalseSampleFilter:
 
     Args:
         units: Of the values.
+        scale: (6,) nominal scale factors of the values, SI.
         of: The sensor in sentences; empty for the IMU.
 
     Attributes:
         found: What was removed.
     """
 
-    def __init__(self, units: Units, of: str = '') -> None:
+    def __init__(self, units: Units, scale: Floats = SCALE_OF_SI, of: str = '') -> None:
         self.found = FalseSamples(of=of)
-        # In SI a single pulse of a slow counter is a spike too, of one coarse step.
-        self._limits = (
-            _Limits.of(units, _ALL_AXES, _LEAST),
-            _Limits.of(units, _SPIKE, _COARSEST),
-        )
+        self._units, self._scale = units, scale
+        self._limits: tuple[_Limits, _Limits] | None = None
+        """For rows of one number, and for spikes; None before the first rows."""
         self._rows = Rows(np.empty(0, dtype=np.int64), np.empty((0, 6)))
         self._judged = 0
         """The number of these, the first ones, that are kept for those after them alone."""
@@ -201,6 +215,8 @@ class FalseSampleFilter:
             self._rows = rows
             return Rows(rows.stamp[:0], rows.values[:0])
         stamp, values = rows.stamp[first:end], rows.values[first:end]
+        if self._limits is None:
+            self._limits = self._limits_by(rows.stamp[:_RADIUS])
         on_all_axes, spikes = _false_samples(rows, *self._limits)
         wrong = (on_all_axes | spikes)[first:end]
         self.found = replace(self.found, received=self.found.received + len(stamp))
@@ -217,6 +233,19 @@ class FalseSampleFilter:
         self._rows = Rows(rows.stamp[begin:].copy(), rows.values[begin:].copy())
         self._judged = end - begin
         return Rows(stamp, values)
+
+    def _limits_by(self, stamp: Stamps) -> tuple[_Limits, _Limits]:
+        """Return the limits for rows of one number and for spikes, by the first stamps, ns."""
+        if self._units.whole:
+            return _Limits.of_whole(_ALL_AXES), _Limits.of_whole(_SPIKE)
+        value = self._scale
+        if self._units.per_interval and len(stamp) > 1:
+            value = value / (float(np.median(np.diff(stamp))) * 1e-9)
+        # A single increment of a slow counter is a spike too, of one coarse step.
+        return (
+            _Limits.of_others(_ALL_AXES, _LEAST, value),
+            _Limits.of_others(_SPIKE, _COARSEST, value),
+        )
 
 
 def _false_samples(
@@ -348,7 +377,7 @@ def _ratios(
         around = values[window]
         scale = np.maximum(_roughness(around, near), limits.step)
         if not limits.step:
-            scale = np.maximum(scale, _step(around, near, values[own], _COARSEST[channels]))
+            scale = np.maximum(scale, _step(around, near, values[own], limits.coarsest[channels]))
         enough = near[:, _BESIDE - _FEWEST] & near[:, _BESIDE + _FEWEST - 1]
         scale[~enough] = np.inf
         distances = _distances(values[others[k - 1]], values[own], values[others[k]])
@@ -381,7 +410,7 @@ def _roughness(around: Floats, near: NDArray[np.bool_]) -> Floats:
 
 
 def _step(around: Floats, near: NDArray[np.bool_], own: Floats, coarsest: Floats) -> Floats:
-    """Return the steps of values in SI, (m, channels): the smallest difference in a triad.
+    """Return the steps of values, (m, channels): the smallest difference in a triad.
 
     Args:
         around: (m, 2 w, channels) rows around one.

@@ -21,7 +21,7 @@ from ..stream import (
 from ..turntable import Table
 from ..units import LARGEST, counted
 from .buffer import RowBuffer
-from .false_samples import FalseSampleFilter, FalseSamples, Rows
+from .false_samples import SCALE_OF_SI, FalseSampleFilter, FalseSamples, Rows
 from .interruptions import Interruptions
 from .order import Ordered, StampOrder
 from .set_back import SetBackClock, set_back_sentences
@@ -69,6 +69,7 @@ class _Samples:
         rows: Where they are buffered; None if they are not expected.
         rate: Samples per second as stated; None if not stated.
         units: Of the values.
+        scale: (6,) nominal scale factors of the values, SI.
         losses: Counts what is dropped.
         of: The sensor in sentences; empty for the IMU.
 
@@ -86,12 +87,13 @@ class _Samples:
         rows: RowBuffer | None,
         rate: float | None,
         units: Units,
+        scale: Floats,
         losses: _Losses,
         of: str = '',
     ) -> None:
         self.clock = SetBackClock(6)
         self.shared = SharedStamps(rate)
-        self.false = FalseSampleFilter(units, of)
+        self.false = FalseSampleFilter(units, scale, of)
         self.first: int | None = None
         self.last: int | None = None
         self.certain: int | None = None
@@ -133,6 +135,8 @@ class StreamBuffer:
         skewed: Whether a skewed gyro is expected.
         rate: Samples per second as stated; None if not stated.
         units: Of the samples.
+        scale: (6,) nominal scale factors of the IMU, SI.
+        skew_scale: (6,) those of the skewed gyro, in the first of six columns.
 
     Attributes:
         imu: Buffered samples, six columns.
@@ -150,6 +154,8 @@ class StreamBuffer:
         skewed: bool,
         rate: float | None = None,
         units: Units = Units.SI,
+        scale: Floats = SCALE_OF_SI,
+        skew_scale: Floats = SCALE_OF_SI,
     ) -> None:
         self.imu = RowBuffer(6)
         self.skew = RowBuffer(6) if skewed else None
@@ -157,8 +163,10 @@ class StreamBuffer:
         self.facts = StreamFacts()
         self._table = table
         self._losses = _Losses()
-        self._imu = _Samples(self.imu, rate, units, self._losses)
-        self._skew = _Samples(self.skew, rate, units, self._losses, ' of the skewed gyro')
+        self._imu = _Samples(self.imu, rate, units, scale, self._losses)
+        self._skew = _Samples(
+            self.skew, rate, units, skew_scale, self._losses, ' of the skewed gyro'
+        )
         self.imu_clock = self._imu.clock
         self._joint_order = StampOrder(len(table.names) if table else 0)
         self.joint_clock = SetBackClock(len(table.names) if table else 0)

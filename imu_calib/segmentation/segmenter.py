@@ -66,8 +66,14 @@ class Segmenter:
         self._spec = spec
         self._table = table
         self._sensor = Sensor.of(spec)
+        skewed = self._sensor.skewed
         self._intake = StreamBuffer(
-            table, skewed=spec.skewed is not None, rate=spec.sample_rate, units=spec.units
+            table,
+            skewed=skewed is not None,
+            rate=spec.sample_rate,
+            units=spec.units,
+            scale=self._sensor.scale,
+            skew_scale=(skewed or self._sensor).scale,
         )
         self._joints = JointTracker() if table is not None else None
         self._stillness: StillnessTracker | None = None
