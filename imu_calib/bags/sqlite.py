@@ -46,12 +46,12 @@ _LEAST_STEPS = 1000
 """Steps for any file: some tenths of a second."""
 _PER_BYTE = 10
 """Operations for each byte of a file: a row of 25 bytes, the shortest of a message, takes 30."""
-
-
 _APART = 1 << 18
 """Bytes between the rows that show whether a file is in order: less than are read at once."""
 _FEWEST_PLACES, _MOST_PLACES = 8, 4096
 """Numbers of such rows: a choice between what is noticed and time."""
+_AS_IT_LIES = np.arange(1)
+"""Order of a file that is one piece."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class SqliteStorage:
     def _time_order(self) -> Indices | None:
         """Return the order of rows spread over the file by their log times, as `time_order`."""
         if self._first is None or self._last is None or self._tolerant:
-            return np.arange(1)
+            return _AS_IT_LIES
         count = min(max(self.size // _APART, _FEWEST_PLACES), _MOST_PLACES)
         span = self._last - self._first
         rows = sorted({self._first + span * k // count for k in range(count + 1)})
@@ -138,10 +138,10 @@ class SqliteStorage:
             with closing(self._connect()) as database:
                 found = [database.execute(query, (row,)).fetchone() for row in rows]
         except DAMAGE:
-            return np.arange(1)
+            return _AS_IT_LIES
         times = [row[0] for row in found if row is not None]
         if len(times) < 2 or not all(isinstance(time, int) for time in times):
-            return np.arange(1)
+            return _AS_IT_LIES
         starts = np.array(times, np.int64)
         steps = np.diff(starts, append=starts[-1:])
         usual = np.median(np.abs(steps)).astype(np.int64)
