@@ -85,6 +85,27 @@ def test_nothing_written_is_no_success(tmp_path, session, calibration, capsys) -
         compensate(bag, calibration, tmp_path / 'out')
 
 
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('value', [1.7e308, -1e300, 1e160])
+def test_values_beyond_all_measure_are_named_and_left_out(
+    tmp_path, session, calibration, value
+) -> None:
+    for k, name in enumerate(('gyro', 'accel')):
+        spoiled = getattr(session, name).copy()
+        spoiled[1000:1003, k] = value
+        bag = written(tmp_path / f'bag_{name}', replace(session, **{name: spoiled}))
+        done = compensate(bag, calibration, tmp_path / f'out_{name}')
+        assert done.samples_out == len(session) - 3
+        assert done.findings == (
+            '3 samples: values that are not numbers, or too large to compute with (left out).',
+        )
+        assert np.isfinite(rates(tmp_path / f'out_{name}')).all()
+    bag = written(tmp_path / 'bag', replace(session, accel=np.full_like(session.accel, value)))
+    with pytest.raises(NotObservable, match=f'{len(session)} samples: values that are not') as told:
+        compensate(bag, calibration, tmp_path / 'out')
+    assert 'inf' not in str(told.value)
+
+
 @pytest.mark.parametrize(('share', 'warned'), [(0.6, True), (0.4, False)])
 def test_most_samples_lost_is_a_warning(tmp_path, session, calibration, share, warned) -> None:
     gyro = session.gyro.copy()

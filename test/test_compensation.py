@@ -348,3 +348,24 @@ def test_noise_grows_by_the_longest_row_of_the_inverse() -> None:
     rng = np.random.default_rng(2)
     noise = rng.standard_normal((100_000, 3)) @ np.linalg.inv(np.eye(3) + accel).T
     assert noise.std(axis=0).max() == pytest.approx(found[1], rel=0.01)
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('nonlinear', [False, True])
+@pytest.mark.parametrize('value', [1e300, -1e160, np.inf])
+def test_values_whose_squares_cannot_be_computed_are_no_numbers(value, nonlinear):
+    model = SensorModel()
+    if nonlinear:
+        terms = parameters_of(named_terms('gyro_cubic,accel_quadratic'))
+        model = model.with_values(terms, np.full(len(terms), 1e-5))
+    spec = ImuSpec('any', Units.SI, None, TriadSpec(), TriadSpec())
+    compensation = Compensation(known(spec, model, random_walk=[1e-5] * 6))
+    for column in range(6):
+        raw = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 9.8], (3, 1))
+        raw[1, column] = value
+        whole = compensation.apply(raw[:, :3], raw[:, 3:], np.full(3, TAU))
+        alone = compensation.apply(raw[1:2, :3], raw[1:2, 3:], np.full(1, TAU))
+        assert whole.marks.tolist() == [0, Mark.NO_NUMBER, 0] and alone.marks == Mark.NO_NUMBER
+        assert (whole.rate_covariance[:, 0] == -1).tolist() == [False, True, False]
+        for kept in (whole.rate, whole.force, whole.rate_covariance, whole.force_covariance):
+            assert np.isfinite(kept[[0, 2]]).all()

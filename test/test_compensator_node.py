@@ -9,14 +9,20 @@ import numpy as np
 import pytest
 from loopback import environment, until
 from sessions import calibrate, quick_plan, session, truth
+from shaky import shaky
 from test_thermal import point
 
+from imu_calib.api.compensating import compensate
 from imu_calib.bags import RecordingWriter, open_recording
+from imu_calib.calibration import Calibration
 from imu_calib.cdr import Kind, encode_imu, encode_temperatures
 from imu_calib.cli.main import main
 from imu_calib.compensation.thermal import combine
 from imu_calib.errors import ImuCalibError, InputError
+from imu_calib.imu import load_imu
+from imu_calib.model import SensorModel
 from imu_calib.stream import ImuBlock, TemperatureBlock
+from imu_calib.units import DEG
 
 try:
     from imu_calib import middleware as ros
@@ -442,3 +448,42 @@ def test_samples_without_gravity_are_named(monkeypatch, file):
         assert said(0.0, 'expected gravity', 'not in the units of the calibration (pulses)')
         assert bench.words['gravity'].level in {b'\x01', 1}
         assert said(pulses, 'about gravity')
+
+
+def test_rates_in_degrees_are_named_in_the_words_of_compensate(monkeypatch, tmp_path):
+    monkeypatch.setattr('imu_calib.nodes.compensator_reports._TURNS', 2)
+    turned = shaky(SensorModel(), rate=100, noise=(1e-3, 0.01), holds=12, seed=4).block
+    # There and back, again and again, without a jump.
+    turned = ImuBlock(
+        STAMP[0] + np.arange(2 * len(turned)) * 10_000_000,
+        np.concatenate([turned.gyro, -turned.gyro[::-1]]),
+        np.concatenate([turned.accel, turned.accel[::-1]]),
+        '',
+    )
+    degrees = replace(turned, gyro=turned.gyro / DEG)
+    file = tmp_path / 'si.yaml'
+    Calibration(load_imu('si'), SensorModel(), np.zeros((24, 24))).save(file)
+    with RecordingWriter(tmp_path / 'bag') as writer:
+        writer.write('/imu/data_raw', Kind.IMU.type_name, encode_imu(degrees), degrees.stamp)
+    said = compensate(tmp_path / 'bag', file, tmp_path / 'out').findings
+    (named,) = [words for words in said if 'turn gravity' in words]
+    start, _, end = named.partition(' times ')
+    assert 'Rates in deg/s, stated as rad/s, do that.' in end
+    with Bench(monkeypatch, calibration=file) as bench:
+        sent = 0
+
+        def heard(samples, *words):
+            def sends():
+                nonlocal sent
+                rows = (sent + np.arange(50)) % len(samples)
+                stamp = STAMP[0] + (sent + np.arange(50)) * 10_000_000
+                sent += 50
+                part = ImuBlock(stamp, samples.gyro[rows], samples.accel[rows], '')
+                bench.send(encode_imu(part).payloads())
+                return bench.has_status('turns', *words)
+
+            return bench.until(sends)
+
+        assert heard(degrees, start[:23], end)
+        assert bench.words['turns'].level in {b'\x01', 1}
+        assert heard(turned, 'The gyros turn gravity as far as the accelerometers do.')

@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+import yaml
 from loopback import CHECKOUT
 from sessions import truth
 
@@ -116,6 +117,55 @@ def test_a_full_disk_leaves_every_file_as_it_was(tmp_path):
     written = [f'{tmp_path / name}: cannot be written (File too large).' for name in before]
     assert sorted(ended.stdout.splitlines()) == sorted(written)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
+
+
+STAND_ON_A_FULL_DISK = """
+import argparse, resource, sys
+from functools import partial
+from pathlib import Path
+from imu_calib.cli import processes, resume, several
+from imu_calib.errors import InputError
+
+folder, imu, imus = map(Path, sys.argv[1:])
+given = dict.fromkeys(['plan', 'imu', 'table', 'device', 'truth', 'imperfections', 'imus'])
+(folder / 'two').mkdir()
+(folder / 'several').mkdir()
+files = processes.NodeFiles(folder)
+files.arguments('imu_node', {'a': 'of yesterday'}, {})
+writers = [
+    partial(resume.save_settings, argparse.Namespace(**{**given, 'imu': str(imu)}), folder),
+    partial(
+        resume.save_settings, argparse.Namespace(**given, serial_number='x' * 2000), folder / 'two'
+    ),
+    partial(several.save_settings, argparse.Namespace(imus=str(imus)), folder / 'several'),
+    partial(files.arguments, 'imu_node', {'a': 'x' * 2000}, {}),
+]
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+for write in writers:
+    try:
+        write()
+    except InputError as error:
+        print(error)
+"""
+
+
+def test_on_a_full_disk_a_stand_leaves_no_half_settings(tmp_path):
+    folder, imu, imus = tmp_path / 'stand', tmp_path / 'imu.yaml', tmp_path / 'imus.yaml'
+    folder.mkdir()
+    shipped = (CHECKOUT / 'config' / 'imus' / 'fog_medium.yaml').read_text()
+    imu.write_text(shipped + '#' * 1000)
+    units = [{'serial_number': name, 'imu': str(imu)} for name in 'ab']
+    imus.write_text(yaml.safe_dump({'units': units}))
+    command = [sys.executable, '-c', STAND_ON_A_FULL_DISK, *map(str, (folder, imu, imus))]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.stderr == ''
+    files = ('settings/imu.yaml', 'two/settings/options.yaml', 'several/units/unit_a_imu.yaml')
+    written = [folder / name for name in (*files, 'nodes/imu_node.yaml')]
+    said = [f'{path}: cannot be written (File too large).' for path in written]
+    assert ended.stdout.splitlines() == said
+    left = {path.name: path.read_text() for path in folder.rglob('*') if path.is_file()}
+    assert list(left) == ['imu_node.yaml']
+    assert 'of yesterday' in left['imu_node.yaml']
 
 
 def test_a_file_keeps_its_permissions(tmp_path):

@@ -116,7 +116,7 @@ def test_on_a_phone_budget_and_terms_are_seen_whole(
     with opened(browser, path) as shown:
         for size in (390, 1400):
             look_at(shown, size)
-            for name in ('.broad, .narrow', 'table.terms'):
+            for name in ('.broad, .narrow', 'table.terms', 'table.budget'):
                 places = shown.evaluate(BEYOND, name)
                 assert len(places) > 24
                 assert all(0 <= left <= right <= size for left, right in places), name
@@ -125,6 +125,13 @@ def test_on_a_phone_budget_and_terms_are_seen_whole(
         words = cell.evaluate("cell => getComputedStyle(cell, '::before').content")
         assert 'data-name' in words or 'chance' in words
         assert cell.get_attribute('data-name') == 'chance'
+        scrolls = '[...document.querySelectorAll(".wide")].filter(w => w.querySelector(".budget"))'
+        assert shown.evaluate(f'{scrolls}.map(w => w.scrollWidth - w.clientWidth)') == [0, 0]
+        row = shown.locator('table.budget').nth(1).locator('tbody tr').first
+        # Several numbers in a line, each with its name, and not a line for each.
+        tops = row.locator('td').evaluate_all('all => all.map(c => c.getBoundingClientRect().top)')
+        assert 1 < len(set(tops)) < len(tops)
+        assert row.locator('td').last.evaluate("c => getComputedStyle(c, '::before').content")
 
 
 @needs_chromium

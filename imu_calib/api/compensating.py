@@ -26,9 +26,8 @@ from ..compensation.thermal import (
 from ..compensation.turns_seen import TurnsSeen
 from ..compensation.whole_stream import WholeStream
 from ..errors import InputError, NotObservable
-from ..imu import SCALE_LIMIT, ImuSpec, compensated_imu
+from ..imu import ImuSpec, compensated_imu
 from ..metadata import COMPENSATED, compensated_already, compensated_key, stream_description
-from ..methods.checks import TIMES, wrong_scale_sentence
 from ..mounted import TOPIC
 from ..stream import ImuBlock, Stamps
 from ..units import counted
@@ -50,7 +49,7 @@ _WORDS = {
     Mark.RATE: 'rotation faster than in the calibration',
     Mark.TEMPERATURE: 'temperature outside that of the calibration; the nearest was used',
     Mark.PARITY: 'four gyros that contradict each other',
-    Mark.NO_NUMBER: 'values that are not numbers (left out)',
+    Mark.NO_NUMBER: 'values that are not numbers, or too large to compute with (left out)',
 }
 
 
@@ -221,7 +220,7 @@ class _Stream:
         self._dropped = self.compensator.dropped
         for reading in readings:
             values, frame_id = reading.values, self._frame_id or reading.frame_id
-            self.turns.take(reading.stamp, values)
+            self.turns.take(reading.stamp, values.rate, values.force)
             block = ImuBlock(reading.stamp, values.rate, values.force, frame_id)
             encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
             times = self._next_times(len(reading))[reading.numbers]
@@ -356,14 +355,8 @@ def _findings(stream: _Stream) -> list[str]:
         known.append(f"{compensator.alone} samples went without the skewed gyro's value.")
     if compensator.repeats:
         known.append(f'{compensator.repeats} samples came twice and are written once.')
-    scale = stream.turns.scale
-    if not 1 / SCALE_LIMIT < scale < SCALE_LIMIT:
-        imu = first_of(compensator.calibration).imu
-        known.append(
-            f'The gyros turn gravity {scale:.3g} times as far as the accelerometers do: the '
-            f'samples are not in the units of the calibration ({imu.units.value}).'
-            f'{wrong_scale_sentence(scale, "gyros")}{TIMES}'
-        )
+    if stream.turns.contradict:
+        known.append(stream.turns.contradiction(first_of(compensator.calibration).imu))
     if compensator.untimed:
         known.append(
             f'The stamps of {compensator.untimed} samples show no sample interval: they are '

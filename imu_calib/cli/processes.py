@@ -28,6 +28,7 @@ from ..network import (
     on_interface,
     own_domain,
 )
+from ..paths import write_whole
 from ..security import in_enclave
 from .terminal import ERRORS
 
@@ -76,7 +77,7 @@ class NodeFiles:
         namespace = node.rpartition('/')[0]
         file = self.path(node, 'yaml')
         known = f'/{node}' if namespace else node
-        file.write_text(yaml.safe_dump({known: {'ros__parameters': parameters}}), encoding='utf-8')
+        write_whole(file, yaml.safe_dump({known: {'ros__parameters': parameters}}))
         rules = [f'__ns:=/{namespace}'] if namespace else []
         rules += [f'{own}:={other}' for own, other in remapped.items()]
         return [

@@ -15,7 +15,7 @@ import yaml
 
 from ..api.journals import end_of_journal, is_finished
 from ..errors import InputError
-from ..paths import read_text, user_path
+from ..paths import read_text, user_path, write_whole
 from ..share import named_file
 from . import several
 from .terminal import ERRORS
@@ -62,25 +62,19 @@ def save_settings(arguments: argparse.Namespace, folder: Path) -> None:
     Files are copied: the session is resumed unchanged even if the originals change.
 
     Raises:
-        InputError: One of the files is missing.
+        InputError: One of the files is missing, or cannot be written.
     """
     settings = folder / _SETTINGS
     settings.mkdir()
     for option, kind in _FILES.items():
         name = getattr(arguments, option)
         if name:
-            text = read_text(named_file(kind, name))
-            (settings / f'{option}.yaml').write_text(text, encoding='utf-8')
+            write_whole(settings / f'{option}.yaml', read_text(named_file(kind, name)))
     if arguments.imus:
         several.save_settings(arguments, settings)
     kept = {k: v for k, v in vars(arguments).items() if k not in {*_OF_THE_RUN, *_FILES, 'imus'}}
-    # Last, and atomically: a folder without it does not belong to a stand.
-    draft = settings / f'{_OPTIONS}.new'
-    with draft.open('w', encoding='utf-8') as file:
-        yaml.safe_dump(kept, file)
-        file.flush()
-        os.fsync(file.fileno())
-    draft.rename(settings / _OPTIONS)
+    # Last: a folder without it does not belong to a stand.
+    write_whole(settings / _OPTIONS, yaml.safe_dump(kept))
     _point_at_copies(arguments, settings)
 
 

@@ -17,7 +17,7 @@ from ..devices import SCHEME, check_port, load_format
 from ..errors import InputError
 from ..imu import load_imu
 from ..mounted import PULSES, TRUTHS, MountedUnit, load_units, remaining
-from ..paths import read_text, user_path
+from ..paths import read_text, user_path, write_whole
 from ..plain_table import plain_table
 from ..plan import load_plan
 from ..reports.parameter_table import engineering
@@ -175,10 +175,9 @@ def save_settings(arguments: argparse.Namespace, settings: Path) -> None:
             given = getattr(unit, key)
             if given:
                 copy = folder / f'{name}_{key}.yaml'
-                text = read_text(named_file(kind, given))
-                copy.write_text(text, encoding='utf-8')
+                write_whole(copy, read_text(named_file(kind, given)))
                 entry[key] = os.path.relpath(copy, settings)
-    (settings / 'imus.yaml').write_text(yaml.safe_dump(kept, sort_keys=False), encoding='utf-8')
+    write_whole(settings / 'imus.yaml', yaml.safe_dump(kept, sort_keys=False))
 
 
 def print_results(

@@ -28,6 +28,8 @@ _ELEMENTS = tuple((i, j) for i in range(_AXES) for j in range(_AXES))
 
 _BEYOND = 1.05
 """Times the highest rate of the calibration up to which it is taken as valid; a choice."""
+_LARGEST = 1e100
+"""SI: no sensor reads it, and sums of squares and cubes of larger values overflow. A judgement."""
 _PARITY = 6.0
 """Standard deviations of the parity of four gyros: false in 2e-9 of Gaussian samples."""
 _AT_ONCE = 512
@@ -175,6 +177,7 @@ class Compensation:
         outputs = raw * self._scale
         if self._units.per_interval:
             outputs = outputs / tau
+        outputs[np.abs(outputs) >= _LARGEST] = np.nan
         free = outputs - self._bias
         both = _mix(free, self._to_inputs)
         if not self._linear:
@@ -214,7 +217,7 @@ class Compensation:
     def _set_channels(self, specs: list[TriadSpec], bias: Floats) -> None:
         """Set scale factors, ends of the range and quantisation of the channels."""
         self._scale = np.array([spec.scale_factor for spec in specs])
-        self._limit = NEARLY * np.array([spec.range for spec in specs])
+        self._limit = np.minimum(NEARLY * np.array([spec.range for spec in specs]), _LARGEST)
         rate, force = self.calibration.imu.least_ends
         self._least_ends = np.repeat([rate, force], [self._gyros, _AXES])
         self._full = np.array(

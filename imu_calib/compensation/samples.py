@@ -27,7 +27,7 @@ class Mark(IntFlag):
     PARITY = 16
     """The parity of four gyros exceeds its noise."""
     NO_NUMBER = 32
-    """A value is not finite."""
+    """A value is not finite, or too large to compute with."""
 
 
 # Not frozen: one is made for each live sample, and freezing would cost a microsecond.

@@ -12,29 +12,9 @@ from ..imu import SCALE_LIMIT
 from ..model import AXES, SensorModel
 from ..observation.evidence import Evidence
 from ..stream import Floats
-from ..units import DEG, DEG_H, PPM, STANDARD_GRAVITY
+from ..units import DEG, DEG_H, PPM
+from ..wrong_scale import TIMES, wrong_scale_sentences
 
-TIMES = ' A wrong rate of the samples, or unit of their times, does the same.'
-"""For gyros: their rates times time are compared with turned angles."""
-_RANGES = {
-    2.0: 'Counts of half the range that the scale factor is for',
-    0.5: 'Counts of twice the range that the scale factor is for',
-}
-_MISTAKES = {
-    'gyros': {
-        **_RANGES,
-        1 / DEG: 'Rates in deg/s, stated as rad/s,',
-        DEG: 'Rates in rad/s, stated as deg/s,',
-    },
-    'accelerometers': {
-        **_RANGES,
-        STANDARD_GRAVITY: 'Accelerations in m/s^2, stated as g,',
-        1 / STANDARD_GRAVITY: 'Accelerations in g, stated as m/s^2,',
-    },
-}
-"""Factor by which outputs are then too large."""
-_NEAR = 0.1
-"""Relative: scale factors of the cheapest units are 3 % off."""
 _AXIS_LIMIT = 0.5
 """Of an axis's largest response: beyond it, axes are exchanged, not misaligned."""
 _FAR_SCALE = 0.1
@@ -108,14 +88,6 @@ def far_scales(model: SensorModel) -> list[str]:
     ]
 
 
-def wrong_scale_sentence(scale: float, name: str) -> str:
-    """Return a sentence on units that give sensors so many times the response; empty for none."""
-    for factor, mistake in _MISTAKES[name].items():
-        if abs(scale / factor - 1) < _NEAR:
-            return f' {mistake} do that.'
-    return ''
-
-
 def check_axes(response: Floats, name: str, what: str) -> None:
     """Raise if a response matches no orientation of three real axes.
 
@@ -133,7 +105,7 @@ def check_axes(response: Floats, name: str, what: str) -> None:
         raise InputError(
             f'The {name} answer {scale:.4g} times what they should to {what}: units or scale '
             "factor of the IMU's description are not those of the recording."
-            f'{wrong_scale_sentence(scale, name)}{TIMES if name == "gyros" else ""}'
+            f'{wrong_scale_sentences(scale, name)}'
         )
     largest = np.abs(response).max(axis=1)
     if np.all(np.diag(response) == largest) and np.all(

@@ -20,7 +20,7 @@ from ..observation.evidence import Evidence
 from ..observation.measured_earth_rate import measured_latitude, vertical_earth_rate
 from ..stream import Floats
 from ..units import DEG
-from .checks import TIMES, wrong_scale_sentence
+from ..wrong_scale import wrong_turns_sentences
 
 _ASTRAY = 10 * DEG
 """rad, root mean square over the turns: gravity turned by the gyros misses the next hold by more
@@ -71,9 +71,10 @@ def check_turns(evidence: Evidence, model: SensorModel) -> None:
         if 1 / SCALE_LIMIT < scale < SCALE_LIMIT:
             return
         raise InputError(
-            f'The gyros turn gravity {scale:.3g} times as far as the accelerometers do: units or '
-            "scale factor of the IMU's description are not those of the recording."
-            f'{wrong_scale_sentence(scale, "gyros")}{TIMES}'
+            wrong_turns_sentences(
+                scale,
+                "units or scale factor of the IMU's description are not those of the recording",
+            )
         )
     raise Contradiction(
         f'The gyros contradict the accelerometers: from hold to hold {_in_words(response)}. '

@@ -185,6 +185,7 @@ class CompensatorNode(ros.ManagedNode):
         """Publish compensated samples, without those that are no numbers."""
         for reading in readings:
             values = reading.values
+            self._reports.compare_turns(reading)
             block = ImuBlock(
                 reading.stamp, values.rate, values.force, self._frame_id or reading.frame_id
             )

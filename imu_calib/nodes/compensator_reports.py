@@ -8,15 +8,19 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..cdr import Malformed
-from ..compensation.compensator import Compensator
+from ..compensation.compensator import Compensator, Reading
 from ..compensation.gravity_seen import GravitySeen
 from ..compensation.sample_clock import INTERVAL_KNOWN_AFTER
 from ..compensation.samples import Mark
 from ..compensation.thermal import ThermalCalibration, first_of
+from ..compensation.turns_seen import TurnsSeen
 from .diagnostics import Diagnostics, Level
 
 _GRAVITY = 10
 """s in each of which the accelerations must be far from gravity: a free fall does not last."""
+_TURNS = 10
+"""s over which rates are compared with how gravity turns: longer than a turn, so that what came
+before it does not hide it. A judgement."""
 _STALE = 10.0
 """s without a temperature: ten times the period of the slowest thermometers in use, 1 Hz."""
 _WORDS = {
@@ -25,7 +29,7 @@ _WORDS = {
     Mark.RATE: 'rotation faster than in the calibration',
     Mark.TEMPERATURE: 'temperature outside that of the calibration',
     Mark.PARITY: 'four gyros that contradict each other',
-    Mark.NO_NUMBER: 'values that are not numbers',
+    Mark.NO_NUMBER: 'values that are not numbers, or too large to compute with',
 }
 
 
@@ -52,6 +56,7 @@ class _Second:
         given: Number of samples that were published.
         newest: Stamp of the latest of these, ns.
         latencies: Time of each group of samples in the node, s.
+        readings: Compensated samples.
     """
 
     since: float = field(default_factory=time.monotonic)
@@ -59,6 +64,7 @@ class _Second:
     given: int = 0
     newest: int = 0
     latencies: list[float] = field(default_factory=list)
+    readings: list[Reading] = field(default_factory=list)
 
 
 class CompensatorReports:
@@ -84,12 +90,14 @@ class CompensatorReports:
         self._counted: dict[Mark, int] = dict.fromkeys(Mark, 0)
         self._gravity = GravitySeen()
         self._far_from_gravity = 0
+        self._turns, self._compared = TurnsSeen(), 0
         self._second = _Second()
 
     def begin_counts(self) -> None:
         """Reset what is counted, as a new compensator does."""
         self._counted = dict.fromkeys(Mark, 0)
         self._gravity, self._far_from_gravity = GravitySeen(), 0
+        self._turns, self._compared = TurnsSeen(), 0
 
     def take(self, count: int) -> None:
         """Count incoming samples."""
@@ -99,6 +107,10 @@ class CompensatorReports:
         """Count outgoing samples; `newest` is the latest stamp, ns."""
         self._second.given += count
         self._second.newest = newest
+
+    def compare_turns(self, reading: Reading) -> None:
+        """Keep compensated samples, to compare their rates with how gravity turns."""
+        self._second.readings.append(reading)
 
     def record_latency(self, seconds: float) -> None:
         """Record how long samples were in the node."""
@@ -120,6 +132,7 @@ class CompensatorReports:
         if compensator is not None:
             self._report_range(compensator)
             self._report_gravity(compensator)
+            self._report_turns(compensator)
             if isinstance(compensator.calibration, ThermalCalibration):
                 self._report_temperature(compensator)
         self._second = _Second()
@@ -190,6 +203,25 @@ class CompensatorReports:
         if self._far_from_gravity == _GRAVITY:
             text = fresh.contradiction(first_of(compensator.calibration).imu)
             self._diagnostics.report('gravity', Level.WARN, text)
+
+    def _report_turns(self, compensator: Compensator) -> None:
+        """Report whether the rates of some seconds turn gravity as the accelerometers do."""
+        if readings := self._second.readings:
+            self._turns.take(
+                np.concatenate([one.stamp for one in readings]),
+                np.concatenate([one.values.rate for one in readings]),
+                np.concatenate([one.values.force for one in readings]),
+            )
+        self._compared += 1
+        if self._compared < _TURNS:
+            return
+        turns, self._turns, self._compared = self._turns, TurnsSeen(), 0
+        if turns.contradict:
+            text = turns.contradiction(first_of(compensator.calibration).imu)
+            self._diagnostics.report('turns', Level.WARN, text)
+        elif turns.scale is not None:
+            text = 'The gyros turn gravity as far as the accelerometers do.'
+            self._diagnostics.report('turns', Level.OK, text)
 
     def _report_temperature(self, compensator: Compensator) -> None:
         """Report the temperature on which the calibration depends."""

@@ -250,8 +250,8 @@ def budget_parts(calibration: Calibration, budget: Budget, words: str) -> list[s
     headings = ['', *(f'{h}, %' for h in shown.headings), *_EXPANDED[1:]]
     return [
         paragraph(note, 'note'),
-        table(['source', 'type', 'dof', 'what it is'], sources, 'budget', 'llrl'),
-        table(headings, rows, 'budget', 'l' + 'r' * (len(headings) - 2) + 'l'),
+        table(['source', 'type', 'dof', 'what it is'], sources, 'budget stacked', 'llrl'),
+        table(headings, rows, 'budget stacked', 'l' + 'r' * (len(headings) - 2) + 'l'),
     ]
 
 

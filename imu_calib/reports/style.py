@@ -170,6 +170,10 @@ svg text.letter { font-size: 12px; font-weight: 700; fill: var(--ink); }
   table.stacked td:first-child { font-weight: 600; }
   table.stacked td[data-name]::before { content: attr(data-name) ": "; color: var(--faint);
     font-size: 12px; font-weight: 400; }
+  table.budget.stacked tr { display: flex; flex-wrap: wrap; gap: 0 12px; }
+  table.budget.stacked td { font-size: 13px; }
+  table.budget.stacked td:first-child, table.budget.stacked td:nth-child(4):last-child {
+    flex-basis: 100%; }
   .broad { display: none; }
   table.facts th { width: 34%; }
   table.parameters.plain th, table.parameters.plain td { padding: 1px 3px; font-size: 13px; }

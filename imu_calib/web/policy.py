@@ -24,7 +24,8 @@ _PAGE = b'x-nicegui-content'
 _POLICY = (
     # Nothing is loaded from or sent to other hosts, and no other page may frame this one. A script
     # in the text runs only with the nonce. NiceGUI needs 'unsafe-eval': the browser compiles its
-    # templates (Vue) and evaluates its messages.
+    # templates (Vue) and evaluates its messages; and inline styles: it makes style elements that
+    # bear no nonce.
     "default-src 'self'; script-src 'self' 'unsafe-eval'{nonce}; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
     "connect-src 'self'; worker-src 'self' blob:; object-src 'none'; base-uri 'self'; "
