@@ -350,9 +350,9 @@ class Calibration:
         Raises:
             InputError: pandas is not installed.
         """
-        from .views import parameter_frame
+        from .views import compared_frame
 
-        return parameter_frame(self)
+        return compared_frame(self.parameters, {'value': self.values, 'std': self.std}, {})
 
     def plot(self) -> Figure:
         """Draw the parameters with bars of two standard deviations; return the matplotlib Figure.
@@ -360,9 +360,9 @@ class Calibration:
         Raises:
             InputError: matplotlib is not installed.
         """
-        from .views import draw
+        from .views import draw_parameters
 
-        return draw(self)
+        return draw_parameters(self.unit_name, self.parameters, self.values, self.std)
 
     def plot_residuals(self) -> Figure:
         """Draw the residuals of the static dwells by position; return the matplotlib Figure.
@@ -372,7 +372,14 @@ class Calibration:
         """
         from .views import draw_residuals
 
-        return draw_residuals(self)
+        rows = self.residuals
+        if not rows:
+            raise InputError(
+                f'The calibration of {self.unit_name} carries no residuals: it was not made of a '
+                'recording.'
+            )
+        columns = [np.array([r.gyro for r in rows]), np.array([r.accel for r in rows])]
+        return draw_residuals(self.unit_name, [r.position for r in rows], columns)
 
     def plot_noise(self) -> Figure:
         """Draw the Allan deviation of the session; return the matplotlib Figure.
@@ -382,7 +389,7 @@ class Calibration:
         """
         from .views import draw_noise
 
-        return draw_noise(self)
+        return draw_noise(self.unit_name, self.noise)
 
     @checked
     def save(self, path: str | Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from .errors import InputError
 from .stream import Floats
+from .units import DEG
 
 EARTH_RATE = 7.292115e-5
 """Rotation of the Earth, rad/s (WGS 84)."""
@@ -60,6 +61,10 @@ _ECCENTRICITY_SQUARED = 0.00669437999014
 """First eccentricity squared."""
 _CENTRIFUGAL_RATIO = 0.00344978650684
 """Centrifugal force at the equator over gravity, m."""
+
+VAGUE = 10 * DEG
+"""rad: standard deviation of a latitude that is not stated. It does not constrain gravity, which
+varies by 0.5 % from the equator to the poles."""
 
 
 def normal_gravity(latitude: float, height: float = 0.0) -> float:

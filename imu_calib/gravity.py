@@ -3,53 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from .budget import Share, Source
 from .calibration import Calibration
-from .earth import MEASURED, Site, normal_gravity
-from .model import PRODUCTS, Parameter, ParameterKind, SensorModel
+from .earth import MEASURED, VAGUE, Site, normal_gravity
+from .model.sensors import gravity_covariance, gravity_slope
 from .stream import Floats
 from .units import DEG, PPM
 
 _ANOMALY = 0.003
 """Largest plausible relative difference of a measured gravity from normal gravity: 10 km of height,
 above any laboratory, make 0.3 %, and gravity anomalies a tenth of that (EGM2008)."""
-VAGUE = 10 * DEG
-"""rad: standard deviation of a latitude that is not stated. It does not constrain gravity, which
-varies by 0.5 % from the equator to the poles."""
-
-
-def gravity_slope(model: SensorModel, parameters: Sequence[Parameter]) -> Floats:
-    """Return the derivatives of parameters by the relative error of gravity, (n,).
-
-    The outputs depend on gravity only as a factor of the accelerometers' responses and of terms
-    that are products of forces: a session solved with g (1 + e) instead of g multiplies each by
-    1 / (1 + e), to the power of the number of forces in the product.
-
-    Source: docs/mathematics.md, 'Gravity'.
-    """
-    one = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in parameters])
-    degree = np.array([PRODUCTS[p].degree_in_force for p in parameters])
-    slope = -degree * (one + model.values(parameters))
-    return np.asarray(np.where(degree > 0, slope, 0.0))
-
-
-def gravity_covariance(
-    model: SensorModel, parameters: Sequence[Parameter], relative_std: float
-) -> Floats:
-    """Return the contribution of gravity's uncertainty to a covariance, (n, n), of rank one.
-
-    Args:
-        model: The values of the parameters.
-        parameters: The parameters of the rows.
-        relative_std: Relative standard deviation of gravity.
-    """
-    deviation = gravity_slope(model, parameters) * relative_std
-    return np.asarray(np.outer(deviation, deviation))
 
 
 def with_gravity(calibration: Calibration, site: Site) -> Calibration:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from .errors import InputError
 from .gaussian import is_covariance
-from .model import TRIADS, ParameterKind
+from .imu import ImuSpec
+from .model import TRIADS, Parameter, ParameterKind, SensorModel
 from .stream import Floats, Units
 from .units import DEG
-
-if TYPE_CHECKING:
-    from .calibration import Calibration
 
 _SCALE = (0.5, 2.0)
 """Limits of the response along the input axis. A nominal scale factor wrong by a factor of two is
@@ -25,6 +23,26 @@ _TILT = 30 * DEG
 axis; data sheets of MEMS units state up to 2 deg of misalignment."""
 
 
+class Estimated(Protocol):
+    """What is checked of a calibration: its members of these names."""
+
+    imu: ImuSpec
+    model: SensorModel
+    covariance: Floats
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102
+        ...
+
+    @property
+    def values(self) -> Floats:  # noqa: D102
+        ...
+
+    @property
+    def has_accelerometers(self) -> bool:  # noqa: D102
+        ...
+
+
 def is_of_strapdown(response: Floats) -> bool:
     """Return whether the response (3, 3) is plausible: row i the channel, column j the axis."""
     lengths = np.linalg.norm(response, axis=1)
@@ -33,7 +51,7 @@ def is_of_strapdown(response: Floats) -> bool:
     return bool(np.all(np.diag(response) / lengths >= np.cos(_TILT)))
 
 
-def check_plausible(calibration: Calibration, name: str) -> None:
+def check_plausible(calibration: Estimated, name: str) -> None:
     """Refuse implausible parameters before they are applied.
 
     Biases of ADC codes are not limited: an ADC may count from any offset.
@@ -54,7 +72,7 @@ def check_plausible(calibration: Calibration, name: str) -> None:
     _check_covariance(calibration, name)
 
 
-def _check_scale_factors(calibration: Calibration, name: str) -> None:
+def _check_scale_factors(calibration: Estimated, name: str) -> None:
     for what, spec in (('gyro', calibration.imu.gyro), ('accelerometer', calibration.imu.accel)):
         if not 0 < spec.scale_factor < np.inf:
             raise InputError(
@@ -84,7 +102,7 @@ def _check_lengths(response: Floats, what: str, name: str) -> None:
             )
 
 
-def _check_limits(calibration: Calibration, name: str) -> None:
+def _check_limits(calibration: Estimated, name: str) -> None:
     """Refuse values beyond the limit of their kind, and biases beyond the range."""
     imu = calibration.imu
     ranges = {'g': imu.gyro.range, 'a': imu.accel.range}
@@ -104,7 +122,7 @@ def _check_limits(calibration: Calibration, name: str) -> None:
             )
 
 
-def _check_covariance(calibration: Calibration, name: str) -> None:
+def _check_covariance(calibration: Estimated, name: str) -> None:
     """Refuse an invalid covariance: not finite, asymmetric, or not positive semidefinite."""
     if (np.diag(calibration.covariance) < 0).any():
         raise InputError(f'{name}: covariance: found a negative variance.')

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .channel_noise import TRIADS
+from .channel_noise import TRIADS, ChannelNoise
 from .errors import InputError
 from .extras import require
 from .model import Parameter
@@ -18,9 +18,7 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
 
-    from .calibration import Calibration
     from .picture import Picture
-    from .repetition import Outcome
 
 _TRIADS = {'g': 'gyros', 'a': 'accelerometers'}
 _BAR = 2.0
@@ -37,16 +35,6 @@ _NAMES = 30
 """Most names below an axis: more would overlap."""
 _HEIGHT = 4.2
 """Height of a row of panels, and width of a panel, inches."""
-
-
-def parameter_frame(calibration: Calibration) -> pandas.DataFrame:
-    """Return value, standard deviation and unit of each parameter, by its name.
-
-    Raises:
-        InputError: pandas is not installed.
-    """
-    columns = {'value': calibration.values, 'std': calibration.std}
-    return compared_frame(calibration.parameters, columns, {})
 
 
 def compared_frame(
@@ -72,21 +60,6 @@ def compared_frame(
     return pd.DataFrame({**columns, **plain, 'unit': units}, index=index)
 
 
-def repeated_frame(outcome: Outcome) -> pandas.DataFrame:
-    """Return the results of repeated sessions, by parameter.
-
-    Raises:
-        InputError: pandas is not installed.
-    """
-    columns = {
-        'bias': outcome.bias,
-        'spread': outcome.spread,
-        'stated': outcome.mean_stated,
-        'worst': outcome.worst,
-    }
-    return compared_frame(outcome.parameters, columns, {'normalised': outcome.rms})
-
-
 def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) -> pandas.DataFrame:
     """Return predicted standard deviations, and the least possible ones, by parameter.
 
@@ -96,70 +69,62 @@ def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) 
     return compared_frame(parameters, {'std': std, 'best': best}, {})
 
 
-def draw(calibration: Calibration) -> Picture:
-    """Draw the parameters with bars of two standard deviations, grouped by unit of measure.
+def draw_parameters(
+    unit_name: str, parameters: tuple[Parameter, ...], values: Floats, std: Floats
+) -> Picture:
+    """Draw parameters, (n,) in SI, with bars of two standard deviations, grouped by unit.
 
     Raises:
         InputError: matplotlib is not installed.
     """
-    groups = _groups(calibration.parameters)
+    groups = _groups(parameters)
     columns = max(sum(triad == letter for triad, _ in groups) for letter in _TRIADS)
     figure = empty_figure(3.2 * columns, 6.0)
-    values, std = calibration.values, calibration.std
     places = dict.fromkeys(_TRIADS, 0)
     for (letter, unit), members in groups.items():
         places[letter] += 1
         row = list(_TRIADS).index(letter)
         axes = figure.add_subplot(2, columns, row * columns + places[letter])
-        scale = calibration.parameters[members[0]].unit.scale
+        scale = parameters[members[0]].unit.scale
         shown, bars = values[members] / scale, _BAR * std[members] / scale
         axes.axhline(0.0, color='0.7', linewidth=0.8)
         axes.errorbar(range(len(members)), shown, yerr=bars, fmt='o', markersize=4, capsize=3)
-        _name(axes, [calibration.parameters[k].name for k in members])
+        _name(axes, [parameters[k].name for k in members])
         axes.set_ylabel(unit)
         axes.set_title(_TRIADS[letter])
-    figure.suptitle(f'{calibration.unit_name}: bars of {_BAR:g} standard deviations')
+    figure.suptitle(f'{unit_name}: bars of {_BAR:g} standard deviations')
     return figure
 
 
-def draw_residuals(calibration: Calibration) -> Picture:
-    """Draw the residuals of each static dwell, by position.
+def draw_residuals(unit_name: str, positions: Sequence[str], residuals: list[Floats]) -> Picture:
+    """Draw the residuals of each static dwell by position: gyros (n, 3), accelerometers (n, 3), SI.
 
     Raises:
-        InputError: matplotlib is not installed, or the calibration contains no residuals.
+        InputError: matplotlib is not installed.
     """
-    rows = calibration.residuals
-    if not rows:
-        raise InputError(
-            f'The calibration of {calibration.unit_name} carries no residuals: it was not made of '
-            'a recording.'
-        )
     figure = empty_figure(2 * _HEIGHT, _HEIGHT)
-    for triad, axes in zip(TRIADS, figure.subplots(1, 2), strict=True):
-        found = [r.gyro if triad.name == 'gyro' else r.accel for r in rows]
-        residuals = np.array(found).reshape(-1, 3) / triad.rate_scale
+    for triad, own, axes in zip(TRIADS, residuals, figure.subplots(1, 2), strict=True):
         axes.axhline(0.0, color='0.7', linewidth=0.8)
-        for channel, column in zip('xyz', residuals.T, strict=True):
+        for channel, column in zip('xyz', own.T / triad.rate_scale, strict=True):
             axes.plot(column, 'o', markersize=4, label=channel)
-        _name(axes, [r.position for r in rows])
+        _name(axes, positions)
         axes.set_xlabel('position')
         axes.set_ylabel(f'residual, {triad.rate}')
         axes.set_title(f'{triad.name}s')
         axes.legend()
-    figure.suptitle(f'{calibration.unit_name}: residuals of the static dwells')
+    figure.suptitle(f'{unit_name}: residuals of the static dwells')
     return figure
 
 
-def draw_noise(calibration: Calibration) -> Picture:
+def draw_noise(unit_name: str, seen: Mapping[str, ChannelNoise]) -> Picture:
     """Draw the Allan deviation of the session, with the estimated random walk.
 
     Raises:
         InputError: matplotlib is not installed, or the calibration contains no noise.
     """
-    seen = calibration.noise
     if not any(len(noise.tau) for noise in seen.values()):
         raise InputError(
-            f'The calibration of {calibration.unit_name} carries no Allan deviation: its static '
+            f'The calibration of {unit_name} carries no Allan deviation: its static '
             'dwells are too short for one, as holds in a hand are. Lay the unit down for some '
             'minutes in one of them (docs/report.md).'
         )
@@ -179,7 +144,7 @@ def draw_noise(calibration: Calibration) -> Picture:
         axes.set_xlabel('averaging time, s')
         axes.set_ylabel(f'Allan deviation, {triad.rate}')
         axes.set_title(f'{triad.name}s')
-    figure.suptitle(f'{calibration.unit_name}: noise; dashed: random walk')
+    figure.suptitle(f'{unit_name}: noise; dashed: random walk')
     return figure
 
 
@@ -244,19 +209,17 @@ def _means(values: Floats, few: int) -> Floats:
     return np.asarray(values[: count * few].reshape(count, few).mean(axis=1))
 
 
-def draw_normalised(title: str, outcome: Outcome) -> Picture:
-    """Draw the normalised errors of repeated sessions beside those of a normal law.
+def draw_normalised(title: str, names: Sequence[str], normalised: Floats) -> Picture:
+    """Draw normalised errors (runs, n) of repeated sessions beside those of a normal law.
 
     Raises:
         InputError: matplotlib is not installed.
     """
-    known = np.isfinite(outcome.mean_stated)
-    names = [p.name for p, k in zip(outcome.parameters, known, strict=True) if k]
     figure = empty_figure(0.4 * len(names) + 2, _HEIGHT)
     axes = figure.subplots()
     _beside_normal(axes)
     # The quartiles of a normal law are at 0.67, the ends of the whiskers at 1.96.
-    axes.boxplot(outcome.normalised[:, known], whis=_WHISKERS_95, sym='.')
+    axes.boxplot(normalised, whis=_WHISKERS_95, sym='.')
     _name(axes, names, first=1)
     axes.set_ylabel('error / standard deviation stated')
     axes.set_title(title)

@@ -39,7 +39,7 @@ class Ears:
         )
 
     def dwells(self, begin):
-        """Yield each dwell that begins after a time, s: rates and forces in it, and the attitude."""
+        """Yield each dwell after a time, s: rates and forces in it, and the attitude."""
         (rates,) = decode_imu(Messages.join(self.rates))
         (joints,) = decode_joints(Messages.join(self.joints))
         still = (joints.velocity == 0).all(axis=1)

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..calibration import Calibration
 from ..calibrator import Setup
 from ..earth import LUOYANG
@@ -17,7 +19,7 @@ from ..repetition import Outcome, Study, economical, repeat
 from ..simulation import StandOptions
 from ..threads import by_one_thread
 from ..units import counted
-from ..views import draw_normalised, repeated_frame
+from ..views import compared_frame, draw_normalised
 from .keywords import Planned, with_keywords
 from .named import Named, as_imu, as_plan, load_truth
 from .progress import Progress, silent
@@ -64,7 +66,14 @@ class MonteCarloResult:
         Raises:
             InputError: pandas is not installed.
         """
-        return repeated_frame(self.outcome)
+        outcome = self.outcome
+        columns = {
+            'bias': outcome.bias,
+            'spread': outcome.spread,
+            'stated': outcome.mean_stated,
+            'worst': outcome.worst,
+        }
+        return compared_frame(outcome.parameters, columns, {'normalised': outcome.rms})
 
     def plot(self) -> Figure:
         """Draw the errors over the stated standard deviations; return the matplotlib Figure.
@@ -74,7 +83,9 @@ class MonteCarloResult:
         """
         setup, outcome = self.setup, self.outcome
         title = f'{setup.plan.name}, {setup.method_name}: {len(outcome.errors)} runs'
-        return draw_normalised(title, outcome)
+        known = np.isfinite(outcome.mean_stated)
+        names = [p.name for p, k in zip(outcome.parameters, known, strict=True) if k]
+        return draw_normalised(title, names, outcome.normalised[:, known])
 
 
 @with_keywords(Planned)

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..config import Section
-from ..earth import MEASURED, Site
+from ..earth import MEASURED, VAGUE, Site
 from ..errors import InputError, NotStated
-from ..gravity import VAGUE
 from ..imu import ImuSpec, read_imu
 from ..metadata import (
     SERIAL_NUMBER,

@@ -10,7 +10,6 @@ import numpy as np
 
 from ..calibration import BY_ACCELEROMETERS
 from ..errors import InputError, NotObservable
-from ..gravity import gravity_covariance
 from ..imu import SCALE_LIMIT
 from ..methods import estimated_parameters
 from ..methods.checks import far_scales
@@ -26,6 +25,7 @@ from ..methods.free_positions import (
 )
 from ..methods.solution import Residual, Solution
 from ..model import PARAMETERS, SensorModel
+from ..model.sensors import gravity_covariance
 from ..observation.evidence import Evidence
 from ..observation.known_noise import known_noise, walk_of_sensors, with_own_noise
 from ..segmentation.clock import NO_CLOCK

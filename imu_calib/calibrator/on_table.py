@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import Contradiction, InputError, NotObservable
-from ..gravity import gravity_covariance
 from ..methods import check_plan, closed_form_of, method, provisional
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import AXES, Parameter, SensorModel
 from ..model.motion import has_motion_terms
+from ..model.sensors import gravity_covariance
 from ..observation.evidence import Evidence
 from ..observation.information import attainable_std
 from ..segmentation.labelling import Labelled, label

@@ -11,8 +11,7 @@ from ..api.conforming import conformity
 from ..api.opening import recording_path
 from ..api.outputs import output_or_default, output_path
 from ..calibration import Calibration
-from ..earth import MEASURED
-from ..gravity import VAGUE
+from ..earth import MEASURED, VAGUE
 from ..plan import METHOD_NAMES
 from ..reports.assessment import summary
 from ..reports.budget import budget_tables

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import NotObservable
 from ..stream import Floats
 from .inversion import inverted, times_transpose
+from .kinds import ParameterKind
 from .parameters import (
     AXES,
     MOST_SKEWED,
@@ -372,3 +373,32 @@ def _solved(matrix: Floats, vectors: Floats) -> Floats:
     """Return a (3, 3) matrix times vectors (..., 3): each with the bits that it has alone."""
     inverse = np.asarray(np.linalg.inv(matrix))
     return times_transpose(vectors.reshape(-1, 3), inverse).reshape(vectors.shape)
+
+
+def gravity_slope(model: SensorModel, parameters: Sequence[Parameter]) -> Floats:
+    """Return the derivatives of parameters by the relative error of gravity, (n,).
+
+    The outputs depend on gravity only as a factor of the accelerometers' responses and of terms
+    that are products of forces: a session solved with g (1 + e) instead of g multiplies each by
+    1 / (1 + e), to the power of the number of forces in the product.
+
+    Source: docs/mathematics.md, 'Gravity'.
+    """
+    one = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in parameters])
+    degree = np.array([PRODUCTS[p].degree_in_force for p in parameters])
+    slope = -degree * (one + model.values(parameters))
+    return np.asarray(np.where(degree > 0, slope, 0.0))
+
+
+def gravity_covariance(
+    model: SensorModel, parameters: Sequence[Parameter], relative_std: float
+) -> Floats:
+    """Return the contribution of gravity's uncertainty to a covariance, (n, n), of rank one.
+
+    Args:
+        model: The values of the parameters.
+        parameters: The parameters of the rows.
+        relative_std: Relative standard deviation of gravity.
+    """
+    deviation = gravity_slope(model, parameters) * relative_std
+    return np.asarray(np.outer(deviation, deviation))

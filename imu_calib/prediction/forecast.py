@@ -16,11 +16,11 @@ from ..calibrator import Setup
 from ..errors import NotObservable
 from ..estimation import exact_table
 from ..estimation.fit import check_observable
-from ..gravity import gravity_covariance
 from ..methods import JOINT, check_plan, free_positions, method, skewed
 from ..methods.skewed import RatePoints
 from ..methods.solution import Solution
 from ..model import AXES, PARAMETERS, Parameter, SensorModel
+from ..model.sensors import gravity_covariance
 from ..observation.components import Blocks, Component
 from ..observation.equations import Equations
 from ..observation.evidence import Evidence

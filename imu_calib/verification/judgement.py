@@ -18,9 +18,10 @@ import scipy
 
 from ..calibration import Calibration
 from ..earth import Site
-from ..gravity import gravity_covariance, same_place, without_gravity
+from ..gravity import same_place, without_gravity
 from ..model import Parameter, ParameterKind, SensorModel, indices_of, terms_of
 from ..model.motion import has_motion_terms
+from ..model.sensors import gravity_covariance
 from ..model.session_terms import Course
 from ..observation.lengths import Sensors, Up, noise_at_rest
 from ..segmentation.segmented import Move
