@@ -8,11 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .arguments import checked
 from .config import Section
 from .errors import InputError
 from .specification import Specification, read_specification
-from .stream import Units
+from .stream import Floats, Units
 from .units import DEG, PPM, Dimension
 from .yaml_text import dump
 
@@ -89,6 +91,11 @@ class ImuSpec:
     def __repr__(self) -> str:
         """Return one line."""
         return f'<ImuSpec {self.id}: {self.units.value}>'
+
+    @property
+    def scale(self) -> Floats:
+        """Nominal scale factors (6,), SI per number as delivered."""
+        return np.repeat([self.gyro.scale_factor, self.accel.scale_factor], 3)
 
     @property
     def least_ends(self) -> tuple[float, float]:

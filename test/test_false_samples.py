@@ -22,9 +22,9 @@ from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.instants import at
 from imu_calib.methods.free_positions import in_frame_of_accelerometers
 from imu_calib.plan import load_plan
-from imu_calib.segmentation.false_samples import FalseSampleFilter, FalseSamples
+from imu_calib.segmentation.false_samples import SCALE_OF_SI, FalseSampleFilter, FalseSamples
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.share import named_file
+from imu_calib.share import named_file, shipped
 from imu_calib.simulation import ImuOptions
 from imu_calib.simulation.hand import as_planned
 from imu_calib.stream import Block, Floats, ImuBlock, Stamps, Units
@@ -234,10 +234,12 @@ def test_values_in_any_unit_have_those_that_si_has(
 # The filter
 
 
-def passed(values: Floats, units: Units, stamp: Stamps | None = None) -> FalseSamples:
+def passed(
+    values: Floats, units: Units, stamp: Stamps | None = None, scale: Floats = SCALE_OF_SI
+) -> FalseSamples:
     """What a stream at 100 Hz holds."""
     stamp = np.arange(len(values)) * NS // 100 if stamp is None else stamp
-    filter_ = FalseSampleFilter(units)
+    filter_ = FalseSampleFilter(units, scale)
     kept = [filter_.take(stamp, values), filter_.finish()]
     assert sum(len(rows.stamp) for rows in kept) + filter_.found.count == len(values)
     return filter_.found
@@ -249,6 +251,8 @@ def test_the_result_does_not_depend_on_blocks(units: Units) -> None:
     stamp, values, rng = stamp[:4000], values[:4000].copy(), np.random.default_rng(5)
     for spoil in (zeros, minus_one, spikes):
         spoil(values, np.flatnonzero(rng.random(len(stamp)) < 0.03))
+    first = np.arange(60, len(stamp) - 60, 41)
+    values[np.concatenate([first, first + 1, first + 2]), 2] = -32768.0
     if units is Units.SI:
         values *= np.repeat([MEMS.gyro.scale_factor, MEMS.accel.scale_factor], 3)
     whole, cut = FalseSampleFilter(units), FalseSampleFilter(units)
@@ -289,6 +293,43 @@ def test_a_sensor_that_reads_nothing_at_rest_has_spikes_all_the_same() -> None:
     assert passed(values, Units.SI).spikes == 1
 
 
+@pytest.mark.parametrize('units', [Units.COUNTS, Units.SI])
+@pytest.mark.parametrize('pattern', [(0, 1), (0, 1, 2), (0, 2)])
+def test_spikes_in_succession_are_seen(units: Units, pattern: tuple[int, ...]) -> None:
+    stamp, values = in_hand()
+    values = values.copy()
+    starts = np.arange(60, len(stamp) - 60, 97)
+    rng = np.random.default_rng(8)
+    channels, signs = rng.integers(6, size=len(starts)), rng.choice([-1, 1], len(starts))
+    for k in pattern:
+        values[starts + k, channels] = 32767.0 * signs
+    scale = np.repeat([MEMS.gyro.scale_factor, MEMS.accel.scale_factor], 3)
+    if units is Units.SI:
+        values *= scale
+    found = passed(values, units, stamp, SCALE_OF_SI if units is Units.SI else scale)
+    assert found.spikes == len(starts) * len(pattern)
+
+
+def test_zeros_of_a_sparse_counter_are_seen_by_gravity() -> None:
+    """At 300 Hz gravity is 3.3 pulses a sample, and no axis gets to six."""
+    spec = replace(FOG, sample_rate=300.0)
+    held = as_planned(HAND, np.random.default_rng([3, 1]))
+    options = ImuOptions(bias_instability=False)
+    stamp, values = columns(held.blocks(spec, TRUTH, HAND_SITE, options, 3))
+    assert passed(values, Units.PULSES, stamp).count == 0
+    rows, most = some(len(stamp), 0.003), np.abs(values[:, 3:]).max(axis=1)
+    assert np.median(most) < 4
+    spoilt = values.copy()
+    spoilt[rows] = 0.0
+    found = passed(spoilt, Units.PULSES, stamp)
+    # In motion, and with gravity on a diagonal (1.9 pulses on each axis), some look sound.
+    assert found.on_all_axes > 0.6 * len(rows)
+    upright = (np.arange(4000) * 3.27 + 0.1).astype(np.int64)
+    still = np.hstack([np.zeros((3999, 5)), np.diff(upright)[:, None]])
+    still[50:3900:60] = 0.0
+    assert passed(still, Units.PULSES).on_all_axes == len(still[50:3900:60])
+
+
 # Sound streams
 
 N = 20_000
@@ -326,6 +367,16 @@ def stop_and_go() -> Floats:
     return turns
 
 
+def quick_steps() -> Floats:
+    """A table that makes steps of three samples, and a unit that is pushed and stops."""
+    values = noise(3.0)
+    for k in range(100, N - 100, 150):
+        values[k : k + 3, 2] += 800.0
+        values[k + 50 : k + 54, 3] += [1500.0, 3000.0, 3000.0, 1500.0]
+        values[k + 54 : k + 58, 3] -= [1500.0, 3000.0, 3000.0, 1500.0]
+    return values
+
+
 def noise(spread: float, upright: tuple[float, float, float] = (0, 0, 2000)) -> Floats:
     values = np.random.default_rng(6).normal([0, 0, 0, *upright], spread, (N, 6))
     return values.round()
@@ -347,6 +398,7 @@ def outliers() -> Floats:
         pytest.param(counters(), id='counters'),
         pytest.param(joined_parts(), id='joined parts'),
         pytest.param(stop_and_go(), id='stop and go'),
+        pytest.param(quick_steps(), id='quick steps'),
         pytest.param(noise(0.3), id='quiet'),
         pytest.param(noise(0.8), id='coarse'),
         pytest.param(noise(30.0), id='noisy'),
@@ -356,9 +408,11 @@ def outliers() -> Floats:
 )
 @pytest.mark.parametrize('units', [Units.COUNTS, Units.SI])
 def test_sound_samples_are_kept(values: Floats, units: Units) -> None:
+    scale = np.repeat([0.06 * DEG, 0.005], 3)
     if units is Units.SI:
-        values = values * np.repeat([0.06 * DEG, 0.005], 3)
-    assert passed(values, units).count == 0
+        assert passed(values * scale, units).count == 0
+    else:
+        assert passed(values, units, scale=scale).count == 0
 
 
 def test_real_and_simulated_sessions_lose_none() -> None:
@@ -368,6 +422,17 @@ def test_real_and_simulated_sessions_lose_none() -> None:
     sessions += [(columns(on_table(pulses)), FOG if pulses else MEMS) for pulses in (True, False)]
     for (stamp, values), spec in sessions:
         assert passed(values, spec.units, stamp).count == 0
+
+
+@pytest.mark.parametrize('imu', shipped('imus').split(', '))
+def test_sound_sessions_of_every_unit_lose_none(imu: str) -> None:
+    spec = load_imu(imu)
+    held = as_planned(HAND, np.random.default_rng([7, 1]))
+    in_a_hand = held.blocks(spec, TRUTH, HAND_SITE, ImuOptions(), 7)
+    turned = (one for _, one in session(PLAN, stand(), 7, spec=spec))
+    for blocks in (in_a_hand, turned):
+        stamp, values = columns(blocks)
+        assert passed(values, spec.units, stamp, spec.scale).count == 0
 
 
 def test_a_stream_in_one_sample_blocks_ends_whole() -> None:

@@ -94,6 +94,15 @@ def test_calibrate_names_the_way_to_join_them(nothing: float, tmp_path: Path) ->
         imu_calib.calibrate(bag, latitude=34.65, imu='si', plan='free_positions')
 
 
+@pytest.mark.parametrize('units', ['rates', 'increments', 'mems_counts', 'fog_medium'])
+def test_where_they_cannot_be_joined_no_command_is_named(units: str, tmp_path: Path) -> None:
+    bag = interleaved(tmp_path / 'bag')
+    with pytest.raises(InputError, match='in messages of their own') as refused:
+        imu_calib.calibrate(bag, latitude=34.65, imu=units, plan='free_positions')
+    assert 'convert' not in str(refused.value)
+    assert 'let the driver put both into each message' in str(refused.value)
+
+
 def test_topics_of_other_types_are_copied(tmp_path: Path) -> None:
     bag = tmp_path / 'bag'
     with RecordingWriter(tmp_path / 'camera') as writer:

@@ -10,9 +10,12 @@ from test_convert import recording as recorded
 
 import imu_calib
 from imu_calib import InputError
+from imu_calib.bags import RecordingWriter
 from imu_calib.bags.mcap_writer import McapWriter
-from imu_calib.cdr import Messages, encode_rates
+from imu_calib.cdr import Messages, encode_imu, encode_rates
 from imu_calib.cli.main import main
+from imu_calib.paths import read_text
+from imu_calib.share import named_file
 from imu_calib.stream import ImuBlock
 
 T0 = 1_700_000_000_000_000_000
@@ -89,6 +92,15 @@ def test_a_topic_without_accelerations_names_the_way_to_join_two(
     assert main(['calibrate', str(bag)]) == 2
     told = re.sub(r'\s+', ' ', capsys.readouterr().err)
     assert '--gyro-topic /g --accel-topic /a joins them' in told
+    raw = tmp_path / 'raw'
+    described = {'imu_calib.imu': read_text(named_file('imus', 'rates'))}
+    with RecordingWriter(raw, described) as writer:
+        for name, columns in topics.items():
+            block = ImuBlock(*columns)
+            writer.write(name, 'sensor_msgs/msg/Imu', encode_imu(block), block.stamp)
+    with pytest.raises(InputError, match='2 topics of type') as refused:
+        imu_calib.calibrate(raw)
+    assert 'gyro-topic' not in str(refused.value)
     both = recorded(tmp_path / 'both', {'/b': (stamp, rates, forces), '/c': (stamp, rates, forces)})
     with pytest.raises(InputError) as said:
         imu_calib.calibrate(both)

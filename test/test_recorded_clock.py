@@ -7,13 +7,17 @@ import numpy as np
 import pytest
 
 from imu_calib.api.calibrating import calibrate
+from imu_calib.api.compensating import compensate
 from imu_calib.api.inspecting import inspect
 from imu_calib.api.simulating import simulate
 from imu_calib.bags import RecordingWriter, open_recording
 from imu_calib.bags.recorded_clock import RecordedClock
+from imu_calib.calibration import Calibration
 from imu_calib.cdr import Kind, encode_imu
 from imu_calib.cli.main import main
 from imu_calib.errors import InputError
+from imu_calib.imu import load_imu
+from imu_calib.model import SensorModel
 from imu_calib.stream import ImuBlock, Stamps
 from imu_calib.units import PPM
 
@@ -102,13 +106,65 @@ def test_stamps_that_run_fast_are_said_with_what_contains_them(
 ) -> None:
     sound = calibrate(in_the_hand).calibration
     assert not any('log times' in finding for finding in sound.findings)
+    assert [p.name for p in sound.parameters[:3]] == ['K_gx', 'K_gy', 'K_gz']
     epoch = 1_700_000_000 * NS
     fast = restamped(in_the_hand, tmp_path / 'fast', lambda s: s + (s - epoch) * 15 // 1000)
     found = calibrate(fast).calibration
     (said,) = [finding for finding in found.findings if 'log times' in finding]
-    assert '1.5 %' in said
-    assert 'fast' in said
-    assert 'K_g contains' in said
+    assert '1.5 % (15000 +- 1 ppm) too fast' in said
+    assert 'every K_g contains this difference' in said
+    # Angles are rates by durations, and these are those of the stamps.
+    contained = (1 + found.values[:3]) / (1 + sound.values[:3]) - 1
+    assert np.abs(contained - 0.015).max() < sound.std[:3].max()
+
+
+@pytest.mark.parametrize(
+    ('change', 'said'),
+    [
+        (lambda s: s + (s - 1_700_000_000 * NS) * 15 // 1000, 'too fast against the recorder'),
+        (lambda stamp: stamp * 1000 % 2**60, 'a thousand times too long'),
+        (lambda stamp: stamp // 1000, 'a thousand times too short'),
+        (lambda stamp: stamp * 0, 'are 0'),
+    ],
+)
+def test_compensation_says_what_calibration_says(
+    in_the_hand: Path, tmp_path: Path, change: Change, said: str
+) -> None:
+    result = calibrate(in_the_hand)
+    kept = compensate(in_the_hand, result, tmp_path / 'kept').findings
+    assert not any('header stamps' in finding for finding in kept)
+    bag = restamped(in_the_hand, tmp_path / 'bag', change)
+    try:
+        told = calibrate(bag).calibration.findings
+    except InputError as error:
+        told = (str(error).removeprefix(f'{bag}: '),)
+    first = compensate(bag, result, tmp_path / 'out').findings[0]
+    assert said in first
+    (same,) = [finding for finding in told if said in finding]
+    # What it means is another thing for a calibration and for samples.
+    assert (
+        first.replace('what is integrated over the stamps contains', 'every K_g contains') == same
+    )
+
+
+@pytest.mark.parametrize(
+    ('imu', 'meaning'), [('si', 'what is integrated over'), ('fog_medium', 'every rate and force')]
+)
+def test_fast_stamps_have_another_meaning_for_increments(
+    tmp_path: Path, imu: str, meaning: str
+) -> None:
+    log = 1_700_000_000 * NS + np.arange(4000) * (NS // 100)
+    samples = ImuBlock(log + (log - log[0]) // 200, *np.ones((2, len(log), 3)))
+    with RecordingWriter(tmp_path / 'bag') as writer:
+        writer.write(TOPIC, Kind.IMU.type_name, encode_imu(samples), log)
+    known = Calibration(load_imu(imu), SensorModel(), np.zeros((24, 24)))
+    (said,) = [
+        finding
+        for finding in compensate(tmp_path / 'bag', known, tmp_path / 'out').findings
+        if 'log times' in finding
+    ]
+    assert '0.5 % (5000 +- 1 ppm) too fast' in said
+    assert meaning in said
 
 
 @pytest.mark.parametrize(

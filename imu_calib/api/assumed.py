@@ -13,7 +13,7 @@ from ..errors import InputError, NotStated
 from ..imu import ImuSpec, load_imu
 from ..plan import Plan, load_plan
 from ..share import shipped
-from ..stream import Floats, ImuBlock
+from ..stream import Floats, ImuBlock, Units
 from ..units import LARGEST, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -53,14 +53,14 @@ def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
     """
     # Loaded here, as the rest of segmentation is: most commands do not need it.
     from ..segmentation.gravity_removed import gravity_removed, quiet_means
-    from ..segmentation.halves import MESSAGES_APART, halves
+    from ..segmentation.halves import halves, messages_apart
 
     blocks = [b for _, b in islice(recording.read({topic: Kind.IMU}), _BLOCKS)]
     samples = [b for b in blocks if isinstance(b, ImuBlock)]
     force = np.vstack([np.zeros((0, 3)), *(b.accel for b in samples)])
     rate = np.vstack([np.zeros((0, 3)), *(b.gyro for b in samples)])
     if halves(rate, force) is not None:
-        raise InputError(f'{recording.path}: {MESSAGES_APART.format(topic=topic)}.')
+        raise InputError(f'{recording.path}: {messages_apart(topic, Units.SI)}')
     if removed := gravity_removed(quiet_means(force)):
         raise InputError(f'{recording.path}: {topic}: {removed}')
     if seen := against_si(force, rate):

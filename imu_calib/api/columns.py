@@ -13,11 +13,8 @@ from numpy.typing import NDArray
 from ..arguments import checked
 from ..bags import Recording, Topic, open_recording
 from ..cdr import Kind
-from ..config import Section
 from ..errors import InputError
 from ..extras import require
-from ..imu import read_imu
-from ..metadata import described_imu
 from ..stream import (
     Block,
     ImuBlock,
@@ -30,6 +27,7 @@ from ..stream import (
 )
 from ..units import counted
 from ..views import draw_columns
+from .streams import recorded_units
 
 if TYPE_CHECKING:
     import pandas
@@ -223,11 +221,7 @@ def _unit(name: str, recording: Recording, topic: Topic) -> str:
     """Return the unit of a column, or empty."""
     field = name.partition('.')[0]
     if topic.message_type == Kind.IMU.type_name:
-        text = described_imu(recording.custom_data, topic.name)
-        units = Units.SI
-        if text is not None:
-            units = read_imu(Section.parse(text, f'{recording.path}: its IMU')).units
-        return _NUMBERS[units][field != 'angular_velocity']
+        return _NUMBERS[recorded_units(recording, topic.name)][field != 'angular_velocity']
     return {
         'position': 'rad',
         'positions': 'rad',

@@ -34,6 +34,7 @@ from ..units import counted
 from .named import Named, as_applied
 from .outputs import new_folder, removed_on_failure
 from .progress import Progress, silent
+from .stamp_clock import sample_findings
 from .stated import Stated, serial_of, stated_imu
 from .streams import imu_topic, skew_topic, temperature_topic
 
@@ -126,6 +127,7 @@ def compensate(
         spec = _check_unit(loaded, name, stated, recording, topic)
         target = _target(output_topic, recording, topic)
         stamps = _all_stamps(recording, topic, first_of(loaded).imu.sample_rate, progress)
+        clock = sample_findings(recording, topic.name, spec.units)
         loaded = _with_data_sheet(loaded, spec)
         compensator = Compensator(loaded, stamps.instants())
         further_topics = _take_aside(compensator, recording, topic, progress)
@@ -156,7 +158,7 @@ def compensate(
             stream.finish(writer)
         findings = _findings(stream)
         if not stream.samples_out:
-            reasons = ' '.join([*findings, *stamps.words(), *recording.losses])
+            reasons = ' '.join([*clock, *findings, *stamps.words(), *recording.losses])
             raise NotObservable(
                 f'None of the {stream.samples_in} samples of {topic.name} could be compensated, '
                 f'and no recording is written. {reasons}'
@@ -170,6 +172,7 @@ def compensate(
             stream.samples_out,
             {mark: compensator.counts[mark] for mark in Mark if compensator.counts[mark]},
             (
+                *clock,
                 *already,
                 *first_of(loaded).unknown_noise,
                 *findings,

@@ -81,14 +81,34 @@ def clock_findings(recording: Recording, streams: Streams, units: Units) -> list
         units: Of the IMU.
     """
     topic = streams.imu if streams.joints is None else streams.joints
+    # docs/mathematics.md, 'Uncertainty budget': pulses per angle do not depend on a clock.
+    return _differing(recording, topic, 'every K_a' if units.per_interval else 'every K_g')
+
+
+def sample_findings(recording: Recording, topic: str, units: Units) -> list[str]:
+    """Return a sentence on stamps of samples that are compensated, if these cannot be right.
+
+    Args:
+        recording: Of which the topic was read last.
+        topic: The raw stream.
+        units: Of its samples.
+    """
+    if sentence := contradiction(recording, topic):
+        return [f'{topic}: {sentence}']
+    # Increments become rates by the interval of the stamps.
+    rates = 'every rate and force'
+    containing = rates if units.per_interval else 'what is integrated over the stamps'
+    return _differing(recording, topic, containing)
+
+
+def _differing(recording: Recording, topic: str, containing: str) -> list[str]:
+    """Return a sentence on stamps that run fast or slow, and on what contains that."""
     clock = recording.clocks.get(topic)
     if clock is None or not (said := difference(clock)):
         return []
-    # docs/mathematics.md, 'Uncertainty budget': pulses per angle do not depend on a clock.
-    gains = 'K_a' if units.per_interval else 'K_g'
     return [
         f'The header stamps of {topic} run {said}, and clocks do not differ by more than '
-        f'{_DIFFERENT / PPM:g} ppm: every {gains} contains this difference, unless the '
+        f'{_DIFFERENT / PPM:g} ppm: {containing} contains this difference, unless the '
         "recorder's clock is the wrong one. Let the driver stamp by a clock that is right (a "
         'nominal sample interval is none), and record again.'
     ]

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..cdr import Kind
+from ..config import Section
 from ..errors import InputError, NotStated
-from ..metadata import LEFT_OUT, serial_key
+from ..imu import read_imu
+from ..metadata import LEFT_OUT, described_imu, serial_key
 from ..mounted import namespace
 from ..other_formats import other_encoding
-from ..stream import ImuBlock
+from ..stream import ImuBlock, Units
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -166,11 +168,14 @@ def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -
 
 
 def _apart(recording: Recording, topics: Sequence[Topic]) -> str:
-    """Return the way to join topics of which one has rates alone; empty if each has both."""
+    """Return the way to join topics of which one has rates alone; empty if each has both.
+
+    Only samples in SI are joined.
+    """
     rates: list[str] = []
     forces: list[str] = []
     for topic in topics:
-        if topic.encoding != 'cdr':
+        if topic.encoding != 'cdr' or recorded_units(recording, topic.name) is not Units.SI:
             continue
         for _, block in islice(recording.read({topic.name: Kind.IMU}), 1):
             assert isinstance(block, ImuBlock)
@@ -186,6 +191,14 @@ def _apart(recording: Recording, topics: Sequence[Topic]) -> str:
         f' {rates[0]} has no accelerations: imu-calib convert {recording.path} -o OUT --gyro-topic '
         f'{rates[0]} --accel-topic {forces[0]} joins them.'
     )
+
+
+def recorded_units(recording: Recording, topic: str) -> Units:
+    """Return the units of an IMU's topic by the recording; SI where it does not state them."""
+    text = described_imu(recording.custom_data, topic)
+    if text is None:
+        return Units.SI
+    return read_imu(Section.parse(text, f'{recording.path}: its IMU')).units
 
 
 def _named(recording: Recording, candidates: list[Topic], wanted: str, kind: Kind) -> str:

@@ -21,7 +21,6 @@ from .mcap_records import RECORD_HEAD, Op, RecordError, walk
 from .mcap_scan import scan
 from .metadata import custom_data_of
 from .storage import (
-    OUT_OF_ORDER,
     Cache,
     Losses,
     Memory,
@@ -144,7 +143,7 @@ class McapStorage:
         in_file = any(order is None for order in orders)
         shuffled = not in_file and any((o[1:] < o[:-1]).any() for o in orders if o is not None)
         if shuffled:
-            self._state_order()
+            self._losses.add_order(self.path.name)
             read = sorted(read, key=lambda chunk: chunk.start_ns)
         together = grouped(read)
         ahead = ReadAhead(together, self._fetch, self._with_content)
@@ -157,18 +156,14 @@ class McapStorage:
             found = cache.get((self.path, group.start), load, users).batch(ids, group.end)
             return None if found is None else (found, bound)
 
+        state = partial(self._losses.add_order, self.path.name)
         batches: dict[str, Iterator[MessageBatch]] = {}
         for topic, ids in channels.items():
             mine = [group for group in together if ids and group.may_hold(ids)]
             found = filter(None, map(partial(batch, ids), mine, _bounds(mine)))
             # Not generators, whose frames would keep a batch, and its memory, until the next one.
-            batches[topic] = (
-                map(itemgetter(0), found) if in_file else LogOrder(found, self._state_order)
-            )
+            batches[topic] = map(itemgetter(0), found) if in_file else LogOrder(found, state)
         return batches
-
-    def _state_order(self) -> None:
-        self._losses.add(OUT_OF_ORDER.format(name=self.path.name))
 
     def _counts(self) -> dict[int, int] | None:
         if self._catalogue.counts is not None:

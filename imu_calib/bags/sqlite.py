@@ -17,7 +17,6 @@ from .metadata import custom_data_of
 from .sqlite_pages import HEADER, OddPagesError, Rows, TablePages, Window
 from .sqlite_rows import DAMAGE, LAST_ROW, RowQueries, damage_text
 from .storage import (
-    OUT_OF_ORDER,
     Cache,
     Described,
     Losses,
@@ -106,10 +105,8 @@ class SqliteStorage:
         found = self._in_file(ids, pages, cache)
         if order is None:
             return found
-        return {
-            topic: LogOrder(_with_bounds(batches), self._state_order)
-            for topic, batches in found.items()
-        }
+        state = partial(self._losses.add_order, self.path.name)
+        return {topic: LogOrder(_with_bounds(batches), state) for topic, batches in found.items()}
 
     def _in_file(
         self, ids: Mapping[str, tuple[int, ...]], pages: TablePages | None, cache: Cache
@@ -150,11 +147,9 @@ class SqliteStorage:
     def _by_time(self, topics: tuple[int, ...]) -> Iterator[MessageBatch]:
         """Read messages in the order of their log times, by SQLite's index of these."""
         rows = RowQueries(self.path.name, self._connect, self._last, self._losses)
-        for messages, log in rows.read_by_time(topics, self._state_order):
+        state = partial(self._losses.add_order, self.path.name)
+        for messages, log in rows.read_by_time(topics, state):
             yield self._batch(messages, log, self._first)
-
-    def _state_order(self) -> None:
-        self._losses.add(OUT_OF_ORDER.format(name=self.path.name))
 
     def _pages(self) -> TablePages | None:
         """Return the pages of the messages; None if only SQLite can read them correctly."""

@@ -124,12 +124,6 @@ class MessageBatch:
     times: Callable[[], Times]
 
 
-OUT_OF_ORDER = (
-    '{name}: its messages do not lie in the order of their log times, and are read in that order.'
-)
-"""Said of a file."""
-
-
 class Losses:
     """Sentences on unreadable data, each once."""
 
@@ -140,6 +134,13 @@ class Losses:
         """State a loss; one that two topics encounter counts once."""
         if sentence not in self.sentences:
             self.sentences.append(sentence)
+
+    def add_order(self, name: str) -> None:
+        """State that a file holds messages in another order than that of their log times."""
+        self.add(
+            f'{name}: its messages do not lie in the order of their log times, and are read in '
+            'that order.'
+        )
 
 
 class Sized(Protocol):

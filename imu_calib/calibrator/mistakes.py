@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import Contradiction, InputError, NotObservable
 from ..segmentation.gravity_removed import gravity_removed
-from ..segmentation.halves import MESSAGES_APART
+from ..segmentation.halves import messages_apart
 from ..segmentation.segment import Segment
 from ..segmentation.segmented import Move, Segmented
 from ..stream import Floats
@@ -39,7 +39,6 @@ turn is a whole one and more; degrees give 57 and more."""
 _NO_BIAS = 1.0
 """rad/s that no gyro reads at rest: ten times the worst zero-rate output of a data sheet."""
 
-_APART = f'{MESSAGES_APART.format(topic="TOPIC")}.'
 _AnyReview = TypeVar('_AnyReview', bound=Review)
 
 
@@ -50,7 +49,7 @@ def refuse_apart(session: Segmented) -> None:
         InputError: They do.
     """
     if session.facts.apart:
-        raise InputError(_APART)
+        raise InputError(messages_apart('TOPIC', session.facts.units))
 
 
 @contextmanager
@@ -77,7 +76,7 @@ def explained(review: _AnyReview) -> _AnyReview:
 
 def _explained(refusal: str, session: Segmented) -> str:
     if session.facts.apart:
-        return _APART
+        return messages_apart('TOPIC', session.facts.units)
     return f'{_without_gravity(session) or refusal} {session.facts.sentence}'.strip()
 
 

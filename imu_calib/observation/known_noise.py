@@ -78,8 +78,7 @@ def walk_of_sensors(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
     variances = np.array([s.statistics.sample_variance for s in segments]).reshape(-1, 6)
     variances = variances[np.isfinite(variances).all(axis=1)]
     if spec.units is not Units.PULSES and len(variances):
-        counts = np.repeat([spec.gyro.scale_factor, spec.accel.scale_factor], 3)
-        rounding = counts**2 / 12 if spec.units is Units.COUNTS else np.zeros(6)
+        rounding = spec.scale**2 / 12 if spec.units is Units.COUNTS else np.zeros(6)
         period = np.median([s.statistics.duration / s.statistics.samples for s in segments])
         # The median: one hold may have been knocked.
         found = np.sqrt(period * np.maximum(np.median(variances, axis=0) - rounding, 0.0))

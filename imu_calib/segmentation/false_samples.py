@@ -36,9 +36,28 @@ squares). White noise gets so far about once in 10^6 samples (simulated), and by
 in thirty or fewer has one number; a counter that passes five pulses on each axis reads 0 as well as
 one that passes seven on one."""
 
+_WITHOUT_GRAVITY = 2.0
+"""Times the spread of the samples around, and the step of the values, by which an accelerometer has
+to be beyond all of them where one number is on all axes of both triads. Sparse counters do not get
+to `_ALL_AXES`, but gravity does not vanish."""
+
+_SEEN, _SEEN_WITHIN = 16, 24
+"""Samples on either side by which that is judged, and rows within which they lie. With eight of
+them a counter with noise of half a pulse a sample gets so far once in 10^4 samples, with sixteen
+at most five times in 10^6 (simulated; noise on one axis alone: 0 on the others is no news)."""
+
 _LONGEST = 8
 """Most samples in a row that read one number on all axes each; longer runs are a device that is
 frozen (`repeated_samples`), or a sensor that reads nothing at rest."""
+
+_SUCCESSION = 3
+"""Most samples in which spikes come in succession: a knock that halves from one sample to the next
+still rings with an eighth after three."""
+
+_JUMP = np.repeat([100 * DEG, 9.0], 3)
+"""rad/s and m/s^2: jumps that begin and end a succession. Full scales are larger: the smallest ones
+in use are 250 deg/s and 2 g. A judgement: a table that makes a step in three samples turns more
+slowly, and a shock of one g moves several sensors."""
 
 _BESIDE = 8
 """Samples on either side that are looked at: a knock rings for longer, and a hand moves little in a
@@ -56,10 +75,10 @@ _APART = 2
 _NEXT = _APART + 1
 """Rows from a spike to the last one by which it is told from the next."""
 
-_RADIUS = 3 * _WITHIN + _LONGEST + 1
+_RADIUS = 2 * _WITHIN + _SEEN_WITHIN + _LONGEST + _SUCCESSION + 1
 """Rows on either side that decide on one. A spike is judged by those around it, which must not be
 spikes themselves, by those around them, nor read one number on all axes, by those around them and
-the length of their runs."""
+the length of their runs. Of spikes in succession all are judged."""
 
 _AT_ONCE = 32
 """Fewest rows that are judged at once, except at the end: a live stream brings one at a time."""
@@ -149,18 +168,21 @@ class _Limits(NamedTuple):
         step: Of pulses and counts; 0 where it is seen around the values.
         coarsest: (6,) largest step that is seen there.
         least: (6,) by how much at least.
+        jump: (6,) `_JUMP`.
     """
 
     ratio: float
     step: float
     coarsest: Floats
     least: Floats
+    jump: Floats
 
     @classmethod
-    def of_whole(cls, ratio: float) -> _Limits:
-        """Return those of pulses or counts, by a ratio."""
+    def of_whole(cls, ratio: float, value: Floats) -> _Limits:
+        """Return those of pulses or counts, by a ratio, and what (6,) the value 1 stands for."""
         # Of three axes that reach the ratio together, one reaches this.
-        return cls(ratio, 1.0, np.ones(6), np.full(6, ratio / math.sqrt(3)))
+        least = np.full(6, ratio / math.sqrt(3))
+        return cls(ratio, 1.0, np.ones(6), least, np.maximum(_JUMP / value, least))
 
     @classmethod
     def of_others(cls, ratio: float, least: Floats, value: Floats) -> _Limits:
@@ -171,7 +193,7 @@ class _Limits(NamedTuple):
             least: (6,) rad/s and m/s^2.
             value: (6,) rad/s and m/s^2 that the value 1 stands for.
         """
-        return cls(ratio, 0.0, _COARSEST / value, least / value)
+        return cls(ratio, 0.0, _COARSEST / value, least / value, _JUMP / value)
 
 
 class FalseSampleFilter:
@@ -236,11 +258,11 @@ class FalseSampleFilter:
 
     def _limits_by(self, stamp: Stamps) -> tuple[_Limits, _Limits]:
         """Return the limits for rows of one number and for spikes, by the first stamps, ns."""
-        if self._units.whole:
-            return _Limits.of_whole(_ALL_AXES), _Limits.of_whole(_SPIKE)
         value = self._scale
         if self._units.per_interval and len(stamp) > 1:
             value = value / (float(np.median(np.diff(stamp))) * 1e-9)
+        if self._units.whole:
+            return _Limits.of_whole(_ALL_AXES, value), _Limits.of_whole(_SPIKE, value)
         # A single increment of a slow counter is a spike too, of one coarse step.
         return (
             _Limits.of_others(_ALL_AXES, _LEAST, value),
@@ -256,6 +278,7 @@ def _false_samples(
     with np.errstate(over='ignore', invalid='ignore'):
         for triad in (0, 3):
             alike[_on_all_axes(rows, triad, on_all_axes)] = True
+        alike[_without_gravity(rows, on_all_axes)] = True
         spikes = np.zeros_like(alike)
         places = np.arange(len(alike))
         if alike.any():
@@ -296,8 +319,48 @@ def _on_all_axes(rows: Rows, triad: int, limits: _Limits) -> NDArray[np.intp]:
     return np.asarray(asked[x * x + y * y + z * z > limits.ratio**2])
 
 
+def _without_gravity(rows: Rows, limits: _Limits) -> NDArray[np.intp]:
+    """Return the rows of one number on all six axes where gravity is seen around.
+
+    Args:
+        rows: In order.
+        limits: For rows of one number.
+    """
+    values = rows.values
+    alike = np.flatnonzero(np.abs(values[:, 4]) == np.abs(values[:, 5]))
+    sizes = np.abs(values[alike])
+    alike = alike[(sizes == sizes[:, :1]).all(axis=1)]
+    starts = np.flatnonzero(np.diff(alike, prepend=-2) > 1)
+    lengths = np.diff(starts, append=len(alike))
+    asked = alike[np.repeat(lengths <= _LONGEST, lengths)]
+    others = np.delete(np.arange(len(values)), asked)
+    after = np.searchsorted(others, asked)
+    inside = (after >= _SEEN) & (after <= len(others) - _SEEN)
+    asked, after = asked[inside], after[inside]
+    first, last = rows.stamp[others[after - 1]], rows.stamp[others[after]]
+    own_at = rows.stamp[asked]
+    heard = np.maximum(own_at - first, last - own_at) < INTERRUPTION
+    asked, after = asked[heard], after[heard]
+    found = [np.empty(0, dtype=np.intp)]
+    every = np.arange(len(asked))
+    for part in np.split(every, range(_FEW, len(asked), _FEW)) if len(asked) else ():
+        own = values[asked[part], 3:]
+        window, near = _window(
+            np.arange(len(values)), asked[part], others, after[part], _SEEN, _SEEN_WITHIN
+        )
+        around = values[window, 3:]
+        lowest, highest = around.min(axis=1), around.max(axis=1)
+        scale = np.maximum(highest - lowest, limits.step)
+        if not limits.step:
+            step = _step(around, near, own, limits.coarsest[3:])
+            scale = np.maximum(scale, np.maximum(step, limits.least[3:]))
+        beyond = np.maximum(lowest - own, own - highest)
+        found.append(asked[part][near.all(axis=1) & any_in_row(beyond >= _WITHOUT_GRAVITY * scale)])
+    return np.concatenate(found)
+
+
 def _spikes(rows: Rows, places: NDArray[np.intp], limits: _Limits) -> NDArray[np.intp]:
-    """Return the rows on which a single sensor jumps and is back with the next.
+    """Return the rows on which a single sensor jumps and is back soon after.
 
     Args:
         rows: In order.
@@ -320,13 +383,64 @@ def _spikes(rows: Rows, places: NDArray[np.intp], limits: _Limits) -> NDArray[np
     asked = np.unique(now[beyond] // 6)
     near = np.maximum(places[asked + _NEXT] - places[asked], places[asked] - places[asked - _NEXT])
     asked = asked[near <= _WITHIN]
-    if not len(asked):
+    begin, end = _successions(steps, places, limits)
+    if not len(asked) + len(begin):
         return np.empty(0, dtype=np.intp)
-    others = np.delete(np.arange(len(places)), asked)
+    lengths = end - begin
+    starts = np.cumsum(lengths) - lengths
+    within = np.arange(lengths.sum()) + np.repeat(begin - starts, lengths)
+    others = np.delete(np.arange(len(places)), np.union1d(asked, within))
+    jumps, alone = _jumps(rows, places, asked, others, limits, _ALONE)
+    # All of a succession are looked at closer: what is between is as sound as what is beside.
+    closer = limits._replace(least=np.full(6, -1.0))
+    # Of a motion that bends, the k-th of n - 1 rows is k (n - k) times as far off as a single one.
+    bent = (within - np.repeat(begin - 1, lengths)) * (np.repeat(end, lengths) - within)
+    beyond, sound = _jumps(rows, places, within, others, closer, _ALONE * bent[:, None])
+    whole = np.repeat(np.logical_and.reduceat(sound, starts), lengths) if len(begin) else sound
+    return np.union1d(asked[jumps & alone], within[beyond & whole])
+
+
+def _jumps(
+    rows: Rows,
+    places: NDArray[np.intp],
+    asked: NDArray[np.intp],
+    others: NDArray[np.intp],
+    limits: _Limits,
+    alone: float | Floats,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return on which rows sensors jump, (m,), and on which the other sensors do not move.
+
+    Args:
+        rows: In order.
+        places: (n,) of the rows in the stream.
+        asked: (m,) which rows.
+        others: Which rows may be those around them.
+        limits: For spikes.
+        alone: `_ALONE`, or one for each row (m, 1).
+    """
     ratios = _ratios(rows, places, asked, others, slice(0, 6), limits)
     spikes = ratios.beyond > limits.ratio
     # A knock moves the other sensors, too.
-    return np.asarray(asked[any_in_row(spikes) & all_in_row(spikes | (ratios.off <= _ALONE))])
+    return any_in_row(spikes), all_in_row(spikes | (ratios.off <= alone))
+
+
+def _successions(
+    steps: Floats, places: NDArray[np.intp], limits: _Limits
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return where rows begin and end, (k,), between jumps that follow each other at once.
+
+    Args:
+        steps: (6 (n - 1),) from row to row.
+        places: (n,) of the rows in the stream.
+        limits: For spikes.
+    """
+    edges = np.flatnonzero(any_in_row(np.abs(steps.reshape(-1, 6)) > limits.jump)) + 1
+    cuts = np.flatnonzero(np.diff(edges, prepend=-_WITHIN) > _SUCCESSION)
+    begin = edges[cuts]
+    end = edges[np.append(cuts[1:], len(edges)) - 1] if len(edges) else edges
+    short = (end > begin + 1) & (end <= begin + _SUCCESSION)
+    short &= places[end] - places[begin - 1] <= _WITHIN
+    return begin[short], end[short]
 
 
 class _Ratios(NamedTuple):
@@ -335,7 +449,7 @@ class _Ratios(NamedTuple):
     Attributes:
         beyond: Distance from the nearer one of both neighbours, if these are on one side, over the
             roughness around or the step of the values, whichever is larger.
-        off: Distance from the mean of both neighbours, over the same.
+        off: Distance from the line between both neighbours, over the same.
     """
 
     beyond: Floats
@@ -366,31 +480,53 @@ def _ratios(
     some = np.flatnonzero((after >= _FEWEST) & (after <= len(others) - _FEWEST))
     first, own, last = others[after[some] - 1], asked[some], others[after[some]]
     silence = np.maximum(rows.stamp[own] - rows.stamp[first], rows.stamp[last] - rows.stamp[own])
-    beyond, _ = _distances(values[first], values[own], values[last])
+    beyond = _beyond(values[first], values[own], values[last])
     some = some[any_in_row(beyond > limits.least[channels]) & (silence < INTERRUPTION)]
     for part in np.split(some, range(_FEW, len(some), _FEW)) if len(some) else ():
         own, k = asked[part], after[part]
-        window = k[:, None] + np.arange(-_BESIDE, _BESIDE)
-        near = (window >= 0) & (window < len(others))
-        window = others[np.clip(window, 0, len(others) - 1)]
-        near &= np.abs(places[window] - places[own][:, None]) <= _WITHIN
+        window, near = _window(places, own, others, k, _BESIDE, _WITHIN)
         around = values[window]
         scale = np.maximum(_roughness(around, near), limits.step)
         if not limits.step:
             scale = np.maximum(scale, _step(around, near, values[own], limits.coarsest[channels]))
         enough = near[:, _BESIDE - _FEWEST] & near[:, _BESIDE + _FEWEST - 1]
         scale[~enough] = np.inf
-        distances = _distances(values[others[k - 1]], values[own], values[others[k]])
-        for ratio, distance in zip(found, distances, strict=True):
-            ratio[part] = distance / scale
+        first, last = others[k - 1], others[k]
+        found.beyond[part] = _beyond(values[first], values[own], values[last]) / scale
+        before, after_it = (own - first)[:, None], (last - own)[:, None]
+        line = (values[first] * after_it + values[last] * before) / (before + after_it)
+        found.off[part] = np.abs(values[own] - line) / scale
     return found
 
 
-def _distances(before: Floats, own: Floats, after: Floats) -> tuple[Floats, Floats]:
-    """Return how far rows (m, channels) are beyond both neighbours, and off the mean of both."""
+def _window(
+    places: NDArray[np.intp],
+    own: NDArray[np.intp],
+    others: NDArray[np.intp],
+    after: NDArray[np.intp],
+    beside: int,
+    within: int,
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Return rows (m, 2 w) around others, w on either side, and which of them count.
+
+    Args:
+        places: (n,) of all rows in the stream.
+        own: (m,) the rows.
+        others: Which rows may be around.
+        after: (m,) the first of `others` after each row.
+        beside: w.
+        within: Rows of the stream within which they count.
+    """
+    window = after[:, None] + np.arange(-beside, beside)
+    near = (window >= 0) & (window < len(others))
+    window = others[np.clip(window, 0, len(others) - 1)]
+    return window, near & (np.abs(places[window] - places[own][:, None]) <= within)
+
+
+def _beyond(before: Floats, own: Floats, after: Floats) -> Floats:
+    """Return how far rows (m, channels) are beyond both neighbours."""
     first, last = own - before, own - after
-    beyond = np.where(first * last > 0, np.minimum(np.abs(first), np.abs(last)), 0.0)
-    return beyond, np.abs(first + last) / 2
+    return np.where(first * last > 0, np.minimum(np.abs(first), np.abs(last)), 0.0)
 
 
 def _roughness(around: Floats, near: NDArray[np.bool_]) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..stream import Floats
+from ..stream import Floats, Units
 
 _LEAST = 0.05
 """Share of rows that each sensor has of its own. A judgement: a unit whose gyros read 0 at rest
@@ -15,10 +15,6 @@ _MOST = 0.9
 
 ROWS_APART = (
     'Rows of the gyros have no accelerations and the reverse: they are joined as two sensors.'
-)
-MESSAGES_APART = (
-    'Gyros and accelerometers come in messages of their own: the others of each message are 0 or '
-    'NaN. Join them: imu-calib convert --gyro-topic {topic} --accel-topic {topic}'
 )
 
 Halves = tuple[NDArray[np.bool_], NDArray[np.bool_]]
@@ -40,6 +36,25 @@ def of_one_sensor(gyro: Floats, accel: Floats) -> Halves:
 def are_apart(gyro: int, accel: int, rows: int) -> bool:
     """Return whether each sensor has rows of its own, by the numbers of such rows and of all."""
     return min(gyro, accel) > _LEAST * rows and gyro + accel > _MOST * rows
+
+
+def messages_apart(topic: str, units: Units) -> str:
+    """Return the sentence on a topic whose messages hold one sensor each, with what to do.
+
+    Args:
+        topic: Its name.
+        units: Of the samples: those in SI can be joined.
+    """
+    way = (
+        f'Join them: imu-calib convert --gyro-topic {topic} --accel-topic {topic}'
+        if units is Units.SI
+        else f'In {units.value} they cannot be joined: let the driver put both into each message, '
+        'and record again'
+    )
+    return (
+        'Gyros and accelerometers come in messages of their own: the others of each message are 0 '
+        f'or NaN. {way}.'
+    )
 
 
 def halves(gyro: Floats, accel: Floats) -> Halves | None:

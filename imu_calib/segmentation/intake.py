@@ -160,7 +160,7 @@ class StreamBuffer:
         self.imu = RowBuffer(6)
         self.skew = RowBuffer(6) if skewed else None
         self.interruptions = Interruptions()
-        self.facts = StreamFacts()
+        self.facts = StreamFacts(units)
         self._table = table
         self._losses = _Losses()
         self._imu = _Samples(self.imu, rate, units, scale, self._losses)

@@ -72,8 +72,8 @@ class Segmenter:
             skewed=skewed is not None,
             rate=spec.sample_rate,
             units=spec.units,
-            scale=self._sensor.scale,
-            skew_scale=(skewed or self._sensor).scale,
+            scale=spec.scale,
+            skew_scale=(skewed or self._sensor).spec.scale,
         )
         self._joints = JointTracker() if table is not None else None
         self._stillness: StillnessTracker | None = None

@@ -47,11 +47,6 @@ class Sensor:
         return cls(spec, np.repeat(walks, 3))
 
     @property
-    def scale(self) -> Floats:
-        """Nominal scale factors (6,), SI per number as delivered."""
-        return np.repeat([self.spec.gyro.scale_factor, self.spec.accel.scale_factor], 3)
-
-    @property
     def counted(self) -> bool:
         """Whether values are increments over the sample interval."""
         return self.spec.units.per_interval

@@ -120,7 +120,7 @@ def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> S
         spec: Meaning of their numbers.
         period: Sample interval, s.
     """
-    scale = np.repeat([spec.gyro.scale_factor, spec.accel.scale_factor], 3)
+    scale = spec.scale
     if not spec.units.per_interval:
         increments = values * (scale * period)
         if spec.units is Units.COUNTS and whole_channels(values).all():

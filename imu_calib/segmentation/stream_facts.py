@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..stream import Floats, Stamps
+from ..stream import Floats, Stamps, Units
 from ..units import counted
 from .halves import are_apart, of_one_sensor
 
@@ -18,11 +18,16 @@ _CHANNELS = tuple(f'{triad} {axis}' for triad in ('gyro', 'accelerometer') for a
 class StreamFacts:
     """Counts what is unusual about samples, before anything is left out.
 
+    Args:
+        units: Of the samples.
+
     Attributes:
+        units: Of the samples.
         samples: Number of samples.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, units: Units = Units.SI) -> None:
+        self.units = units
         self.samples = 0
         self._stamps: Stamps = np.empty(0, np.int64)
         self._first = self._last = self._previous = 0
