@@ -26,21 +26,18 @@ axis; data sheets of MEMS units state up to 2 deg of misalignment."""
 class Estimated(Protocol):
     """What is checked of a calibration: its members of these names."""
 
-    imu: ImuSpec
-    model: SensorModel
-    covariance: Floats
-
     @property
-    def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102
-        ...
-
+    def imu(self) -> ImuSpec: ...  # noqa: D102
     @property
-    def values(self) -> Floats:  # noqa: D102
-        ...
-
+    def model(self) -> SensorModel: ...  # noqa: D102
     @property
-    def has_accelerometers(self) -> bool:  # noqa: D102
-        ...
+    def covariance(self) -> Floats: ...  # noqa: D102
+    @property
+    def parameters(self) -> tuple[Parameter, ...]: ...  # noqa: D102
+    @property
+    def values(self) -> Floats: ...  # noqa: D102
+    @property
+    def has_accelerometers(self) -> bool: ...  # noqa: D102
 
 
 def is_of_strapdown(response: Floats) -> bool:
