@@ -97,7 +97,7 @@ def crossed(
         scale = float(np.sqrt(np.sum((deviations * trust) ** 2) / rest / _NORMAL))
         bound = np.maximum(_TUNING * scale, np.finfo(float).tiny)
         before = trust
-        trust = np.minimum(1.0, bound / np.maximum(np.abs(z), np.finfo(float).tiny))
+        trust = bound / np.maximum(np.abs(z), bound)
         if np.max(np.abs(trust - before)) < _SETTLED:
             break
     bounded = deviations * trust

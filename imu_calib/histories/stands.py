@@ -194,8 +194,10 @@ class _Block:
         # Columns (pattern, stand), each on all effects (parameter, stand).
         columns = np.hstack([np.kron(p.of[parameters][:, None], shift) for p in block])
         correlation = group.correlation[np.ix_(parameters, parameters)]
-        equal = np.kron(np.eye(k), _white(np.sum([one.covariance for one in effects], axis=0)))
-        self._columns, self._effect = equal @ columns, equal @ effect
+        stands = _white(np.sum([one.covariance for one in effects], axis=0))
+        equal: Floats = np.asarray(np.kron(np.eye(k), stands), dtype=np.float64)
+        self._columns = equal @ columns
+        self._effect = equal @ effect
         self._covariance = equal @ _covariance(correlation, effects) @ equal.T
         # Correlations as weights: drawn towards zero by the share of k parameters in their freedom.
         correlation = correlation + k / (k + self.freedom) * (np.eye(k) - correlation)
