@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from histories import SCALE, index, joined, of, sessions
+from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from imu_calib.histories.backtest import backtest
@@ -104,6 +105,26 @@ def test_a_fixture_that_is_turned_far_is_one_shift_of_its_size(remounted, stands
     removed = np.ptp((raw - corrected) @ turned(2) / 4)
     assert removed == pytest.approx(abs(shift.shift), rel=1e-9)
     assert at_south.any()
+
+
+def test_a_turned_fixture_is_found_in_a_short_history_as_one_parameter_would_be() -> None:
+    """Of three units: weights from correlations of so few sessions would leave no freedom."""
+    laid = laboratory(3, 0.30 * turned(2), units=3, count=4)
+    (shift,) = backtest(laid, LIMITS).stands.shifts
+    assert (shift.stand, shift.what, shift.identified) == ('south', 'E about Z', True)
+    units = np.unique(laid.serial, return_inverse=True)[1]
+    stands = np.unique(laid.stand, return_inverse=True)[1]
+    months = (laid.date - laid.date.min()).astype(float)[:, None] / 1e8
+    alone = crossed(units, stands, months, laid.values @ turned(2) / 4, np.ones(12))
+    # One stand that is off by g has an effect of 2 g / 3 of the mean of three.
+    white = np.linalg.pinv(alone.covariance, rcond=1e-9, hermitian=True)
+    column = np.eye(3)[1] - 1 / 3
+    std = 1 / np.sqrt(column @ white @ column)
+    assert shift.std == pytest.approx(std, rel=0.1)
+    assert shift.shift == pytest.approx(std**2 * (column @ white @ alone.effect), abs=std)
+    reach = stats.t.isf(0.025 / (29 * 3), alone.freedom)
+    assert shift.high - shift.shift == pytest.approx(reach * shift.std)
+    assert shift.low < 0.30 * SCALE[index('E_gxy')] < shift.high and shift.low > 0
 
 
 def test_a_turned_unit_has_the_misalignments_of_the_turn() -> None:
@@ -241,6 +262,23 @@ def test_stands_are_named_as_seldom_as_stated_where_none_is_off() -> None:
             count += 3
     # Three effects of one laboratory hang together: as if half as many.
     assert large / count == pytest.approx(0.05, abs=3 * np.sqrt(0.05 * 0.95 / (count / 2)))
+
+
+def test_effects_in_short_histories_are_far_out_as_seldom_as_students_t() -> None:
+    """Where stands are named, 1 % over 87 tests: three units, six degrees of freedom."""
+    rng = np.random.default_rng(13)
+    units, limit = np.repeat(np.arange(3), 4), 0.01 / 87
+    large, count = 0, 0
+    for _ in range(2000):
+        stands = rng.integers(0, 3, 12)
+        values, months = rng.standard_normal(12), rng.uniform(0, 1, (12, 1))
+        found = crossed(units, stands, months, values, np.ones(12))
+        if len(found.effect) == 3 and found.comparable:
+            t = found.effect / np.sqrt(np.diag(found.covariance))
+            large += int(np.sum(2 * stats.t.sf(np.abs(t), found.freedom) < limit))
+            count += 3
+    # Three effects of one laboratory hang together: as if half as many.
+    assert count > 5000 and large / count < limit + 3 * np.sqrt(limit / (count / 2))
 
 
 # Rosner 1983, as in the NIST/SEMATECH handbook, 1.3.5.17.3.

@@ -2,7 +2,7 @@
 
 A session is unit + stand + trend of the type + scatter. Units are fixed effects: only differences
 of a unit between stands determine the effects of stands, however much units differ. Source: Huber
-1981, 7.6 (robust regression and its covariance); docs/history.md, 'Unit or stand?'.
+1981, 7.6 and 7.7 (robust regression, its covariance and scale); docs/history.md, 'Unit or stand?'.
 """
 
 from __future__ import annotations
@@ -10,15 +10,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
-from ..gaussian import MAD_TO_STD
 from ..stream import Floats
 
 _TUNING = 2.0
 """Standard deviations beyond which the weight of a session is limited: 99 % efficient for normal
 residuals, and robust to a repaired unit."""
-_ROUNDS = 30
+_NORMAL = float(
+    scipy.special.chdtr(3, _TUNING**2) + _TUNING**2 * scipy.special.chdtrc(1, _TUNING**2)
+)
+"""Mean square of normal residuals limited at that (Huber 1964, proposal 2). The scale comes
+from it and uses all degrees of freedom: the median deviation of a dozen sessions is so uncertain
+that t exceeded the limit of Student's t ten times too often."""
+_ROUNDS = 100
 """Largest number of reweighting iterations; they end when no weight changes."""
 _SETTLED = 1e-4
 """Change of a weight below which iterations end."""
@@ -83,16 +89,15 @@ def crossed(
     # The mean of a unit reduces each of its residuals.
     share = np.sqrt(np.maximum(1 - 1 / size[own], 0.0))
     trust = np.ones(len(own))
-    scale = 0.0
     for _ in range(_ROUNDS):
         less = _less_units(columns, own, weight * trust)
         coefficients, _ = _solved(less[:, :-1], weight * trust, less[:, -1])
         deviations = (less[:, -1] - less[:, :-1] @ coefficients) * np.sqrt(weight)
         z = np.divide(deviations, share, out=np.zeros_like(deviations), where=share > 0)
-        scale = MAD_TO_STD * float(np.median(np.abs(z[share > 0])))
+        scale = float(np.sqrt(np.sum((deviations * trust) ** 2) / rest / _NORMAL))
         bound = np.maximum(_TUNING * scale, np.finfo(float).tiny)
         before = trust
-        trust = np.minimum(1.0, bound / np.maximum(np.abs(z), np.finfo(float).tiny))
+        trust = bound / np.maximum(np.abs(z), bound)
         if np.max(np.abs(trust - before)) < _SETTLED:
             break
     bounded = deviations * trust

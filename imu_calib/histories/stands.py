@@ -134,10 +134,28 @@ def _group(
     return _Group(mine, rows, effects, _correlation(residuals))
 
 
+def _covariance(correlation: Floats, effects: Sequence[Effects]) -> Floats:
+    """Return the covariance (k s, k s) of the effects of s stands on k parameters."""
+    roots = [_root(one.covariance) for one in effects]
+    return np.block(
+        [
+            [correlation[i, j] * (one @ other + other @ one) / 2 for j, other in enumerate(roots)]
+            for i, one in enumerate(roots)
+        ]
+    )
+
+
 def _root(covariance: Floats) -> Floats:
-    """Return the symmetric root of a covariance; zero if it is unknown."""
-    values, vectors = np.linalg.eigh(np.nan_to_num(covariance))
+    """Return the symmetric root of a covariance."""
+    values, vectors = np.linalg.eigh(covariance)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def _white(covariance: Floats) -> Floats:
+    """Return the matrix that makes the covariance one, without directions that have none."""
+    values, vectors = np.linalg.eigh(covariance)
+    good = values > _RANK * max(float(values[-1]), 0.0)
+    return np.asarray((vectors[:, good] / np.sqrt(values[good])).T)
 
 
 def _correlation(residuals: Floats) -> Floats:
@@ -154,10 +172,15 @@ def _correlation(residuals: Floats) -> Floats:
 class _Block:
     """Patterns that share parameters, in a group of s stands, as one least-squares problem.
 
-    Effects of stands on all k parameters of the block are weighed by their covariance, that of the
-    stands times the correlations of the parameters, so that all shifts are fitted together. The
-    correlations of all 24 would be too uncertain for that; those of a block are drawn towards zero
-    by the share of k parameters in their degrees of freedom.
+    Shifts are found and sized with equal weights of the parameters, which have the same unit, and
+    with the estimated covariance of the sum: so each t is Student's with all degrees of freedom,
+    however parameters correlate and however few sessions there are. Weights from an estimated
+    covariance would need corrections for its errors (Rao 1967). They only tell which of the shifts
+    that are found explains the effects best.
+
+    Attributes:
+        patterns: The patterns.
+        freedom: Degrees of freedom.
     """
 
     def __init__(self, block: Sequence[Pattern], group: _Group) -> None:
@@ -165,58 +188,60 @@ class _Block:
         parameters = sorted({p for pattern in block for p in pattern.parameters})
         k, s = len(parameters), len(group.stands)
         effects = [group.effects[p] for p in parameters]
-        freedom = min(one.freedom for one in effects)
-        # The correlations are estimated, and cost degrees of freedom (Rao 1967).
-        self.freedom = max(freedom - (k - 1), 1)
-        correlation = group.correlation[np.ix_(parameters, parameters)]
-        correlation = correlation + k / (k + freedom) * (np.eye(k) - correlation)
-        roots = [_root(one.covariance) for one in effects]
-        covariance = np.block(
-            [
-                [
-                    correlation[i, j] * (one @ other + other @ one) / 2
-                    for j, other in enumerate(roots)
-                ]
-                for i, one in enumerate(roots)
-            ]
-        )
-        covariance *= freedom / self.freedom
-        values, vectors = np.linalg.eigh(covariance)
-        good = values > _RANK * max(float(values[-1]), 0.0)
-        white = (vectors[:, good] / np.sqrt(values[good])).T
+        self.freedom = min(one.freedom for one in effects)
+        effect = np.concatenate([one.effect for one in effects])
         shift = np.eye(s) - 1 / s
         # Columns (pattern, stand), each on all effects (parameter, stand).
-        made = [np.kron(pattern.of[parameters][:, None], shift) for pattern in block]
-        self._columns = white @ np.hstack(made)
+        columns = np.hstack([np.kron(p.of[parameters][:, None], shift) for p in block])
+        correlation = group.correlation[np.ix_(parameters, parameters)]
+        stands = _white(np.sum([one.covariance for one in effects], axis=0))
+        equal: Floats = np.asarray(np.kron(np.eye(k), stands), dtype=np.float64)
+        self._columns = equal @ columns
+        self._effect = equal @ effect
+        self._covariance = equal @ _covariance(correlation, effects) @ equal.T
+        # Correlations as weights: drawn towards zero by the share of k parameters in their freedom.
+        correlation = correlation + k / (k + self.freedom) * (np.eye(k) - correlation)
+        weighed = _white(_covariance(correlation, effects))
+        weighed *= np.sqrt(max(self.freedom - (k - 1), 1) / self.freedom)
+        self._weighed = weighed @ columns, weighed @ effect
         self._stands = s
-        effect = np.nan_to_num(np.concatenate([one.effect for one in effects]))
-        self._effect = white @ effect
-        self.chosen: list[int] = []
+        self._chosen: list[int] = []
 
-    def partial(self) -> Floats:
+    def t(self) -> Floats:
         """Return absolute t (patterns, s) of each shift beyond the selected ones."""
-        columns, rest = self._columns, self._effect
-        if self.chosen:
-            basis = np.linalg.qr(columns[:, self.chosen])[0]
-            columns, rest = columns - basis @ (basis.T @ columns), rest - basis @ (basis.T @ rest)
-        own, before = np.sum(columns**2, axis=0), np.sum(self._columns**2, axis=0)
-        distinct = own > _DISTINCT * before
-        t = np.divide(columns.T @ rest, np.sqrt(own), out=np.zeros(len(own)), where=distinct)
-        return np.asarray(np.abs(t).reshape(len(self.patterns), self._stands))
+        columns, own = self._beyond(self._columns)
+        weights = np.divide(columns, own, out=np.zeros_like(columns), where=own > 0)
+        variance = np.sum(weights * (self._covariance @ weights), axis=0)
+        known = variance > _RANK * variance.max()
+        std = np.sqrt(np.where(known, variance, np.inf))
+        return np.asarray(np.abs(weights.T @ self._effect) / std).reshape(-1, self._stands)
+
+    def square(self) -> Floats:
+        """Return by how much each shift (patterns, s) reduces the weighed square of the effects."""
+        columns, effect = self._weighed
+        columns, own = self._beyond(columns)
+        found = np.divide((columns.T @ effect) ** 2, own, out=np.zeros_like(own), where=own > 0)
+        return np.asarray(found.reshape(-1, self._stands))
+
+    def _beyond(self, columns: Floats) -> tuple[Floats, Floats]:
+        """Return columns less the selected ones, and their squares; zero if these determine it."""
+        basis = np.linalg.qr(columns[:, self._chosen])[0]
+        rest = columns - basis @ (basis.T @ columns)
+        own = np.sum(rest**2, axis=0)
+        return rest, np.where(own > _DISTINCT * np.sum(columns**2, axis=0), own, 0.0)
 
     def choose(self, pattern: int, stand: int) -> None:
         """Select a shift."""
-        self.chosen.append(pattern * self._stands + stand)
+        self._chosen.append(pattern * self._stands + stand)
 
     def sizes(self) -> tuple[Floats, Floats]:
         """Return the joint sizes of the selected shifts, and their standard deviations."""
-        columns = self._columns[:, self.chosen]
-        inverse = np.linalg.inv(columns.T @ columns)
-        return inverse @ (columns.T @ self._effect), np.sqrt(np.diag(inverse))
+        weights = np.linalg.pinv(self._columns[:, self._chosen])
+        return weights @ self._effect, np.sqrt(np.diag(weights @ self._covariance @ weights.T))
 
     def places(self) -> list[tuple[int, int]]:
         """Return pattern and stand of the selected shifts."""
-        return [divmod(column, self._stands) for column in self.chosen]
+        return [divmod(column, self._stands) for column in self._chosen]
 
 
 def _blocks(group: _Group) -> list[_Block]:
@@ -251,7 +276,7 @@ def _shifts(
         alternatives[blocks[most].patterns[i].name, k] = near
         blocks[most].choose(i, k)
     for block in blocks:
-        if not block.chosen:
+        if not block.places():
             continue
         for (i, k), size, std in zip(block.places(), *block.sizes(), strict=True):
             pattern = block.patterns[i]
@@ -262,26 +287,28 @@ def _shifts(
 def _next_shift(
     block: _Block, tests: int, false_alarm: float
 ) -> tuple[float, int, int, NDArray[np.bool_]]:
-    """Return the most significant further shift of a block.
+    """Return the most likely further shift of a block among those that are significant.
 
-    A common cause goes before single parameters, unless one of these has better odds: a shift of
-    all by one size is an accident otherwise.
+    Each is tested by itself, its probability times the number of tests (Bonferroni): so the
+    probability that any is found where there is none is at most the rate of false alarms. A common
+    cause goes before single parameters, unless one of these has better odds: a shift of all by one
+    size is an accident otherwise.
 
     Returns:
         Absolute t, 0 if none is significant, pattern and stand, and which other stands (s,) may be
         meant.
     """
-    t = block.partial()
-    chance = 2 * scipy.special.stdtr(float(block.freedom), -t) * tests
+    t, square = block.t(), block.square()
+    found = 2 * scipy.special.stdtr(float(block.freedom), -t) * tests < false_alarm
     # Odds of two shifts with equal prior probabilities: exp of half of the difference of squares.
-    alike = t**2 > t.max() ** 2 + 2 * np.log(false_alarm)
+    margin = 2 * np.log(false_alarm)
+    alike = found & (square > np.max(square, where=found, initial=0.0) + margin)
     common = np.array([len(pattern.parameters) > 1 for pattern in block.patterns])
-    first = alike & common[:, None] & (chance < false_alarm)
-    # By t: the probabilities of large values are all zero.
-    i, k = divmod(int(np.argmax(np.where(first, t, 0.0) if first.any() else t)), t.shape[1])
-    near = t[i] ** 2 > t[i, k] ** 2 + 2 * np.log(false_alarm)
-    size = float(t[i, k]) if chance[i, k] < false_alarm else 0.0
-    return size, i, k, near & (np.arange(t.shape[1]) != k)
+    first = alike & common[:, None]
+    which = first if first.any() else found
+    i, k = divmod(int(np.argmax(np.where(which, square, -1.0))), t.shape[1])
+    near = square[i] > square[i, k] + margin
+    return float(t[i, k]) if found[i, k] else 0.0, i, k, near & (np.arange(t.shape[1]) != k)
 
 
 def _shift(
