@@ -18,6 +18,9 @@ FALSE_ALARM = 0.01
 """Probability that calibrations of an unchanged unit are found to differ in any parameter, as in
 `verification.judgement.DOUBT`; shared among the parameters (Bonferroni)."""
 
+FEWEST_FOR_A_STEP = 4
+"""Fewest sessions of a parameter for a search of steps: a line and a step are three numbers."""
+
 _NO_VARIANCE = 1e-9
 """Of the largest eigenvalue of a correlation: smaller ones are rounding. Double precision, 1e-16
 times some hundred rows, leaves a margin for files written with fewer digits."""

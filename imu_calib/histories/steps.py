@@ -11,13 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..agreement import FEWEST_FOR_A_STEP
 from ..stream import Floats
 from .blocks import SIZE, Block
 from .lines import Fit, fit, line_design
 from .prior import Prior
 
-FEWEST = 4
-"""Fewest sessions of a parameter for a search of steps: a line and a step are three numbers."""
 _MOST = 5
 """Most steps of one parameter: more are not steps but another course."""
 _DISTINCT = 1e-6
@@ -54,7 +53,7 @@ def find_steps(block: Block, weights: Floats, prior: Prior, false_alarm: float) 
         false_alarm: For all places and parameters of a unit together.
     """
     count = block.months.shape[1]
-    if count < FEWEST:
+    if count < FEWEST_FOR_A_STEP:
         return Places({})
     level = false_alarm / (SIZE * (count - 1))
     design = line_design(block.months)[:, None]
@@ -120,7 +119,12 @@ def _t_at(
     gain = np.divide(along**2, unexplained, out=np.zeros_like(along), where=determined)
     rest = np.maximum(at.square - gain, 0.0)
     scale, freedom = prior.moderated(rest, np.maximum(at.freedom - 1.0, 0.0))
-    determined = determined & (freedom > 0) & (np.sum(weights > 0, axis=-1) >= FEWEST) & (scale > 0)
+    determined = (
+        determined
+        & (freedom > 0)
+        & (np.sum(weights > 0, axis=-1) >= FEWEST_FOR_A_STEP)
+        & (scale > 0)
+    )
     t = np.sqrt(np.divide(gain, scale, out=np.zeros_like(gain), where=determined))
     return t, np.where(determined, freedom, 0.0)
 

@@ -14,10 +14,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..agreement import FEWEST_FOR_A_STEP
 from ..calibration import Calibration
 from ..errors import InputError
 from ..gravity import same_place, without_gravity
-from ..histories.steps import FEWEST
 from ..model import Parameter
 from ..stream import Floats
 from .html import named_rows, paragraph, table
@@ -126,7 +126,7 @@ class RepeatedParameter:
         gain = (self._chi_square(np.zeros(len(self.value))) - step) / max(1.0, step / freedom)
         chance = 2 * scipy.special.stdtr(freedom, -np.sqrt(max(gain, 0.0)))
         dates = len(set(self.days.tolist()))
-        if dates >= FEWEST and apart > _BETTER and chance * (dates - 1) < _SURPRISING:
+        if dates >= FEWEST_FOR_A_STEP and apart > _BETTER and chance * (dates - 1) < _SURPRISING:
             return Variation.STEPS
         return Variation.CHANGES if drifts else scatters
 
