@@ -27,6 +27,7 @@ from ..yaml_text import load
 from .options import refuse_with_imus
 from .terminal import OUTPUT, sentence_list
 
+USUAL_IMU, USUAL_TRUTH, HELD_UNIT = 'fog_medium', 'cao2022_table1', 'mems_counts'
 CALIBRATIONS = 'calibrations'
 """Folder of the results, SERIAL.yaml each."""
 _FILES = {'imu': 'imus', 'device': 'devices', 'truth': 'truths'}
@@ -233,3 +234,12 @@ def _largest_error(found: Calibration, true: Calibration) -> float:
     error = found.values - true.model.values(found.parameters)
     known = found.std > 0
     return float(max(abs(error[known] / found.std[known]), default=0.0))
+
+
+def complete(arguments: argparse.Namespace) -> None:
+    """Set defaults: the IMU, and its true parameters if it is simulated."""
+    held = load_plan(arguments.plan).by_hand
+    if not arguments.imus:
+        arguments.imu = arguments.imu or (HELD_UNIT if held else USUAL_IMU)
+    if not is_real(arguments):
+        arguments.truth = arguments.truth or (HELD_UNIT if held else USUAL_TRUTH)

@@ -24,7 +24,6 @@ from .node_reports import NodeReports
 from .processes import network_of_hardware
 from .terminal import OUTPUT
 
-_IMU, _TRUTH, _HELD = 'fog_medium', 'cao2022_table1', 'mems_counts'
 _SLOWEST = 50
 """The slowest rate of a serial port that POSIX names, bit/s."""
 
@@ -43,7 +42,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--imu',
         metavar='NAME|FILE',
-        help=f'default: {_IMU}; {_HELD} where the unit is held by hand',
+        help=f'default: {several.USUAL_IMU}; {several.HELD_UNIT} where the unit is held by hand',
     )
     options.add_imus_option(parser)
     several.add_options(parser)
@@ -114,7 +113,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     simulated.add_argument(
         '--truth',
         metavar='NAME|FILE',
-        help=f"the unit's true parameters (default: {_TRUTH}; {_HELD} where it is held by hand)",
+        help=f"the unit's true parameters (default: {several.USUAL_TRUTH}; {several.HELD_UNIT} where it is held by hand)",
     )
     simulated.add_argument(
         '--azimuth', type=float, default=0.0, metavar='DEG', help="true heading of the table's zero"
@@ -151,7 +150,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _begin(arguments: argparse.Namespace) -> None:
     """Run a session from its start."""
-    complete(arguments)
+    several.complete(arguments)
     folder = _new_folder(arguments)
     several.check(arguments)
     reports = NodeReports(real=several.is_real(arguments))
@@ -169,7 +168,7 @@ def _go_on(arguments: argparse.Namespace) -> None:
     from . import resume, stand_session
 
     folder = resume.restore(arguments)
-    complete(arguments)
+    several.complete(arguments)
     # Nodes of the interrupted stand that are still ending occupy the port.
     with resume.locked_folder(folder) as claim, stand_session.signals():
         resume.check_unfinished(folder)
@@ -179,15 +178,6 @@ def _go_on(arguments: argparse.Namespace) -> None:
         truth = _check(arguments, reports)
         arguments.start = 0.0 if real else resume.switched_on_at(folder)
         stand_session.run(arguments, folder, truth, claim, reports)
-
-
-def complete(arguments: argparse.Namespace) -> None:
-    """Set defaults: the IMU, and its true parameters if it is simulated."""
-    held = load_plan(arguments.plan).by_hand
-    if not arguments.imus:
-        arguments.imu = arguments.imu or (_HELD if held else _IMU)
-    if not several.is_real(arguments):
-        arguments.truth = arguments.truth or (_HELD if held else _TRUTH)
 
 
 def _new_folder(arguments: argparse.Namespace) -> Path:

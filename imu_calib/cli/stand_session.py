@@ -32,7 +32,6 @@ from . import by_hand, options, resume, several, web_page
 from .embedded import Embedded, Nodes
 from .node_reports import NodeReports, NothingComes
 from .processes import START, Outcome, Processes, free_ports, network_of_hardware, private_network
-from .stand import complete
 from .starting import Start
 from .table_view import view
 from .terminal import ERRORS, OUTPUT, sentence_list
@@ -239,7 +238,7 @@ def _in_order(given: Mapping[str, Any]) -> list[str]:
 
 def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[str, Any]]:
     """Return the parameters of every node to run."""
-    complete(arguments)
+    several.complete(arguments)
     simulated = not several.is_real(arguments)
     mounted = several.units_of(arguments)
     stated = ('height', 'gravity', 'height_std', 'gravity_std', 'latitude_std')
