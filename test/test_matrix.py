@@ -35,7 +35,7 @@ from imu_calib.bags import open_recording
 from imu_calib.calibration import Calibration
 from imu_calib.cdr import Kind
 from imu_calib.cli.main import main
-from imu_calib.cli.stand import _HELD as HELD
+from imu_calib.cli.several import HELD_UNIT as HELD
 from imu_calib.earth import EARTH_RATE
 from imu_calib.exports import EXPORTS
 from imu_calib.imu import ImuSpec, load_imu, read_imu

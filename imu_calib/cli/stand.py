@@ -113,7 +113,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     simulated.add_argument(
         '--truth',
         metavar='NAME|FILE',
-        help=f"the unit's true parameters (default: {several.USUAL_TRUTH}; {several.HELD_UNIT} where it is held by hand)",
+        help=f"the unit's true parameters (default: {several.USUAL_TRUTH}; "
+        f'{several.HELD_UNIT} where it is held by hand)',
     )
     simulated.add_argument(
         '--azimuth', type=float, default=0.0, metavar='DEG', help="true heading of the table's zero"
