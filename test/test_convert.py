@@ -558,6 +558,16 @@ def test_pulses_on_two_topics_lie_on_no_line(tmp_path: Path) -> None:
     assert not (tmp_path / 'out').exists()
 
 
+def test_a_bag_of_ros_1_that_cannot_be_read_is_called_by_its_own_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / 'empty.bag').touch()
+    assert main(['convert', str(tmp_path / 'empty.bag'), '-o', str(tmp_path / 'out')]) == 2
+    said = capsys.readouterr().err.replace('\n', '')
+    assert 'empty.bag' in said
+    assert 'bag.bag' not in said
+
+
 def test_a_bag_of_ros_1_without_an_imu_leaves_nothing_behind(tmp_path: Path) -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
     with Writer(tmp_path / 'talk.bag') as writer:

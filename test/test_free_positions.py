@@ -21,7 +21,7 @@ from imu_calib.cli.main import main
 from imu_calib.earth import Site
 from imu_calib.errors import NotObservable
 from imu_calib.imu import load_imu
-from imu_calib.methods import free_positions
+from imu_calib.methods import check_plan, free_positions
 from imu_calib.methods.free_positions import (
     ESTIMATES,
     FREE,
@@ -375,6 +375,17 @@ def test_holds_that_are_too_few_or_alike_are_refused_by_name() -> None:
     flat = np.column_stack([np.arange(12) * 1.3, np.zeros(12), np.zeros(12)])
     with pytest.raises(NotObservable, match='K_ax'):
         calibrator(by_hand(flat, np.full(12, 2.0)), unit(0), 0).finish()
+
+
+@pytest.mark.parametrize(
+    ('plan', 'reason'),
+    [('twelve_position', 'which segments of a table session do not have'),
+     ('six_position_by_hand', 'has turns')],
+)  # fmt: skip
+def test_a_plan_that_is_not_holds_alone_is_refused_beforehand(plan: str, reason: str) -> None:
+    with pytest.raises(NotObservable, match=reason):
+        check_plan(free_positions.NAME, load_plan(plan), SITE)
+    check_plan(free_positions.NAME, load_plan('free_positions'), SITE)
 
 
 def test_numbers_in_si_without_any_noise_are_solved() -> None:

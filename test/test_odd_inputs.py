@@ -13,6 +13,7 @@ from loopback import CHECKOUT
 import imu_calib
 from imu_calib.cli.main import main
 from imu_calib.errors import InputError
+from imu_calib.fleet.catalogue import Catalogue
 
 LONG = 200_000
 """Characters; the csv module takes fields of 131 072."""
@@ -70,6 +71,39 @@ def test_two_dashes_are_no_value(word: str, capsys: pytest.CaptureFixture[str]) 
     assert (
         f"imu-calib calibrate: {option}: found '--', expected a value." in capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize(
+    ('words', 'place'),
+    [
+        ('calibrate|', ''),
+        ('calibrate|bag|--table|', '--table: '),
+        ('calibrate|bag|--terms=', '--terms: '),
+        ('compensate|bag|--calibration|c.yaml|-o|', '-o: '),
+    ],
+)
+def test_an_empty_word_is_neither_the_present_folder_nor_a_default(
+    words: str, place: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words.split('|')) == 2
+    assert f": {place}found '', expected a value" in capsys.readouterr().err
+
+
+def test_an_unknown_option_is_said_of_its_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['calibrate', 'bag', '--lattitude', '3']) == 2
+    said = ' '.join(capsys.readouterr().err.split())
+    assert said == (
+        'imu-calib calibrate: unrecognized arguments: --lattitude 3; imu-calib calibrate --help '
+        'lists all.'
+    )
+
+
+def test_a_catalogue_is_not_written_into_a_recording(tmp_path: Path) -> None:
+    pytest.importorskip('pyarrow')
+    (tmp_path / 'metadata.yaml').write_text('')
+    with pytest.raises(InputError, match='is a recording, expected a folder for the catalogue'):
+        Catalogue(tmp_path, create=True)
+    assert [path.name for path in tmp_path.iterdir()] == ['metadata.yaml']
 
 
 @pytest.mark.parametrize('size', ['1e300', again('1e160'), '1.7e308'])

@@ -1,5 +1,6 @@
 """`imu-calib stand --resume`: what was interrupted, killed or torn off goes on from its journal."""
 
+import errno
 import itertools
 import os
 import re
@@ -296,6 +297,17 @@ def test_what_cannot_be_gone_on_with_is_refused(tmp_path, capsys):
     assert f'{file}/stand: Not a directory.' in refusal_text(
         capsys, 'six_position', '-o', f'{file}/stand'
     )
+
+
+def test_a_full_disk_at_the_start_names_the_folder_and_leaves_none(tmp_path, capsys, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(resume.yaml, 'safe_dump', full)
+    folder = tmp_path / 'stand'
+    said = refusal_text(capsys, 'twelve_position', '-o', str(folder)).replace('\n', ' ')
+    assert 'stand: cannot be written (No space left on device).' in said
+    assert not folder.exists()
 
 
 def test_a_real_stand_goes_on_with_its_own_settings_at_another_port(tmp_path):

@@ -2,6 +2,7 @@
 
 import asyncio
 import re
+import socket
 from importlib.util import find_spec
 
 import pytest
@@ -155,10 +156,30 @@ def test_options_that_do_not_go_together_are_refused_before_anything_starts(tmp_
         (['--speed', '-1'], '--speed: found -1, expected 0 or more'),
         (['--azimuth', 'nan'], '--azimuth: found nan deg, expected -360 to 360'),
         (['--speed', 'nan'], '--speed: found nan, expected 0 or more'),
+        (['--sample-rate', 'nan'], '--sample-rate: found nan Hz, expected 0 to 100000'),
+        (['--seed', '-1'], '--seed: found -1, expected 0 to'),
+        (['--stop-required'], 'no heartbeat of another program reaches the nodes in this process'),
     ):
         assert main(['stand', 'twelve_position', '-o', str(folder), *words]) == 2
         assert said in re.sub(r'\s+', ' ', capsys.readouterr().err)
     assert not folder.exists()
+
+
+@pytest.mark.skipif(find_spec('nicegui') is None, reason='NiceGUI is not installed')
+def test_a_port_that_is_taken_and_a_strange_host_are_told_apart(tmp_path, capsys):
+    words = ['stand', 'twelve_position', '-o', str(tmp_path / 'stand'), '--web']
+    with socket.create_server(('127.0.0.1', 0)) as taken:
+        port = taken.getsockname()[1]
+        assert main([*words, str(port)]) == 2
+    said = ' '.join(capsys.readouterr().err.split())
+    assert f'--web: nothing can be served at 127.0.0.1, port {port}: Address already' in said
+    assert said.endswith(('Address already in use. Name another port: --web 8080.', f'{port + 1}.'))
+    # An address of documentation (RFC 5737), which no machine has.
+    assert main([*words, '0', '--web-host', '192.0.2.1']) == 2
+    said = ' '.join(capsys.readouterr().err.split())
+    assert '--web-host: nothing can be served at 192.0.2.1' in said
+    assert 'Name an interface of this machine' in said
+    assert not (tmp_path / 'stand').exists()
 
 
 @pytest.mark.skipif(find_spec('nicegui') is None, reason='NiceGUI is not installed')

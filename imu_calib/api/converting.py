@@ -139,6 +139,7 @@ def _from_ros1(path: AnyPath, target: Path) -> Converted:
 
     stores = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
     types = [k.type_name for k in (Kind.IMU, Kind.JOINTS, Kind.TEMPERATURES)]
+    bag = Path()
     try:
         with removed_on_failure(target), TemporaryDirectory() as folder:
             # rosbags goes by the ending.
@@ -148,8 +149,9 @@ def _from_ros1(path: AnyPath, target: Path) -> Converted:
             with open_recording(target) as recording:
                 counts = {topic.name: topic.count or 0 for topic in recording.topics}
     except (ConverterError, RecordingError) as error:
+        reason = str(error).replace(str(bag), str(path))
         raise InputError(
-            f'{path}: cannot be converted: {error} Expected a bag of ROS 1 with one of '
+            f'{path}: cannot be converted: {reason} Expected a bag of ROS 1 with one of '
             f'{", ".join(types)}; rosbag reindex completes one whose recorder did not finish.'
         ) from None
     return Converted(target, counts, ())

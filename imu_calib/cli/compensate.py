@@ -32,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--frame-id', default='', metavar='FRAME', help="default: the input's own")
     parser.add_argument('--keep', action='store_true', help='write the raw stream as well')
     parser.add_argument(
-        '--compression', choices=('', 'lz4', 'zstd'), default='', help='compression of the output'
+        '--compression', choices=('lz4', 'zstd'), default='', help='compression of the output'
     )
     parser.set_defaults(run=run)
 

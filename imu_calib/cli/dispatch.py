@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -55,6 +56,8 @@ COMMANDS = {
 
 _NO_VALUE = re.compile(r'(--[\w-]+(?==)|-\w)=?--')
 """An option whose value is two dashes."""
+_OPTION = re.compile(r'--[a-z][\w-]*|-[a-z]')
+"""The name of an option."""
 _NEGATIVE = re.compile(r'-\.?\d')
 """Start of a negative value; no option begins like this."""
 
@@ -201,7 +204,30 @@ def _parsed(argv: Sequence[str]) -> argparse.Namespace:
         if empty := _NO_VALUE.fullmatch(word):
             # argparse takes the value for the end of the options, and gives an empty list.
             raise _WrongUsage(argv[0], f"{empty[1]}: found '--', expected a value.")
-    return build_parser(argv).parse_args(argv)
+    _refuse_empty(argv)
+    arguments, unknown = build_parser(argv).parse_known_args(argv)
+    if unknown:
+        # parse_args would print the usage of all commands.
+        raise _WrongUsage(
+            arguments.command,
+            f'unrecognized arguments: {" ".join(unknown)}; imu-calib {arguments.command} --help '
+            'lists all.',
+        )
+    return arguments
+
+
+def _refuse_empty(argv: Sequence[str]) -> None:
+    """Refuse empty words, as a shell gives for variables that are not set.
+
+    As a path an empty word would be the present folder, and as an option its default.
+    """
+    for before, word in pairwise(argv):
+        if word and not (word.endswith('=') and _OPTION.fullmatch(word[:-1])):
+            continue
+        option = word[:-1] or (before if _OPTION.fullmatch(before) else '')
+        place = f'{option}: ' if option else ''
+        text = f"{place}found '', expected a value; is a variable of the shell not set?"
+        raise _WrongUsage(argv[0], text)
 
 
 def _loaded(argv: Sequence[str]) -> argparse.Namespace:

@@ -41,7 +41,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--seed', type=int, default=0, help='same seed, same bits (default: 0)')
     parser.add_argument(
         '--compression',
-        choices=('', 'lz4', 'zstd'),
+        choices=('lz4', 'zstd'),
         default='',
         help='compression of the recording',
     )

@@ -26,6 +26,8 @@ from .terminal import OUTPUT
 
 _SLOWEST = 50
 """The slowest rate of a serial port that POSIX names, bit/s."""
+_HIGHEST_RATE, _LARGEST_SEED = 1e5, 1 << 62
+"""Hz, and a seed: the largest parameters that nodes take (nodes/imu_node, nodes/declared)."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -160,8 +162,20 @@ def _begin(arguments: argparse.Namespace) -> None:
 
     folder.mkdir(parents=True)
     with resume.locked_folder(folder) as claim, stand_session.signals():
-        resume.save_settings(arguments, folder)
+        _save_settings(arguments, folder)
         stand_session.run(arguments, folder, truth, claim, reports)
+
+
+def _save_settings(arguments: argparse.Namespace, folder: Path) -> None:
+    """Write the settings of a new session, or leave no folder that could not be resumed."""
+    from ..api.outputs import removed_on_failure
+    from . import resume
+
+    try:
+        with removed_on_failure(folder):
+            resume.save_settings(arguments, folder)
+    except OSError as error:
+        raise InputError(f'{folder}: cannot be written ({error.strerror or error}).') from None
 
 
 def _go_on(arguments: argparse.Namespace) -> None:
@@ -205,9 +219,7 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
     """
     web_page.check(arguments)
     _check_table_port(arguments)
-    if not (arguments.speed >= 0 and math.isfinite(arguments.speed)):
-        raise InputError(f'--speed: found {arguments.speed:g}, expected 0 or more.')
-    azimuth_of(arguments.azimuth)
+    _check_run(arguments)
     if arguments.imus:
         return _check_several(arguments, reports)
     _check_baud(arguments)
@@ -236,6 +248,23 @@ def _check(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Cal
 
     stand_session.check(arguments, imu, plan, table, site)
     return {} if arguments.port else {'': load_truth(arguments.truth, imu)}
+
+
+def _check_run(arguments: argparse.Namespace) -> None:
+    """Refuse numbers that nodes would refuse, and a heartbeat that none could receive."""
+    if not (arguments.speed >= 0 and math.isfinite(arguments.speed)):
+        raise InputError(f'--speed: found {arguments.speed:g}, expected 0 or more.')
+    if not 0 <= arguments.sample_rate <= _HIGHEST_RATE:
+        found = arguments.sample_rate
+        raise InputError(f'--sample-rate: found {found:g} Hz, expected 0 to {_HIGHEST_RATE:g}.')
+    if not 0 <= arguments.seed <= _LARGEST_SEED:
+        raise InputError(f'--seed: found {arguments.seed}, expected 0 to {_LARGEST_SEED}.')
+    if arguments.stop_required and several.is_embedded(arguments):
+        raise InputError(
+            '--stop-required: no heartbeat of another program reaches the nodes in this process; '
+            'give --processes, too.'
+        )
+    azimuth_of(arguments.azimuth)
 
 
 def _check_several(arguments: argparse.Namespace, reports: NodeReports) -> dict[str, Calibration]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import errno
+import os
 import secrets
 import socket
 from typing import Any
@@ -18,6 +20,8 @@ from .terminal import ERRORS, OUTPUT
 NODE = 'web_node'
 _PORT = 8080
 """TCP port that IANA lists for web servers in addition to 80 (http-alt)."""
+_FIRST_FREE = 1024
+"""The first port that any user may serve (ip_unprivileged_port_start, ip(7))."""
 _TOKEN = 'IMU_CALIB_WEB_TOKEN'
 """As in nodes/web_node."""
 _OF_THE_SESSION = (
@@ -89,14 +93,22 @@ def check(arguments: argparse.Namespace) -> None:
         raise InputError('--control: a hand holds the unit; no table is to be started.')
     require('nicegui', '--web', 'web')
     arguments.web = arguments.web or free_port()
+    host, port = arguments.web_host, arguments.web
+    nothing = f'nothing can be served at {host}, port {port}'
     try:
-        family = socket.getaddrinfo(arguments.web_host, arguments.web)[0][0]
-        socket.create_server((arguments.web_host, arguments.web), family=family).close()
+        family = socket.getaddrinfo(host, port)[0][0]
+        socket.create_server((host, port), family=family).close()
     except OSError as error:
-        raise InputError(
-            f'--web: nothing can be served at {arguments.web_host}, port {arguments.web}: '
-            f'{error.strerror or error}. Name another port: --web {arguments.web + 1}.'
-        ) from None
+        # Python adds the address to the words of bind; the name of a host has its own numbers.
+        if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+            reason = str(error.strerror).partition(' (')[0]
+            raise InputError(
+                f'--web-host: {nothing}: {reason}. Name an interface of this machine, or 0.0.0.0 '
+                'for all.'
+            ) from None
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        other = port + 1 if _FIRST_FREE <= port < (1 << 16) - 1 else _PORT
+        raise InputError(f'--web: {nothing}: {reason}. Name another port: --web {other}.') from None
 
 
 def parameters(

@@ -300,10 +300,15 @@ class Catalogue:
 
 def _make_room(folder: Path) -> None:
     """Refuse a folder that cannot hold a catalogue."""
+    # To query a catalogue takes no recording.
+    from ..bags import metadata
+
     if not folder.parent.is_dir():
         raise InputError(f'{folder}: the folder {folder.parent} does not exist.')
     if folder.exists() and not folder.is_dir():
         raise InputError(f'{folder}: is a file, expected the name of a folder.')
+    if (folder / metadata.NAME).is_file():
+        raise InputError(f'{folder}: is a recording, expected a folder for the catalogue alone.')
 
 
 def _file_name(name: str) -> str:

@@ -66,6 +66,7 @@ skewed gyro, or unknown attitudes.
 """
 
 _CHECKS: dict[str, Callable[[Plan, Site], None]] = {
+    free_positions.NAME: lambda plan, _: free_positions.check(plan),
     'n_positions': lambda plan, _: n_positions.check(plan),
     'off_axis_four': off_axis_four.check,
     'rate_24': lambda plan, _: n_positions.check(plan, PARAMETERS),

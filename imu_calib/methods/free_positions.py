@@ -47,6 +47,7 @@ from ..observation.free import FreeEquations, at_headings_by_moves
 from ..observation.information import Information
 from ..observation.layout import Indices
 from ..observation.modulation import spans
+from ..plan import Plan
 from ..stream import Floats
 from ..units import DEG, STANDARD_GRAVITY, counted, significant
 from .checks import check_axes
@@ -55,6 +56,10 @@ from .free_drift import DRIFT_SHOWN, LARGEST_DRIFT, TRENDS, Drift, DriftKind, dr
 from .solution import Solution
 
 NAME = 'free_positions'
+_NEEDS = (
+    'Free positions need every sample between the holds, which segments of a table session do not '
+    'have: run them on a recording with the IMU alone.'
+)
 """The method's name in plans."""
 
 _KEPT = {('a', 0, 1), ('a', 0, 2), ('a', 1, 2)}
@@ -816,16 +821,28 @@ def _check_observable(state: _State) -> None:
         )
 
 
+def check(plan: Plan) -> None:
+    """Raise if a plan is not one of holds in the hand alone.
+
+    Raises:
+        NotObservable: It is run on a table, or turns the unit between its holds.
+    """
+    if not plan.by_hand:
+        raise NotObservable(_NEEDS)
+    if any(position.rate_test for position in plan.positions):
+        raise NotObservable(
+            f'Free positions are holds alone, and plan {plan.name} has turns: choose another '
+            'method, or the plan free_positions.'
+        )
+
+
 def refuse(_: Evidence) -> Solution:
     """Raise with the needs of this method beyond static dwells and whole turns.
 
     Raises:
         NotObservable: Always.
     """
-    raise NotObservable(
-        'Free positions need every sample between the holds, which segments of a table session '
-        'do not have: run them on a recording with the IMU alone.'
-    )
+    raise NotObservable(_NEEDS)
 
 
 def scatter_words(fit: FreeFit) -> list[str]:
