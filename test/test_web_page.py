@@ -42,7 +42,7 @@ class Viewer:
         self.context.add_init_script(CALM)
         self.page = self.context.new_page()
         self.hosts, self.errors = set(), []
-        self.page.on('request', lambda r: self.hosts.add(re.split('[/:]+', r.url)[1]))
+        self.page.on('request', lambda r: self.hosts.add(host_of(r.url)))
         self.page.on('pageerror', lambda error: self.errors.append(str(error)))
         self.page.set_default_timeout(1000 * patience(30))
         self.page.goto(url)
@@ -91,6 +91,11 @@ def shown(tmp_path):
         for name in NODES:
             stand.start(name)
         yield stand, desk, phone, port
+
+
+def host_of(url):
+    """Return the host that a request goes to; a page's own blob names the page's."""
+    return re.split('[/:]+', url.removeprefix('blob:'))[1]
 
 
 def log_of(stand):
