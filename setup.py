@@ -49,13 +49,16 @@ DDS = (
 
 PLOT = 'matplotlib>=3.6'
 DATA_FRAME = 'pandas>=2'
-# Scenes that survive a lost WebGL context; its assets come with the wheel.
-WEB = 'nicegui>=3'
+# Scenes that survive a lost WebGL context, with frames a second of our choice; its assets come
+# with the wheel.
+WEB = 'nicegui>=3.2'
 # The first that refuses bytes which end within a string or a sequence.
 ROSBAGS = 'rosbags>=0.11.6'
 # Recordings behind URLs: S3, HTTP; other protocols by their own packages of fsspec.
 REMOTE = ['fsspec>=2024.2', 's3fs>=2024.2', 'aiohttp>=3.9']
-FLEET = ['distributed>=2024.8', 'bokeh>=3.1', 'pyarrow>=15', 'duckdb>=1', *REMOTE]
+# The first whose wheel has what is plotted with in the browser.
+BOKEH = 'bokeh>=3.2'
+FLEET = ['distributed>=2024.8', BOKEH, 'pyarrow>=15', 'duckdb>=1', *REMOTE]
 DOCS = ['sphinx>=7', 'myst-nb>=1.1', 'furo>=2024.1.29']
 
 setup(

@@ -41,6 +41,8 @@ _RECONNECT = 60.0
 _CONNECT = '10s'
 """Time limit for a connection to a process of this machine, however busy. A dead one that holds a
 result is waited for this long, without retries: Dask's 30 s and retries are for networks."""
+_RESTART = '1h'
+"""Time limit for the start of a worker in place of one that has ended: above any machine's."""
 _ANSWER = '10s'
 """Time limit for a client's connection to a scheduler."""
 _TICK = '500ms'
@@ -121,6 +123,9 @@ class Engine:
         }
         if self.scheduler is None:
             settings['distributed.comm.timeouts.connect'] = _CONNECT
+            # By default a worker that takes longer than 15 s to start anew is given up, and its
+            # tasks wait for ever.
+            settings['distributed.deploy.lost-worker-timeout'] = _RESTART
         else:
             settings['distributed.comm.retry.count'] = 3
         with dask.config.set(settings), _quiet():

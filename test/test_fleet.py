@@ -458,7 +458,11 @@ def poisonous(job: Job, known: frozenset[str]) -> Done:
 def test_a_recording_that_kills_its_worker_is_a_row(tmp_path: Path) -> None:
     jobs = [Job(str(tmp_path / name)) for name in ('1', 'poison', '2', '3')]
     kept = Catalogue(tmp_path / 'c', create=True)
-    ended = run_batch(jobs, kept, Engine(workers=1), task=poisonous)
+    import dask
+
+    # As on a machine so busy that a worker starts later than Dask waits for it.
+    with dask.config.set({'distributed.deploy.lost-worker-timeout': 0}):
+        ended = run_batch(jobs, kept, Engine(workers=1), task=poisonous)
     assert ended.failed == 4
     found = {Path(row['recording']).name: row for row in rows(tmp_path / 'c')}
     assert found['poison']['exit_code'] == LOST
