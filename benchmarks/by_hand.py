@@ -23,18 +23,20 @@ sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
 
 from hand_sessions import shortest_turns
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Setup, calibrator_of
-from imu_calib.engine import run_all
-from imu_calib.imu import load_imu
-from imu_calib.methods.free_positions import NAME as FREE_POSITIONS
-from imu_calib.methods.free_positions import in_frame_of_accelerometers
-from imu_calib.model import PARAMETERS, SensorModel
-from imu_calib.plan import load_plan
-from imu_calib.prediction import forecast
-from imu_calib.share import named_file
-from imu_calib.simulation import ImuOptions
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator_part import calibrator_of
+from imu_calib.common.engine import run_all
+from imu_calib.common.share import named_file
+from imu_calib.estimation import forecast
+from imu_calib.estimation.hand import NAME as FREE_POSITIONS
+from imu_calib.estimation.hand import in_frame_of_accelerometers
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.sensors import SensorModel
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import load_plan
 from imu_calib.simulation.hand import HandSession, as_planned
+from imu_calib.simulation.options import ImuOptions
 
 UNIT = 'mems_counts'
 PLANS = ('six_position_by_hand', 'free_positions')

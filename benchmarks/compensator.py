@@ -35,11 +35,13 @@ os.environ.setdefault(
     '</General></Domain></CycloneDDS>',
 )
 
-from imu_calib import middleware as ros
-from imu_calib.cdr import Messages, decode_imu, encode_imu
-from imu_calib.nodes import qos
-from imu_calib.share import named_file
-from imu_calib.stream import ImuBlock
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import ImuBlock
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.decode import decode_imu
+from imu_calib.recordings.messages import Messages
+from imu_calib.stand import middleware as ros
+from imu_calib.stand.nodes import qos
 
 AIM = 0.1e-3
 AIM_99 = 1e-3
@@ -163,7 +165,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'calibration.yaml'
         file.write_text(named_file('truths', 'cao2022_table1').read_text())
-        module = [sys.executable, '-m', 'imu_calib.nodes.compensator_node']
+        module = [sys.executable, '-m', 'imu_calib.stand.nodes.compensator_node']
         kinds = [
             Measured('hand on', [sys.executable, __file__, '--hand-on']),
             Measured('compensate', [*module, '--ros-args', '-p', f'calibration:={file}']),

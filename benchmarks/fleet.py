@@ -33,13 +33,13 @@ from typing import Any
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 import imu_calib
-from imu_calib.api.progress import Show
-from imu_calib.api.stated import Stated
+from imu_calib.api.session import Stated
+from imu_calib.common.parallel import Engine
+from imu_calib.common.progress import Show
+from imu_calib.common.share import named_file
 from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.recordings import Job, Labels
 from imu_calib.fleet.running import run_batch
-from imu_calib.share import named_file
-from imu_calib.workers import Engine
 
 LEAST = 0.85
 DIFFERENT = 5

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
 
 import fleets
 
-from imu_calib.reports.fleet.page import page
+from imu_calib.fleet.page import page
 
 MOST = 3.0
 """s until the table appears."""

@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from imu_calib.earth import EARTH_RATE, normal_gravity
-from imu_calib.stream import Floats
-from imu_calib.units import DEG, STANDARD_GRAVITY
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG, STANDARD_GRAVITY
+from imu_calib.model.earth import EARTH_RATE, normal_gravity
 
 HOUR = 3600.0
 LATITUDE = 34.65 * DEG

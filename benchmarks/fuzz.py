@@ -36,31 +36,38 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from imu_calib.api.stated import Stated
-from imu_calib.bags import open_recording
-from imu_calib.cdr import (
-    Kind,
-    Malformed,
-    Messages,
+from imu_calib.api.session import Stated
+from imu_calib.calibration.thermal import read_calibration
+from imu_calib.common.config import Section
+from imu_calib.common.errors import ImuCalibError
+from imu_calib.common.stream import (
+    ImuBlock,
+    JointBlock,
+    Mode,
+    Setpoint,
+    SetpointBlock,
+    TemperatureBlock,
+)
+from imu_calib.fleet.recordings import read_manifest
+from imu_calib.recordings import decode as cdr
+from imu_calib.recordings.cdr_codec import (
     encode_imu,
     encode_joints,
     encode_setpoints,
     encode_temperatures,
 )
-from imu_calib.cdr import decode as cdr
-from imu_calib.certificates.fields import read_fields
-from imu_calib.compensation.thermal import read_calibration
-from imu_calib.config import Section
-from imu_calib.devices import Decoder, FrameFormat, load_format, read_format
-from imu_calib.errors import ImuCalibError
-from imu_calib.fleet.recordings import read_manifest
-from imu_calib.imu import read_imu
-from imu_calib.mounted import read_units
-from imu_calib.plan import read_plan
-from imu_calib.simulation import StandOptions
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.messages import Malformed, Messages
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.reports.certificate_fields import read_fields
+from imu_calib.session.imu import read_imu
+from imu_calib.session.plan import read_plan
+from imu_calib.session.table import load_table, read_table
+from imu_calib.session.units_file import read_units
 from imu_calib.simulation.imperfections import read_imperfections
-from imu_calib.stream import ImuBlock, JointBlock, Mode, Setpoint, SetpointBlock, TemperatureBlock
-from imu_calib.turntable import load_table, read_table
+from imu_calib.simulation.options import StandOptions
+from imu_calib.stand.devices.decoder import Decoder
+from imu_calib.stand.devices.format import FrameFormat, load_format, read_format
 
 FLOOR = 8 << 20
 """Bytes that a target may take in addition to ten times its input: tables of checksums, a page
@@ -200,9 +207,9 @@ def _decode_message(kind: Kind, data: bytes) -> None:
 
 def _of_messages() -> Iterator[Target]:
     # Only the runtime without ROS reads single messages itself.
-    from imu_calib.middleware.dds import codec
-    from imu_calib.middleware.dds.message_classes import message_class
-    from imu_calib.middleware.interface_types import MESSAGES
+    from imu_calib.stand.middleware.dds import codec
+    from imu_calib.stand.middleware.dds.messages import message_class
+    from imu_calib.stand.middleware.interface_types import MESSAGES
 
     filled = {
         'ImuCalibration': {'serial_number': 'A1', 'covariance': [1.0] * 300},

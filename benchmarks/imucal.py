@@ -24,21 +24,24 @@ from types import ModuleType
 
 import numpy as np
 
-from imu_calib.bags import open_recording
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.cdr import Kind
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.errors import NotObservable
-from imu_calib.imu import ImuSpec, load_imu
-from imu_calib.model import AXES, PARAMETERS, SensorModel, Triad
-from imu_calib.plan import load_plan
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats, ImuBlock, Mode, Units
+from imu_calib.common.units import ARCSEC, DEG
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.model.model_parameters import AXES, PARAMETERS
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.reports.parameter_table import engineering
-from imu_calib.share import named_file
-from imu_calib.simulation import SimulatedStand, StandOptions
-from imu_calib.stream import Floats, ImuBlock, Mode, Units
-from imu_calib.turntable import load_table
-from imu_calib.units import ARCSEC, DEG
+from imu_calib.session.imu import ImuSpec, load_imu
+from imu_calib.session.plan import load_plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.stand import SimulatedStand
 
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 HEADING = 20 * DEG

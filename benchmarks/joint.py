@@ -30,14 +30,15 @@ from bound import bound
 from sessions import SITE, paper_imu, stand, truth
 from test_joint import simulated
 
-from imu_calib.engine import run_all
-from imu_calib.imu import load_imu
-from imu_calib.methods import joint, twelve_position
-from imu_calib.model import PARAMETER_NAMES
-from imu_calib.plan import load_plan
-from imu_calib.repetition import economical
-from imu_calib.stream import Floats
-from imu_calib.turntable import load_table
+from imu_calib.common.engine import run_all
+from imu_calib.common.stream import Floats
+from imu_calib.estimation import joint
+from imu_calib.estimation.closed_forms import twelve_position
+from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import load_plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.repetition import economical
 
 VARIANTS = ('with moves', 'without moves')
 SETTLE = 1.0

@@ -33,20 +33,22 @@ os.environ.setdefault(
     '</General></Domain></CycloneDDS>',
 )
 
-from imu_calib import middleware as ros
-from imu_calib.bags import open_recording
-from imu_calib.calibration import Calibration
-from imu_calib.cdr import Kind, encode_imu, encode_joints, encode_setpoints
-from imu_calib.cdr.decode import part
-from imu_calib.earth import Site
-from imu_calib.imu import load_imu
-from imu_calib.nodes import qos
-from imu_calib.plan import load_plan
-from imu_calib.share import named_file
-from imu_calib.simulation import StandOptions, simulate
-from imu_calib.stream import ImuBlock, JointBlock, SetpointBlock
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
+from imu_calib.common.units import DEG
+from imu_calib.model.earth import Site
+from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints
+from imu_calib.recordings.decode import part
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import load_plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.stand import simulate
+from imu_calib.stand import middleware as ros
+from imu_calib.stand.nodes import qos
 
 PLAN, IMU, TABLE, LATITUDE = 'static_six', 'fog_medium', 'three_axis', 45.0
 MOVE = 2.5
@@ -253,7 +255,13 @@ def main() -> int:
             bare = [sys.executable, __file__, '--drain', str(folder / 'count')]
             given = {'latitude': LATITUDE, 'plan': PLAN, 'imu': IMU, 'table': TABLE}
             words = [word for k, v in given.items() for word in ('-p', f'{k}:={v}')]
-            node = [sys.executable, '-m', 'imu_calib.nodes.calibrator_node', '--ros-args', *words]
+            node = [
+                sys.executable,
+                '-m',
+                'imu_calib.stand.nodes.calibrator_node',
+                '--ros-args',
+                *words,
+            ]
             command = bare if name == 'bare drain' else node
             costs.append(measure(name, command, folder, rate, seconds))
     drained = costs[0]

@@ -21,8 +21,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imu_calib.cdr import Messages, decode_imu, encode_imu
-from imu_calib.stream import ImuBlock
+from imu_calib.common.stream import ImuBlock
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.decode import decode_imu
+from imu_calib.recordings.messages import Messages
 
 # The benchmark uses the loopback interface and a private domain.
 os.environ.setdefault('ROS_DOMAIN_ID', str(100 + os.getpid() % 101))
@@ -34,7 +36,7 @@ os.environ.setdefault(
     '</General></Domain></CycloneDDS>',
 )
 
-from imu_calib import middleware as ros
+from imu_calib.stand import middleware as ros
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

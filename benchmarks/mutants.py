@@ -129,12 +129,12 @@ TESTS = {
 }
 # Tests of certain modules, too slow for every mutant of a package; they run first.
 MORE = {
-    'imu_calib/bags/remote.py': ['remote'],
-    'imu_calib/bags/remote_copy.py': ['remote_copy', 'remote'],
-    'imu_calib/bags/retries.py': ['remote_copy', 'remote'],
-    'imu_calib/methods/free_positions.py': ['free_fit'],
-    'imu_calib/observation/arms.py': ['arms'],
-    'imu_calib/observation/free.py': ['free_fit'],
+    'imu_calib/recordings/remote.py': ['remote'],
+    'imu_calib/recordings/remote_copy.py': ['remote_copy', 'remote'],
+    'imu_calib/recordings/retries.py': ['remote_copy', 'remote'],
+    'imu_calib/estimation/hand.py': ['free_fit'],
+    'imu_calib/estimation/arms.py': ['arms'],
+    'imu_calib/estimation/free.py': ['free_fit'],
 }
 # Allowed time of a mutant relative to the unchanged tests, and additional seconds.
 SLOWER, MORE_S = 2.0, 5.0

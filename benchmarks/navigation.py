@@ -23,20 +23,24 @@ import numpy as np
 from flight import HEIGHT, HOUR, LATITUDE, Flight, radii
 from strapdown import STEP, Start, navigate
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.compensation.apply import Compensation
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.engine import run_all
-from imu_calib.imu import ImuSpec, load_imu
-from imu_calib.model import TERMS, SensorModel, Term, named_terms
-from imu_calib.plan import load_plan
-from imu_calib.repetition import economical
-from imu_calib.reports.svg import COLOURS, Axis, Panel, drawing, label, tag
-from imu_calib.share import named_file
-from imu_calib.simulation import SimulatedImu, StandOptions, simulate
-from imu_calib.stream import Floats, ImuBlock, Units
-from imu_calib.turntable import load_table
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.compensate import Compensation
+from imu_calib.common.engine import run_all
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats, ImuBlock, Units
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.model.sensors import SensorModel
+from imu_calib.model.terms import TERMS, Term, named_terms
+from imu_calib.reports.charts import COLOURS, Axis, Panel, drawing, label, tag
+from imu_calib.session.imu import ImuSpec, load_imu
+from imu_calib.session.plan import load_plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.imu import SimulatedImu
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.repetition import economical
+from imu_calib.simulation.stand import simulate
 
 SITE = Site.at(LATITUDE, gravity=normal_gravity(LATITUDE))
 UNIT, TRUTH, PLAN = 'fog_navigation', 'fog_navigation_terms', 'full_model'

@@ -21,19 +21,20 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Setup
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.errors import ImuCalibError, InputError
-from imu_calib.imu import load_imu
-from imu_calib.model import TERMS, Parameter
-from imu_calib.plan import Plan, load_plan
-from imu_calib.prediction import forecast
-from imu_calib.repetition import Study, economical, repeat
-from imu_calib.share import named_file, share_folder
-from imu_calib.simulation import StandOptions
-from imu_calib.turntable import Table, load_table
-from imu_calib.units import DEG
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.common.share import named_file, share_folder
+from imu_calib.common.units import DEG
+from imu_calib.estimation import forecast
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.model.model_parameters import Parameter
+from imu_calib.model.terms import TERMS
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import Plan, load_plan
+from imu_calib.session.table import Table, load_table
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.repetition import Study, economical, repeat
 
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 TOLERANCE = 0.1

@@ -22,9 +22,10 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from imu_calib.bags import open_recording
-from imu_calib.cdr import Kind, encode_imu, encode_joints
-from imu_calib.stream import ImuBlock, JointBlock
+from imu_calib.common.stream import ImuBlock, JointBlock
+from imu_calib.recordings.cdr_codec import encode_imu, encode_joints
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -30,17 +30,17 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from imu_calib.calibrator import Setup
-from imu_calib.calibrator.by_hand import HandCalibrator
-from imu_calib.earth import Site
-from imu_calib.engine import run_all
-from imu_calib.errors import NotObservable
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.model import SensorModel
-from imu_calib.plan import load_plan
-from imu_calib.segmentation.segment import Segment
-from imu_calib.stream import Floats, ImuBlock, Stamps, Units
-from imu_calib.units import DEG, STANDARD_GRAVITY
+from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.common.engine import run_all
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Floats, ImuBlock, Stamps, Units
+from imu_calib.common.units import DEG, STANDARD_GRAVITY
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.model.sensors import SensorModel
+from imu_calib.segmentation.segments import Segment
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.plan import load_plan
 
 Corrected = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Conversion of outputs of gyros and accelerometers (n, 3) in SI to inputs."""

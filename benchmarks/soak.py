@@ -28,15 +28,15 @@ from typing import Any
 
 import numpy as np
 
-from imu_calib import middleware as ros
-from imu_calib.calibration import Calibration
+from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.processes import Processes, free_port, private_network
-from imu_calib.middleware import messages
-from imu_calib.nodes import qos
-from imu_calib.plan import load_plan
-from imu_calib.share import named_file
-from imu_calib.simulation import StandOptions
-from imu_calib.units import ARCSEC
+from imu_calib.common.share import named_file
+from imu_calib.common.units import ARCSEC
+from imu_calib.session.plan import load_plan
+from imu_calib.simulation.options import StandOptions
+from imu_calib.stand import middleware as ros
+from imu_calib.stand.middleware import messages
+from imu_calib.stand.nodes import qos
 
 GROWN = 4.0
 """MB for each session: pages kept by an allocator; the samples of a static dwell would be three

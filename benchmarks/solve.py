@@ -30,16 +30,16 @@ sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
 
 from sessions import SITE, fed, gathered, quick_plan, stand
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Setup
-from imu_calib.imu import load_imu
-from imu_calib.methods import joint
-from imu_calib.model import TERMS
-from imu_calib.observation.evidence import Evidence
-from imu_calib.repetition import economical
-from imu_calib.share import named_file
-from imu_calib.simulation import simulate
-from imu_calib.turntable import load_table
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.share import named_file
+from imu_calib.estimation import joint
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.terms import TERMS
+from imu_calib.session.imu import load_imu
+from imu_calib.session.table import load_table
+from imu_calib.simulation.repetition import economical
+from imu_calib.simulation.stand import simulate
 
 ALLOWED = 2.0
 DWELLS = 30

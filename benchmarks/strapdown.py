@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from flight import HEIGHT, cross, earth_rates, radii, turned
 
-from imu_calib.stream import Floats
+from imu_calib.common.stream import Floats
 
 STEP = 10
 """Samples that are combined before the navigation frame is updated."""

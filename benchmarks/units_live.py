@@ -21,9 +21,9 @@ import numpy as np
 import stand
 import yaml
 
-from imu_calib.bags import open_recording
-from imu_calib.cdr import Kind
 from imu_calib.cli import main, stand_session
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
 
 SIMULATION = 'stand_node'
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from imu_calib.rotations import rotation
+from imu_calib.common.rotations import rotation
 
 PICTURE = Path(__file__).with_name('bag.svg')
 

@@ -9,22 +9,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import yaml
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Setup
-from imu_calib.config import Section
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.imu import load_imu
-from imu_calib.model import SensorModel, Triad
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.config import Section
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Block, Floats, TemperatureBlock
+from imu_calib.common.units import ARCSEC, DEG
+from imu_calib.estimation.equations import GIVEN_AZIMUTH
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.terms import TERMS, term
-from imu_calib.observation.equations import GIVEN_AZIMUTH
-from imu_calib.plan import Plan, load_plan
-from imu_calib.share import named_file
-from imu_calib.simulation import SimulatedStand, StandOptions
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import Plan, load_plan
+from imu_calib.session.table import Table, load_table, read_table
+from imu_calib.session.table_errors import ASSUMED
 from imu_calib.simulation.imperfections import read_imperfections
-from imu_calib.stream import Block, Floats, TemperatureBlock
-from imu_calib.table_errors import ASSUMED
-from imu_calib.turntable import Table, load_table, read_table
-from imu_calib.units import ARCSEC, DEG
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.stand import SimulatedStand
 
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 DWELL = 40.0

@@ -27,16 +27,16 @@ from typing import Any
 import numpy as np
 
 import imu_calib
-from imu_calib.alignment import free_of_frame
-from imu_calib.calibrator import Calibrator
-from imu_calib.engine import run_all
-from imu_calib.errors import ImuCalibError
-from imu_calib.imu import load_imu
-from imu_calib.model import PARAMETER_NAMES, PARAMETERS
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.common.engine import run_all
+from imu_calib.common.errors import ImuCalibError
+from imu_calib.common.stream import Floats
+from imu_calib.model.alignment import free_of_frame
+from imu_calib.model.model_parameters import PARAMETER_NAMES, PARAMETERS
 from imu_calib.model.terms import term
-from imu_calib.plan import Plan, load_plan
-from imu_calib.stream import Floats
-from imu_calib.turntable import Table
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import Plan, load_plan
+from imu_calib.session.table import Table
 
 sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
 from bound_of_stands import Stand, bound_of

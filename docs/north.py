@@ -9,15 +9,17 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.imu import load_imu
-from imu_calib.plan import Plan, load_plan
-from imu_calib.share import named_file
-from imu_calib.simulation import StandOptions, simulate
-from imu_calib.turntable import Table, load_table
-from imu_calib.units import DEG, DEG_H
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.common.share import named_file
+from imu_calib.common.units import DEG, DEG_H
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import Plan, load_plan
+from imu_calib.session.table import Table, load_table
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.stand import simulate
 
 AZIMUTHS = np.arange(0.0, 5.01, 0.5)
 TRUTH = Calibration.load(named_file('truths', 'cao2022_table1'))

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.methods import method
-from imu_calib.model import SensorModel, Triad
-from imu_calib.observation.evidence import Evidence
-from imu_calib.plan import Plan, load_plan
-from imu_calib.rotations import rotation
+from imu_calib.common.rotations import rotation
+from imu_calib.common.units import ARCSEC, DEG, DEG_H
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.methods import method
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.segmentation.clock import fit_clock
-from imu_calib.segmentation.segment import Segment, Statistics
-from imu_calib.units import ARCSEC, DEG, DEG_H
+from imu_calib.segmentation.segments import Segment, Statistics
+from imu_calib.session.plan import Plan, load_plan
 
 RUNS, LARGEST = 100, 3 * ARCSEC
 SITE = Site.at(34 * DEG, gravity=normal_gravity(34 * DEG))

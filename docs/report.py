@@ -16,19 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 from playwright.sync_api import sync_playwright
 
-from imu_calib.api.simulating import serialised
-from imu_calib.bags import RecordingWriter
-from imu_calib.calibration import Calibration
+from imu_calib.api.simulate import serialised
+from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main as imu_calib
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.imu import load_imu
-from imu_calib.metadata import describe
-from imu_calib.plan import load_plan
-from imu_calib.share import named_file
-from imu_calib.simulation import StandOptions, simulate
-from imu_calib.stream import Block, ImuBlock
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Block, ImuBlock
+from imu_calib.common.units import DEG
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.session.imu import load_imu
+from imu_calib.session.metadata import describe
+from imu_calib.session.plan import load_plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.stand import simulate
 
 Image = NDArray[np.float32]
 HERE = Path(__file__).parent

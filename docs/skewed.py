@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from imu_calib.calibration import Calibration
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.methods.skewed import RatePoints
-from imu_calib.share import named_file
-from imu_calib.units import ARCSEC, DEG, DEG_H
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.share import named_file
+from imu_calib.common.units import ARCSEC, DEG, DEG_H
+from imu_calib.estimation.closed_forms.skewed import RatePoints
+from imu_calib.model.earth import Site, normal_gravity
 
 RUNS = 200
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))

@@ -14,17 +14,19 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.imu import load_imu
-from imu_calib.model import ParameterKind
-from imu_calib.plain_table import plain_table
-from imu_calib.plan import Plan, load_plan
-from imu_calib.share import named_file
-from imu_calib.simulation import StandOptions, simulate
-from imu_calib.turntable import load_table
-from imu_calib.units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G, STANDARD_GRAVITY
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.common.share import named_file
+from imu_calib.common.units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G, STANDARD_GRAVITY
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.model.parameters import ParameterKind
+from imu_calib.reports.plain_table import plain_table
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import Plan, load_plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.stand import simulate
 
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 AZIMUTH = {'six_position': 0.0, 'twelve_position': 3.0 * DEG}

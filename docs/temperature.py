@@ -8,17 +8,19 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.compensation.thermal import combine
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.imu import load_imu
-from imu_calib.model import PARAMETER_NAMES
-from imu_calib.plan import load_plan
-from imu_calib.share import named_file
-from imu_calib.simulation import StandOptions, ThermalDrift, Warming, simulate
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG, DEG_H, MICRO_G
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.thermal import combine
+from imu_calib.common.share import named_file
+from imu_calib.common.units import DEG, DEG_H, MICRO_G
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import load_plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.options import StandOptions, ThermalDrift, Warming
+from imu_calib.simulation.stand import simulate
 
 TEMPERATURES = (-20.0, 20.0, 55.0)
 CHECKS = (-5.0, 5.0, 35.0, 45.0)

@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import beta, norm
 
-from imu_calib.histories.patterns import PATTERNS
-from imu_calib.histories.results import USUAL, StandShift
-from imu_calib.histories.stands import judge_stands
-from imu_calib.units import ARCMIN, PPM
+from imu_calib.common.units import ARCMIN, PPM
+from imu_calib.fleet.patterns import PATTERNS
+from imu_calib.fleet.results import USUAL, StandShift
+from imu_calib.fleet.stands import judge_stands
 
 PICTURE = Path(__file__).with_suffix('.png')
 STANDS = ('A', 'B', 'C')

@@ -14,104 +14,104 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .api.calibrate import UnitResult, UnitResults, calibrate_units
     from .api.calibrating import calibrate
-    from .api.calibrating_units import UnitResult, UnitResults, calibrate_units
     from .api.certifying import certificate
     from .api.columns import Columns, read
     from .api.combining import combine
-    from .api.comparing import Compared, compare
-    from .api.compensating import Compensated, compensate
+    from .api.compare import Compared, compare
+    from .api.compensate import Compensated, compensate
     from .api.conforming import Conformity, conformity
     from .api.converted import Converted
     from .api.converting import convert
+    from .api.documents import report
     from .api.exporting import export
     from .api.inspecting import Inspection, inspect
-    from .api.predicting import Prediction, optimise, predict, reach
+    from .api.predict import Prediction, optimise, predict, reach
     from .api.repeating import MonteCarloResult, montecarlo
-    from .api.reporting import report
-    from .api.simulating import Simulated, simulate
+    from .api.simulate import Simulated, simulate
     from .api.simulating_units import SimulatedUnits, simulate_units
-    from .api.standing import StandRun, stand
-    from .api.verifying import verify
-    from .calibration import Calibration
-    from .calibrator import Result
-    from .certificates.statement import Certificate
-    from .compensation.thermal import ThermalCalibration
-    from .errors import ImuCalibError, InputError, NotObservable
-    from .exports import Exported
+    from .api.stand import StandRun, stand
+    from .api.verify import verify
+    from .calibration.calibration import Calibration
+    from .calibration.calibrator_results import Result
+    from .calibration.exported import Exported
+    from .calibration.thermal import ThermalCalibration
+    from .calibration.verify import Verdict, Verification
+    from .common.errors import ImuCalibError, InputError, NotObservable
+    from .estimation.optimise import Optimum
+    from .estimation.reach import Reached
     from .fleet.catalogue import Catalogue
     from .fleet.history import history
     from .fleet.report import fleet_report
+    from .fleet.results import History
     from .fleet.running import Batch, batch
-    from .histories.results import History
-    from .imu import ImuSpec, load_imu
-    from .mounted import MountedUnit, load_units
-    from .plan import Plan, load_plan
-    from .prediction import Reached
-    from .prediction.optimise import Optimum
-    from .turntable import Table, load_table
-    from .verification import Verdict, Verification
+    from .reports.certificate import Certificate
+    from .session.imu import ImuSpec, load_imu
+    from .session.plan import Plan, load_plan
+    from .session.table import Table, load_table
+    from .session.units_file import MountedUnit, load_units
 
 _WHERE = {
     'Batch': 'fleet.running',
-    'Calibration': 'calibration',
-    'Certificate': 'certificates.statement',
+    'Calibration': 'calibration.calibration',
+    'Certificate': 'reports.certificate',
     'Catalogue': 'fleet.catalogue',
     'Columns': 'api.columns',
-    'Compared': 'api.comparing',
-    'Compensated': 'api.compensating',
+    'Compared': 'api.compare',
+    'Compensated': 'api.compensate',
     'Conformity': 'api.conforming',
     'Converted': 'api.converted',
-    'Exported': 'exports',
-    'History': 'histories.results',
-    'ImuCalibError': 'errors',
-    'ImuSpec': 'imu',
-    'InputError': 'errors',
+    'Exported': 'calibration.exported',
+    'History': 'fleet.results',
+    'ImuCalibError': 'common.errors',
+    'ImuSpec': 'session.imu',
+    'InputError': 'common.errors',
     'Inspection': 'api.inspecting',
     'MonteCarloResult': 'api.repeating',
-    'MountedUnit': 'mounted',
-    'NotObservable': 'errors',
-    'Optimum': 'prediction.optimise',
-    'Plan': 'plan',
-    'Prediction': 'api.predicting',
-    'Reached': 'prediction',
-    'Result': 'calibrator',
-    'Simulated': 'api.simulating',
+    'MountedUnit': 'session.units_file',
+    'NotObservable': 'common.errors',
+    'Optimum': 'estimation.optimise',
+    'Plan': 'session.plan',
+    'Prediction': 'api.predict',
+    'Reached': 'estimation.reach',
+    'Result': 'calibration.calibrator_results',
+    'Simulated': 'api.simulate',
     'SimulatedUnits': 'api.simulating_units',
-    'StandRun': 'api.standing',
-    'Table': 'turntable',
-    'ThermalCalibration': 'compensation.thermal',
-    'UnitResult': 'api.calibrating_units',
-    'UnitResults': 'api.calibrating_units',
-    'Verdict': 'verification',
-    'Verification': 'verification',
+    'StandRun': 'api.stand',
+    'Table': 'session.table',
+    'ThermalCalibration': 'calibration.thermal',
+    'UnitResult': 'api.calibrate',
+    'UnitResults': 'api.calibrate',
+    'Verdict': 'calibration.verify',
+    'Verification': 'calibration.verify',
     'batch': 'fleet.running',
     'calibrate': 'api.calibrating',
-    'calibrate_units': 'api.calibrating_units',
+    'calibrate_units': 'api.calibrate',
     'certificate': 'api.certifying',
     'combine': 'api.combining',
-    'compare': 'api.comparing',
-    'compensate': 'api.compensating',
+    'compare': 'api.compare',
+    'compensate': 'api.compensate',
     'conformity': 'api.conforming',
     'convert': 'api.converting',
     'export': 'api.exporting',
     'history': 'fleet.history',
     'fleet_report': 'fleet.report',
     'inspect': 'api.inspecting',
-    'load_imu': 'imu',
-    'load_plan': 'plan',
-    'load_table': 'turntable',
-    'load_units': 'mounted',
+    'load_imu': 'session.imu',
+    'load_plan': 'session.plan',
+    'load_table': 'session.table',
+    'load_units': 'session.units_file',
     'montecarlo': 'api.repeating',
-    'optimise': 'api.predicting',
-    'predict': 'api.predicting',
-    'reach': 'api.predicting',
+    'optimise': 'api.predict',
+    'predict': 'api.predict',
+    'reach': 'api.predict',
     'read': 'api.columns',
-    'report': 'api.reporting',
-    'simulate': 'api.simulating',
+    'report': 'api.documents',
+    'simulate': 'api.simulate',
     'simulate_units': 'api.simulating_units',
-    'stand': 'api.standing',
-    'verify': 'api.verifying',
+    'stand': 'api.stand',
+    'verify': 'api.verify',
 }
 """Loaded on first use: nodes and commands need few of them, and start faster."""
 

@@ -9,16 +9,7 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from imu_calib.bags import definition, open_recording
-from imu_calib.cdr import (
-    Kind,
-    encode_imu,
-    encode_joints,
-    encode_setpoints,
-    encode_temperatures,
-    part,
-)
-from imu_calib.stream import (
+from imu_calib.common.stream import (
     ImuBlock,
     JointBlock,
     Mode,
@@ -26,6 +17,16 @@ from imu_calib.stream import (
     SetpointBlock,
     TemperatureBlock,
 )
+from imu_calib.recordings.cdr_codec import (
+    encode_imu,
+    encode_joints,
+    encode_setpoints,
+    encode_temperatures,
+)
+from imu_calib.recordings.decode import part
+from imu_calib.recordings.definitions import definition
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
 
 NS = 1_000_000_000
 START = 1_700_000_000 * NS

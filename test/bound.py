@@ -21,13 +21,13 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import block_diag, solveh_banded
 
-from imu_calib.earth import Site
-from imu_calib.imu import ImuSpec
-from imu_calib.model import SensorModel
-from imu_calib.plan import Plan
-from imu_calib.stream import Floats
-from imu_calib.turntable import TURN, Table
-from imu_calib.units import ARCSEC
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import ARCSEC
+from imu_calib.model.earth import Site
+from imu_calib.model.sensors import SensorModel
+from imu_calib.session.imu import ImuSpec
+from imu_calib.session.plan import Plan
+from imu_calib.session.table import TURN, Table
 
 _LEVELLED = 20 * ARCSEC
 _WITHIN = 1.0

@@ -38,12 +38,12 @@ from bound import (
 )
 from other_world import SOUND, Flaw, World, attitude, rotation_vector, times, transposed
 
-from imu_calib.earth import Site
-from imu_calib.imu import ImuSpec
-from imu_calib.model import SensorModel
-from imu_calib.plan import Plan
-from imu_calib.stream import Floats
-from imu_calib.turntable import TURN, Table
+from imu_calib.common.stream import Floats
+from imu_calib.model.earth import Site
+from imu_calib.model.sensors import SensorModel
+from imu_calib.session.imu import ImuSpec
+from imu_calib.session.plan import Plan
+from imu_calib.session.table import TURN, Table
 
 _STEP = 1e-6
 _TAU = 1000.0

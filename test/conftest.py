@@ -21,7 +21,7 @@ import pytest
 from extent import ALL
 from hypothesis import settings
 
-from imu_calib.errors import ImuCalibError
+from imu_calib.common.errors import ImuCalibError
 
 # A shell that puts the tests in the background has them ignore Ctrl-C, and all that they start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -58,7 +58,7 @@ def _skipped_without_nodes() -> Iterator[None]:
         yield
     except ImuCalibError as error:
         missing = isinstance(error.__cause__, ImportError)
-        if not missing or 'imu_calib.middleware' in sys.modules:
+        if not missing or 'imu_calib.stand.middleware' in sys.modules:
             raise
         pytest.skip(str(error), allow_module_level=True)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from loopback import until
 
-from imu_calib import NotObservable
+from imu_calib.common.errors import NotObservable
 
 _BOTH = """
 import sys

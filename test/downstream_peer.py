@@ -12,14 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from imu_calib.calibration import Calibration
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.imu import load_imu
-from imu_calib.share import named_file
-from imu_calib.simulation import ImuOptions, SimulatedImu
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.share import named_file
+from imu_calib.common.units import DEG
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.session.imu import load_imu
+from imu_calib.simulation.imu import SimulatedImu
 from imu_calib.simulation.motion import Motion
+from imu_calib.simulation.options import ImuOptions
 from imu_calib.simulation.tracks import Track, side_by_side, trapezoid
-from imu_calib.units import DEG
 
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 TILT, TURN = 12 * DEG, 90 * DEG
@@ -112,7 +113,7 @@ class _Robot:
         from rosgraph_msgs.msg import Clock
         from sensor_msgs.msg import Imu
 
-        from imu_calib.nodes import qos
+        from imu_calib.stand.nodes import qos
 
         self._rclpy, self._clock_type = rclpy, Clock
         self.node = Node('driver')
@@ -157,8 +158,8 @@ class _Robot:
 
     def send(self, samples, k, epoch):
         """Publish a sample."""
-        from imu_calib.cdr import encode_imu
-        from imu_calib.stream import ImuBlock
+        from imu_calib.common.stream import ImuBlock
+        from imu_calib.recordings.cdr_codec import encode_imu
 
         one = slice(k, k + 1)
         block = ImuBlock(

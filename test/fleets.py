@@ -16,8 +16,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from imu_calib.common.units import ARCMIN, DEG_H, MICRO_G, PPM
 from imu_calib.fleet.catalogue import schema
-from imu_calib.histories.results import (
+from imu_calib.fleet.page_contents import Fleet, Recordings
+from imu_calib.fleet.results import (
     Cause,
     Chart,
     ChartLimits,
@@ -35,10 +37,9 @@ from imu_calib.histories.results import (
     Trend,
     UnitHistory,
 )
-from imu_calib.model import PARAMETER_NAMES, PARAMETERS, ParameterKind
-from imu_calib.reports.fleet.contents import Fleet, Recordings
-from imu_calib.specification import Verdict, judge
-from imu_calib.units import ARCMIN, DEG_H, MICRO_G, PPM
+from imu_calib.model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from imu_calib.model.parameters import ParameterKind
+from imu_calib.session.specification import Verdict, judge
 
 TODAY = np.datetime64('2026-11-22', 's')
 LATELY = TODAY - np.timedelta64(1, 'h')

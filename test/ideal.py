@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imu_calib.earth import Site
-from imu_calib.observation.evidence import Evidence
-from imu_calib.plan import Plan
+from imu_calib.common.stream import Floats
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.model.earth import Site
 from imu_calib.segmentation.clock import fit_clock
-from imu_calib.segmentation.segment import Segment, Statistics, Turn
-from imu_calib.stream import Floats
+from imu_calib.segmentation.segments import Segment, Statistics, Turn
+from imu_calib.session.plan import Plan
 
 
 def mean_of(outputs: Floats, duration: float = 100.0) -> Statistics:

@@ -13,17 +13,17 @@ import numpy as np
 import yaml
 from loopback import patience, until
 
-from imu_calib import calibrate
-from imu_calib import middleware as ros
-from imu_calib.bags import open_recording
-from imu_calib.calibration import Calibration
+from imu_calib.api.calibrating import calibrate
+from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import dispatch, stand_session
 from imu_calib.cli.embedded import Embedded
 from imu_calib.cli.processes import Processes, private_network
-from imu_calib.middleware import messages
-from imu_calib.model import PARAMETER_NAMES
-from imu_calib.nodes import qos
-from imu_calib.share import named_file
+from imu_calib.common.share import named_file
+from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.stand import middleware as ros
+from imu_calib.stand.middleware import messages
+from imu_calib.stand.nodes import qos
 
 HERE = Path(__file__).resolve().parent
 NODES = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import processes
 
-from imu_calib.network import LOOPBACK, on_interface, own_domain
+from imu_calib.stand.network import LOOPBACK, on_interface, own_domain
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 _state = tempfile.TemporaryDirectory(prefix='imu_calib_test_state_', ignore_cleanup_errors=True)

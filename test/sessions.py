@@ -14,19 +14,22 @@ from typing import Any
 
 from loopback import until
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Result, Setup
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.engine import single_threaded
-from imu_calib.imu import ImuSpec, load_imu
-from imu_calib.observation.evidence import Evidence
-from imu_calib.plan import Plan, Position, RateTest, load_plan
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.common.engine import single_threaded
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Block, JointBlock, SetpointBlock
+from imu_calib.common.units import DEG
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.segmentation.labelling import label
-from imu_calib.share import named_file
-from imu_calib.simulation import StandOptions, simulate
-from imu_calib.stream import Block, JointBlock, SetpointBlock
-from imu_calib.turntable import Table, load_table
-from imu_calib.units import DEG
+from imu_calib.session.imu import ImuSpec, load_imu
+from imu_calib.session.plan import Plan, Position, RateTest, load_plan
+from imu_calib.session.table import Table, load_table
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.stand import simulate
 
 LATITUDE = 34.65 * DEG
 SITE = Site.at(LATITUDE, gravity=normal_gravity(LATITUDE), latitude_std=0.0)
@@ -86,9 +89,9 @@ class Alone:
 
     def __init__(self, setup: Setup, folder: Path, said: dict[str, str], topics: Any) -> None:
         # Imported here: most tests need no live session.
-        from imu_calib.bags import Journal
-        from imu_calib.nodes.session_parameters import StatedUnit
-        from imu_calib.nodes.sessions import Sessions
+        from imu_calib.recordings.journal import Journal
+        from imu_calib.stand.nodes.parameters import StatedUnit
+        from imu_calib.stand.nodes.sessions import Sessions
 
         journal = Journal(folder, said, {topic: kind for kind, topic in topics.items()})
         self.sessions = Sessions([StatedUnit(setup, '', '')], [topics], journal, {})

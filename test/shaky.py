@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from imu_calib.model import SensorModel
-from imu_calib.stream import ImuBlock
+from imu_calib.common.stream import ImuBlock
+from imu_calib.model.sensors import SensorModel
 
 GRAVITY = 9.797
 LATITUDE = np.radians(49.6)

@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from imu_calib.alignment import GROUPS, free_of_frame
-from imu_calib.model import PARAMETERS, SensorModel, Triad
-from imu_calib.units import ARCSEC
+from imu_calib.common.units import ARCSEC
+from imu_calib.model.alignment import GROUPS, free_of_frame
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.sensors import SensorModel, Triad
 
 Rows = list[list[float]]
 IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]

@@ -11,7 +11,10 @@ import pytest
 from scipy.optimize import nnls
 from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand
 
-from imu_calib.allan import (
+from imu_calib.common.stream import Floats, Units
+from imu_calib.estimation.output_noise import known_noise
+from imu_calib.reports.noise import noise_lines
+from imu_calib.segmentation.allan import (
     Term,
     allan_sums,
     cluster_sizes,
@@ -21,14 +24,11 @@ from imu_calib.allan import (
     spread,
     unit_variances,
 )
-from imu_calib.channel_noise import ChannelNoise
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.noise import _non_negative, session_noise
-from imu_calib.observation.known_noise import known_noise
-from imu_calib.reports.noise import noise_lines
-from imu_calib.segmentation.segment import Statistics
+from imu_calib.segmentation.noise import _non_negative, session_noise
+from imu_calib.segmentation.segments import Statistics
 from imu_calib.segmentation.statistics import statistics_at_rest, to_samples
-from imu_calib.stream import Floats, Units
+from imu_calib.session.channel_noise import ChannelNoise
+from imu_calib.session.imu import ImuSpec, TriadSpec
 
 PERIOD = 0.01
 

@@ -17,19 +17,21 @@ import pytest
 from loopback import CHECKOUT
 
 import imu_calib
-from imu_calib import Calibration, InputError, NotObservable, Verdict
 from imu_calib.api import repeating
 from imu_calib.api.named import as_applied
-from imu_calib.bags import open_recording
-from imu_calib.changes import Changes
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.verify import Verdict
 from imu_calib.cli.main import main
-from imu_calib.imu import load_imu
-from imu_calib.model import PARAMETERS
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.units import DEG_H, MICRO_G, PPM
+from imu_calib.model.changes import Changes
+from imu_calib.model.model_parameters import PARAMETERS
 from imu_calib.model.session_terms import split_terms
-from imu_calib.plan import load_plan
-from imu_calib.repetition import Outcome, Study
-from imu_calib.reports.side_by_side import in_scale_of
-from imu_calib.units import DEG_H, MICRO_G, PPM
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.reports.tables import in_scale_of
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import load_plan
+from imu_calib.simulation.repetition import Outcome, Study
 
 SITE = ('--latitude', '34.65')
 
@@ -179,7 +181,7 @@ def test_parameters_are_a_data_frame_and_a_picture(result: imu_calib.Result) -> 
 def test_what_is_not_installed_is_asked_for(
     folder: Path, result: imu_calib.Result, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr('imu_calib.extras.find_spec', lambda _: None)
+    monkeypatch.setattr('imu_calib.common.extras.find_spec', lambda _: None)
     with pytest.raises(InputError, match=r"needs pandas.*pip install 'imu_calib\[dataframe\]'"):
         result.calibration.to_dataframe()
     with pytest.raises(InputError, match=r"needs matplotlib.*pip install 'imu_calib\[plot\]'"):

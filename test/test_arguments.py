@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import imu_calib
-from imu_calib import ImuCalibError, InputError
-from imu_calib.arguments import checked
+from imu_calib.common.arguments import checked
+from imu_calib.common.errors import ImuCalibError, InputError
 
 OTHERS: dict[str, object] = {'minutes': 30.0, 'wanted': {}}
 METHODS = ('Calibration.load', 'Calibration.save', 'Calibration.from_yaml')

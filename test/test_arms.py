@@ -12,13 +12,13 @@ from scipy.stats import chi2
 from sessions import SITE
 from test_other_world import NAVIGATION, segmented, true_vector
 
-from imu_calib.budget import Source
+from imu_calib.common.budget import Source
+from imu_calib.common.units import DEG
+from imu_calib.estimation.arms import Arms
+from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.estimate import estimate
-from imu_calib.observation.arms import Arms
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.session_model import Nuisance
-from imu_calib.units import DEG
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.session_model import Nuisance
 
 ARM = (0.10, -0.05, 0.08)
 PLACES = ((0.02, -0.01, 0.005), (-0.015, 0.02, 0.01), (0.01, 0.015, -0.02))

@@ -11,14 +11,14 @@ from scipy.stats import chi2
 from sessions import at_one_rate, quick_plan, stand, truth
 from test_joint import simulated
 
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import ARCSEC
+from imu_calib.estimation import joint
 from imu_calib.estimation.estimate import Estimate, estimate
-from imu_calib.imu import load_imu
-from imu_calib.methods import joint
-from imu_calib.observation.positioning_errors import of_joints, of_stops
-from imu_calib.segmentation.segment import Segment, Statistics, Turn
-from imu_calib.stream import Floats
-from imu_calib.turntable import load_table
-from imu_calib.units import ARCSEC
+from imu_calib.estimation.outputs import of_joints, of_stops
+from imu_calib.segmentation.segments import Segment, Statistics, Turn
+from imu_calib.session.imu import load_imu
+from imu_calib.session.table import load_table
 
 TABLE = load_table('three_axis')
 SMALL = 1e-6

@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 from test_information import evidence_of
 
-from imu_calib.budget import Source, total
-from imu_calib.errors import NotObservable
-from imu_calib.estimation import several as module
-from imu_calib.estimation.estimate import Estimate
-from imu_calib.estimation.excess_scatter import ExcessScatter
-from imu_calib.estimation.fit import fit
-from imu_calib.estimation.several import (
+from imu_calib.common.budget import Source, total
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.units import ARCSEC
+from imu_calib.estimation import common_unknowns as module
+from imu_calib.estimation.common_unknowns import (
     Contradicting,
     SharedEstimate,
     TableEstimate,
@@ -26,14 +24,16 @@ from imu_calib.estimation.several import (
     own_components,
     own_covariance,
 )
-from imu_calib.observation.common_errors import CommonSizes, CommonTable
-from imu_calib.observation.components import Component, Diagonal
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.information import Information
-from imu_calib.observation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
-from imu_calib.table_errors import TableErrors
-from imu_calib.turntable import load_table
-from imu_calib.units import ARCSEC
+from imu_calib.estimation.components import Component, Diagonal
+from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.estimate import Estimate
+from imu_calib.estimation.excess_scatter import ExcessScatter
+from imu_calib.estimation.fit import fit
+from imu_calib.estimation.information import Information
+from imu_calib.estimation.outputs import NO_POSITIONING_ERRORS, PositioningErrors
+from imu_calib.estimation.table_effects import CommonSizes, CommonTable
+from imu_calib.session.table import load_table
+from imu_calib.session.table_errors import TableErrors
 
 SECOND = 10**9
 TABLE = replace(

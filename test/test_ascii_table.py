@@ -20,21 +20,26 @@ from loopback import environment, patience, start, until
 from test_turntable_node import PLAN
 from test_turntable_node import TABLE as NIMBLE
 
-from imu_calib.cdr import Messages, decode_joints, encode_setpoints
-from imu_calib.errors import ImuCalibError, InputError
-from imu_calib.nodes import qos
+from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.common.stream import Mode, Setpoint, SetpointBlock
+from imu_calib.recordings.cdr_codec import encode_setpoints
+from imu_calib.recordings.decode import decode_joints
+from imu_calib.recordings.messages import Messages
+from imu_calib.session.table import load_table
 from imu_calib.simulation.tracks import Track, trapezoid
-from imu_calib.stream import Mode, Setpoint, SetpointBlock
-from imu_calib.tables import Follower, Line, Move, Reading, Stop, control
-from imu_calib.turntable import load_table
+from imu_calib.stand.ascii import Move, Reading, Stop
+from imu_calib.stand.nodes import ascii_table_node as control
+from imu_calib.stand.nodes import qos
+from imu_calib.stand.table_driver import Follower
+from imu_calib.stand.table_line import Line
 
 # ROS reads this when it loads its messages.
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
-    from imu_calib import middleware as ros
-    from imu_calib.nodes import commands
-    from imu_calib.nodes.ascii_table_node import AsciiTableNode
-    from imu_calib.nodes.turntable_node import TurntableNode
+    from imu_calib.stand import middleware as ros
+    from imu_calib.stand.nodes import commands
+    from imu_calib.stand.nodes.nodes_ascii_table_node import AsciiTableNode
+    from imu_calib.stand.nodes.turntable_node import TurntableNode
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -416,7 +421,7 @@ def test_a_subscriber_that_holds_the_publisher_up_does_not_hold_the_stop_up(benc
     def held_up(*_):
         stopped.append(until(lambda: bench.stops() > before))
 
-    monkeypatch.setattr('imu_calib.nodes.ascii_table_node.publish_all', held_up)
+    monkeypatch.setattr('imu_calib.stand.nodes.nodes_ascii_table_node.publish_all', held_up)
     assert bench.until(lambda: stopped)
     assert stopped[0]
 
@@ -529,8 +534,8 @@ def test_a_heartbeat_that_says_stop_once_is_a_stop(bench):
 
 UNHEARD = """
 import select, sys
-from imu_calib import middleware as ros
-from imu_calib.nodes.ascii_table_node import AsciiTableNode
+from imu_calib.stand import middleware as ros
+from imu_calib.stand.nodes.nodes_ascii_table_node import AsciiTableNode
 class Cut(AsciiTableNode):
     def __init__(self):
         super().__init__()
@@ -658,7 +663,9 @@ def test_a_node_that_hangs_moves_nothing_when_it_goes_on(monkeypatch, request, s
         monkeypatch.setenv(name, value)
     controller = Controller()
     words = ['--ros-args', '-p', f'port:={controller.url}', '-p', 'reply_timeout:=0.4']
-    node = processes.start([sys.executable, '-m', 'imu_calib.nodes.ascii_table_node', *words])
+    node = processes.start(
+        [sys.executable, '-m', 'imu_calib.stand.nodes.nodes_ascii_table_node', *words]
+    )
     ros.init(args=[])
     request.addfinalizer(ros.try_shutdown)
     leader, executor = Leader(), ros.SingleThreadedExecutor()
@@ -730,7 +737,7 @@ def test_turntable_node_leads_a_plan_with_turns_through_lines_of_text(monkeypatc
     # The servo goes by the clock, whose replies a busy machine lets lie. How well rates are held is
     # tested in test_watch and test_sequencer, without delays, and silence above.
     for bound in ('_RATE_TOLERANCE', '_RATE_ASTRAY'):
-        monkeypatch.setattr(f'imu_calib.sequencing.watch.{bound}', 10.0)
+        monkeypatch.setattr(f'imu_calib.stand.table_watch.{bound}', 10.0)
     controller = Servo()
     given = {
         'port': controller.url,

@@ -23,18 +23,12 @@ import pytest
 from extent import again
 from sessions import SITE, paper_imu, stand, truth
 
-from imu_calib.api.simulating import serialised
-from imu_calib.bags import RecordingWriter
-from imu_calib.calibration import Calibration
-from imu_calib.cdr import Kind, Messages
+from imu_calib.api.simulate import serialised
+from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main
-from imu_calib.config import Section
-from imu_calib.imu import ImuSpec
-from imu_calib.plan import Plan, read_plan
-from imu_calib.share import named_file
-from imu_calib.simulation import SimulatedStand
-from imu_calib.simulation.options import Shock
-from imu_calib.stream import (
+from imu_calib.common.config import Section
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import (
     Block,
     Floats,
     ImuBlock,
@@ -44,8 +38,15 @@ from imu_calib.stream import (
     Stamps,
     TemperatureBlock,
 )
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG
+from imu_calib.common.units import DEG
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.session.imu import ImuSpec
+from imu_calib.session.plan import Plan, read_plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.options import Shock
+from imu_calib.simulation.stand import SimulatedStand
 
 NS = 1_000_000_000
 IMU, JOINTS, SETPOINTS = '/imu/pulses', '/turntable/joint_states', '/turntable/setpoint'
@@ -65,11 +66,11 @@ PLAN_TEXT = (
 )
 WITH_SLOW_TURNS = PLAN_TEXT.replace('[60 deg/s', '[30 deg/s, -30 deg/s, 60 deg/s')
 DATA = {
-    'imu_calib.plan': PLAN_TEXT,
-    'imu_calib.imu': text_of('imus', 'fog_medium'),
+    'imu_calib.session.plan': PLAN_TEXT,
+    'imu_calib.session.imu': text_of('imus', 'fog_medium'),
     'imu_calib.table': text_of('tables', 'three_axis'),
     'imu_calib.latitude_deg': '34.65',
-    'imu_calib.gravity': repr(SITE.gravity),
+    'imu_calib.calibration.gravity': repr(SITE.gravity),
     'imu_calib.gravity_source': 'measured',
 }
 
@@ -610,7 +611,7 @@ def test_an_imu_in_whose_units_all_turns_are_beyond_the_range(cli: CommandLine) 
         good().columns,
         data={
             **DATA,
-            'imu_calib.imu': 'id: other\nunits: si\n'
+            'imu_calib.session.imu': 'id: other\nunits: si\n'
             'sample_rate: 100 Hz\ngyro: {range: 2000 deg/s}\naccelerometer: {range: 10 g}\n',
         },
     )
@@ -619,8 +620,8 @@ def test_an_imu_in_whose_units_all_turns_are_beyond_the_range(cli: CommandLine) 
 def test_turns_beyond_the_range(cli: CommandLine) -> None:
     narrow = replace(paper_imu(), gyro=replace(paper_imu().gyro, range=50 * DEG))
     columns = run_stand(slow_too(), narrow).columns
-    stated = DATA['imu_calib.imu'].replace('range: 300 deg/s', 'range: 50 deg/s')
-    data = {**DATA, 'imu_calib.imu': stated, 'imu_calib.plan': WITH_SLOW_TURNS}
+    stated = DATA['imu_calib.session.imu'].replace('range: 300 deg/s', 'range: 50 deg/s')
+    data = {**DATA, 'imu_calib.session.imu': stated, 'imu_calib.session.plan': WITH_SLOW_TURNS}
     sentence = 'Position 1, 5, 9: a turn is left out, the sensor is saturated during it'
     cli.uses_the_rest(sentence, columns, data=data)
     # A range that nobody stated shows in what the gyros make of the Earth.
@@ -839,13 +840,15 @@ def test_a_result_that_every_reader_would_refuse(
     cli: CommandLine, recorded: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Accelerometers that saturate below their stated range gave a file that `report` refused.
-    monkeypatch.setattr('imu_calib.plausibility._SCALE', (0.99, 1.01))
+    monkeypatch.setattr('imu_calib.session.plausibility._SCALE', (0.99, 1.01))
     sentence = 'The result is not that of a strapdown IMU: accelerometer X answers 0.909.* times'
     cli.refuses(1, sentence, recorded)
 
 
 def test_a_scale_factor_of_another_imu(cli: CommandLine, recorded: Path, tmp_path: Path) -> None:
-    (tmp_path / 'imu.yaml').write_text(DATA['imu_calib.imu'].replace('7.8 arcsec', '5.2 arcsec'))
+    (tmp_path / 'imu.yaml').write_text(
+        DATA['imu_calib.session.imu'].replace('7.8 arcsec', '5.2 arcsec')
+    )
     code, text = cli.calibrate(recorded, '--imu', tmp_path / 'imu.yaml')
     assert code == 0
     assert 'The gyros answer 0.667 times what the scale factor' in text
@@ -935,8 +938,14 @@ def test_a_table_with_other_names(cli: CommandLine, recorded: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     ('key', 'sentence'),
     [
-        ('imu_calib.plan', r'does not say which plan was run: give --plan \(.*six_position'),
-        ('imu_calib.imu', r"does not say what the IMU's numbers mean: give --imu \(.*fog_medium"),
+        (
+            'imu_calib.session.plan',
+            r'does not say which plan was run: give --plan \(.*six_position',
+        ),
+        (
+            'imu_calib.session.imu',
+            r"does not say what the IMU's numbers mean: give --imu \(.*fog_medium",
+        ),
         ('imu_calib.latitude_deg', 'does not say where it was taken: give --latitude'),
     ],
 )
@@ -949,7 +958,7 @@ def test_a_recording_that_does_not_say(cli: CommandLine, key: str, sentence: str
 # Shocks.
 
 SHOCK = Shock(0.0, (1.0, 0.0, 0.0), 0.05 * DEG)
-SHOCKED = {**DATA, 'imu_calib.plan': WITH_SLOW_TURNS}
+SHOCKED = {**DATA, 'imu_calib.session.plan': WITH_SLOW_TURNS}
 
 
 def shocked(position: str, after: float, axis: tuple[float, float, float]) -> Columns:

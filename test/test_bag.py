@@ -13,20 +13,21 @@ from extent import again
 from hand_sessions import spread_holds
 
 import imu_calib
-from imu_calib.api.simulating import serialised
-from imu_calib.bags import RecordingWriter, open_recording
-from imu_calib.calibration import Calibration
-from imu_calib.cdr import Kind
+from imu_calib.api.simulate import serialised
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.verify import Verdict
 from imu_calib.cli.main import main
-from imu_calib.config import Section
-from imu_calib.earth import Site
-from imu_calib.errors import InputError, NotObservable
-from imu_calib.imu import read_imu
-from imu_calib.methods.free_positions import FREE, in_frame_of_accelerometers
-from imu_calib.share import named_file
-from imu_calib.stream import Floats, ImuBlock
-from imu_calib.units import DEG, STANDARD_GRAVITY
-from imu_calib.verification import Verdict
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats, ImuBlock
+from imu_calib.common.units import DEG, STANDARD_GRAVITY
+from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers
+from imu_calib.model.earth import Site
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.session.imu import read_imu
 
 TRUTH = Calibration.load(named_file('truths', 'mems_counts'))
 LATITUDE, HEIGHT = 48.1, 520.0

@@ -40,21 +40,17 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin, Writer
 
-from imu_calib.bags import (
-    RecordingError,
-    RecordingWriter,
-    Topic,
-    codec,
-    mcap,
-    mcap_chunk,
-    open_recording,
-)
-from imu_calib.bags.merge import SPAN_NS
-from imu_calib.bags.storage import Cache
-from imu_calib.cdr import Messages, encode_imu, part
 from imu_calib.cli.main import main
-from imu_calib.errors import InputError
-from imu_calib.stream import ImuBlock
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import ImuBlock
+from imu_calib.recordings import codec, mcap, mcap_chunk
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.decode import part
+from imu_calib.recordings.merge import SPAN_NS
+from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.storage import Cache, RecordingError, Topic
+from imu_calib.recordings.writer import RecordingWriter
 
 SESSION = session()
 ROWS = timeline(SESSION)

@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 from ideal import mean_of
 
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.segmentation.bridging import Bridged
+from imu_calib.common.stream import Floats, Units
 from imu_calib.segmentation.clock import NO_CLOCK, ClockFit, MeasuredShare
+from imu_calib.segmentation.gaps import Bridged
 from imu_calib.segmentation.intake import StreamBuffer
 from imu_calib.segmentation.interruptions import interruption
-from imu_calib.segmentation.motion import Motion
 from imu_calib.segmentation.reading import IntervalReader, SeenMotion
 from imu_calib.segmentation.repeated_samples import Repetition
-from imu_calib.segmentation.segment import Segment
-from imu_calib.segmentation.segmented import MountShift
 from imu_calib.segmentation.segmenter import Segmenter, clock_jumps
+from imu_calib.segmentation.segments import Segment
 from imu_calib.segmentation.sensor import Sensor
 from imu_calib.segmentation.spoiled import reject_hidden
 from imu_calib.segmentation.statistics import Samples
-from imu_calib.stream import Floats, Units
-from imu_calib.turntable import Joint, Table
+from imu_calib.segmentation.stream_facts import MountShift
+from imu_calib.segmentation.table_motion import Motion
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.table import Joint, Table
 
 START = 1_700_000_000 * 10**9  # 2023-11-14 22:13:20
 NS = 10**9

@@ -6,10 +6,10 @@ from bound import bound
 from bound_of_stands import Stand, bound_of, slope_by_steps
 from sessions import SITE, paper_imu, quick_plan, truth
 
-from imu_calib.model import PARAMETER_NAMES
-from imu_calib.stream import Floats
-from imu_calib.turntable import load_table
-from imu_calib.units import ARCSEC, DEG
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import ARCSEC, DEG
+from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.session.table import load_table
 
 SPEC, PLAN, TABLE = paper_imu(), quick_plan('twelve_position', 40.0), load_table('three_axis')
 DRIFTING = 1e-6

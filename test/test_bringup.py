@@ -10,7 +10,7 @@ from ros_stands import LAUNCHABLE, Network, nothing_left
 from sessions import truth
 from test_interop import has_wheel
 
-from imu_calib.errors import ImuCalibError
+from imu_calib.common.errors import ImuCalibError
 
 pytestmark = [
     needs('rclpy', 'rmw_cyclonedds_cpp', verbs=['launch', 'topic']),
@@ -150,10 +150,10 @@ _TYPED = ('/robot/imu/data_raw', 'sensor_msgs/msg/Imu')
 _SOURCE = """
 import time
 import numpy as np
-from imu_calib import middleware as ros
-from imu_calib.cdr import encode_imu
-from imu_calib.nodes import qos
-from imu_calib.stream import ImuBlock
+from imu_calib.stand import middleware as ros
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.stand.nodes import qos
+from imu_calib.common.stream import ImuBlock
 
 
 class Driver(ros.Node):

@@ -19,28 +19,29 @@ from sessions import LATITUDE, at_one_rate, calibrate, quick_plan, session, stan
 from test_free_positions import result as by_hand
 from test_information import ACCEL_WALK, CLOCK, GYRO_WALK, SECOND, SITE, evidence_of
 
-from imu_calib.budget import Budget, BudgetLine, Share, Source, effective_freedom, total
-from imu_calib.calibration import Calibration
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.thermal import read_calibration
 from imu_calib.cli.main import main
-from imu_calib.compensation.thermal import read_calibration
-from imu_calib.config import Section
-from imu_calib.earth import Site
-from imu_calib.errors import InputError
+from imu_calib.common.budget import Budget, BudgetLine, Share, Source, effective_freedom, total
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats, Units
+from imu_calib.common.units import ARCSEC, DEG, DEG_H, MICRO_G, PPM
+from imu_calib.estimation.equations import GIVEN_AZIMUTH
 from imu_calib.estimation.estimate import estimate
-from imu_calib.metadata import describe, described_site
-from imu_calib.methods import method
-from imu_calib.methods.solution import Solution
-from imu_calib.model import PARAMETERS, SensorModel
-from imu_calib.observation.equations import GIVEN_AZIMUTH
-from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.session_model import Nuisance
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.methods import method
+from imu_calib.estimation.session_model import Nuisance
+from imu_calib.estimation.solution import Solution
+from imu_calib.model.earth import Site
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.sensors import SensorModel
 from imu_calib.reports.budget import _share_tables, budget_section, budget_tables
-from imu_calib.share import named_file
-from imu_calib.stream import Floats, Units
-from imu_calib.table_clock import clock_share
-from imu_calib.table_errors import LEVELLED
-from imu_calib.turntable import load_table
-from imu_calib.units import ARCSEC, DEG, DEG_H, MICRO_G, PPM
+from imu_calib.session.metadata import describe, described_site
+from imu_calib.session.table import load_table
+from imu_calib.session.table_clock import clock_share
+from imu_calib.session.table_errors import LEVELLED
 
 NAMES = [p.name for p in PARAMETERS]
 POSITIONING, TABLE_CLOCK = 2 * ARCSEC, 5 * PPM

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from test_compensation import known
 
-from imu_calib.calibration import Calibration
-from imu_calib.changes import Changes
-from imu_calib.compensation.thermal import (
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.thermal import (
     ThermalCalibration,
     by_temperature,
     check_identity,
@@ -22,12 +21,13 @@ from imu_calib.compensation.thermal import (
     load_calibration,
     temperature_range,
 )
-from imu_calib.errors import InputError
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.model import SensorModel, Triad
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import Units
+from imu_calib.model.changes import Changes
+from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.session_terms import Course, change
-from imu_calib.stamping import StampingClock
-from imu_calib.stream import Units
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.stamping import StampingClock
 
 UNIT = ImuSpec('brick', Units.COUNTS, None, TriadSpec(1e-3), TriadSpec(1e-2))
 BIAS = 9

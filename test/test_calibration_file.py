@@ -6,11 +6,11 @@ import pytest
 import yaml
 from sessions import truth
 
-from imu_calib.calibration import Calibration, ResidualRow
-from imu_calib.errors import InputError
-from imu_calib.model import SensorModel
+from imu_calib.calibration.calibration import Calibration, ResidualRow
+from imu_calib.common.errors import InputError
+from imu_calib.common.units import ARCMIN
+from imu_calib.model.sensors import SensorModel
 from imu_calib.reports.parameter_table import angle_table, parameter_table
-from imu_calib.units import ARCMIN
 
 DOCS = Path(__file__).parents[1] / 'docs'
 

@@ -28,17 +28,18 @@ from sessions import (
     truth,
 )
 
-from imu_calib.calibrator import Result, Setup
-from imu_calib.config import Section
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.methods import twelve_position
-from imu_calib.observation.known_noise import known_noise
-from imu_calib.plan import Plan, load_plan
-from imu_calib.repetition import economical
-from imu_calib.segmentation.segment import Segment, Statistics
-from imu_calib.stream import Block, Floats, ImuBlock, JointBlock, Mode, SetpointBlock
-from imu_calib.turntable import load_table, read_table
-from imu_calib.units import ARCMIN, DEG, DEG_H, MICRO_G, PPM
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.common.config import Section
+from imu_calib.common.stream import Block, Floats, ImuBlock, JointBlock, Mode, SetpointBlock
+from imu_calib.common.units import ARCMIN, DEG, DEG_H, MICRO_G, PPM
+from imu_calib.estimation.closed_forms import twelve_position
+from imu_calib.estimation.output_noise import known_noise
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.segmentation.segments import Segment, Statistics
+from imu_calib.session.plan import Plan, load_plan
+from imu_calib.session.table import load_table, read_table
+from imu_calib.simulation.repetition import economical
 
 GYRO_BIAS = slice(9, 12)
 LIMITS = np.concatenate(

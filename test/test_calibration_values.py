@@ -18,11 +18,11 @@ from loopback import CHECKOUT
 from sessions import truth
 
 import imu_calib
-from imu_calib.budget import Budget, BudgetLine, Source
-from imu_calib.calibration import Calibration
-from imu_calib.errors import InputError
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.budget import Budget, BudgetLine, Source
+from imu_calib.common.errors import InputError
+from imu_calib.common.yaml_text import dump, load
 from imu_calib.reports.page import Contents, page
-from imu_calib.yaml_text import dump, load
 
 FIELDS = CHECKOUT / 'config' / 'certificates' / 'example.yaml'
 GONE = object()

@@ -10,29 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from imu_calib.bags import definition
-from imu_calib.cdr import (
-    PULSES,
-    RATES,
-    CdrError,
-    ImuDecoder,
-    Kind,
-    Malformed,
-    Messages,
-    decode,
-    decode_imu,
-    decode_joints,
-    decode_setpoints,
-    decode_temperatures,
-    encode_imu,
-    encode_joints,
-    encode_rates,
-    encode_setpoints,
-    encode_temperatures,
-    part,
-    rates_payloads,
-)
-from imu_calib.stream import (
+from imu_calib.common.stream import (
     ImuBlock,
     JointBlock,
     Mode,
@@ -40,6 +18,28 @@ from imu_calib.stream import (
     SetpointBlock,
     TemperatureBlock,
 )
+from imu_calib.recordings import decode
+from imu_calib.recordings.cdr_codec import (
+    PULSES,
+    RATES,
+    encode_imu,
+    encode_joints,
+    encode_rates,
+    encode_setpoints,
+    encode_temperatures,
+    rates_payloads,
+)
+from imu_calib.recordings.decode import (
+    ImuDecoder,
+    decode_imu,
+    decode_joints,
+    decode_setpoints,
+    decode_temperatures,
+    part,
+)
+from imu_calib.recordings.definitions import definition
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.messages import CdrError, Malformed, Messages
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STORE.register(get_types_from_msg(definition(Kind.SETPOINTS.type_name), Kind.SETPOINTS.type_name))

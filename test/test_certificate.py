@@ -24,21 +24,23 @@ from sessions import at_one_rate, calibrate, quick_plan, session, stand
 
 import imu_calib
 from imu_calib.api.certifying import certificate
-from imu_calib.budget import Budget
-from imu_calib.calibration import Calibration
-from imu_calib.certificates import printing
-from imu_calib.certificates.dcc import DCC, SI, dcc
-from imu_calib.certificates.decision import Conformity, Rule, decide
-from imu_calib.certificates.dsi import digital
-from imu_calib.certificates.fields import read_fields
-from imu_calib.certificates.page import certificate_page
-from imu_calib.certificates.statement import Certificate, certificate_of
+from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main
-from imu_calib.config import Section
-from imu_calib.errors import InputError
-from imu_calib.imu import load_imu
-from imu_calib.model import PARAMETERS, TERMS
-from imu_calib.share import named_file
+from imu_calib.common.budget import Budget
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError
+from imu_calib.common.share import named_file
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.terms import TERMS
+from imu_calib.reports import printing
+from imu_calib.reports.certificate import Certificate, certificate_of
+from imu_calib.reports.certificate_fields import read_fields
+from imu_calib.reports.certificate_page import certificate_page
+from imu_calib.reports.certificates_dcc import dcc
+from imu_calib.reports.dcc_elements import DCC, SI
+from imu_calib.reports.decision import Conformity, Rule, decide
+from imu_calib.reports.dsi import digital
+from imu_calib.session.imu import load_imu
 
 EXAMPLE = CHECKOUT / 'config' / 'certificates' / 'example.yaml'
 SCHEMA = CHECKOUT / 'test' / 'data' / 'dcc' / 'dcc.xsd'

@@ -13,9 +13,11 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from test_information import evidence_of, statistics
 
-from imu_calib.errors import Contradiction, InputError
-from imu_calib.methods import joint_findings
-from imu_calib.methods.checks import (
+from imu_calib.common.errors import Contradiction, InputError
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import ARCSEC, DEG, DEG_H, MICRO_G
+from imu_calib.estimation import joint_findings
+from imu_calib.estimation.checks import (
     WrongLatitude,
     check_axes,
     check_latitude,
@@ -24,7 +26,7 @@ from imu_calib.methods.checks import (
     far_scales,
     turns_scatter_finding,
 )
-from imu_calib.methods.conclusion import (
+from imu_calib.estimation.conclusion import (
     LeastSquares,
     _azimuth_std,
     _fit,
@@ -33,17 +35,12 @@ from imu_calib.methods.conclusion import (
     _outlier_finding,
     _scatter,
 )
-from imu_calib.methods.cross_check import Comparison
-from imu_calib.methods.free_positions import (
-    ellipsoid,
-    in_frame_of_accelerometers,
-    scatter_words,
-)
-from imu_calib.methods.solution import Residual
-from imu_calib.model import PARAMETERS, SensorModel, Triad
-from imu_calib.observation.equations import Equations
-from imu_calib.stream import Floats
-from imu_calib.units import ARCSEC, DEG, DEG_H, MICRO_G
+from imu_calib.estimation.cross_check import Comparison
+from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.hand import ellipsoid, in_frame_of_accelerometers, scatter_words
+from imu_calib.estimation.solution import Residual
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.sensors import SensorModel, Triad
 
 RATE = 15.0410672 * DEG_H
 

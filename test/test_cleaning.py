@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imu_calib.segmentation.cleaning import (
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG
+from imu_calib.segmentation.dwells import (
     Sound,
     _largest_step,
     _robust_line,
     find_step,
     sound_samples,
 )
-from imu_calib.segmentation.segment import Statistics
+from imu_calib.segmentation.segments import Statistics
 from imu_calib.segmentation.statistics import Samples
-from imu_calib.stream import Floats
-from imu_calib.units import DEG
 
 PERIOD, LENGTH = 0.01, 50
 WALK = np.array([1e-3, 2e-3, 3e-3, 0.01, 0.02, 0.03])

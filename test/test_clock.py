@@ -4,16 +4,19 @@ import numpy as np
 import pytest
 from loopback import environment, patience, start, until
 
-from imu_calib.bags import Journal, open_recording
-from imu_calib.cdr import Kind, encode_imu
-from imu_calib.errors import ImuCalibError
-from imu_calib.sequencing import Phase
-from imu_calib.stream import ImuBlock
+from imu_calib.common.errors import ImuCalibError
+from imu_calib.common.stream import ImuBlock
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.journal import Journal
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.stand.rules import Phase
 
 try:
-    from imu_calib import middleware as ros
-    from imu_calib.nodes import qos, subscriptions
-    from imu_calib.nodes.calibrator_node import CalibratorNode
+    from imu_calib.stand import middleware as ros
+    from imu_calib.stand.nodes import qos
+    from imu_calib.stand.nodes import topics as subscriptions
+    from imu_calib.stand.nodes.calibrator_node import CalibratorNode
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -146,7 +149,7 @@ NODES = {
     'compensator_node': [],
     'imu_node': ['port:={}/frames'],
 }
-MAIN = 'import sys\nfrom imu_calib.nodes.programs import start\nsys.exit(start("{}"))'
+MAIN = 'import sys\nfrom imu_calib.stand.nodes.nodes_programs import start\nsys.exit(start("{}"))'
 
 
 @pytest.mark.parametrize('name', NODES)

@@ -7,7 +7,9 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from imu_calib.rotations import rotation
+from imu_calib.common.rotations import rotation
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG
 from imu_calib.segmentation.clock import (
     ClockSample,
     MeasuredShare,
@@ -17,8 +19,6 @@ from imu_calib.segmentation.clock import (
     measured_share,
 )
 from imu_calib.segmentation.statistics import Samples
-from imu_calib.stream import Floats
-from imu_calib.units import DEG
 
 START = 1_700_000_000_000_000_000
 

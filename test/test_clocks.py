@@ -13,19 +13,21 @@ from sessions import gathered, truth
 from test_information import evidence_of
 from test_other_world import NAVIGATION, errors, fed
 
-from imu_calib.calibration import Calibration
-from imu_calib.compensation.apply import Compensation
-from imu_calib.compensation.thermal import combine
-from imu_calib.errors import InputError
-from imu_calib.exports import EXPORTS, ExportSource
-from imu_calib.methods import method
-from imu_calib.observation.evidence import Evidence
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.compensate import Compensation
+from imu_calib.calibration.exported import ExportSource
+from imu_calib.calibration.exports_part import EXPORTS
+from imu_calib.calibration.thermal import combine
+from imu_calib.calibration.verify import Verdict, verify
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import Units
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.methods import method
+from imu_calib.estimation.observed import observe
 from imu_calib.segmentation.clock import ClockFit, ClockSample, fit_clock
-from imu_calib.segmentation.segment import Segment, Turn
 from imu_calib.segmentation.segmenter import clock_jumps
-from imu_calib.stamping import StampingClock
-from imu_calib.stream import Units
-from imu_calib.verification import Verdict, observe, verify
+from imu_calib.segmentation.segments import Segment, Turn
+from imu_calib.session.stamping import StampingClock
 
 PPM = 1e-6
 

@@ -9,12 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_information import SITE, evidence_of, statistics
 
-from imu_calib.methods import six_position, twelve_position
-from imu_calib.methods.gains import bias_names, response_names
-from imu_calib.model import SensorModel
-from imu_calib.observation.evidence import Evidence
-from imu_calib.plan import load_plan
-from imu_calib.units import DEG_H
+from imu_calib.common.units import DEG_H
+from imu_calib.estimation.closed_forms import six_position, twelve_position
+from imu_calib.estimation.closed_forms.linear import bias_names, response_names
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.model.sensors import SensorModel
+from imu_calib.session.plan import load_plan
 
 LEAN = 2e-3
 TRUE = SensorModel.from_vector(

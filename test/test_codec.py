@@ -7,8 +7,8 @@ import tracemalloc
 
 import pytest
 
-from imu_calib.bags import codec
-from imu_calib.errors import InputError
+from imu_calib.common.errors import InputError
+from imu_calib.recordings import codec
 
 CONTENT = b'0123456789' * 5000
 PACKAGES = [name for name in codec._ZSTD_MODULES if codec._optional(name) is not None]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imu_calib.observation.common_errors import (
+from imu_calib.estimation.table_effects import (
     _blocks,
     _count,
     _numbered_by_time,

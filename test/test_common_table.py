@@ -10,12 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_information import SITE, evidence_of
 
-from imu_calib.budget import Source
-from imu_calib.observation.common_errors import CommonSizes, CommonTable
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.positioning_errors import PositioningErrors
-from imu_calib.table_errors import TableErrors
-from imu_calib.turntable import load_table
+from imu_calib.common.budget import Source
+from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.outputs import PositioningErrors
+from imu_calib.estimation.table_effects import CommonSizes, CommonTable
+from imu_calib.session.table import load_table
+from imu_calib.session.table_errors import TableErrors
 
 MOUNT = Rotation.from_rotvec([0, 0, np.pi / 2]).as_matrix()
 ERRORS = TableErrors(1e-4, 2e-4, 3e-4, 4e-4)

@@ -9,18 +9,20 @@ import numpy as np
 import pytest
 from extent import again
 
-from imu_calib.agreement import agreement
-from imu_calib.api.comparing import compare
-from imu_calib.calibration import Calibration
+from imu_calib.api.compare import compare
+from imu_calib.calibration.agreement import agreement
+from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import terminal
 from imu_calib.cli.main import main
-from imu_calib.errors import InputError
-from imu_calib.imu import load_imu
-from imu_calib.model import G_SENSITIVITY, PARAMETERS, SensorModel, Skewed, Triad, parameters_of
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import Units
+from imu_calib.common.units import DEG_H, MICRO_G, STANDARD_GRAVITY
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.sensors import SensorModel, Skewed, Triad, parameters_of
+from imu_calib.model.terms import G_SENSITIVITY
 from imu_calib.reports.parameter_table import parameter_table
-from imu_calib.reports.side_by_side import comparison_table, in_scale_of, side_by_side
-from imu_calib.stream import Units
-from imu_calib.units import DEG_H, MICRO_G, STANDARD_GRAVITY
+from imu_calib.reports.tables import comparison_table, in_scale_of, side_by_side
+from imu_calib.session.imu import load_imu
 
 
 def unit(*, with_g: bool = True, skewed: bool = True) -> Calibration:

@@ -12,17 +12,20 @@ from sessions import truth
 from test_thermal import point
 
 import imu_calib
-from imu_calib.bags import RecordingWriter, open_recording
-from imu_calib.bags.metadata import dump, qos_profile
-from imu_calib.bags.storage import Described, Topic
-from imu_calib.calibration import Calibration
-from imu_calib.cdr import Kind, Messages, encode_imu, encode_rates
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.compensator import Compensator
+from imu_calib.calibration.thermal import combine
 from imu_calib.cli.main import main
-from imu_calib.compensation.compensator import Compensator
-from imu_calib.compensation.thermal import combine
-from imu_calib.metadata import SERIAL_NUMBER
-from imu_calib.share import named_file
-from imu_calib.stream import ImuBlock, Units
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import ImuBlock, Units
+from imu_calib.recordings.cdr_codec import encode_imu, encode_rates
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.metadata import dump, qos_profile
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.storage import Described, Topic
+from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.session.metadata import SERIAL_NUMBER
 
 SESSION = session(seconds=12, rate=200)
 ROWS = timeline(SESSION)
@@ -197,7 +200,7 @@ def test_what_does_not_fit_is_refused_in_a_sentence(
 
 def test_the_recordings_own_imu_is_held_against_the_calibration(tmp_path, calibration, capsys):
     text = 'id: another\nunits: si\n'
-    bag = write_with_rosbags(tmp_path / 'bag', ROWS[:500], custom={'imu_calib.imu': text})
+    bag = write_with_rosbags(tmp_path / 'bag', ROWS[:500], custom={'imu_calib.session.imu': text})
     assert main(['compensate', str(bag), '--calibration', calibration, '-o', 'out']) == 2
     assert 'imu: found fog_medium, expected another' in ' '.join(capsys.readouterr().err.split())
 

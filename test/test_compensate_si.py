@@ -8,16 +8,18 @@ from bag_files import STORE
 from rosbags.rosbag2 import Reader
 from shaky import shaky
 
-from imu_calib.api.compensating import compensate
-from imu_calib.bags import RecordingWriter, open_recording
-from imu_calib.calibration import Calibration
-from imu_calib.cdr import Kind, encode_imu
+from imu_calib.api.compensate import compensate
+from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main
-from imu_calib.errors import NotObservable
-from imu_calib.imu import load_imu
-from imu_calib.model import SensorModel, Triad
-from imu_calib.stream import ImuBlock
-from imu_calib.units import DEG
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import ImuBlock
+from imu_calib.common.units import DEG
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.session.imu import load_imu
 
 TOPIC = '/imu/data_raw'
 MODEL = SensorModel(Triad(np.diag([0.02, -0.01, 0.015]), np.array([0.01, -0.02, 0.005])))

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from sessions import paper_imu, truth
 
-from imu_calib.calibration import Calibration
-from imu_calib.compensation.apply import Compensation, noise_gains
-from imu_calib.compensation.samples import Mark, concatenated
-from imu_calib.errors import NotObservable
-from imu_calib.imu import ImuSpec, TriadSpec, load_imu
-from imu_calib.model import G_SENSITIVITY, SensorModel, Skewed, Triad, named_terms, parameters_of
-from imu_calib.stream import Units
-from imu_calib.units import DEG, MICRO_G
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.compensate import Compensation, noise_gains
+from imu_calib.calibration.samples import Mark, concatenated
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Units
+from imu_calib.common.units import DEG, MICRO_G
+from imu_calib.model.sensors import SensorModel, Skewed, Triad, parameters_of
+from imu_calib.model.terms import G_SENSITIVITY, named_terms
+from imu_calib.session.imu import ImuSpec, TriadSpec, load_imu
 
 TAU = 0.01
 PULSE = np.array([7.8 / 3600 * DEG, 0.01])

@@ -7,10 +7,10 @@ import pytest
 from sessions import truth
 from test_compensation import known, with_skew
 
-from imu_calib.compensation.compensator import Compensator
-from imu_calib.compensation.samples import Mark, concatenated
-from imu_calib.compensation.thermal import combine
-from imu_calib.stream import ImuBlock, SkewBlock, TemperatureBlock
+from imu_calib.calibration.compensator import Compensator
+from imu_calib.calibration.samples import Mark, concatenated
+from imu_calib.calibration.thermal import combine
+from imu_calib.common.stream import ImuBlock, SkewBlock, TemperatureBlock
 
 NS = 1_000_000_000
 COUNT = 3000

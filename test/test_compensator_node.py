@@ -12,23 +12,25 @@ from sessions import calibrate, quick_plan, session, truth
 from shaky import shaky
 from test_thermal import point
 
-from imu_calib.api.compensating import compensate
-from imu_calib.bags import RecordingWriter, open_recording
-from imu_calib.calibration import Calibration
-from imu_calib.cdr import Kind, encode_imu, encode_temperatures
+from imu_calib.api.compensate import compensate
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.thermal import combine
 from imu_calib.cli.main import main
-from imu_calib.compensation.thermal import combine
-from imu_calib.errors import ImuCalibError, InputError
-from imu_calib.imu import load_imu
-from imu_calib.model import SensorModel
-from imu_calib.stream import ImuBlock, TemperatureBlock
-from imu_calib.units import DEG
+from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.common.stream import ImuBlock, TemperatureBlock
+from imu_calib.common.units import DEG
+from imu_calib.model.sensors import SensorModel
+from imu_calib.recordings.cdr_codec import encode_imu, encode_temperatures
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.session.imu import load_imu
 
 try:
-    from imu_calib import middleware as ros
-    from imu_calib.nodes import qos
-    from imu_calib.nodes.compensator_node import CompensatorNode
-    from imu_calib.nodes.convert import (
+    from imu_calib.stand import middleware as ros
+    from imu_calib.stand.nodes import qos
+    from imu_calib.stand.nodes.compensator_node import CompensatorNode
+    from imu_calib.stand.nodes.convert import (
         calibration_message,
         calibration_of,
         final_status,
@@ -348,7 +350,7 @@ def test_a_combined_calibration_waits_for_the_temperature_and_says_where_it_ends
 
 @pytest.mark.parametrize('topic', ['imu/pulses', 'driver/raw'])
 def test_two_devices_on_one_topic_are_an_error_and_give_nothing(monkeypatch, file, topic):
-    monkeypatch.setattr('imu_calib.middleware.LEASE', 0.5)
+    monkeypatch.setattr('imu_calib.stand.middleware.LEASE', 0.5)
     with Bench(monkeypatch, topic=topic, calibration=file) as bench:
         second = bench.peer.create_publisher(M.Imu, topic, qos.stream())
         assert bench.until(lambda: bench.has_status('stream', f'Two publishers on /{topic}'))
@@ -429,7 +431,7 @@ def test_stamps_that_tell_no_interval_are_named(monkeypatch, file):
 
 def test_samples_without_gravity_are_named(monkeypatch, file):
     # Other units, or a driver that subtracts gravity: a message states neither.
-    monkeypatch.setattr('imu_calib.nodes.compensator_reports._GRAVITY', 2)
+    monkeypatch.setattr('imu_calib.stand.nodes.compensator_reports._GRAVITY', 2)
     with Bench(monkeypatch, calibration=file) as bench:
         pulses = 9.8 * 1e-3 / truth().imu.accel.scale_factor
         sent = 0
@@ -451,7 +453,7 @@ def test_samples_without_gravity_are_named(monkeypatch, file):
 
 
 def test_rates_in_degrees_are_named_in_the_words_of_compensate(monkeypatch, tmp_path):
-    monkeypatch.setattr('imu_calib.nodes.compensator_reports._TURNS', 2)
+    monkeypatch.setattr('imu_calib.stand.nodes.compensator_reports._TURNS', 2)
     turned = shaky(SensorModel(), rate=100, noise=(1e-3, 0.01), holds=12, seed=4).block
     # There and back, again and again, without a jump.
     turned = ImuBlock(

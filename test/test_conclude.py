@@ -11,17 +11,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_information import ACCEL_WALK, GYRO_WALK, SITE, evidence_of, statistics
 
-from imu_calib.budget import Share, Source
-from imu_calib.errors import Contradiction, InputError
-from imu_calib.methods import method
-from imu_calib.methods.conclusion import _Fit, _fit, _residuals, _Scatter, _tilt, conclude
-from imu_calib.methods.solution import Solution
-from imu_calib.model import SensorModel, Triad
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.evidence import Evidence
-from imu_calib.plan import load_plan
-from imu_calib.stream import Floats
-from imu_calib.units import ARCSEC, DEG, DEG_H
+from imu_calib.common.budget import Share, Source
+from imu_calib.common.errors import Contradiction, InputError
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import ARCSEC, DEG, DEG_H
+from imu_calib.estimation.conclusion import _Fit, _fit, _residuals, _Scatter, _tilt, conclude
+from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.methods import method
+from imu_calib.estimation.solution import Solution
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.session.plan import load_plan
 
 TRUE = SensorModel(
     Triad(np.array([[1e-3, 2e-4, 0], [-3e-4, -2e-3, 1e-4], [0, 5e-4, 1e-3]]), np.full(3, 2e-6)),

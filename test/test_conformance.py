@@ -21,49 +21,44 @@ from sessions import SITE, truth
 from test_exports import PROGRAM
 from test_information import CLOCK, SECOND, WALK, statistics
 
-from imu_calib.calibration import Calibration
-from imu_calib.changes import Changes
-from imu_calib.compensation.apply import Compensation
-from imu_calib.compensation.samples import Mark, concatenated
-from imu_calib.compensation.thermal import (
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.compensate import Compensation
+from imu_calib.calibration.exported import ExportSource
+from imu_calib.calibration.exports_part import EXPORTS
+from imu_calib.calibration.samples import Mark, concatenated
+from imu_calib.calibration.thermal import (
     ThermalCalibration,
     by_temperature,
     combine,
     load_calibration,
 )
-from imu_calib.errors import InputError, NotObservable
+from imu_calib.calibration.verify import Verdict, verify
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.rotations import rotation
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG
+from imu_calib.estimation import joint
+from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.estimate import estimate
+from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.fit import check_observable
-from imu_calib.exports import EXPORTS, ExportSource
-from imu_calib.gravity import gravity_slope
-from imu_calib.imu import load_imu
-from imu_calib.methods import joint
-from imu_calib.model import (
-    PARAMETERS,
-    PRODUCTS,
-    TERMS,
-    Parameter,
-    ParameterKind,
-    SensorModel,
-    Term,
-    parameters_of,
-)
+from imu_calib.estimation.free_dwells import Sensors
+from imu_calib.estimation.observed import Observed
+from imu_calib.model.changes import Changes
+from imu_calib.model.model_parameters import PARAMETERS, Parameter
+from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.sensors import PRODUCTS, SensorModel, gravity_slope, parameters_of
 from imu_calib.model.session_terms import Course, change
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.lengths import Sensors
-from imu_calib.plan import load_plan
-from imu_calib.plausibility import check_plausible
+from imu_calib.model.terms import TERMS, Term
 from imu_calib.reports.assessment import assess, tables
 from imu_calib.reports.parameter_table import parameter_table
-from imu_calib.reports.side_by_side import comparison_table, in_scale_of, side_by_side
-from imu_calib.rotations import rotation
-from imu_calib.segmentation.segment import Segment, Turn
+from imu_calib.reports.tables import comparison_table, in_scale_of, side_by_side
+from imu_calib.segmentation.segments import Segment, Turn
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import load_plan
+from imu_calib.session.plausibility import check_plausible
 from imu_calib.simulation.imu import SimulatedImu
 from imu_calib.simulation.options import ImuOptions
-from imu_calib.stream import Floats
-from imu_calib.units import DEG
-from imu_calib.verification import Observed, Verdict, verify
 
 REFERENCE = math.pi / 3
 """60 deg/s, at which the coefficients of gyros' terms are stated."""
@@ -348,8 +343,8 @@ def provenance() -> dict[str, object]:
 
 def conversion() -> tuple[Callable[[Calibration], Any], Callable[[Any], Calibration]]:
     """Return what makes a message of a calibration, and what reads it."""
-    from imu_calib.middleware import Time
-    from imu_calib.nodes.convert import calibration_message, calibration_of
+    from imu_calib.stand.middleware import Time
+    from imu_calib.stand.nodes.convert import calibration_message, calibration_of
 
     stamp = Time(nanoseconds=1).to_msg()
     return lambda calibration: calibration_message(

@@ -8,11 +8,12 @@ import test_turntable_node as stand
 from installed import has_package
 from joint_trajectory_server import ACTION, JointTrajectoryServer
 
-from imu_calib import middleware as ros
-from imu_calib.cdr import encode_joints
-from imu_calib.sequencing import Overtaken, Phase
-from imu_calib.stream import JointBlock
-from imu_calib.units import DEG
+from imu_calib.common.stream import JointBlock
+from imu_calib.common.units import DEG
+from imu_calib.recordings.cdr_codec import encode_joints
+from imu_calib.stand import middleware as ros
+from imu_calib.stand.rules import Phase
+from imu_calib.stand.trajectory import Overtaken
 
 session = stand.session
 pytestmark = pytest.mark.skipif(
@@ -51,7 +52,7 @@ def led(session, monkeypatch):
     monkeypatch.setattr(stand, 'FakeTable', FollowingTable)
 
     def open_it(rate=90, answer_timeout=30.0):
-        monkeypatch.setattr('imu_calib.nodes.controller._ANSWER_TIMEOUT', answer_timeout)
+        monkeypatch.setattr('imu_calib.stand.nodes.controller._ANSWER_TIMEOUT', answer_timeout)
         session.turn_at(rate).open(output='trajectory', **stand.PATIENT)
         session.controller = session.table.controller
         session.executor.add_node(session.controller)

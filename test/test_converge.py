@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from test_information import evidence_of
 
-from imu_calib.errors import NotObservable
-from imu_calib.estimation import fit
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Floats
+from imu_calib.estimation import fit, joint
 from imu_calib.estimation.converge import NotConverged, least_squares
-from imu_calib.methods import joint
-from imu_calib.stream import Floats
 
 
 def solved(system: object, start: float, rounds: int = 30) -> float:

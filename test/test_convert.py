@@ -11,13 +11,15 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 import imu_calib
-from imu_calib import InputError
-from imu_calib.bags import RecordingWriter, open_recording
-from imu_calib.cdr import Kind, encode_rates
 from imu_calib.cli.main import main
-from imu_calib.metadata import interpolated_from
-from imu_calib.stream import Floats, ImuBlock, Stamps
-from imu_calib.units import DEG, STANDARD_GRAVITY
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import Floats, ImuBlock, Stamps
+from imu_calib.common.units import DEG, STANDARD_GRAVITY
+from imu_calib.recordings.cdr_codec import encode_rates
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.session.metadata import interpolated_from
 
 T0 = 1_700_000_000_000_000_000
 ROW = 't,wx,wy,wz,ax,ay,az\n'
@@ -511,7 +513,7 @@ def test_a_bag_of_ros_1_becomes_a_recording(tmp_path: Path) -> None:
 def test_a_bag_of_ros_1_asks_for_the_library(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr('imu_calib.extras.find_spec', lambda _: None)
+    monkeypatch.setattr('imu_calib.common.extras.find_spec', lambda _: None)
     with pytest.raises(InputError, match=r"needs rosbags.*'imu_calib\[ros1\]'"):
         imu_calib.convert(write(tmp_path / 'old.bag', 'x'), tmp_path / 'new')
 

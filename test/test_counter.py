@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from imu_calib.segmentation.counter import (
+from imu_calib.common.stream import Floats
+from imu_calib.segmentation.counters import (
     end_points,
     first_passages,
     mean_rate,
     rate_between,
     smoothed_ends,
 )
-from imu_calib.stream import Floats
 
 PERIOD = 0.01
 SAMPLES = 12000

@@ -8,7 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from imu_calib.segmentation.counter import (
+from imu_calib.common.stream import Floats
+from imu_calib.segmentation.counters import (
     best_passages,
     block_edges,
     end_points,
@@ -19,7 +20,6 @@ from imu_calib.segmentation.counter import (
     rate_between,
     smoothed_ends,
 )
-from imu_calib.stream import Floats
 
 PERIOD = 0.02
 READING = 1 / 12

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imu_calib.errors import NotObservable
-from imu_calib.model import PARAMETERS
-from imu_calib.model.session_terms import Change, Course
-from imu_calib.observation.modulation import (
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Floats
+from imu_calib.estimation.modulation import (
     LEAST_RISE,
     check_temperature,
     columns,
@@ -28,8 +27,9 @@ from imu_calib.observation.modulation import (
     temperatures,
     warms,
 )
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.session_terms import Change, Course
 from imu_calib.segmentation.thermometer import Temperature
-from imu_calib.stream import Floats
 
 NS = 10**9
 EPOCH = 1_700_000_000 * NS

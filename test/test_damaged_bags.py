@@ -33,12 +33,15 @@ from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from imu_calib.api.inspecting import inspect_streams, topics
-from imu_calib.api.stated import Stated
-from imu_calib.bags import RecordingError, RecordingWriter, open_recording, sqlite_rows
-from imu_calib.bags.mcap_records import walk
-from imu_calib.cdr import part
-from imu_calib.errors import InputError
-from imu_calib.stream import SetpointBlock
+from imu_calib.api.session import Stated
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import SetpointBlock
+from imu_calib.recordings import sqlite_rows
+from imu_calib.recordings.decode import part
+from imu_calib.recordings.mcap_records import walk
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.storage import RecordingError
+from imu_calib.recordings.writer import RecordingWriter
 
 SESSION = session(seconds=10)
 ROWS = timeline(SESSION)

@@ -12,11 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loopback import until
 
-from imu_calib.config import Section
-from imu_calib.devices import Checksums, Decoder, Source, Sum, read_format
-from imu_calib.devices.checksum import Fletcher
-from imu_calib.devices.commands import Command, Commands
-from imu_calib.errors import InputError
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError
+from imu_calib.stand.devices.checksum import Checksums, Fletcher, Sum
+from imu_calib.stand.devices.commands import Command, Commands
+from imu_calib.stand.devices.decoder import Decoder
+from imu_calib.stand.devices.format import read_format
+from imu_calib.stand.devices.source import Source
 
 
 def described(checksum=None, **keys):

@@ -7,16 +7,12 @@ import pytest
 from test_devices import cut, described
 from test_real_devices import crc32, kvh, mti
 
-from imu_calib.devices import (
-    Decoder,
-    DeviceClock,
-    Health,
-    Severity,
-    Source,
-    load_format,
-    read_format,
-)
-from imu_calib.errors import InputError
+from imu_calib.common.errors import InputError
+from imu_calib.stand.devices.clock import DeviceClock
+from imu_calib.stand.devices.decoder import Decoder
+from imu_calib.stand.devices.format import load_format, read_format
+from imu_calib.stand.devices.health import Health, Severity
+from imu_calib.stand.devices.source import Source
 
 NS = 1_000_000_000
 DAY = 864_000_000

@@ -15,26 +15,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loopback import until
 
-from imu_calib.config import Section
-from imu_calib.devices import (
-    CATALOGUE,
-    Checksums,
-    Chunk,
-    Decoder,
-    DeviceClock,
-    Reception,
-    Source,
-    Sum,
-    Xor,
-    load_format,
-    read_format,
-)
-from imu_calib.devices.format import DeviceTime, FrameCounter, Number
-from imu_calib.devices.health import Severity
-from imu_calib.errors import InputError
-from imu_calib.imu import load_imu
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import ImuBlock
+from imu_calib.session.imu import load_imu
 from imu_calib.simulation.frames import pack
-from imu_calib.stream import ImuBlock
+from imu_calib.stand.devices.checksum import CATALOGUE, Checksums, Sum, Xor
+from imu_calib.stand.devices.clock import DeviceClock
+from imu_calib.stand.devices.decoder import Decoder
+from imu_calib.stand.devices.fields import DeviceTime, FrameCounter, Number
+from imu_calib.stand.devices.format import load_format, read_format
+from imu_calib.stand.devices.health import Severity
+from imu_calib.stand.devices.source import Chunk, Source
+from imu_calib.stand.nodes.reception import Reception
 
 NS = 1_000_000_000
 SIMULATED = load_format('simulated')
@@ -98,7 +91,7 @@ def described(text=None, **changes):
 
 
 def load_path(name):
-    from imu_calib.share import named_file
+    from imu_calib.common.share import named_file
 
     return named_file('devices', name)
 

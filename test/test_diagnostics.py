@@ -7,19 +7,19 @@ import pytest
 import yaml
 from loopback import CHECKOUT, environment, until
 
-from imu_calib.errors import ImuCalibError
+from imu_calib.common.errors import ImuCalibError
 
 # ROS reads this when it loads its messages.
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
-    from imu_calib import middleware as ros
     from imu_calib.cli.processes import free_port
-    from imu_calib.nodes import stand_node
-    from imu_calib.nodes.calibrator_node import CalibratorNode
-    from imu_calib.nodes.diagnostics import Diagnostics, Level
-    from imu_calib.nodes.stand_node import StandNode
-    from imu_calib.nodes.turntable_node import TurntableNode
     from imu_calib.simulation.hardware import SimulatedHardware
+    from imu_calib.stand import middleware as ros
+    from imu_calib.stand.nodes import stand_node
+    from imu_calib.stand.nodes.calibrator_node import CalibratorNode
+    from imu_calib.stand.nodes.diagnostics import Diagnostics, Level
+    from imu_calib.stand.nodes.stand_node import StandNode
+    from imu_calib.stand.nodes.turntable_node import TurntableNode
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from imu_calib.nodes.done import DoneCheck
+from imu_calib.stand.nodes.done import DoneCheck
 
 STATE = {'plan': 'short', 'steps': 14, 'commanded': 14, 'alone': True}
 

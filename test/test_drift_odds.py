@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from imu_calib.common.stream import Floats
 from imu_calib.estimation.score import Family, Score
 from imu_calib.estimation.undecided_drifts import log_bayes_factor, shrinkage, undecided
 from imu_calib.model.session_terms import Course
-from imu_calib.stream import Floats
 
 
 def of_prior(g: float) -> float:

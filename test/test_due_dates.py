@@ -5,11 +5,11 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import t as student
 
-from imu_calib.histories.blocks import Block
-from imu_calib.histories.forecast import Due, forecast
-from imu_calib.histories.prior import Prior
-from imu_calib.histories.results import Rules
-from imu_calib.histories.trends import Lines
+from imu_calib.fleet.blocks import Block
+from imu_calib.fleet.forecast import Due, forecast
+from imu_calib.fleet.results import Rules
+from imu_calib.fleet.scatter import Prior
+from imu_calib.fleet.trends import Lines
 
 LIMIT, FREEDOM, BETWEEN = 10.0, 9.0, 0.25
 LEVEL, SLOPE = 2.0, 0.1

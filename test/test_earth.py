@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.errors import InputError
-from imu_calib.units import DEG, DEG_H
+from imu_calib.common.errors import InputError
+from imu_calib.common.units import DEG, DEG_H
+from imu_calib.model.earth import Site, normal_gravity
 
 
 def test_gravity_at_the_pole_is_the_published_one() -> None:

@@ -18,18 +18,19 @@ from processes import start
 from test_ascii_table import Servo
 from test_turntable_node import TABLE as NIMBLE
 
-from imu_calib import middleware as ros
-from imu_calib.calibration import Calibration
-from imu_calib.earth import LUOYANG, Site
-from imu_calib.errors import InputError
-from imu_calib.imu import load_imu
-from imu_calib.nodes.frame_server import FrameServer
-from imu_calib.nodes.turntable_node import TurntableNode
-from imu_calib.share import named_file
-from imu_calib.simulation import SimulatedUnit, StandOptions
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.errors import InputError
+from imu_calib.common.share import named_file
+from imu_calib.common.units import DEG
+from imu_calib.model.earth import LUOYANG, Site
+from imu_calib.session.imu import load_imu
+from imu_calib.session.table import load_table
 from imu_calib.simulation.hardware import SimulatedHardware
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.several import SimulatedUnit
+from imu_calib.stand import middleware as ros
+from imu_calib.stand.nodes.frame_server import FrameServer
+from imu_calib.stand.nodes.turntable_node import TurntableNode
 
 MAIN = [sys.executable, '-m', 'imu_calib.cli.main']
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from imu_calib.sequencing import Encoders, Feedback, FeedbackError
-from imu_calib.stream import JointBlock
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG
+from imu_calib.common.stream import JointBlock
+from imu_calib.common.units import DEG
+from imu_calib.session.table import load_table
+from imu_calib.stand.plan_steps import Encoders, Feedback, FeedbackError
 
 TABLE = load_table('three_axis')
 NAMES = TABLE.names

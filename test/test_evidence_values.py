@@ -11,29 +11,23 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_information import SITE, WALK, evidence_of, statistics
 
-from imu_calib.errors import NotObservable
-from imu_calib.imu import load_imu
-from imu_calib.model import SensorModel, Triad
-from imu_calib.observation import evidence as module
-from imu_calib.observation import known_noise as noise_module
-from imu_calib.observation.evidence import Evidence, vertical_axis
-from imu_calib.observation.free import FreeEquations, at_headings_by_moves
-from imu_calib.observation.known_noise import known_noise
-from imu_calib.observation.level import Tilt, tilt_bias, widened_for_tilt
-from imu_calib.observation.positioning_errors import (
-    around,
-    axes_of,
-    of_joints,
-    of_stops,
-    stops_of,
-)
-from imu_calib.observation.timebase import in_table_time
-from imu_calib.segmentation.segment import Turn
-from imu_calib.segmentation.segmented import Move, VelocitySteps
-from imu_calib.stream import Floats, Units
-from imu_calib.table_errors import TableErrors
-from imu_calib.turntable import load_table
-from imu_calib.units import ARCSEC, DEG
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Floats, Units
+from imu_calib.common.units import ARCSEC, DEG
+from imu_calib.estimation import evidence as module
+from imu_calib.estimation import output_noise as noise_module
+from imu_calib.estimation.evidence import Evidence, vertical_axis
+from imu_calib.estimation.free import FreeEquations, at_headings_by_moves
+from imu_calib.estimation.level import Tilt, tilt_bias, widened_for_tilt
+from imu_calib.estimation.output_noise import known_noise
+from imu_calib.estimation.outputs import around, axes_of, of_joints, of_stops, stops_of
+from imu_calib.estimation.timebase import in_table_time
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.segmentation.segments import Turn
+from imu_calib.segmentation.stream_facts import Move, VelocitySteps
+from imu_calib.session.imu import load_imu
+from imu_calib.session.table import load_table
+from imu_calib.session.table_errors import TableErrors
 
 CLEAN = evidence_of()
 TABLE = load_table('three_axis')

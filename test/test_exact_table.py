@@ -11,19 +11,19 @@ import pytest
 from extent import again
 from sessions import SITE, fed, quick_plan, session, stand, truth
 
-from imu_calib.calibrator import Setup
 from imu_calib.cli.main import main
-from imu_calib.config import Section
+from imu_calib.common.config import Section
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import ARCSEC
+from imu_calib.estimation import joint
 from imu_calib.estimation.exact_table import as_the_best
-from imu_calib.imu import load_imu
-from imu_calib.methods import joint
-from imu_calib.methods.solution import Solution
-from imu_calib.model import PARAMETERS
+from imu_calib.estimation.setup import Setup
+from imu_calib.estimation.solution import Solution
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.session.imu import load_imu
+from imu_calib.session.table import Table, load_table, read_table
+from imu_calib.session.table_errors import FINEST, TableErrors
 from imu_calib.simulation.true_table import TableSizes, TrueTable
-from imu_calib.stream import Floats
-from imu_calib.table_errors import FINEST, TableErrors
-from imu_calib.turntable import Table, load_table, read_table
-from imu_calib.units import ARCSEC
 
 TABLE = load_table('three_axis')
 PLAN = quick_plan('twelve_position', 20.0)

@@ -12,9 +12,11 @@ from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 from test_information import evidence_of
 
-from imu_calib.budget import Source
+from imu_calib.common.budget import Source
 from imu_calib.estimation import excess_scatter as module
-from imu_calib.estimation.bias_drift import BiasDrift
+from imu_calib.estimation.components import Blocks, Component
+from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.estimation_bias_drift import BiasDrift
 from imu_calib.estimation.excess_scatter import (
     _ODDS,
     _RATIOS,
@@ -34,10 +36,8 @@ from imu_calib.estimation.excess_scatter import (
     _variances,
     excess,
 )
+from imu_calib.estimation.outputs import NO_POSITIONING_ERRORS, PositioningErrors
 from imu_calib.model.session_terms import session_term
-from imu_calib.observation.components import Blocks, Component
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 
 SIZE = 6
 ODDS = np.log(np.array([0.1, 0.2, 0.3, 0.4]))

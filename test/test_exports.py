@@ -13,14 +13,15 @@ import pytest
 import yaml
 from installed import needs_modules
 
-from imu_calib.calibration import Calibration
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.exported import ExportSource
+from imu_calib.calibration.exports_part import EXPORTS
 from imu_calib.cli.main import main
-from imu_calib.errors import InputError
-from imu_calib.exports import EXPORTS, ExportSource
-from imu_calib.imu import load_imu
-from imu_calib.model import SensorModel, Triad
-from imu_calib.stream import Floats, Units
-from imu_calib.units import DEG, DEG_H
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import Floats, Units
+from imu_calib.common.units import DEG, DEG_H
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.session.imu import load_imu
 
 RATE = 100.0
 WALK = [1e-5, 2e-5, 3e-5, 1e-3, 2e-3, 3e-3]
@@ -247,7 +248,7 @@ def test_the_c_header_gives_our_values(
 @pytest.mark.parametrize('node', ['/compensator_node', '/robot/compensator_node'])
 def test_the_ros_file_reaches_the_node_in_any_namespace(node: str, tmp_path: Path) -> None:
     needs_modules('cyclonedds')
-    from imu_calib.middleware.dds.arguments import parse
+    from imu_calib.stand.middleware.dds.arguments import parse
 
     path = tmp_path / 'params.yaml'
     path.write_text(exported('ros', unit()))

@@ -12,7 +12,7 @@ import pytest
 from extent import again
 from loopback import CHECKOUT
 
-from imu_calib.errors import ImuCalibError
+from imu_calib.common.errors import ImuCalibError
 
 try:
     from live import LEASE, MOVES, Stand, State, finishes, resumes, short_plan, stops

@@ -11,25 +11,30 @@ import numpy as np
 import pytest
 from sessions import SITE, at_one_rate, quick_plan, session, stand, truth
 
-from imu_calib.bags import RecordingWriter, open_recording
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, HandCalibrator, Result, Setup
-from imu_calib.cdr import Kind, encode_imu
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.hand import HandCalibrator
 from imu_calib.cli.main import main
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.errors import ImuCalibError
-from imu_calib.imu import ImuSpec, load_imu
-from imu_calib.instants import at
-from imu_calib.methods.free_positions import in_frame_of_accelerometers
-from imu_calib.plan import load_plan
+from imu_calib.common.errors import ImuCalibError
+from imu_calib.common.instants import at
+from imu_calib.common.share import named_file, shipped
+from imu_calib.common.stream import Block, Floats, ImuBlock, Stamps, Units
+from imu_calib.common.units import DEG, STANDARD_GRAVITY
+from imu_calib.estimation.hand import in_frame_of_accelerometers
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.false_samples import SCALE_OF_SI, FalseSampleFilter, FalseSamples
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.share import named_file, shipped
-from imu_calib.simulation import ImuOptions
+from imu_calib.session.imu import ImuSpec, load_imu
+from imu_calib.session.plan import load_plan
+from imu_calib.session.table import load_table
 from imu_calib.simulation.hand import as_planned
-from imu_calib.stream import Block, Floats, ImuBlock, Stamps, Units
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG, STANDARD_GRAVITY
+from imu_calib.simulation.options import ImuOptions
 
 MEMS, FOG, TABLE = load_imu('mems_counts'), load_imu('fog_medium'), load_table('three_axis')
 TRUTH = Calibration.load(named_file('truths', 'mems_counts')).model

@@ -18,20 +18,20 @@ import yaml
 from jsonschema import Draft202012Validator, validators
 from loopback import CHECKOUT
 
-from imu_calib.certificates.fields import read_fields
+from imu_calib.calibration.thermal import read_calibration
 from imu_calib.cli.main import main
-from imu_calib.compensation.thermal import read_calibration
-from imu_calib.config import Section
-from imu_calib.devices.format import read_format
-from imu_calib.errors import InputError
-from imu_calib.imu import read_imu
-from imu_calib.methods import METHODS
-from imu_calib.mounted import read_units
-from imu_calib.plan import METHOD_NAMES, read_plan
-from imu_calib.simulation import StandOptions
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError
+from imu_calib.common.units import Dimension, parse
+from imu_calib.estimation.methods import METHODS
+from imu_calib.reports.certificate_fields import read_fields
+from imu_calib.session.imu import read_imu
+from imu_calib.session.plan import METHOD_NAMES, read_plan
+from imu_calib.session.table import load_table, read_table
+from imu_calib.session.units_file import read_units
 from imu_calib.simulation.imperfections import read_imperfections
-from imu_calib.turntable import load_table, read_table
-from imu_calib.units import Dimension, parse
+from imu_calib.simulation.options import StandOptions
+from imu_calib.stand.devices.format import read_format
 
 sys.path.insert(0, str(CHECKOUT / 'docs'))
 

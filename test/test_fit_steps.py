@@ -12,21 +12,23 @@ import pytest
 from scipy.stats import chi2
 from test_information import evidence_of
 
-from imu_calib.budget import Source
-from imu_calib.errors import NotObservable
-from imu_calib.estimation import changing, estimate, fit, outliers
+from imu_calib.common.budget import Source
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG, PPM
+from imu_calib.estimation import estimate, fit, outliers
+from imu_calib.estimation import solve as changing
+from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.excess_scatter import ExcessScatter
+from imu_calib.estimation.information import Information
+from imu_calib.estimation.outputs import NO_POSITIONING_ERRORS, PositioningErrors
+from imu_calib.estimation.session_model import Nuisance
 from imu_calib.estimation.temperature_change import temperature_finding
-from imu_calib.model import PARAMETERS, SensorModel, Triad
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.session_terms import Course, change, session_term
 from imu_calib.model.terms import ACCEL_CUBIC, GYRO_CUBIC
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.information import Information
-from imu_calib.observation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
-from imu_calib.observation.session_model import Nuisance
-from imu_calib.stream import Floats
-from imu_calib.units import DEG, PPM
 
 RNG = np.random.default_rng(0)
 MODEL = SensorModel(

@@ -23,14 +23,14 @@ from installed import needs_modules
 from loopback import patience, until
 
 import imu_calib
-from imu_calib import InputError
-from imu_calib.api.stated import Stated
+from imu_calib.api.session import Stated
 from imu_calib.cli.main import main
+from imu_calib.common.errors import InputError
+from imu_calib.common.parallel import Engine
+from imu_calib.fleet.batch import DEFECT, LOST, Done, content_of, failed, key_of, run
 from imu_calib.fleet.catalogue import Catalogue, schema
 from imu_calib.fleet.recordings import COLUMNS, Job, Labels, convertible, find_jobs, read_manifest
 from imu_calib.fleet.running import run_batch
-from imu_calib.fleet.task import DEFECT, LOST, Done, content_of, failed, key_of, run
-from imu_calib.workers import Engine
 
 needs_modules('pyarrow', 'duckdb', 'distributed')
 
@@ -404,7 +404,7 @@ def test_what_nobody_foresaw_is_a_row(monkeypatch: pytest.MonkeyPatch, recording
     def broken(*_: object) -> None:
         raise ZeroDivisionError('by zero')
 
-    monkeypatch.setattr('imu_calib.fleet.task.recording_at', broken)
+    monkeypatch.setattr('imu_calib.fleet.batch.recording_at', broken)
     ended = run(Job(str(recordings / 'a')))
     assert ended.row is not None and ended.row['exit_code'] == DEFECT
     assert 'ZeroDivisionError: by zero' in ended.row['error'] and ended.row['sha256']
@@ -438,7 +438,7 @@ def test_a_recording_lies_in_a_bucket(
 
 
 def test_a_server_that_does_not_answer_gets_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('imu_calib.bags.retries.PAUSE', 0.0)
+    monkeypatch.setattr('imu_calib.recordings.retries.PAUSE', 0.0)
     pytest.importorskip('aiohttp')
     row = run(Job('http://127.0.0.1:9/rec.mcap')).row
     assert row is not None and row['exit_code'] == 2
@@ -586,7 +586,7 @@ def test_no_scheduler_gets_a_sentence(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr('imu_calib.workers._ANSWER', '1s')
+    monkeypatch.setattr('imu_calib.common.parallel._ANSWER', '1s')
     command = ['batch', str(recordings / 'a'), '-o', str(tmp_path / 'c')]
     assert main([*command, '--scheduler', 'tcp://127.0.0.1:1']) == 2
     assert 'no Dask scheduler answers there' in capsys.readouterr().err

@@ -20,8 +20,8 @@ from browser import browser as browser  # noqa: PLC0414
 
 import imu_calib
 from imu_calib.cli.main import main
-from imu_calib.errors import InputError
-from imu_calib.model import PARAMETER_NAMES
+from imu_calib.common.errors import InputError
+from imu_calib.model.model_parameters import PARAMETER_NAMES
 
 pytest.importorskip('pyarrow')
 pytest.importorskip('bokeh')
@@ -29,13 +29,13 @@ pytest.importorskip('bokeh')
 import fleets
 from fleets import STD
 
+from imu_calib.fleet import packed
+from imu_calib.fleet.attention import issues
+from imu_calib.fleet.batch import Done, failed
 from imu_calib.fleet.catalogue import Catalogue
+from imu_calib.fleet.page import page, summary
+from imu_calib.fleet.page_contents import Flag, Fleet
 from imu_calib.fleet.recordings import Job
-from imu_calib.fleet.task import Done, failed
-from imu_calib.reports.fleet import packed
-from imu_calib.reports.fleet.attention import issues
-from imu_calib.reports.fleet.contents import Flag, Fleet
-from imu_calib.reports.fleet.page import page, summary
 
 EVIL = '<script>hacked=1</script>"\'><img src=x onerror=hacked=1>'
 SLASHED = 'B/1 %#?'
@@ -285,7 +285,9 @@ def test_wrong_usage_gets_a_sentence(
     errors = ' '.join(capsys.readouterr().err.split())
     assert "no row meets imu = 'none'. It has " in errors and ', fog_medium, mems' in errors
     assert not (tmp_path / 'page.html').exists()
-    monkeypatch.setattr('imu_calib.extras.find_spec', lambda name: None if name == 'bokeh' else 1)
+    monkeypatch.setattr(
+        'imu_calib.common.extras.find_spec', lambda name: None if name == 'bokeh' else 1
+    )
     with pytest.raises(InputError, match=r'needs bokeh.*imu_calib\[fleet\]'):
         imu_calib.fleet_report(catalogue, tmp_path / 'page.html')
 

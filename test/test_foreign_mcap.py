@@ -22,13 +22,13 @@ from mcap_bytes import (
 )
 from shaky import shaky
 
-from imu_calib.api.compensating import compensate
-from imu_calib.bags import open_recording
-from imu_calib.calibration import Calibration
-from imu_calib.cdr import encode_imu
-from imu_calib.definitions import definition
-from imu_calib.imu import load_imu
-from imu_calib.model import SensorModel
+from imu_calib.api.compensate import compensate
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.model.sensors import SensorModel
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.definitions import definition
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.session.imu import load_imu
 
 ATTACHMENT, ATTACHMENT_INDEX, MESSAGE, CHUNK, STATISTICS = 0x09, 0x0A, 0x05, 0x06, 0x0B
 IMU_TYPE = 'sensor_msgs/msg/Imu'

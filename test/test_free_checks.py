@@ -8,13 +8,13 @@ from hand_sessions import spread_holds
 from sessions import SITE
 from test_free_positions import calibrator, held, result, unit
 
-from imu_calib.errors import Contradiction, InputError
-from imu_calib.methods.free_positions import in_frame_of_accelerometers, is_clear, solve
-from imu_calib.model import G_SENSITIVITY
-from imu_calib.observation.evidence import Evidence
-from imu_calib.plan import load_plan
-from imu_calib.stream import Floats
-from imu_calib.units import DEG, DEG_H
+from imu_calib.common.errors import Contradiction, InputError
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG, DEG_H
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.hand import in_frame_of_accelerometers, is_clear, solve
+from imu_calib.model.terms import G_SENSITIVITY
+from imu_calib.session.plan import load_plan
 
 UPS = np.array([p.up for p in load_plan('free_positions').positions])[::2]
 MODEL = in_frame_of_accelerometers(unit(3))

@@ -12,18 +12,20 @@ from extent import ALL
 from shaky import GRAVITY, LATITUDE, shaky
 from test_free_nonlinear import IMU, UNIT, off
 
-from imu_calib.budget import Source
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Result, Setup
-from imu_calib.calibrator.by_hand import HandCalibrator
-from imu_calib.earth import Site
-from imu_calib.methods.free_positions import ESTIMATES
-from imu_calib.model import ParameterKind, SensorModel
-from imu_calib.plan import load_plan
-from imu_calib.stream import Floats
-from imu_calib.units import DEG
-from imu_calib.verification.judgement import verify
-from imu_calib.verification.observed import observe
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.calibration.verify import verify
+from imu_calib.common.budget import Source
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG
+from imu_calib.estimation.hand import ESTIMATES
+from imu_calib.estimation.observed import observe
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.sensors import SensorModel
+from imu_calib.session.plan import load_plan
 
 SITE = Site.at(float(LATITUDE), gravity=GRAVITY)
 EVENLY = r'Biases drift evenly during the session, of the gyros by up to ([0-9.]+) deg/s'

@@ -11,10 +11,13 @@ import pytest
 from scipy.stats import chi2, f
 from test_free_positions import held, unit
 
-from imu_calib.errors import NotObservable
-from imu_calib.methods import free_positions
-from imu_calib.methods.free_drift import Drift, DriftKind
-from imu_calib.methods.free_positions import (
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG, STANDARD_GRAVITY
+from imu_calib.estimation import hand as free_positions
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.free_drift import Drift, DriftKind
+from imu_calib.estimation.hand import (
     ESTIMATES,
     FREE,
     _chance,
@@ -34,11 +37,10 @@ from imu_calib.methods.free_positions import (
     solve,
     term_words,
 )
-from imu_calib.model import G_SENSITIVITY, PARAMETERS, Parameter, SensorModel, Triad
-from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.layout import OutputLayout
-from imu_calib.stream import Floats
-from imu_calib.units import DEG, STANDARD_GRAVITY
+from imu_calib.estimation.layout import OutputLayout
+from imu_calib.model.model_parameters import PARAMETERS, Parameter
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.model.terms import G_SENSITIVITY
 
 NAMES = [p.name for p in ESTIMATES]
 RATIOS = [k for k, name in enumerate(NAMES) if name[0] in 'KE']

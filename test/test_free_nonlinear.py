@@ -10,18 +10,20 @@ from extent import ALL
 from scipy.spatial.transform import Rotation
 from shaky import GRAVITY, LATITUDE, shaky
 
-from imu_calib.calibrator import Result, Setup
-from imu_calib.calibrator.by_hand import HandCalibrator
-from imu_calib.earth import Site
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.methods.free_positions import FREE, in_frame_of_accelerometers
-from imu_calib.model import SensorModel, Triad
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.calibration.verify import Verdict, verify
+from imu_calib.common.stream import Floats, ImuBlock, Units
+from imu_calib.common.units import DEG
+from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers
+from imu_calib.estimation.observed import observe
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.terms import ACCEL_QUADRATIC
-from imu_calib.plan import UNPLANNED, load_plan
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.stream import Floats, ImuBlock, Units
-from imu_calib.units import DEG
-from imu_calib.verification import Verdict, observe, verify
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.plan import UNPLANNED, load_plan
 
 SITE = Site.at(LATITUDE, gravity=GRAVITY)
 IMU = ImuSpec('mpu', Units.SI, None, TriadSpec(), TriadSpec())

@@ -11,42 +11,40 @@ from scipy.linalg import expm
 from scipy.stats import chi2
 from sessions import SITE
 
-from imu_calib.bags import RecordingWriter
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Result, Setup
-from imu_calib.calibrator.by_hand import HandCalibrator
-from imu_calib.calibrator.guidance import Stage, guide
-from imu_calib.cdr import RATES, encode_imu
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.guidance import Stage, guide
+from imu_calib.calibration.hand import HandCalibrator
 from imu_calib.cli.main import main
-from imu_calib.earth import Site
-from imu_calib.errors import NotObservable
-from imu_calib.imu import load_imu
-from imu_calib.methods import check_plan, free_positions
-from imu_calib.methods.free_positions import (
-    ESTIMATES,
-    FREE,
-    in_frame_of_accelerometers,
-    is_clear,
-    solve,
-)
-from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
-from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.free import FreeEquations, at_headings_by_moves
-from imu_calib.observation.gyro_paths import propagated
-from imu_calib.plan import load_plan
-from imu_calib.prediction import forecast
-from imu_calib.rotations import rotation, rotations_last
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.rotations import rotation, rotations_last
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import ARCMIN, DEG, PPM
+from imu_calib.estimation import forecast
+from imu_calib.estimation import hand as free_positions
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.free import FreeEquations, at_headings_by_moves
+from imu_calib.estimation.hand import ESTIMATES, FREE, in_frame_of_accelerometers, is_clear, solve
+from imu_calib.estimation.methods import check_plan
+from imu_calib.estimation.observation_gyro_paths import propagated
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.recordings.cdr_codec import RATES, encode_imu
+from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.clock import NO_CLOCK
-from imu_calib.segmentation.motion import Motion, Rest
 from imu_calib.segmentation.moves import joined
-from imu_calib.segmentation.segment import Segment, Statistics
-from imu_calib.segmentation.segmented import Move
+from imu_calib.segmentation.segments import Segment, Statistics
 from imu_calib.segmentation.statistics import Samples
 from imu_calib.segmentation.stillness import StillnessTracker
-from imu_calib.simulation import ImuOptions
+from imu_calib.segmentation.stream_facts import Move
+from imu_calib.segmentation.table_motion import Motion, Rest
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import load_plan
 from imu_calib.simulation.hand import HandSession
-from imu_calib.stream import Floats
-from imu_calib.units import ARCMIN, DEG, PPM
+from imu_calib.simulation.options import ImuOptions
 
 SPEC = load_imu('mems_counts')
 SCALES = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in PARAMETERS])

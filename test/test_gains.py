@@ -11,36 +11,39 @@ from scipy.spatial.transform import Rotation
 from test_closed_forms import TRUE
 from test_information import GYRO_WALK, SITE, evidence_of, statistics
 
-from imu_calib.budget import Source
-from imu_calib.earth import EARTH_RATE, Site
-from imu_calib.errors import InputError, NotObservable
-from imu_calib.methods import (
-    check_plan,
-    closed_form_of,
-    default_method,
-    estimated_parameters,
-    method,
+from imu_calib.common.budget import Source
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG, DEG_H
+from imu_calib.estimation.closed_forms import (
     n_positions,
     off_axis_four,
-    provisional,
     rate_24,
     six_position,
     static_six,
     twelve_position,
 )
-from imu_calib.methods.gains import (
+from imu_calib.estimation.closed_forms.linear import (
     Gains,
     inverse,
     position_weights,
     rate_test_weights,
 )
-from imu_calib.methods.n_positions import force_weights
-from imu_calib.model import G_SENSITIVITY, PARAMETERS
+from imu_calib.estimation.closed_forms.n_positions import force_weights
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.methods import (
+    check_plan,
+    closed_form_of,
+    default_method,
+    estimated_parameters,
+    method,
+    provisional,
+)
+from imu_calib.model.earth import EARTH_RATE, Site
+from imu_calib.model.model_parameters import PARAMETERS
 from imu_calib.model.session_terms import session_term
-from imu_calib.observation.evidence import Evidence
-from imu_calib.plan import UNPLANNED, load_plan
-from imu_calib.stream import Floats
-from imu_calib.units import DEG, DEG_H
+from imu_calib.model.terms import G_SENSITIVITY
+from imu_calib.session.plan import UNPLANNED, load_plan
 
 NAMES = [p.name for p in n_positions.ESTIMATES]
 

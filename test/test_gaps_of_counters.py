@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from imu_calib.segmentation.bridging import _best_reach, _gain, _likely, bridged
+from imu_calib.common.stream import Floats
+from imu_calib.segmentation.gaps import _best_reach, _gain, _likely, bridged
 from imu_calib.segmentation.statistics import Samples, pooled_walk
-from imu_calib.stream import Floats
 
 PERIOD = 0.01
 

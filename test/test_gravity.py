@@ -24,23 +24,25 @@ from sessions import (
     truth,
 )
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Setup
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.thermal import combine
+from imu_calib.calibration.verify import Verdict, verify
 from imu_calib.cli.main import main
-from imu_calib.compensation.thermal import combine
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.errors import InputError, NotObservable
-from imu_calib.metadata import describe, described_site
-from imu_calib.model import PARAMETERS, ParameterKind
-from imu_calib.prediction import forecast, reach
-from imu_calib.repetition import Study, economical, run_once
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import PPM
+from imu_calib.estimation import forecast, reach
+from imu_calib.estimation.observed import observe
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import ParameterKind
 from imu_calib.reports.repeatability import repeated
-from imu_calib.share import named_file
-from imu_calib.simulation import StandOptions
-from imu_calib.stream import Floats
-from imu_calib.turntable import load_table
-from imu_calib.units import PPM
-from imu_calib.verification import Verdict, observe, verify
+from imu_calib.session.metadata import describe, described_site
+from imu_calib.session.table import load_table
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.repetition import Study, economical, run_once
 
 LUOYANG_520 = Site.at(LATITUDE, 520.0)
 PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
@@ -260,7 +262,7 @@ def test_several_sessions_of_one_place_share_the_error_of_gravity() -> None:
 @pytest.mark.parametrize(('gravity', 'said'), [(9.7, True), (9.78, False), (9.82, False)])
 def test_a_gravity_that_no_place_of_the_latitude_has_is_a_finding(gravity, said) -> None:
     # Normal gravity is 9.797 m/s^2 here: 9.7 is 1 % off, the others 0.2 %.
-    from imu_calib.gravity import _of_another_place
+    from imu_calib.calibration.gravity import _of_another_place
 
     found = _of_another_place(Site.at(math.radians(34.65), gravity=gravity))
     assert [('Check `gravity` and `latitude`' in one) for one in found] == [True] * said

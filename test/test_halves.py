@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 
 import imu_calib
-from imu_calib.api.in_order import HELD, InOrder, places_by_stamp
-from imu_calib.api.text import read_sensors
-from imu_calib.bags import RecordingWriter, open_recording
-from imu_calib.bags.storage import Times
-from imu_calib.cdr import Messages, encode_imu
 from imu_calib.cli.main import main
-from imu_calib.errors import InputError
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import ImuBlock
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.in_order import HELD, InOrder, places_by_stamp
+from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.storage import Times
+from imu_calib.recordings.text import read_sensors
+from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.halves import halves
-from imu_calib.stream import ImuBlock
 
 T0 = 1_700_000_000_000_000_000
 AT = np.arange(400)

@@ -18,24 +18,28 @@ import pytest
 from scipy.special import fresnel
 from scipy.stats import chi2
 
-from imu_calib.bags import RecordingWriter, open_recording
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Result, Setup
-from imu_calib.cdr import Kind, encode_imu
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.calibrator_results import Result
 from imu_calib.cli.main import main
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.imu import ImuSpec, TriadSpec, load_imu
-from imu_calib.plan import load_plan
-from imu_calib.prediction import forecast
-from imu_calib.segmentation.motion import Motion
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Block, Units
+from imu_calib.common.units import DEG
+from imu_calib.estimation import forecast
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.sensor import Sensor
+from imu_calib.segmentation.table_motion import Motion
 from imu_calib.segmentation.turns import Around, read_free_motion
-from imu_calib.share import named_file
-from imu_calib.simulation import ImuOptions
+from imu_calib.session.imu import ImuSpec, TriadSpec, load_imu
+from imu_calib.session.plan import load_plan
+from imu_calib.session.table import TURN
 from imu_calib.simulation.hand import as_planned
-from imu_calib.stream import Block, Units
-from imu_calib.turntable import TURN
-from imu_calib.units import DEG
+from imu_calib.simulation.options import ImuOptions
 
 RECORDING = Path(__file__).parent / 'data' / 'hand_session'
 COUNTS_PER_FORCE = [208.5457, 208.0011, 214.7846]  # imucal's K_a, counts per m/s^2

@@ -7,13 +7,13 @@ import pytest
 import scipy
 from histories import MONTH, SCALE, START, index, joined, of, sessions
 
-from imu_calib import InputError
-from imu_calib.histories.backtest import backtest
-from imu_calib.histories.charts import chart_limits
-from imu_calib.histories.results import Cause, Chart, Rules
-from imu_calib.histories.run_length import ewma_limit, mean_run_length
-from imu_calib.histories.scatter import between, interval
-from imu_calib.specification import Verdict
+from imu_calib.common.errors import InputError
+from imu_calib.fleet.backtest import backtest
+from imu_calib.fleet.charts import chart_limits
+from imu_calib.fleet.histories_scatter import between, interval
+from imu_calib.fleet.results import Cause, Chart, Rules
+from imu_calib.fleet.run_length import ewma_limit, mean_run_length
+from imu_calib.session.specification import Verdict
 
 LIMITS = {'fog': 300 * SCALE}
 

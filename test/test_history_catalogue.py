@@ -15,15 +15,15 @@ from installed import needs_modules
 from jsonschema import Draft202012Validator
 
 import imu_calib
-from imu_calib import InputError, NotObservable
 from imu_calib.cli.main import main
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.share import named_file
+from imu_calib.fleet.batch import CALIBRATED, Done, failed, limits_of
 from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.recordings import Job, Labels
-from imu_calib.fleet.task import CALIBRATED, Done, failed, limits_of
-from imu_calib.histories.results import Sessions
-from imu_calib.imu import load_imu
-from imu_calib.model import PARAMETER_NAMES, PARAMETERS
-from imu_calib.share import named_file
+from imu_calib.fleet.results import Sessions
+from imu_calib.model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from imu_calib.session.imu import load_imu
 
 needs_modules('pyarrow', 'duckdb')
 

@@ -11,10 +11,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_information import SITE, evidence_of
 
-from imu_calib.model import PARAMETERS, SensorModel, Triad
-from imu_calib.observation import lacking
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.ideal_moves import (
+from imu_calib.common.stream import Floats
+from imu_calib.estimation import lacking
+from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.ideal_moves import (
     _along,
     ideal_holds,
     ideal_move,
@@ -23,9 +23,10 @@ from imu_calib.observation.ideal_moves import (
     next_hold,
     shortest,
 )
-from imu_calib.plan import UNPLANNED
-from imu_calib.stream import Floats
-from imu_calib.turntable import load_table
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.session.plan import UNPLANNED
+from imu_calib.session.table import load_table
 
 CLEAN = evidence_of()
 FIRST = CLEAN.segments[0]

@@ -13,27 +13,26 @@ from other_world import DEG, Flaw, World, applied, attitude, rotation_vector, ti
 from sessions import SITE, at_one_rate, quick_plan, truth
 
 from imu_calib.cli.main import main
-from imu_calib.config import Section
-from imu_calib.errors import InputError
-from imu_calib.imu import load_imu
-from imu_calib.model import SensorModel
-from imu_calib.plan import Plan
-from imu_calib.simulation import (
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Stamps
+from imu_calib.common.units import ARCSEC, DEG_H, MICRO_G
+from imu_calib.model.sensors import SensorModel
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import Plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.imperfections import load_imperfections, read_imperfections
+from imu_calib.simulation.options import (
     BiasStep,
     Delivery,
-    SimulatedStand,
+    Shake,
     StandOptions,
-    TableSizes,
-    TrueJoint,
-    TrueTable,
+    ThermalDrift,
+    Warming,
     WarmUp,
-    load_imperfections,
-    read_imperfections,
 )
-from imu_calib.simulation.options import Shake, ThermalDrift, Warming
-from imu_calib.stream import Floats, ImuBlock, JointBlock, Stamps
-from imu_calib.turntable import load_table
-from imu_calib.units import ARCSEC, DEG_H, MICRO_G
+from imu_calib.simulation.stand import SimulatedStand
+from imu_calib.simulation.true_table import TableSizes, TrueJoint, TrueTable
 
 TABLE = load_table('three_axis')
 PLAN = quick_plan('twelve_position', 5.0)

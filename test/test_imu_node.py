@@ -17,19 +17,22 @@ import pytest
 from loopback import CHECKOUT, environment, patience, until
 from test_devices import frame
 
-from imu_calib.cdr import Kind, Messages, decode_imu, decode_temperatures
-from imu_calib.devices import Reception, load_format
-from imu_calib.devices.source import Chunk, SourceState
-from imu_calib.errors import ImuCalibError, InputError
-from imu_calib.imu import load_imu
-from imu_calib.nodes import qos
+from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.recordings.decode import decode_imu, decode_temperatures
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.messages import Messages
+from imu_calib.session.imu import load_imu
+from imu_calib.stand.devices.format import load_format
+from imu_calib.stand.devices.source import Chunk, SourceState
+from imu_calib.stand.nodes import qos
+from imu_calib.stand.nodes.reception import Reception
 
 # ROS reads this when it loads its messages.
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
-    from imu_calib import middleware as ros
-    from imu_calib.nodes.imu_node import ImuNode
-    from imu_calib.nodes.session_reports import IMU_TIMEOUT, is_fed
+    from imu_calib.stand import middleware as ros
+    from imu_calib.stand.nodes.imu_node import ImuNode
+    from imu_calib.stand.nodes.session_reports import IMU_TIMEOUT, is_fed
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -403,7 +406,7 @@ def test_a_port_that_is_missing_is_refused_in_a_sentence(bench):
 
 
 def test_the_program_ends_clean_and_says_what_is_wrong(bench, tmp_path):
-    command = [sys.executable, '-m', 'imu_calib.nodes.imu_node', '--ros-args', '-p']
+    command = [sys.executable, '-m', 'imu_calib.stand.nodes.imu_node', '--ros-args', '-p']
     wrong = subprocess.run(
         [*command, 'device:=no_such_device', '-p', f'port:={bench.device.url}'],
         capture_output=True,

@@ -12,11 +12,11 @@ from other_world import DEG, Stop, Unit, World, record
 from test_motion_terms import LATE, PLACES, QUIET, known
 from test_other_world import EPOCH
 
-from imu_calib.calibration import Calibration
-from imu_calib.compensation.apply import Compensation
-from imu_calib.compensation.compensator import Compensator, Reading
-from imu_calib.compensation.samples import concatenated
-from imu_calib.stream import ImuBlock
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.compensate import Compensation
+from imu_calib.calibration.compensator import Compensator, Reading
+from imu_calib.calibration.samples import concatenated
+from imu_calib.common.stream import ImuBlock
 
 SHORT = World(
     dwell=1.0,

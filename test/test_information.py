@@ -11,21 +11,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.model import PARAMETER_NAMES, SensorModel
-from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.information import (
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import ARCSEC, DEG
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.information import (
     Information,
     attainable_std,
     log_determinant,
     unobservable_in_words,
 )
-from imu_calib.plan import Plan, load_plan
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.sensors import SensorModel
 from imu_calib.segmentation.clock import ClockFit
-from imu_calib.segmentation.segment import Segment, Statistics, Turn
-from imu_calib.stream import Floats
-from imu_calib.turntable import TURN
-from imu_calib.units import ARCSEC, DEG
+from imu_calib.segmentation.segments import Segment, Statistics, Turn
+from imu_calib.session.plan import Plan, load_plan
+from imu_calib.session.table import TURN
 
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG), latitude_std=0.0)
 CLOCK = ClockFit(0.0, 0.0, 1e-6, 0.0, 0.0, 30)

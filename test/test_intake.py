@@ -8,15 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imu_calib.imu import ImuSpec, TriadSpec, load_imu
-from imu_calib.segmentation.buffer import RowBuffer
-from imu_calib.segmentation.intake import StreamBuffer
-from imu_calib.segmentation.order import StampOrder
-from imu_calib.segmentation.repeated_samples import repeating_a_turn, repeating_samples
-from imu_calib.segmentation.sensor import Sensor
-from imu_calib.segmentation.statistics import Samples
-from imu_calib.segmentation.thermometer import Temperature, Thermometer
-from imu_calib.stream import (
+from imu_calib.common.stream import (
     Floats,
     ImuBlock,
     JointBlock,
@@ -27,8 +19,16 @@ from imu_calib.stream import (
     TemperatureBlock,
     Units,
 )
-from imu_calib.turntable import Joint, Table
-from imu_calib.units import DEG
+from imu_calib.common.units import DEG
+from imu_calib.segmentation.buffer import RowBuffer
+from imu_calib.segmentation.intake import StreamBuffer
+from imu_calib.segmentation.order import StampOrder
+from imu_calib.segmentation.repeated_samples import repeating_a_turn, repeating_samples
+from imu_calib.segmentation.sensor import Sensor
+from imu_calib.segmentation.statistics import Samples
+from imu_calib.segmentation.thermometer import Temperature, Thermometer
+from imu_calib.session.imu import ImuSpec, TriadSpec, load_imu
+from imu_calib.session.table import Joint, Table
 
 NS = 10**9
 

@@ -28,27 +28,30 @@ from sessions import (
 )
 from test_information import SECOND, evidence_of
 
-from imu_calib.calibrator import Setup
-from imu_calib.earth import Site
-from imu_calib.errors import NotObservable
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import ARCSEC, DEG, DEG_H, MICRO_G
+from imu_calib.estimation import joint
+from imu_calib.estimation.closed_forms import six_position, twelve_position
+from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.estimate import estimate
+from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.fit import fit, start
-from imu_calib.imu import ImuSpec, load_imu
-from imu_calib.methods import joint, six_position, twelve_position
-from imu_calib.methods.solution import Solution
-from imu_calib.model import G_SENSITIVITY as G_TERM
-from imu_calib.model import PARAMETER_NAMES, TERMS, SensorModel, Term, parameters_of
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.session_model import Nuisance
-from imu_calib.plan import Plan, Position, load_plan
-from imu_calib.prediction.forecast import forecast
-from imu_calib.repetition import economical
-from imu_calib.segmentation.segment import Segment, Statistics, Turn
-from imu_calib.simulation import StandOptions
-from imu_calib.stream import Floats
-from imu_calib.turntable import TURN, Table, load_table
-from imu_calib.units import ARCSEC, DEG, DEG_H, MICRO_G
+from imu_calib.estimation.forecast import forecast
+from imu_calib.estimation.session_model import Nuisance
+from imu_calib.estimation.setup import Setup
+from imu_calib.estimation.solution import Solution
+from imu_calib.model.earth import Site
+from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.sensors import SensorModel, parameters_of
+from imu_calib.model.terms import G_SENSITIVITY as G_TERM
+from imu_calib.model.terms import TERMS, Term
+from imu_calib.segmentation.segments import Segment, Statistics, Turn
+from imu_calib.session.imu import ImuSpec, load_imu
+from imu_calib.session.plan import Plan, Position, load_plan
+from imu_calib.session.table import TURN, Table, load_table
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.repetition import economical
 
 GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(21, 24)
 G_SENSITIVITY = 0.1 * DEG_H / 9.80665

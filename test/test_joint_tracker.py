@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imu_calib.segmentation.motion import JointTracker, Motion, Rest, averaged
-from imu_calib.stream import Floats, Stamps
-from imu_calib.units import DEG
+from imu_calib.common.stream import Floats, Stamps
+from imu_calib.common.units import DEG
+from imu_calib.segmentation.table_motion import JointTracker, Motion, Rest, averaged
 
 NS = 10**9
 WINDOW = 250_000_000

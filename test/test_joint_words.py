@@ -10,16 +10,18 @@ import numpy as np
 import pytest
 from test_information import ACCEL_WALK, GYRO_WALK, SITE, evidence_of, statistics
 
-from imu_calib.errors import InputError, NotObservable
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import ARCSEC, DEG
+from imu_calib.estimation import joint, joint_findings
+from imu_calib.estimation.checks import WrongLatitude
 from imu_calib.estimation.converge import NotConverged
 from imu_calib.estimation.estimate import estimate
-from imu_calib.methods import joint, joint_findings
-from imu_calib.methods.checks import WrongLatitude
-from imu_calib.model import G_SENSITIVITY, PARAMETERS, SensorModel, Triad
-from imu_calib.observation.layout import OutputLayout
-from imu_calib.observation.session_model import Nuisance
-from imu_calib.stream import Floats
-from imu_calib.units import ARCSEC, DEG
+from imu_calib.estimation.layout import OutputLayout
+from imu_calib.estimation.session_model import Nuisance
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.model.terms import G_SENSITIVITY
 
 TRUE = SensorModel(
     Triad(np.array([[1e-3, 2e-4, 0], [-3e-4, -2e-3, 1e-4], [0, 5e-4, 1e-3]]), np.full(3, 2e-6)),

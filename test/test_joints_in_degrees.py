@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from sessions import fed, paper_imu, quick_plan, session
 
-from imu_calib.calibrator import Setup
-from imu_calib.calibrator.mistakes import joints_in_degrees
-from imu_calib.earth import Site
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG
+from imu_calib.calibration.results import joints_in_degrees
+from imu_calib.common.units import DEG
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.session.table import load_table
 
 SITE = Site.at(34.65 * DEG)
 IN_DEGREES = 1 / DEG

@@ -8,16 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imu_calib.bags import RecordingWriter, open_recording
-from imu_calib.bags.journal import FINISHED, Journal
-from imu_calib.cdr import Kind, Messages, encode_imu
-from imu_calib.errors import InputError
-from imu_calib.stream import Floats, ImuBlock
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import Floats, ImuBlock
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.journal import FINISHED, Journal
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.writer import RecordingWriter
 
 NS, EPOCH = 1_000_000_000, 1_700_000_000_000_000_000
 IMU, SKEW = '/imu/pulses', '/imu/skew'
 NAMES = {IMU: Kind.IMU, SKEW: Kind.SKEW}
-SESSION = {'imu_calib.plan': 'name: one', 'imu_calib.latitude_deg': '34.65'}
+SESSION = {'imu_calib.session.plan': 'name: one', 'imu_calib.latitude_deg': '34.65'}
 
 
 def samples(first: int, count: int = 5) -> Messages:
@@ -92,7 +95,7 @@ def test_what_a_killed_session_flushed_is_gone_on_with(tmp_path: Path) -> None:
 
     again = Journal(folder, SESSION, NAMES)
     assert again.resumed
-    assert again.former['imu_calib.plan'] == 'name: one'
+    assert again.former['imu_calib.session.plan'] == 'name: one'
     assert again.former['imu_calib.left_out'] == 'unit_C'
     before = [(name, block) for name, block in again.replay() if isinstance(block, ImuBlock)]
     assert [name for name, _ in before] == [IMU] * len(before)
@@ -142,7 +145,7 @@ def test_of_an_old_session_that_cannot_be_read_it_is_said_why(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ('key', 'word'), [('imu_calib.plan', 'plan'), ('imu_calib.latitude_deg', 'latitude')]
+    ('key', 'word'), [('imu_calib.session.plan', 'plan'), ('imu_calib.latitude_deg', 'latitude')]
 )
 def test_a_session_of_something_else_is_not_gone_on_with(
     tmp_path: Path, key: str, word: str

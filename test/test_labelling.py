@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from ideal import mean_of
 
-from imu_calib.errors import InputError
-from imu_calib.plan import Plan, Position, RateTest
-from imu_calib.rotations import rotation
+from imu_calib.common.errors import InputError
+from imu_calib.common.rotations import rotation
+from imu_calib.common.stream import Floats, Mode, Setpoint
+from imu_calib.common.units import DEG
 from imu_calib.segmentation.clock import NO_CLOCK
 from imu_calib.segmentation.labelling import label
-from imu_calib.segmentation.segment import Segment, Turn
-from imu_calib.segmentation.segmented import MountShift, Rejected, Segmented
-from imu_calib.stream import Floats, Mode, Setpoint
-from imu_calib.units import DEG
+from imu_calib.segmentation.segments import Segment, Turn
+from imu_calib.segmentation.stream_facts import MountShift, Rejected, Segmented
+from imu_calib.session.plan import Plan, Position, RateTest
 
 NS = 10**9
 X, Y, Z = np.eye(3)

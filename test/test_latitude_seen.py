@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imu_calib.observation.measured_earth_rate import (
+from imu_calib.common.stream import Floats
+from imu_calib.estimation.measured_earth_rate import (
     contradicts,
     measured_latitude,
     vertical_earth_rate,
 )
-from imu_calib.stream import Floats
 
 RATE = 7.292115e-5
 LATITUDE = np.radians(40.0)

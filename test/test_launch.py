@@ -12,15 +12,16 @@ from loopback import CHECKOUT, environment
 
 from imu_calib.cli import dispatch, stand_session
 from imu_calib.cli.processes import free_port
-from imu_calib.errors import ImuCalibError
-from imu_calib.rotations import rotation
-from imu_calib.turntable import load_table
-from imu_calib.version import version
+from imu_calib.common.errors import ImuCalibError
+from imu_calib.common.rotations import rotation
+from imu_calib.common.version import version
+from imu_calib.session.table import load_table
 
 try:
-    from imu_calib import middleware as ros
-    from imu_calib.nodes import heartbeat, session_parameters
-    from imu_calib.nodes.declared import declare
+    from imu_calib.stand import middleware as ros
+    from imu_calib.stand.nodes import heartbeat
+    from imu_calib.stand.nodes import parameters as session_parameters
+    from imu_calib.stand.nodes.declared import declare
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -46,7 +47,7 @@ def declared(tmp_path_factory):
             patched.setenv(name, value)
         patched.chdir(tmp_path_factory.mktemp('nodes'))
         if 'web_node' in NODES:
-            patched.setattr('imu_calib.web.server.Server', Unserved)
+            patched.setattr('imu_calib.stand.web.server.Server', Unserved)
         return {name: declared_by(name, kind, patched) for name, kind in NODES.items()}
 
 

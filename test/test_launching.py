@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from loopback import CHECKOUT, until
 
-from imu_calib import launching
-from imu_calib.errors import InputError
-from imu_calib.launching import wrong
+from imu_calib.common.errors import InputError
+from imu_calib.stand import launching
+from imu_calib.stand.launching import wrong
 
 SOUND = {
     'plan': 'twelve_position',
@@ -111,9 +111,7 @@ def _declared(text):
     return {k: v if isinstance(v, ast.Constant) else None for k, v in found.items()}
 
 
-CHILD = (
-    'from imu_calib.lifetime import end_with_parent as e; import time; e(); print(1, flush=True);'
-)
+CHILD = 'from imu_calib.common.lifetime import end_with_parent as e; import time; e(); print(1, flush=True);'
 LAUNCHER = """
 import os, subprocess, sys
 os.environ['IMU_CALIB_ENDS_WITH'] = str(os.getpid())

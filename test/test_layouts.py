@@ -9,9 +9,9 @@ from xml.etree import ElementTree
 import pytest
 from loopback import CHECKOUT
 
-from imu_calib.definitions import definition
-from imu_calib.errors import InputError
-from imu_calib.turntable import load_table
+from imu_calib.common.errors import InputError
+from imu_calib.recordings.definitions import definition
+from imu_calib.session.table import load_table
 
 CONFIG = CHECKOUT / 'config'
 FILES = [

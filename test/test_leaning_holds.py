@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 from hand_world import HeldUnit, held
 
-from imu_calib.calibrator import Calibrator, Result, Setup
-from imu_calib.earth import Site
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.plan import load_plan
-from imu_calib.stream import Floats, ImuBlock, Units
-from imu_calib.units import DEG
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.common.stream import Floats, ImuBlock, Units
+from imu_calib.common.units import DEG
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.plan import load_plan
 
 GRAVITY = 9.80665
 UNIT = HeldUnit(

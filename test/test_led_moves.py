@@ -12,9 +12,10 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
-from imu_calib.observation.gyro_paths import GyroPath, propagated
-from imu_calib.observation.moves import (
+from imu_calib.common.rotations import rotations_last
+from imu_calib.common.stream import Floats
+from imu_calib.estimation.gyro_paths import VelocityIncrement, _change, by_delay, by_places
+from imu_calib.estimation.moves import (
     LinkedMove,
     Moves,
     _gravity_misfit,
@@ -23,15 +24,11 @@ from imu_calib.observation.moves import (
     _seconds_of_second_order,
     coning_variance,
 )
-from imu_calib.observation.velocity_increments import (
-    VelocityIncrement,
-    _change,
-    by_delay,
-    by_places,
-)
-from imu_calib.rotations import rotations_last
-from imu_calib.segmentation.segmented import Move, VelocitySteps
-from imu_calib.stream import Floats
+from imu_calib.estimation.observation_gyro_paths import GyroPath, propagated
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.segmentation.stream_facts import Move, VelocitySteps
 
 G = 9.8
 EARTH = np.array([1e-5, 5e-5, 4e-5])
@@ -92,7 +89,7 @@ def rest(start: int, end: int, angles: Any = (0.0,), **other: Any) -> Any:
 
 def between(segments: Any, moves: Any, turns: Any = (), **other: Any) -> list[tuple[int, int]]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr('imu_calib.observation.moves.ApproximateSensors.of', lambda *_: 'rough')
+        patch.setattr('imu_calib.estimation.moves.ApproximateSensors.of', lambda *_: 'rough')
         found = Moves.between(segments, turns, moves, G, WALK, **other)
     assert (found.approximate_sensors == 'rough') is bool(found.linked and not other.get('free'))
     return [(link.first, link.second) for link in found.linked]
@@ -117,7 +114,7 @@ def test_a_move_with_a_turn_in_it_is_left_to_the_turn(start: int, end: int, coun
     turn = SimpleNamespace(start=start, end=end)
     held = [rest(0, 10), rest(20, 30, (1.0,))]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr('imu_calib.observation.moves.ApproximateSensors.of', lambda *_: None)
+        patch.setattr('imu_calib.estimation.moves.ApproximateSensors.of', lambda *_: None)
         found = Moves.between(held, [turn], [move()], G, WALK)
     assert bool(found.linked) is counts
 
@@ -125,7 +122,7 @@ def test_a_move_with_a_turn_in_it_is_left_to_the_turn(start: int, end: int, coun
 def test_a_link_has_the_errors_of_both_ends() -> None:
     held = [rest(0, 10, attitude_error=3e-5), rest(20, 30, (1.0,), attitude_error=4e-5)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr('imu_calib.observation.moves.ApproximateSensors.of', lambda *_: None)
+        patch.setattr('imu_calib.estimation.moves.ApproximateSensors.of', lambda *_: None)
         (link,) = Moves.between(held, [], [move()], G, WALK).linked
         (free,) = Moves.between(held, [], [move()], G, WALK, free=True).linked
     assert link.encoders == pytest.approx(25e-10)

@@ -10,28 +10,32 @@ from live import Stand
 from rich.console import Console
 from sessions import SITE, Alone, ended
 
-from imu_calib.bags import open_recording
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.calibrator.by_hand import HandCalibrator
-from imu_calib.calibrator.guidance import Stage, direction
-from imu_calib.cdr import Kind, encode_imu
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.guidance import Stage, direction
+from imu_calib.calibration.hand import HandCalibrator
 from imu_calib.cli.by_hand import reached, view
 from imu_calib.cli.main import main
-from imu_calib.devices import Decoder, load_format
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.errors import InputError
-from imu_calib.imu import load_imu
-from imu_calib.methods.free_positions import FREE
-from imu_calib.model import PARAMETER_NAMES, ParameterKind
-from imu_calib.nodes import hand_node
-from imu_calib.nodes.live import SessionPhase
-from imu_calib.plan import load_plan
-from imu_calib.share import named_file
-from imu_calib.simulation import ImuOptions
+from imu_calib.common.errors import InputError
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import ImuBlock
+from imu_calib.common.units import ARCMIN, DEG, PPM
+from imu_calib.estimation.hand import FREE
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.parameters import ParameterKind
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import load_plan
 from imu_calib.simulation.held import HeldHardware
-from imu_calib.stream import ImuBlock
-from imu_calib.units import ARCMIN, DEG, PPM
+from imu_calib.simulation.options import ImuOptions
+from imu_calib.stand.devices.decoder import Decoder
+from imu_calib.stand.devices.format import load_format
+from imu_calib.stand.nodes import hand_node
+from imu_calib.stand.nodes.live import SessionPhase
 
 SPEC = load_imu('mems_counts')
 TRUTH = Calibration.load(named_file('truths', 'mems_counts'))

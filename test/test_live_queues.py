@@ -11,15 +11,15 @@ import pytest
 from test_by_temperature import UNIT, point
 from test_compensation import known, with_skew
 
-from imu_calib.compensation import compensator as module
-from imu_calib.compensation.apply import Compensation
-from imu_calib.compensation.compensator import Compensator
-from imu_calib.compensation.sample_clock import SampleClock
-from imu_calib.compensation.samples import Mark
-from imu_calib.compensation.thermal import combine
-from imu_calib.errors import NotObservable
-from imu_calib.model import SensorModel, Triad
-from imu_calib.stream import ImuBlock, SkewBlock, TemperatureBlock, Units
+from imu_calib.calibration import compensator as module
+from imu_calib.calibration.compensate import Compensation
+from imu_calib.calibration.compensator import Compensator
+from imu_calib.calibration.sample_clock import SampleClock
+from imu_calib.calibration.samples import Mark
+from imu_calib.calibration.thermal import combine
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import ImuBlock, SkewBlock, TemperatureBlock, Units
+from imu_calib.model.sensors import SensorModel, Triad
 
 MS = 1_000_000
 START = 1_700_000_000_000 * MS

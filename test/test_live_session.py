@@ -11,18 +11,21 @@ from hypothesis import strategies as st
 from loopback import patience, until
 from sessions import SITE, Alone, at_one_rate, ended, paper_imu, quick_plan, stand
 
-from imu_calib.bags import open_recording
-from imu_calib.budget import Source
-from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints
-from imu_calib.errors import InputError
-from imu_calib.model import SensorModel
-from imu_calib.nodes.diagnostics import Level
-from imu_calib.nodes.live import SessionPhase
-from imu_calib.nodes.session_reports import report_session
-from imu_calib.simulation import simulate
-from imu_calib.stream import ImuBlock, JointBlock, SetpointBlock
-from imu_calib.turntable import load_table
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.common.budget import Source
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.sensors import SensorModel
+from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.session.table import load_table
+from imu_calib.simulation.stand import simulate
+from imu_calib.stand.nodes.diagnostics import Level
+from imu_calib.stand.nodes.live import SessionPhase
+from imu_calib.stand.nodes.session_reports import report_session
 
 TOPICS = {
     Kind.IMU: '/imu/pulses',
@@ -38,7 +41,7 @@ TABLE = load_table('three_axis')
 PLAN = at_one_rate(quick_plan('twelve_position', dwell=6.0))
 SETUP = Setup(paper_imu(), PLAN, TABLE, SITE)
 SLOW = replace(SETUP, plan=quick_plan('twelve_position', dwell=6.0))
-DESCRIPTION = {'imu_calib.plan': 'twelve, but shorter'}
+DESCRIPTION = {'imu_calib.session.plan': 'twelve, but shorter'}
 
 
 def serialised(setup):
@@ -242,7 +245,7 @@ def test_a_finished_journal_and_one_of_another_plan_are_not_gone_on_with(tmp_pat
     send(session, wire, np.random.default_rng(1), 0, 0.2)
     session.close()
     with pytest.raises(InputError, match='another plan'):
-        begin(tmp_path / 'other', {'imu_calib.plan': 'another'})
+        begin(tmp_path / 'other', {'imu_calib.session.plan': 'another'})
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):

@@ -7,20 +7,21 @@ import numpy as np
 import pytest
 from sessions import SITE, Alone, ended, stand
 
-from imu_calib import calibrate
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Setup
-from imu_calib.cdr import Kind, encode_imu, encode_joints, encode_setpoints
-from imu_calib.imu import load_imu
-from imu_calib.metadata import describe
-from imu_calib.nodes import calibrator_feed
-from imu_calib.nodes.live import SessionPhase
-from imu_calib.plan import RateTest, load_plan
-from imu_calib.share import named_file
-from imu_calib.simulation import simulate
-from imu_calib.stream import ImuBlock, JointBlock, SetpointBlock, SkewBlock
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG
+from imu_calib.api.calibrating import calibrate
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock, SkewBlock
+from imu_calib.common.units import DEG
+from imu_calib.estimation.setup import Setup
+from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints
+from imu_calib.recordings.kinds import Kind
+from imu_calib.session.imu import load_imu
+from imu_calib.session.metadata import describe
+from imu_calib.session.plan import RateTest, load_plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.stand import simulate
+from imu_calib.stand.nodes import calibrator_feed
+from imu_calib.stand.nodes.live import SessionPhase
 
 TOPICS = {
     Kind.IMU: '/imu/pulses',

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from imu_calib.segmentation.bridging import (
+from imu_calib.common.stream import Floats
+from imu_calib.segmentation.gaps import (
     Bridged,
     _best_reach,
     _gain,
@@ -16,7 +17,6 @@ from imu_calib.segmentation.bridging import (
     filled_at_steady_rate,
 )
 from imu_calib.segmentation.statistics import Samples
-from imu_calib.stream import Floats
 
 PERIOD, PERIOD_NS = 0.01, 10_000_000
 WALK = np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])

@@ -31,20 +31,21 @@ import yaml
 from extent import ALL
 
 from imu_calib.api.conforming import conformity
-from imu_calib.bags import open_recording
-from imu_calib.calibration import Calibration
-from imu_calib.cdr import Kind
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.exports_part import EXPORTS
 from imu_calib.cli.main import main
 from imu_calib.cli.several import HELD_UNIT as HELD
-from imu_calib.earth import EARTH_RATE
-from imu_calib.exports import EXPORTS
-from imu_calib.imu import ImuSpec, load_imu, read_imu
-from imu_calib.methods import JOINT, free_positions
-from imu_calib.model import terms_of
-from imu_calib.observation.evidence import SMALLEST_VARIANCE
-from imu_calib.plan import Plan, load_plan
-from imu_calib.share import share_folder
-from imu_calib.stream import Floats, Units
+from imu_calib.common.share import share_folder
+from imu_calib.common.stream import Floats, Units
+from imu_calib.estimation import hand as free_positions
+from imu_calib.estimation.evidence import SMALLEST_VARIANCE
+from imu_calib.estimation.methods import JOINT
+from imu_calib.model.earth import EARTH_RATE
+from imu_calib.model.sensors import terms_of
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.session.imu import ImuSpec, load_imu, read_imu
+from imu_calib.session.plan import Plan, load_plan
 
 CONFIG = share_folder() / 'config'
 DWELL, ALONE = 8.0, 200.0
@@ -339,8 +340,8 @@ def _compensated(case: Case, found: Calibration, bag: str, file: str, shell: She
     rest = _last_rest(out)
     imu = imu_of(case.imu)
     with open_recording(Path(out)) as recording:
-        text = recording.custom_data['imu_calib.imu:/imu/data_raw']
-        assert 'imu_calib.imu' not in recording.custom_data
+        text = recording.custom_data['imu_calib.session.imu:/imu/data_raw']
+        assert 'imu_calib.session.imu' not in recording.custom_data
     described = read_imu(_section(text))
     assert (described.id, described.units) == (imu.id, Units.SI)
     if found.has_accelerometers:
@@ -361,7 +362,7 @@ def _compensated(case: Case, found: Calibration, bag: str, file: str, shell: She
 
 
 def _section(text: str):
-    from imu_calib.config import Section
+    from imu_calib.common.config import Section
 
     return Section.parse(text, 'recording')
 

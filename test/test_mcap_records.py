@@ -21,8 +21,8 @@ from mcap_bytes import (
     texts,
 )
 
-from imu_calib.bags import mcap_records
-from imu_calib.bags.mcap_records import (
+from imu_calib.recordings import mcap_records
+from imu_calib.recordings.mcap_records import (
     FOOTER_SIZE,
     MAGIC,
     Catalogue,
@@ -35,8 +35,8 @@ from imu_calib.bags.mcap_records import (
     strings,
     walk,
 )
-from imu_calib.bags.storage import Described
-from imu_calib.cdr.messages import Bytes, Indices
+from imu_calib.recordings.messages import Bytes, Indices
+from imu_calib.recordings.storage import Described
 
 KINDS = {SCHEMA, CHANNEL, METADATA, CHUNK_INDEX, Op.ATTACHMENT_INDEX, METADATA_INDEX, STATISTICS}
 

@@ -33,10 +33,10 @@ from mcap_bytes import (
     text,
 )
 
-from imu_calib.bags import mcap_scan
-from imu_calib.bags.mcap_chunk import Chunk
-from imu_calib.bags.mcap_scan import Scan, scan
-from imu_calib.bags.storage import Losses, RecordingError
+from imu_calib.recordings import mcap_scan
+from imu_calib.recordings.mcap_chunk import Chunk
+from imu_calib.recordings.mcap_scan import Scan, scan
+from imu_calib.recordings.storage import Losses, RecordingError
 
 NS = 1_000_000_000
 

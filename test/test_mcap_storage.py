@@ -28,12 +28,12 @@ from mcap_bytes import (
     text,
 )
 
-from imu_calib.bags import mcap, mcap_chunk
-from imu_calib.bags.mcap import McapStorage, Unpacked, _tables, _with_checksum
-from imu_calib.bags.mcap_chunk import Chunk, chunk_at, grouped
-from imu_calib.bags.mcap_places import Part, Placed, indexed, located
-from imu_calib.bags.storage import Cache, Losses, Memory, MessageBatch
-from imu_calib.cdr.messages import Bytes
+from imu_calib.recordings import mcap, mcap_chunk
+from imu_calib.recordings.mcap import McapStorage, Unpacked, _tables, _with_checksum
+from imu_calib.recordings.mcap_chunk import Chunk, chunk_at, grouped
+from imu_calib.recordings.mcap_places import Part, Placed, indexed, located
+from imu_calib.recordings.messages import Bytes
+from imu_calib.recordings.storage import Cache, Losses, Memory, MessageBatch
 
 NS = 1_000_000_000
 END = record(DATA_END, bytes(4))

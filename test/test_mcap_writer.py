@@ -9,9 +9,10 @@ import pytest
 from bag_files import ENCODERS, IMU, KINDS, NS, session, stamps, storage_file
 from test_bags import write_own
 
-from imu_calib.bags import RecordingWriter
-from imu_calib.bags.codec import unpack
-from imu_calib.cdr import Messages, part
+from imu_calib.recordings.codec import unpack
+from imu_calib.recordings.decode import part
+from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.writer import RecordingWriter
 
 SESSION = session()
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX = range(1, 9)

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 from sessions import paper_imu, quick_plan, session, stand
 
+from imu_calib.common.stream import Block, ImuBlock, JointBlock
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.stream import Block, ImuBlock, JointBlock
-from imu_calib.turntable import load_table
+from imu_calib.session.table import load_table
 
 ROW = 7 * 8
 """Bytes of a sample: a stamp and six numbers."""

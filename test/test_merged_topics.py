@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from imu_calib.bags.merge import Piece, merge
-from imu_calib.stream import TemperatureBlock
+from imu_calib.common.stream import TemperatureBlock
+from imu_calib.recordings.merge import Piece, merge
 
 SECOND = 10**9
 

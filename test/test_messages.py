@@ -10,18 +10,19 @@ import pytest
 from loopback import CHECKOUT
 from rosbags.typesys import Stores, get_typestore
 
-from imu_calib.definitions import message_text
-from imu_calib.errors import ImuCalibError, InputError
+from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.recordings.definitions import message_text
 
 try:
     from interop_peer import filled, ros
 
     if ros.RUNTIME != 'dds':
         pytest.skip('of the dds runtime', allow_module_level=True)
-    from imu_calib.middleware.dds import deserialize_message, messages, serialize_message
-    from imu_calib.middleware.dds.interfaces import interface, type_hash
-    from imu_calib.middleware.dds.message_classes import message_class
-    from imu_calib.middleware.interface_types import MESSAGES
+    from imu_calib.stand.middleware.dds import messages
+    from imu_calib.stand.middleware.dds.codec import deserialize_message, serialize_message
+    from imu_calib.stand.middleware.dds.interfaces import interface, type_hash
+    from imu_calib.stand.middleware.dds.messages import message_class
+    from imu_calib.stand.middleware.interface_types import MESSAGES
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -129,7 +130,7 @@ def test_damaged_bytes_are_refused_or_read_but_nothing_else():
 
 LOADED = """
 import json, sys
-from imu_calib.middleware.dds import messages
+from imu_calib.stand.middleware.dds import messages
 messages.Imu()
 print(json.dumps(sorted(sys.modules)))
 """

@@ -10,20 +10,21 @@ import pytest
 from ideal import evidence
 from sessions import calibrate, paper_imu, stand
 
-from imu_calib.calibration import Calibration
-from imu_calib.earth import EARTH_RATE, Site, normal_gravity
-from imu_calib.errors import InputError, NotObservable
-from imu_calib.methods import check_plan, method
-from imu_calib.methods.solution import Solution
-from imu_calib.model import PARAMETER_NAMES, SensorModel, Triad
-from imu_calib.plan import Plan, load_plan
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.rotations import rotation
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import ARCSEC, DEG, DEG_H
+from imu_calib.estimation.methods import check_plan, method
+from imu_calib.estimation.solution import Solution
+from imu_calib.model.earth import EARTH_RATE, Site, normal_gravity
+from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.reports.parameter_table import parameter_table
-from imu_calib.reports.side_by_side import comparison_table, side_by_side
-from imu_calib.rotations import rotation
-from imu_calib.simulation import simulate
-from imu_calib.stream import Floats
-from imu_calib.turntable import load_table
-from imu_calib.units import ARCSEC, DEG, DEG_H
+from imu_calib.reports.tables import comparison_table, side_by_side
+from imu_calib.session.plan import Plan, load_plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.stand import simulate
 
 SITE = Site.at(34 * DEG, gravity=normal_gravity(34 * DEG))
 W_N, W_U = EARTH_RATE * np.cos(34 * DEG), EARTH_RATE * np.sin(34 * DEG)

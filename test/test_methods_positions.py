@@ -9,21 +9,25 @@ import numpy as np
 import pytest
 from sessions import SITE, calibrate, paper_imu, stand
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Result, Setup
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.calibrator_results import Result
 from imu_calib.cli.main import main
-from imu_calib.config import Section
-from imu_calib.errors import InputError, NotObservable
-from imu_calib.imu import load_imu
-from imu_calib.methods import METHODS, check_plan
-from imu_calib.model import G_SENSITIVITY, SensorModel, parameters_of
-from imu_calib.plan import Plan, load_plan, read_plan
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.share import named_file, share_folder
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG, DEG_H, STANDARD_GRAVITY
+from imu_calib.estimation.methods import METHODS, check_plan
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.sensors import SensorModel, parameters_of
+from imu_calib.model.terms import G_SENSITIVITY
 from imu_calib.reports.parameter_table import parameter_table
-from imu_calib.share import named_file, share_folder
-from imu_calib.simulation import StandOptions, simulate
-from imu_calib.stream import Floats
-from imu_calib.turntable import Table, load_table
-from imu_calib.units import DEG, DEG_H, STANDARD_GRAVITY
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import Plan, load_plan, read_plan
+from imu_calib.session.table import Table, load_table
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.stand import simulate
 
 PER_G = DEG_H / STANDARD_GRAVITY
 ALL_33 = parameters_of([G_SENSITIVITY])

@@ -11,21 +11,22 @@ import pytest
 from ideal import evidence, mean_of
 from sessions import SITE, calibrate, stand
 
-from imu_calib.calibration import Calibration
-from imu_calib.errors import NotObservable
-from imu_calib.imu import load_imu
-from imu_calib.methods import check_plan, skewed
-from imu_calib.methods.skewed import RatePoints, parity
-from imu_calib.model import SensorModel, Triad
-from imu_calib.observation.evidence import Evidence
-from imu_calib.plan import Plan, load_plan
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats, ImuBlock, SkewBlock
+from imu_calib.common.units import DEG, DEG_H
+from imu_calib.estimation.closed_forms import skewed
+from imu_calib.estimation.closed_forms.skewed import RatePoints, parity
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.methods import check_plan
+from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.reports.parameter_table import parameter_table
-from imu_calib.segmentation.segment import Turn
-from imu_calib.share import named_file
-from imu_calib.simulation import simulate
-from imu_calib.stream import Floats, ImuBlock, SkewBlock
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG, DEG_H
+from imu_calib.segmentation.segments import Turn
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import Plan, load_plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.stand import simulate
 
 RATES = np.array([5.0, -5, 20, -20, 50, -50, 100, -100, 150, -150]) * DEG
 TURNS = 4

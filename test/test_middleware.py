@@ -15,14 +15,16 @@ import pytest
 from installed import missing
 from loopback import environment, patience, start, until
 
-from imu_calib.cdr import Messages, decode_imu, encode_imu
-from imu_calib.errors import ImuCalibError
-from imu_calib.stream import ImuBlock
+from imu_calib.common.errors import ImuCalibError
+from imu_calib.common.stream import ImuBlock
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.decode import decode_imu
+from imu_calib.recordings.messages import Messages
 
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
-    from imu_calib import middleware as ros
-    from imu_calib.middleware import running
+    from imu_calib.stand import middleware as ros
+    from imu_calib.stand.nodes import programs as running
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -147,7 +149,7 @@ class LateClient:
     IDENTITY = 'clientid= 1.2.3;', 'service'
 
     def __init__(self, node):
-        from imu_calib.middleware.dds import codec, wire
+        from imu_calib.stand.middleware.dds import codec, wire
 
         self.service = node.create_service(ros.Trigger, '/late', self.answer)
         self.participant = self.service.reader.participant
@@ -394,7 +396,7 @@ def test_a_best_effort_publisher_is_told_to_a_reliable_subscription(node):
 
 MISMATCH = """
 import sys, time
-from imu_calib.middleware import *
+from imu_calib.stand.middleware import *
 init(args=[]); node = Node('driver')
 qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 ends = [node.create_publisher(messages.Imu, 'imu', qos)]
@@ -459,7 +461,7 @@ def test_publishers_are_listed_with_their_nodes_and_with_what_they_offer(node):
 
 def test_the_log_is_written_as_ros_writes_it(domain):
     code = (
-        'from imu_calib.middleware import *\n'
+        'from imu_calib.stand.middleware import *\n'
         "init(args=[]); n = Node('a', namespace='/b'); n.get_logger().warning('text')\n"
         "n.get_logger().debug('no')\n"
         'shutdown()'
@@ -572,7 +574,7 @@ def test_a_drain_may_be_bounded(node):
 
 BURST = """
 import sys
-from imu_calib.middleware import *
+from imu_calib.stand.middleware import *
 init(args=[]); node = Node('source')
 qos = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 publisher = node.create_publisher(messages.Imu, 'imu/pulses', qos)
@@ -598,7 +600,7 @@ def test_another_process_is_drained_without_loss(node):
 
 ORPHANED = """
 import sys, threading
-from imu_calib.middleware import *
+from imu_calib.stand.middleware import *
 init(args=[]); node = Node('source')
 qos = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 publisher = node.create_publisher(messages.Imu, 'imu/pulses', qos)
@@ -613,7 +615,7 @@ while thread.is_alive() or count < 8000: count += len(drain(heard))
 print(count); shutdown()
 """
 LISTENER = """
-from imu_calib.middleware import *
+from imu_calib.stand.middleware import *
 init(args=[]); node = Node('listener')
 qos = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 heard = open_drain(node, messages.Imu, 'imu/pulses', qos); spin(node)
@@ -641,8 +643,8 @@ def test_a_killed_subscriber_costs_the_others_nothing_but_time(domain, rmw):
 LAST_WORD = """
 import signal
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
-from imu_calib.middleware import *
-from imu_calib.middleware import running
+from imu_calib.stand.middleware import *
+from imu_calib.stand.nodes import programs as running
 # A busy machine may hold up the test, which acknowledges.
 running._ACKNOWLEDGE_TIMEOUT = 60.0
 latched = QoSProfile(depth=1)
@@ -717,8 +719,8 @@ def test_signals_that_come_on_top_of_each_other_end_a_node_too(domain):
 
 PROGRAM = """
 import sys
-from imu_calib.middleware import Node
-from imu_calib.nodes.entry import entry_point
+from imu_calib.stand.middleware import Node
+from imu_calib.stand.nodes.entry import entry_point
 class Ending(Node):
     def __init__(self):
         super().__init__('ending')
@@ -750,7 +752,7 @@ def test_a_node_that_nobody_hears_ends_all_the_same(domain):
 
 
 MISSPELT = """
-from imu_calib.middleware import *
+from imu_calib.stand.middleware import *
 class Table(Node):
     def __init__(self):
         super().__init__('table')
@@ -824,7 +826,7 @@ def test_run_ends_when_its_node_is_done(domain):
 @BETWEEN_PROCESSES
 def test_a_peer_that_vanishes_does_not_hold_up_the_others(node):
     listener = (
-        'from imu_calib.middleware import *\n'
+        'from imu_calib.stand.middleware import *\n'
         "init(args=[]); n = Node('listener')\n"
         "n.create_subscription(messages.String, 'text', lambda m: print(m.data, flush=True), 10)\n"
         'spin(n)'
@@ -897,7 +899,7 @@ def test_a_domain_out_of_range_is_said(text, monkeypatch):
 
 
 def test_the_reach_of_discovery_is_one_of_four_words(monkeypatch):
-    from imu_calib.middleware.domain import configuration
+    from imu_calib.stand.middleware.running import configuration
 
     monkeypatch.delenv('CYCLONEDDS_URI', raising=False)
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'localhost')
@@ -917,9 +919,9 @@ class Block(importlib.abc.MetaPathFinder):
         if name.split('.')[0] == sys.argv[1]:
             raise ImportError(f'no {name} here')
 sys.meta_path.insert(0, Block())
-from imu_calib.errors import ImuCalibError
+from imu_calib.common.errors import ImuCalibError
 try:
-    import imu_calib.middleware
+    import imu_calib.stand.middleware
 except ImuCalibError as error:
     print(error)
 """

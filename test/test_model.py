@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from imu_calib.errors import NotObservable
-from imu_calib.model import PARAMETER_NAMES, SensorModel, Triad
+from imu_calib.common.errors import NotObservable
+from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.sensors import SensorModel, Triad
 
 
 def test_prediction_by_hand() -> None:

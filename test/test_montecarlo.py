@@ -10,12 +10,12 @@ from sessions import SITE, paper_imu, stand, truth
 from test_prediction import brisk
 
 from imu_calib.api import repeating
-from imu_calib.calibrator import Setup
 from imu_calib.cli.main import main
-from imu_calib.model import PARAMETERS
-from imu_calib.plan import load_plan
-from imu_calib.repetition import Outcome, Run, Study, economical, repeat
-from imu_calib.turntable import load_table
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.session.plan import load_plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.repetition import Outcome, Run, Study, economical, repeat
 
 
 def study(plan: str | None = None) -> Study:

@@ -11,21 +11,24 @@ from sessions import SITE, at_one_rate, gathered, quick_plan, stand, truth
 from sessions import fed as fed_blocks
 from test_other_world import NAVIGATION, fed, true_vector
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.errors import NotObservable
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.verify import Verdict, verify
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Floats, Units
+from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.estimate import Estimate, estimate
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.joint import solve
+from imu_calib.estimation.observed import Observed
+from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.term_tests import TermState
-from imu_calib.imu import ImuSpec, TriadSpec, load_imu
-from imu_calib.methods.joint import solve
-from imu_calib.model import PARAMETERS, SensorModel, Term, named_terms, parameters_of
-from imu_calib.model.terms import DELAY, SIZE_EFFECT
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.evidence import Evidence
-from imu_calib.simulation import simulate
-from imu_calib.stream import Floats, Units
-from imu_calib.turntable import load_table
-from imu_calib.verification import Observed, Verdict, verify
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.sensors import SensorModel, parameters_of
+from imu_calib.model.terms import DELAY, SIZE_EFFECT, Term, named_terms
+from imu_calib.session.imu import ImuSpec, TriadSpec, load_imu
+from imu_calib.session.table import load_table
+from imu_calib.simulation.stand import simulate
 
 PLACES = ((0.0, 0.021, -0.013), (-0.017, 0.0, 0.024), (0.015, -0.026, 0.0))
 """Along its own axis each is where the others say that the unit is."""

@@ -13,29 +13,29 @@ from scipy.stats import chi2
 from sessions import SITE, at_one_rate, fed, gathered, paper_imu, quick_plan, session, stand, truth
 from test_other_world import MEDIUM, NAVIGATION, segmented, true_vector
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Setup
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.rotations import rotations_last
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats, ImuBlock
+from imu_calib.common.units import ARCSEC, DEG, PPM
+from imu_calib.estimation import joint
+from imu_calib.estimation.arms import ACCEL_DISTANCE, ARM_STD
+from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.fit import fit
-from imu_calib.methods import joint
-from imu_calib.model import SensorModel, Triad
+from imu_calib.estimation.gyro_paths import VelocityIncrement, by_delay, by_places
+from imu_calib.estimation.moves import _seconds_of_second_order
+from imu_calib.estimation.observation_gyro_paths import GyroPath, propagated
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.terms import DELAY
-from imu_calib.observation.arms import ACCEL_DISTANCE, ARM_STD
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.gyro_paths import GyroPath, propagated
-from imu_calib.observation.moves import _seconds_of_second_order
-from imu_calib.observation.velocity_increments import VelocityIncrement, by_delay, by_places
-from imu_calib.rotations import rotations_last
 from imu_calib.segmentation.moves import STEP_ANGLE, MoveReader, joined
-from imu_calib.segmentation.segment import Segment
-from imu_calib.segmentation.segmented import Move, VelocitySteps
+from imu_calib.segmentation.segments import Segment
 from imu_calib.segmentation.sensor import Sensor
 from imu_calib.segmentation.statistics import Samples, statistics_at_rest
-from imu_calib.share import named_file
-from imu_calib.stream import Floats, ImuBlock
-from imu_calib.table_errors import TableErrors
-from imu_calib.turntable import load_table
-from imu_calib.units import ARCSEC, DEG, PPM
+from imu_calib.segmentation.stream_facts import Move, VelocitySteps
+from imu_calib.session.table import load_table
+from imu_calib.session.table_errors import TableErrors
 
 PERIOD, FINE = 0.01, 200
 

@@ -16,16 +16,18 @@ import yaml
 from sessions import at_one_rate, calibrate, quick_plan, session, stand
 from test_certificate import EXAMPLE
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Result
-from imu_calib.certificates.dcc import DCC, dcc
-from imu_calib.certificates.fields import read_fields
-from imu_calib.certificates.page import certificate_page
-from imu_calib.certificates.statement import Certificate, certificate_of
-from imu_calib.config import Section
-from imu_calib.exports import EXPORTS, ExportSource
-from imu_calib.imu import load_imu
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.exported import ExportSource
+from imu_calib.calibration.exports_part import EXPORTS
+from imu_calib.common.config import Section
+from imu_calib.reports.certificate import Certificate, certificate_of
+from imu_calib.reports.certificate_fields import read_fields
+from imu_calib.reports.certificate_page import certificate_page
+from imu_calib.reports.certificates_dcc import dcc
+from imu_calib.reports.dcc_elements import DCC
 from imu_calib.reports.page import Contents, page
+from imu_calib.session.imu import load_imu
 
 MARKUP = '<b id="injected">x</b>*/ int injected; /*'
 KEPT = frozenset({'number', 'issued', 'received', 'valid_until', 'rule', 'country', 'from', 'to'})
@@ -138,7 +140,7 @@ def test_in_the_c_header(calibration: Calibration) -> None:
 
 def test_in_the_fleet_page() -> None:
     pytest.importorskip('bokeh')
-    from imu_calib.reports.fleet import page as fleet_page
+    from imu_calib.fleet import page as fleet_page
 
     known = fleets.fleet(fleets.invented(20))
     rows = known.recordings

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from ideal import mean_of
 
-from imu_calib.plan import Plan, Position, RateTest
-from imu_calib.rotations import rotation
-from imu_calib.segmentation.segment import Segment
-from imu_calib.segmentation.segmented import FreeMotion
+from imu_calib.common.rotations import rotation
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG
+from imu_calib.segmentation.segments import Segment
+from imu_calib.segmentation.stream_facts import FreeMotion
 from imu_calib.segmentation.without_joint_states import (
     join_motions,
     label_by_order,
     turn_without_encoder,
     up_by_accelerometers,
 )
-from imu_calib.stream import Floats
-from imu_calib.units import DEG
+from imu_calib.session.plan import Plan, Position, RateTest
 
 TURN = 2 * np.pi
 X, Y, Z = np.eye(3)

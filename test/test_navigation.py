@@ -15,11 +15,11 @@ from flight import HEIGHT, LATITUDE, Flight, earth_rates, radii
 from navigation import flown, off
 from strapdown import STEP, Start, navigate
 
-from imu_calib.earth import EARTH_RATE, normal_gravity
-from imu_calib.imu import load_imu
-from imu_calib.model import SensorModel
-from imu_calib.stream import Floats, Units
-from imu_calib.units import DEG_H, MICRO_G
+from imu_calib.common.stream import Floats, Units
+from imu_calib.common.units import DEG_H, MICRO_G
+from imu_calib.model.earth import EARTH_RATE, normal_gravity
+from imu_calib.model.sensors import SensorModel
+from imu_calib.session.imu import load_imu
 
 # A benchmark there has the name of a package that another test asks for.
 sys.path.pop(0)

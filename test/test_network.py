@@ -5,10 +5,10 @@ import socket
 import pytest
 from loopback import start, until
 
-from imu_calib import network
 from imu_calib.cli import main
 from imu_calib.cli.processes import network_of_hardware
-from imu_calib.errors import ImuCalibError, InputError
+from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.stand import network
 
 ETH0 = network.on_interface('eth0')
 LO = network.on_interface('lo')
@@ -30,7 +30,7 @@ def silent(monkeypatch):
 def configuration():
     """Return what the runtime without ROS tells Cyclone DDS besides its announcements."""
     try:
-        from imu_calib.middleware.domain import ANNOUNCEMENTS, configuration
+        from imu_calib.stand.middleware.running import ANNOUNCEMENTS, configuration
     except ImuCalibError as error:
         pytest.skip(str(error))
     # First, so that what is the user's has the last word.
@@ -114,7 +114,7 @@ def launched(name, **given):
     """Return what the checks of a launch file do before its first node."""
     # Not launch alone: the checkout has a folder of that name.
     context = pytest.importorskip('launch.launch_context', reason='the launch files need ROS 2')
-    from imu_calib import launching
+    from imu_calib.stand import launching
 
     here = context.LaunchContext()
     here.launch_configurations.update(given)
@@ -134,7 +134,9 @@ def test_launched_hardware_stays_here_in_a_domain_of_its_own_unless_told_otherwi
 
 
 def test_a_domain_is_kept_for_one_process_before_any_node_is_on_it(monkeypatch):
-    code = 'from imu_calib.network import own_domain; print(own_domain(), flush=True); input()'
+    code = (
+        'from imu_calib.stand.network import own_domain; print(own_domain(), flush=True); input()'
+    )
     with start(code) as other:
         domain = int(other.stdout.readline())
         monkeypatch.setattr(network, '_DOMAINS', [domain])

@@ -10,18 +10,19 @@ import numpy as np
 import pytest
 from sessions import SITE, at_one_rate, calibrate, fed, gathered, quick_plan, session, stand, truth
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Setup
-from imu_calib.errors import InputError
-from imu_calib.exports import EXPORTS
-from imu_calib.exports.exported import ExportSource
-from imu_calib.imu import load_imu
-from imu_calib.observation.equations import Equations
-from imu_calib.plan import Plan, RateTest
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.exported import ExportSource
+from imu_calib.calibration.exports_part import EXPORTS
+from imu_calib.calibration.verify import Verdict, verify
+from imu_calib.common.errors import InputError
+from imu_calib.common.units import DEG
+from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.observed import observe
+from imu_calib.estimation.setup import Setup
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG
-from imu_calib.verification import Verdict, observe, verify
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import Plan, RateTest
+from imu_calib.session.table import load_table
 
 SPEC = load_imu('si')
 STATES_NO_NOISE = stand(sample_rate=100.0)

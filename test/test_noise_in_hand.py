@@ -10,22 +10,24 @@ import yaml
 from shaky import GRAVITY, LATITUDE, shaky
 
 import imu_calib
-from imu_calib.bags import RecordingWriter
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Setup
-from imu_calib.calibrator.by_hand import HandCalibrator
-from imu_calib.cdr import Kind, encode_imu
-from imu_calib.compensation.apply import Compensation
-from imu_calib.earth import Site
-from imu_calib.errors import InputError
-from imu_calib.exports import EXPORTS, ExportSource
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.model import SensorModel
-from imu_calib.plan import load_plan
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.comparison import Quantity
+from imu_calib.calibration.compensate import Compensation
+from imu_calib.calibration.exported import ExportSource
+from imu_calib.calibration.exports_part import EXPORTS
+from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import Units
+from imu_calib.common.units import DEG_H
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.model.sensors import SensorModel
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.reports.verification import dwell_table
-from imu_calib.stream import Units
-from imu_calib.units import DEG_H
-from imu_calib.verification import Quantity
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.plan import load_plan
 
 RATE = 100.0
 WALK = 1.75e-4, 1e-3

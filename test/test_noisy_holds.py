@@ -6,16 +6,17 @@ import numpy as np
 from scipy.stats import chi2
 from shaky import GRAVITY, LATITUDE, Shaky, shaky
 
-from imu_calib.calibrator import Result, Setup
-from imu_calib.calibrator.by_hand import HandCalibrator
-from imu_calib.earth import Site
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.methods.free_positions import FREE, in_frame_of_accelerometers
-from imu_calib.model import SensorModel, Triad
-from imu_calib.observation.known_noise import with_own_noise
-from imu_calib.plan import load_plan
-from imu_calib.stream import ImuBlock, Units
-from imu_calib.units import DEG
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.common.stream import ImuBlock, Units
+from imu_calib.common.units import DEG
+from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers
+from imu_calib.estimation.output_noise import with_own_noise
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.plan import load_plan
 
 SITE = Site.at(LATITUDE, gravity=GRAVITY)
 IMU = ImuSpec('mpu', Units.SI, None, TriadSpec(), TriadSpec())

@@ -12,7 +12,7 @@ from loopback import CHECKOUT
 
 import imu_calib
 from imu_calib.cli.main import main
-from imu_calib.errors import InputError
+from imu_calib.common.errors import InputError
 from imu_calib.fleet.catalogue import Catalogue
 
 LONG = 200_000

@@ -10,10 +10,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from imu_calib.rotations import rotation
+from imu_calib.common.rotations import rotation
+from imu_calib.common.stream import Floats
 from imu_calib.segmentation.clock import ClockSample, clock_sample, fit_clock, measured_share
 from imu_calib.segmentation.statistics import Samples
-from imu_calib.stream import Floats
 
 START = 1_700_000_000_000_000_000
 PERIOD, STATES = 0.01, 0.02

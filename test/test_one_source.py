@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from imu_calib.stream import Mode, Setpoint
-from imu_calib.tables import OneSource
+from imu_calib.common.stream import Mode, Setpoint
+from imu_calib.stand.source import OneSource
 
 TIMEOUT = 0.5
 GO = Setpoint(0, 'plan', 1, '1', Mode.POSITION, ('outer',), (1.0,), (), 0.0, 0.0)

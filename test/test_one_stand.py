@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imu_calib.imu import ImuSpec, TriadSpec
+from imu_calib.common.stream import Block, Floats, ImuBlock, JointBlock, SkewBlock, Units
+from imu_calib.common.units import DEG
 from imu_calib.segmentation import segmenter
-from imu_calib.segmentation.segmented import Segmented
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.stream import Block, Floats, ImuBlock, JointBlock, SkewBlock, Units
-from imu_calib.turntable import Joint, Table
-from imu_calib.units import DEG
+from imu_calib.segmentation.stream_facts import Segmented
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.table import Joint, Table
 
 START = 1_700_000_000 * 10**9  # 2023-11-14 22:13:20
 BENCH = Table('bench', (Joint('j', (0.0, 0.0, 1.0)),))

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.segmentation.motion import Motion
-from imu_calib.segmentation.plateau import find_turns
-from imu_calib.segmentation.segment import Turn
-from imu_calib.segmentation.segmented import FreeMotion, Rejected
+from imu_calib.common.stream import Floats, Units
+from imu_calib.common.units import ARCSEC, DEG
+from imu_calib.segmentation.plateaus import find_turns
+from imu_calib.segmentation.segments import Turn
 from imu_calib.segmentation.sensor import Sensor
 from imu_calib.segmentation.statistics import Samples, statistics_between
+from imu_calib.segmentation.stream_facts import FreeMotion, Rejected
+from imu_calib.segmentation.table_motion import Motion
 from imu_calib.segmentation.turns import Around, _around, read_free_motion, read_turns
-from imu_calib.stream import Floats, Units
-from imu_calib.turntable import Joint, Table
-from imu_calib.units import ARCSEC, DEG
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.table import Joint, Table
 
 START = 1_700_000_000 * 10**9
 PERIOD = 0.01

@@ -13,9 +13,9 @@ import pytest
 from loopback import CHECKOUT
 
 import imu_calib
-from imu_calib import InputError
 from imu_calib.cli.dispatch import build_parser
 from imu_calib.cli.main import main
+from imu_calib.common.errors import InputError
 
 PACKAGE = CHECKOUT / 'imu_calib'
 OTHERS = {

@@ -9,14 +9,15 @@ from test_convert import bag_of_ros_1
 from test_convert import recording as recorded
 
 import imu_calib
-from imu_calib import InputError
-from imu_calib.bags import RecordingWriter
-from imu_calib.bags.mcap_writer import McapWriter
-from imu_calib.cdr import Messages, encode_imu, encode_rates
 from imu_calib.cli.main import main
-from imu_calib.paths import read_text
-from imu_calib.share import named_file
-from imu_calib.stream import ImuBlock
+from imu_calib.common.errors import InputError
+from imu_calib.common.files import read_text
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import ImuBlock
+from imu_calib.recordings.cdr_codec import encode_imu, encode_rates
+from imu_calib.recordings.mcap_writer import McapWriter
+from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.writer import RecordingWriter
 
 T0 = 1_700_000_000_000_000_000
 
@@ -93,7 +94,7 @@ def test_a_topic_without_accelerations_names_the_way_to_join_two(
     told = re.sub(r'\s+', ' ', capsys.readouterr().err)
     assert '--gyro-topic /g --accel-topic /a joins them' in told
     raw = tmp_path / 'raw'
-    described = {'imu_calib.imu': read_text(named_file('imus', 'rates'))}
+    described = {'imu_calib.session.imu': read_text(named_file('imus', 'rates'))}
     with RecordingWriter(raw, described) as writer:
         for name, columns in topics.items():
             block = ImuBlock(*columns)

@@ -30,20 +30,21 @@ from other_world import (
 )
 from sessions import gathered
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.config import Section
-from imu_calib.earth import Site
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.common.config import Section
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Units
 from imu_calib.estimation import search
 from imu_calib.estimation.converge import NotConverged
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.observation.evidence import Evidence
-from imu_calib.plan import UNPLANNED, Plan, load_plan
-from imu_calib.segmentation.segment import Segment
-from imu_calib.share import named_file
-from imu_calib.stream import Floats, ImuBlock, JointBlock, Units
-from imu_calib.table_errors import ASSUMED
-from imu_calib.turntable import Table, load_table, read_table
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.segmentation.segments import Segment
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.plan import UNPLANNED, Plan, load_plan
+from imu_calib.session.table import Table, load_table, read_table
+from imu_calib.session.table_errors import ASSUMED
 
 PPM, ARCMIN, DEG_H, MICRO_G = 1e-6, DEG / 60, DEG / 3600, 9.80665e-6
 EPOCH = 1_700_000_000

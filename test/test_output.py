@@ -19,11 +19,11 @@ from jsonschema import Draft202012Validator
 from loopback import CHECKOUT
 
 import imu_calib
-from imu_calib.calibration import Calibration
+from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import info as info_command
 from imu_calib.cli.main import main
-from imu_calib.model import PARAMETERS
-from imu_calib.specification import COVERAGE
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.session.specification import COVERAGE
 
 SCHEMAS = CHECKOUT / 'config' / 'schemas'
 SCHEMA = Draft202012Validator(json.loads((SCHEMAS / 'output.json').read_text()))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from imu_calib.nodes.pacing import Pacing
+from imu_calib.stand.nodes.pacing import Pacing
 
 MS = 1_000_000
 

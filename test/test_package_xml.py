@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import pytest
 from loopback import CHECKOUT
 
-from imu_calib.bags import codec
+from imu_calib.recordings import codec
 
 UNDECLARED = {
     'lz4': 'rosdep has no key for its Python module; README names the package of apt',

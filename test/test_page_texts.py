@@ -12,14 +12,14 @@ from loopback import patience
 from test_units_board import diagnostics
 from test_web_board import FOG, SETUP, calibration, progress, state
 
-from imu_calib.config import Section
-from imu_calib.mounted import read_units
-from imu_calib.sequencing import Phase
-from imu_calib.web.board import Board
-from imu_calib.web.expectation import expectation, units_board
-from imu_calib.web.guard import Token
-from imu_calib.web.shape import table_shape
-from imu_calib.web.units import UnitsBoard
+from imu_calib.common.config import Section
+from imu_calib.session.units_file import read_units
+from imu_calib.stand.nodes.expectation import expectation, units_board
+from imu_calib.stand.rules import Phase
+from imu_calib.stand.web.board import Board
+from imu_calib.stand.web.guard import Token
+from imu_calib.stand.web.shape import table_shape
+from imu_calib.stand.web.units import UnitsBoard
 
 needs_modules('nicegui')
 
@@ -38,7 +38,7 @@ class Shown:
     """A page that is served of a board, and the clock that it goes by."""
 
     def __init__(self, folder):
-        from imu_calib.web import page, server
+        from imu_calib.stand.web import page, server
 
         listens = server.listening_socket('127.0.0.1', 0)
         source = page.Source(

@@ -15,17 +15,17 @@ from loopback import CHECKOUT
 from sessions import truth
 
 import imu_calib
-from imu_calib.api.stated import Stated
-from imu_calib.bags import open_recording
-from imu_calib.budget import Budget, BudgetLine, Source
-from imu_calib.calibration import Calibration
-from imu_calib.config import Section
-from imu_calib.errors import InputError
+from imu_calib.api.session import Stated
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.budget import Budget, BudgetLine, Source
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError
+from imu_calib.common.files import read_text, write_whole
 from imu_calib.fleet.recordings import read_manifest
-from imu_calib.mounted import load_units
-from imu_calib.paths import read_text, write_whole
-from imu_calib.turntable import load_table
-from imu_calib.web.shape import table_shape
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.session.table import load_table
+from imu_calib.session.units_file import load_units
+from imu_calib.stand.web.shape import table_shape
 
 
 def names(folder):
@@ -79,8 +79,8 @@ import resource, sys
 from pathlib import Path
 import imu_calib
 from imu_calib.cli.row_files import write_rows
-from imu_calib.errors import InputError
-from imu_calib.share import named_file
+from imu_calib.common.errors import InputError
+from imu_calib.common.share import named_file
 
 folder, fields = Path(sys.argv[1]), sys.argv[2]
 calibration = imu_calib.Calibration.load(folder / 'calibration.yaml')
@@ -124,7 +124,7 @@ import argparse, resource, sys
 from functools import partial
 from pathlib import Path
 from imu_calib.cli import processes, resume, several
-from imu_calib.errors import InputError
+from imu_calib.common.errors import InputError
 
 folder, imu, imus = map(Path, sys.argv[1:])
 given = dict.fromkeys(['plan', 'imu', 'table', 'device', 'truth', 'imperfections', 'imus'])

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import imu_calib
-from imu_calib.bags import RecordingWriter
-from imu_calib.cdr import RATES, encode_imu
-from imu_calib.errors import ImuCalibError, NotStated
-from imu_calib.share import named_file
-from imu_calib.stream import ImuBlock
+from imu_calib.common.errors import ImuCalibError, NotStated
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import ImuBlock
+from imu_calib.recordings.cdr_codec import RATES, encode_imu
+from imu_calib.recordings.writer import RecordingWriter
 
 LATITUDE = 34.65
 FERRARIS = 'six_position_by_hand'

@@ -23,23 +23,25 @@ from sessions import (
     truth,
 )
 
-from imu_calib.api.simulating import serialised
-from imu_calib.bags import RecordingWriter
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Result, Setup
+from imu_calib.api.simulate import serialised
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.calibrator_results import Result
 from imu_calib.cli.main import main
-from imu_calib.errors import InputError, NotObservable
-from imu_calib.plan import UNPLANNED, Plan, Position, RateTest, load_plan
-from imu_calib.rotations import rotation
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.rotations import rotation
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats, ImuBlock, SetpointBlock
+from imu_calib.common.units import DEG
+from imu_calib.estimation.setup import Setup
+from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.clock import fit_clock
 from imu_calib.segmentation.labelling import label
 from imu_calib.segmentation.naming import attitude_words, heading, unique, up_words
-from imu_calib.segmentation.segment import Segment, Turn
-from imu_calib.segmentation.segmented import Segmented
-from imu_calib.share import named_file
-from imu_calib.stream import Floats, ImuBlock, SetpointBlock
-from imu_calib.turntable import TURN, load_table
-from imu_calib.units import DEG
+from imu_calib.segmentation.segments import Segment, Turn
+from imu_calib.segmentation.stream_facts import Segmented
+from imu_calib.session.plan import UNPLANNED, Plan, Position, RateTest, load_plan
+from imu_calib.session.table import TURN, load_table
 
 TABLE = load_table('three_axis')
 RATES = RateTest((20 * DEG, -20 * DEG, 60 * DEG, -60 * DEG), 1)
@@ -450,7 +452,7 @@ def test_the_plan_of_a_recording_can_be_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = named_file('plans', 'twelve_position').read_text(encoding='utf-8')
-    write(tmp_path / 'bag', turned_about_y(), {'imu_calib.plan': text})
+    write(tmp_path / 'bag', turned_about_y(), {'imu_calib.session.plan': text})
     result = ['-o', str(tmp_path / 'calibration.yaml')]
     assert main(['calibrate', str(tmp_path / 'bag'), '--plan', 'none', *SAID, *result]) == 0
     assert 'Missing' not in capsys.readouterr().out

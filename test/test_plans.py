@@ -11,32 +11,33 @@ import pytest
 from sessions import SITE, at_one_rate, fed, gathered, paper_imu, quick_plan, stand, truth
 from sessions import session as session_of
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Result, Setup
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator_results import Result
 from imu_calib.cli.main import main
-from imu_calib.errors import NotObservable
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats, Mode
+from imu_calib.common.units import ARCSEC, DEG, PPM
+from imu_calib.estimation import each_term, forecast
+from imu_calib.estimation import predict as expected
+from imu_calib.estimation.each_term import forecast_changes, forecast_terms
+from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.estimate import Estimate, estimate
 from imu_calib.estimation.fit import check_observable
-from imu_calib.imu import load_imu
-from imu_calib.model import PARAMETERS, TERMS, ParameterKind, SensorModel, Term, parameters_of, term
+from imu_calib.estimation.forecast import information
+from imu_calib.estimation.schedule import duration
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.sensors import SensorModel, parameters_of
 from imu_calib.model.session_terms import Course
-from imu_calib.observation.equations import Equations
-from imu_calib.plan import Position, load_plan
-from imu_calib.prediction import (
-    duration,
-    each_term,
-    expected,
-    forecast,
-    forecast_changes,
-    forecast_terms,
-)
-from imu_calib.prediction.forecast import information
-from imu_calib.repetition import economical
-from imu_calib.share import named_file
-from imu_calib.simulation import Warming, simulate
-from imu_calib.stream import Floats, Mode
-from imu_calib.turntable import Table, load_table
-from imu_calib.units import ARCSEC, DEG, PPM
+from imu_calib.model.terms import TERMS, Term, term
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import Position, load_plan
+from imu_calib.session.table import Table, load_table
+from imu_calib.simulation.options import Warming
+from imu_calib.simulation.repetition import economical
+from imu_calib.simulation.stand import simulate
 
 TOO_FAR = 4.5
 """Standard deviations that one of 66 normal numbers exceeds once in 2000 sessions."""

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from sessions import truth
 
-from imu_calib.calibration import Calibration
-from imu_calib.errors import InputError
-from imu_calib.imu import load_imu
-from imu_calib.model import SensorModel, Skewed
-from imu_calib.plausibility import check_plausible
-from imu_calib.share import named_file
-from imu_calib.stream import Units
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.errors import InputError
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Units
+from imu_calib.model.sensors import SensorModel, Skewed
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plausibility import check_plausible
 
 NAMES = [p.name for p in truth().parameters]
 
@@ -127,7 +127,7 @@ def test_a_file_is_refused_with_its_name(tmp_path):
 def test_a_combined_file_is_refused(tmp_path):
     from test_thermal import point
 
-    from imu_calib.compensation.thermal import ThermalCalibration, load_calibration
+    from imu_calib.calibration.thermal import ThermalCalibration, load_calibration
 
     parts = point(0.0, 0.0), point(20.0, 3.0)
     ThermalCalibration(parts).save(tmp_path / 'both.yaml')

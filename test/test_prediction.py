@@ -10,23 +10,26 @@ from scipy.stats import chi2
 from sessions import LATITUDE, SITE, fed, gathered, paper_imu, quick_plan, session, stand, truth
 
 import imu_calib
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Setup
+from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main
-from imu_calib.earth import Site
-from imu_calib.errors import InputError, NotObservable
-from imu_calib.imu import load_imu
-from imu_calib.methods import skewed
-from imu_calib.model import PARAMETER_NAMES, SensorModel
-from imu_calib.plan import Plan, RateTest, load_plan
-from imu_calib.prediction import check_session, duration, expected, forecast, reach
-from imu_calib.prediction.forecast import information
-from imu_calib.prediction.optimise import candidates, log_information, optimise
-from imu_calib.repetition import Study, economical, repeat
-from imu_calib.share import named_file
-from imu_calib.simulation import SimulatedStand
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG, DEG_H, PPM
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.share import named_file
+from imu_calib.common.units import DEG, DEG_H, PPM
+from imu_calib.estimation import forecast, reach
+from imu_calib.estimation import predict as expected
+from imu_calib.estimation.closed_forms import skewed
+from imu_calib.estimation.forecast import check_session, information
+from imu_calib.estimation.optimise import candidates, log_information, optimise
+from imu_calib.estimation.schedule import duration
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.sensors import SensorModel
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import Plan, RateTest, load_plan
+from imu_calib.session.table import load_table
+from imu_calib.simulation.repetition import Study, economical, repeat
+from imu_calib.simulation.stand import SimulatedStand
 
 SETTLE = 1.0
 D_GX = PARAMETER_NAMES.index('D_gx')

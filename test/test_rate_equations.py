@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imu_calib.errors import NotObservable
-from imu_calib.methods.linear import BIAS, ChannelSystem, solve_triad
-from imu_calib.methods.rate_test import RateTestEquations
-from imu_calib.stream import Floats
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Floats
+from imu_calib.estimation.closed_forms.methods_linear import BIAS, ChannelSystem, solve_triad
+from imu_calib.estimation.closed_forms.rate_test import RateTestEquations
 
 UP_RATE = 4e-5
 

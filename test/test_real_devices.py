@@ -8,18 +8,14 @@ import numpy as np
 import pytest
 from loopback import CHECKOUT
 
-from imu_calib.config import Section
-from imu_calib.devices import (
-    Decoder,
-    DeviceClock,
-    Health,
-    Severity,
-    Source,
-    load_format,
-    read_format,
-)
-from imu_calib.imu import load_imu, read_imu
-from imu_calib.stream import Units
+from imu_calib.common.config import Section
+from imu_calib.common.stream import Units
+from imu_calib.session.imu import load_imu, read_imu
+from imu_calib.stand.devices.clock import DeviceClock
+from imu_calib.stand.devices.decoder import Decoder
+from imu_calib.stand.devices.format import load_format, read_format
+from imu_calib.stand.devices.health import Health, Severity
+from imu_calib.stand.devices.source import Source
 
 NS = 1_000_000_000
 

@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from imu_calib.bags.mcap_records import walk
+from imu_calib.recordings.mcap_records import walk
 
 HEAD = 9
 
@@ -83,7 +83,7 @@ def test_a_run_costs_no_step_for_each() -> None:
         return unpack(*arguments)  # type: ignore[arg-type]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr('imu_calib.bags.mcap_records.struct.unpack_from', counted)
+        patch.setattr('imu_calib.recordings.mcap_records.struct.unpack_from', counted)
         offsets, end = found(content)
     assert len(offsets) == 100_000
     assert end == len(content)

@@ -7,19 +7,21 @@ import numpy as np
 import pytest
 
 from imu_calib.api.calibrating import calibrate
-from imu_calib.api.compensating import compensate
+from imu_calib.api.compensate import compensate
 from imu_calib.api.inspecting import inspect
-from imu_calib.api.simulating import simulate
-from imu_calib.bags import RecordingWriter, open_recording
-from imu_calib.bags.recorded_clock import RecordedClock
-from imu_calib.calibration import Calibration
-from imu_calib.cdr import Kind, encode_imu
+from imu_calib.api.simulate import simulate
+from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main
-from imu_calib.errors import InputError
-from imu_calib.imu import load_imu
-from imu_calib.model import SensorModel
-from imu_calib.stream import ImuBlock, Stamps
-from imu_calib.units import PPM
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import ImuBlock, Stamps
+from imu_calib.common.units import PPM
+from imu_calib.model.sensors import SensorModel
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.recorded_clock import RecordedClock
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.session.imu import load_imu
 
 TOPIC = '/imu/data_raw'
 NS = 1_000_000_000

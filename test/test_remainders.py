@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imu_calib.model import SensorModel, Triad
-from imu_calib.observation.remainders import ApproximateSensors, _line, remainder_covariance
-from imu_calib.stream import Floats
+from imu_calib.common.stream import Floats
+from imu_calib.estimation.remainders import ApproximateSensors, _line, remainder_covariance
+from imu_calib.model.sensors import SensorModel, Triad
 
 PERIOD, PULSE = 0.02, 0.01
 PHASES = 4000

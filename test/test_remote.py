@@ -18,12 +18,14 @@ from installed import needs_modules
 from rosbags.rosbag2 import StoragePlugin
 
 import imu_calib
-from imu_calib import InputError
 from imu_calib.api.inspecting import topics
-from imu_calib.api.stated import Stated
-from imu_calib.bags import located, open_recording, remote_copy, retries
+from imu_calib.api.session import Stated
 from imu_calib.cli.main import main
+from imu_calib.common.errors import InputError
 from imu_calib.fleet.recordings import Job, find_jobs
+from imu_calib.recordings import remote_copy, retries
+from imu_calib.recordings.remote import located
+from imu_calib.recordings.rosbag2 import open_recording
 
 needs_modules('s3fs')
 
@@ -269,7 +271,7 @@ def test_what_is_not_there_gets_a_sentence(
 def test_a_url_asks_for_the_library(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr('imu_calib.extras.find_spec', lambda name: None)
+    monkeypatch.setattr('imu_calib.common.extras.find_spec', lambda name: None)
     assert main(['calibrate', 's3://lab/rec']) == 2
     assert "pip install 'imu_calib[remote]'" in capsys.readouterr().err
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imu_calib.bags import remote_copy, retries
-from imu_calib.bags.remote_copy import AHEAD, BLOCK, Copy, Reader
-from imu_calib.bags.retries import PAUSE
-from imu_calib.errors import InputError
+from imu_calib.common.errors import InputError
+from imu_calib.recordings import remote_copy, retries
+from imu_calib.recordings.remote_copy import AHEAD, BLOCK, Copy, Reader
+from imu_calib.recordings.retries import PAUSE
 
 URL = 'memory://lab/rec.mcap'
 BLOCKS = 100

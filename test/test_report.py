@@ -15,16 +15,18 @@ import numpy as np
 import pytest
 from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand, truth
 
-from imu_calib import report
-from imu_calib.api.simulating import serialised
-from imu_calib.bags import RecordingWriter
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Result
+from imu_calib.api.documents import report
+from imu_calib.api.simulate import serialised
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator_results import Result
 from imu_calib.cli.main import main
-from imu_calib.config import Section
-from imu_calib.errors import InputError
-from imu_calib.imu import ImuSpec, load_imu, read_imu
-from imu_calib.model import PARAMETER_NAMES, PARAMETERS, ParameterKind
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError
+from imu_calib.common.units import ARCMIN, DEG_H, MICRO_G, PPM
+from imu_calib.model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from imu_calib.model.parameters import ParameterKind
+from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.reports.charts import Axis
 from imu_calib.reports.page import Contents, page
 from imu_calib.reports.repeatability import (
     RepeatedParameter,
@@ -33,11 +35,10 @@ from imu_calib.reports.repeatability import (
     repeatability_table,
     repeated,
 )
-from imu_calib.reports.svg import Axis
 from imu_calib.reports.terms import terms_section
-from imu_calib.segmentation.segmented import Rejected
-from imu_calib.specification import Specification, Verdict, judge
-from imu_calib.units import ARCMIN, DEG_H, MICRO_G, PPM
+from imu_calib.segmentation.stream_facts import Rejected
+from imu_calib.session.imu import ImuSpec, load_imu, read_imu
+from imu_calib.session.specification import Specification, Verdict, judge
 
 BROWSER = next(filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'chrome'))), None)
 FIRST = datetime(2026, 1, 1, tzinfo=timezone.utc)

@@ -17,23 +17,23 @@ from browser import browser as browser  # noqa: PLC0414
 from sessions import at_one_rate, calibrate, quick_plan, session, stand
 
 import imu_calib
-from imu_calib.budget import Share, Source
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Result
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.thermal import combine
 from imu_calib.cli.main import main
-from imu_calib.compensation.thermal import combine
-from imu_calib.errors import InputError
-from imu_calib.imu import load_imu
-from imu_calib.instants import at, iso
+from imu_calib.common.budget import Share, Source
+from imu_calib.common.errors import InputError
+from imu_calib.common.instants import at, iso
+from imu_calib.common.rotations import rotations
+from imu_calib.common.share import named_file
 from imu_calib.reports.attitudes import Stand, attitudes, cube, stands
 from imu_calib.reports.budget import budget_section
-from imu_calib.reports.html import bullets, paragraph
 from imu_calib.reports.page import Contents, page
 from imu_calib.reports.provenance import provenance
-from imu_calib.reports.thermal_page import thermal_page
-from imu_calib.rotations import rotations
-from imu_calib.segmentation.segmented import Rejected
-from imu_calib.share import named_file
+from imu_calib.reports.reports_html import bullets, paragraph
+from imu_calib.reports.thermal import thermal_page
+from imu_calib.segmentation.stream_facts import Rejected
+from imu_calib.session.imu import load_imu
 
 PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 WIDTHS = (390, 820, 1400)

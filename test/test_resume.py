@@ -15,16 +15,19 @@ import yaml
 from loopback import CHECKOUT, patience, until
 from test_sequencer import Stand as Simulated
 
-from imu_calib import calibrate
-from imu_calib.bags import Journal, open_recording
-from imu_calib.calibration import Calibration
-from imu_calib.cdr import Kind, Messages, encode_imu
+from imu_calib.api.calibrating import calibrate
+from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import dispatch, main, resume
 from imu_calib.cli.processes import Processes
-from imu_calib.errors import ImuCalibError, InputError
-from imu_calib.sequencing import Phase, Rules
-from imu_calib.share import named_file
-from imu_calib.stream import ImuBlock, Mode
+from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import ImuBlock, Mode
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.journal import Journal
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.stand.rules import Phase, Rules
 
 try:
     from live import LIMIT, short_plan
@@ -336,7 +339,7 @@ def test_simulated_hardware_is_switched_on_after_what_it_said_before(tmp_path):
 
 def test_a_journal_torn_anywhere_can_be_gone_on_with(tmp_path):
     topics = {'/imu/pulses': Kind.IMU}
-    journal = Journal(tmp_path / 'whole', {'imu_calib.plan': 'x'}, topics)
+    journal = Journal(tmp_path / 'whole', {'imu_calib.session.plan': 'x'}, topics)
     write(journal, 3)
     content = (tmp_path / 'whole' / 'whole_0.mcap').read_bytes()
     journal.close(finished=False)
@@ -347,7 +350,7 @@ def test_a_journal_torn_anywhere_can_be_gone_on_with(tmp_path):
         folder = tmp_path / str(cut)
         folder.mkdir()
         (folder / f'{cut}_0.mcap').write_bytes(content[:cut])
-        again = Journal(folder, {'imu_calib.plan': 'x'}, topics)
+        again = Journal(folder, {'imu_calib.session.plan': 'x'}, topics)
         held.append(sum(len(block) for _, block in again.replay()))
         again.close(finished=False)
     assert held == sorted(held)

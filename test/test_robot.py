@@ -6,19 +6,20 @@ import numpy as np
 import pytest
 from sessions import SITE
 
-from imu_calib.calibration import Calibration
-from imu_calib.cdr import Messages, decode_imu, decode_joints
-from imu_calib.errors import ImuCalibError
-from imu_calib.imu import load_imu
-from imu_calib.share import named_file
-from imu_calib.turntable import load_table
-from imu_calib.units import MICRO_G
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.errors import ImuCalibError
+from imu_calib.common.share import named_file
+from imu_calib.common.units import MICRO_G
+from imu_calib.recordings.decode import decode_imu, decode_joints
+from imu_calib.recordings.messages import Messages
+from imu_calib.session.imu import load_imu
+from imu_calib.session.table import load_table
 
 try:
     from live import NODES, Stand, State, short_plan
 
-    from imu_calib import middleware as ros
-    from imu_calib.nodes import qos
+    from imu_calib.stand import middleware as ros
+    from imu_calib.stand.nodes import qos
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 

@@ -36,8 +36,8 @@ from ros_stands import (
 )
 from test_interop import has_wheel
 
-from imu_calib import read
-from imu_calib.calibration import Calibration
+from imu_calib.api.columns import read
+from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import dispatch, stand_session
 from imu_calib.cli.processes import free_port
 

@@ -7,7 +7,7 @@ import pytest
 from loopback import CHECKOUT
 from scipy.spatial.transform import Rotation
 
-from imu_calib import rotations as ours
+from imu_calib.common import rotations as ours
 
 RANDOM = np.random.default_rng(24)
 SIZES = [1e-12, 1e-9, 1e-6, 1e-3, 0.3, 3.0]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from sessions import Named, calibrate, quick_plan, session
 
-from imu_calib.imu import TriadSpec, load_imu
+from imu_calib.common.stream import Floats, ImuBlock
 from imu_calib.segmentation.rounding import Rounding
-from imu_calib.stream import Floats, ImuBlock
+from imu_calib.session.imu import TriadSpec, load_imu
 
 SI = load_imu('si')
 XSENS = load_imu('xsens_mti_300')

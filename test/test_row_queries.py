@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from imu_calib.bags.sqlite_rows import LAST_ROW, RowQueries
-from imu_calib.bags.storage import Cache, Losses
+from imu_calib.recordings.sqlite_rows import LAST_ROW, RowQueries
+from imu_calib.recordings.storage import Cache, Losses
 
 COMMON, RARE, NONE = 1, 2, 3
 ROWS = 300_000

@@ -4,8 +4,8 @@ import pytest
 import test_turntable_node as stand
 from loopback import patience
 
-from imu_calib import middleware as ros
-from imu_calib.sequencing import Phase
+from imu_calib.stand import middleware as ros
+from imu_calib.stand.rules import Phase
 
 session = stand.session
 ACTION = 'turntable_node/run_calibration'
@@ -147,7 +147,7 @@ def test_a_goal_that_cannot_be_run_says_why(session, goal, words):
 def test_whatever_ends_the_run_ends_the_goal_with_the_table_at_rest(session, way, monkeypatch):
     # Long enough for a busy machine, on which joint states and setpoints of this process can be
     # held up: the table then stalls before anybody has ended the run.
-    monkeypatch.setattr('imu_calib.sequencing.watch._LAG', 30.0)
+    monkeypatch.setattr('imu_calib.stand.table_watch._LAG', 30.0)
     brief = dict.fromkeys(stand.PATIENT, 4.0)
     patient = brief if way == 'silence' else stand.PATIENT
     client = Client(session.turn_at(90).open(**patient))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imu_calib.compensation.sample_clock import SampleClock
+from imu_calib.calibration.sample_clock import SampleClock
 
 NS = 1_000_000_000
 START = 1_700_000_000 * NS

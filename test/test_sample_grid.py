@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imu_calib.imu import load_imu
-from imu_calib.segmentation.bridging import bridged, filled_at_steady_rate
+from imu_calib.common.stream import Floats, Stamps
+from imu_calib.common.units import ARCSEC, DEG
 from imu_calib.segmentation.bunches import sampling_times
-from imu_calib.segmentation.grid import clock_steps, read_grid
-from imu_calib.segmentation.motion import JointTracker, Motion, Rest
+from imu_calib.segmentation.gaps import bridged, filled_at_steady_rate
 from imu_calib.segmentation.pace import Pace
 from imu_calib.segmentation.repeated_samples import repeating_samples
 from imu_calib.segmentation.sensor import Sensor
+from imu_calib.segmentation.stamps import clock_steps, read_grid
 from imu_calib.segmentation.statistics import gap_free, statistics_at_rest
-from imu_calib.stream import Floats, Stamps
-from imu_calib.units import ARCSEC, DEG
+from imu_calib.segmentation.table_motion import JointTracker, Motion, Rest
+from imu_calib.session.imu import load_imu
 
 EPOCH = 1_700_000_000_000_000_000
 PERIOD = 0.01

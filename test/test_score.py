@@ -14,25 +14,26 @@ from other_world import DEG, Stop, Terms, Unit, World
 from sessions import SITE, truth
 from test_other_world import MEDIUM, MICRO_G, NAVIGATION, fed, stop, true_vector
 
-from imu_calib.budget import Source, total
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Setup
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.budget import Source, total
+from imu_calib.common.rotations import rotation
+from imu_calib.common.stream import Floats
+from imu_calib.estimation.equations import Equations
+from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.fit import fit
+from imu_calib.estimation.joint import solve
+from imu_calib.estimation.predict import expected
 from imu_calib.estimation.score import Family, Score, WhitenedResiduals, columns_of, shapes_of
+from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.term_tests import TermState, summary
-from imu_calib.imu import load_imu
-from imu_calib.methods.joint import solve
-from imu_calib.model import PARAMETERS, SensorModel, Term, terms_of
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.sensors import SensorModel, terms_of
 from imu_calib.model.session_terms import LOOKED_FOR
-from imu_calib.model.terms import ACCEL_CROSS, ACCEL_CUBIC, GYRO_ASYMMETRY
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.evidence import Evidence
-from imu_calib.plan import UNPLANNED, load_plan
-from imu_calib.prediction.expected import expected
-from imu_calib.rotations import rotation
-from imu_calib.segmentation.segment import Segment, Turn
-from imu_calib.stream import Floats
-from imu_calib.turntable import load_table
+from imu_calib.model.terms import ACCEL_CROSS, ACCEL_CUBIC, GYRO_ASYMMETRY, Term
+from imu_calib.segmentation.segments import Segment, Turn
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import UNPLANNED, load_plan
+from imu_calib.session.table import load_table
 
 Stretch = TypeVar('Stretch', Segment, Turn)
 

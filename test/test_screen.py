@@ -20,14 +20,14 @@ from test_devices import frame
 from imu_calib.cli.main import main
 from imu_calib.cli.node_reports import NodeReports
 from imu_calib.cli.processes import Outcome
-from imu_calib.devices import Source, check_port
-from imu_calib.errors import ImuCalibError, InputError
-from imu_calib.web.board import Board
-from imu_calib.web.snapshot import Expected
+from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.stand.devices.source import Source, check_port
+from imu_calib.stand.web.board import Board
+from imu_calib.stand.web.snapshot import Expected
 
 try:
     from imu_calib.cli import monitor, stand_session
-    from imu_calib.middleware import messages
+    from imu_calib.stand.middleware import messages
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 

@@ -12,12 +12,15 @@ from scipy.stats import f as f_distribution
 from scipy.stats import norm, t
 from test_information import evidence_of
 
-from imu_calib.budget import Share, Source
-from imu_calib.errors import NotObservable
+from imu_calib.common.budget import Share, Source
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.units import ARCMIN, ARCSEC, DEG, MICRO_G
 from imu_calib.estimation import score as scores_module
 from imu_calib.estimation import search as module
 from imu_calib.estimation.converge import NotConverged
+from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.excess_scatter import ExcessScatter
+from imu_calib.estimation.outputs import PositioningErrors
 from imu_calib.estimation.score import (
     Family,
     Score,
@@ -46,14 +49,11 @@ from imu_calib.estimation.search import (
     search_terms,
 )
 from imu_calib.estimation.term_tests import findings
-from imu_calib.model import PARAMETERS, TERMS
+from imu_calib.model.model_parameters import PARAMETERS
 from imu_calib.model.session_terms import Course, session_term
-from imu_calib.model.terms import ACCEL_CUBIC, GYRO_ASYMMETRY, GYRO_CUBIC
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.positioning_errors import PositioningErrors
-from imu_calib.table_errors import TableErrors
-from imu_calib.turntable import load_table
-from imu_calib.units import ARCMIN, ARCSEC, DEG, MICRO_G
+from imu_calib.model.terms import ACCEL_CUBIC, GYRO_ASYMMETRY, GYRO_CUBIC, TERMS
+from imu_calib.session.table import load_table
+from imu_calib.session.table_errors import TableErrors
 
 CUBIC, SENSES = Family('gyro_cubic', GYRO_CUBIC), Family('gyro_asymmetry', GYRO_ASYMMETRY)
 OF_ACCELS = Family('accel_cubic', ACCEL_CUBIC)

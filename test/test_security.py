@@ -12,9 +12,9 @@ from loopback import CHECKOUT, environment, patience
 from ros_stands import LAUNCHABLE, Network, launch, nothing_left
 
 from imu_calib.cli.processes import free_port
-from imu_calib.errors import ImuCalibError, InputError
-from imu_calib.network import on_interface
-from imu_calib.security import enclave, policy_file
+from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.stand.network import on_interface
+from imu_calib.stand.security import enclave, policy_file
 
 INCLUDE = '{http://www.w3.org/2001/XInclude}include'
 SECURED = {'ROS_SECURITY_ENABLE': 'true', 'ROS_SECURITY_STRATEGY': 'Enforce'}
@@ -103,7 +103,7 @@ def matched(names, patterns):
 def created(monkeypatch, tmp_path):
     """Make every node in every variant; return what each publishes, serves and calls."""
     try:
-        from imu_calib import middleware as ros
+        from imu_calib.stand import middleware as ros
     except ImuCalibError as error:
         pytest.skip(str(error))
     for name, value in environment().items():
@@ -147,7 +147,7 @@ def test_the_policy_allows_what_each_node_creates_and_no_more(created):
     nodes = {path.stem for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*_node.py')}
     assert nodes <= allowed.keys()
     assert nodes - created.keys() <= {'web_node'}
-    from imu_calib.middleware import RUNTIME
+    from imu_calib.stand.middleware.chosen import RUNTIME
 
     states = _rules('common/managed.xml')
     parameters = {name for name in allowed['observer']['reply'] if name.startswith('/observer/')}
@@ -191,7 +191,7 @@ def test_one_node_says_what_is_one_nodes_alone():
 
 def test_without_ros_nobody_pretends_to_be_secure(monkeypatch):
     try:
-        from imu_calib.middleware import dds
+        from imu_calib.stand.middleware import dds
     except ImportError as error:
         pytest.skip(str(error))
     for name, value in {**environment(), **SECURED}.items():

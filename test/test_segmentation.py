@@ -13,17 +13,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sessions import SITE, fed, gathered, paper_imu, quick_plan, session
 
-from imu_calib.calibrator import Setup
-from imu_calib.imu import load_imu
-from imu_calib.rotations import rotation
-from imu_calib.segmentation.cleaning import find_step, sound_samples
+from imu_calib.common.rotations import rotation
+from imu_calib.common.stream import Floats, ImuBlock, Stamps
+from imu_calib.common.units import DEG
+from imu_calib.estimation.setup import Setup
 from imu_calib.segmentation.clock import ClockSample, fit_clock, measured_share
-from imu_calib.segmentation.dwells import read_dwell
-from imu_calib.segmentation.motion import JointTracker, Motion, Rest
+from imu_calib.segmentation.dwells import find_step, sound_samples
 from imu_calib.segmentation.order import StampOrder
-from imu_calib.segmentation.plateau import find_turns
-from imu_calib.segmentation.segment import Statistics
-from imu_calib.segmentation.segmented import Rejected
+from imu_calib.segmentation.plateaus import find_turns
+from imu_calib.segmentation.segmentation_dwells import read_dwell
+from imu_calib.segmentation.segments import Statistics
 from imu_calib.segmentation.sensor import Sensor
 from imu_calib.segmentation.statistics import (
     Samples,
@@ -33,9 +32,10 @@ from imu_calib.segmentation.statistics import (
     statistics_at_rest,
     statistics_between,
 )
-from imu_calib.stream import Floats, ImuBlock, Stamps
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG
+from imu_calib.segmentation.stream_facts import Rejected
+from imu_calib.segmentation.table_motion import JointTracker, Motion, Rest
+from imu_calib.session.imu import load_imu
+from imu_calib.session.table import load_table
 
 NS = 1_000_000_000
 PULSE = 1e-3

@@ -10,14 +10,14 @@ import pytest
 from extent import again
 from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand, truth
 
-from imu_calib.calibrator import Result
-from imu_calib.errors import NotObservable
-from imu_calib.imu import ImuSpec, load_imu
-from imu_calib.plan import Plan
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Floats, ImuBlock, JointBlock, SetpointBlock
+from imu_calib.common.units import DEG, DEG_H, PPM
+from imu_calib.session.imu import ImuSpec, load_imu
+from imu_calib.session.plan import Plan
+from imu_calib.session.table import load_table
 from imu_calib.simulation.options import Vibration
-from imu_calib.stream import Floats, ImuBlock, JointBlock, SetpointBlock
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG, DEG_H, PPM
 
 PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 

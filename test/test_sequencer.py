@@ -13,14 +13,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imu_calib.errors import InputError
-from imu_calib.plan import RateTest, load_plan
-from imu_calib.sequencing import Encoders, Feedback, Lead, Overtaken, Phase, Rules, Sequencer
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import JointBlock, Mode, Setpoint
+from imu_calib.common.units import DEG
+from imu_calib.session.plan import RateTest, load_plan
+from imu_calib.session.table import TURN, load_table
 from imu_calib.simulation.options import TableOptions
 from imu_calib.simulation.table import SimulatedTable
-from imu_calib.stream import JointBlock, Mode, Setpoint
-from imu_calib.turntable import TURN, load_table
-from imu_calib.units import DEG
+from imu_calib.stand.plan_steps import Encoders, Feedback
+from imu_calib.stand.rules import Phase, Rules
+from imu_calib.stand.sequencer import Sequencer
+from imu_calib.stand.trajectory import Lead, Overtaken
 
 TABLE = load_table('three_axis')
 ALONE = Rules(supervised=False)

@@ -11,17 +11,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_information import GYRO_WALK, SITE, evidence_of
 
-from imu_calib.budget import Source
-from imu_calib.model import G_SENSITIVITY, SensorModel, Triad, parameters_of
-from imu_calib.observation.equations import ANY_AZIMUTH, GIVEN_AZIMUTH, Equations
-from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.positioning_errors import PositioningErrors
-from imu_calib.observation.session_model import Nuisance, SessionModel
-from imu_calib.observation.surroundings import Surroundings
-from imu_calib.stream import Floats, Units
-from imu_calib.table_errors import TableErrors
-from imu_calib.turntable import load_table
-from imu_calib.units import ARCSEC
+from imu_calib.common.budget import Source
+from imu_calib.common.stream import Floats, Units
+from imu_calib.common.units import ARCSEC
+from imu_calib.estimation.equations import ANY_AZIMUTH, GIVEN_AZIMUTH, Equations
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.outputs import PositioningErrors
+from imu_calib.estimation.session_model import Nuisance, SessionModel
+from imu_calib.estimation.surroundings import Surroundings
+from imu_calib.model.sensors import SensorModel, Triad, parameters_of
+from imu_calib.model.terms import G_SENSITIVITY
+from imu_calib.session.table import load_table
+from imu_calib.session.table_errors import TableErrors
 
 PARAMETERS = parameters_of([G_SENSITIVITY])
 MODEL = SensorModel(

@@ -15,33 +15,36 @@ from sessions import SITE, gathered, quick_plan, session, stand, truth
 from sessions import fed as fed_blocks
 from test_other_world import EPOCH, NAVIGATION, fed, true_vector
 
-from imu_calib.bags import open_recording
-from imu_calib.budget import Source
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.cdr import Kind
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.thermal import ThermalCalibration, by_temperature, load_calibration
 from imu_calib.cli.main import main
-from imu_calib.compensation.thermal import ThermalCalibration, by_temperature, load_calibration
-from imu_calib.config import Section
-from imu_calib.errors import InputError, NotObservable
+from imu_calib.common.budget import Source
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats, ImuBlock, TemperatureBlock
 from imu_calib.estimation.converge import NotConverged
+from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.estimate import Estimate, estimate
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.joint import solve
+from imu_calib.estimation.methods import method
+from imu_calib.estimation.modulation import instant_of, rates, spans
 from imu_calib.estimation.score import families
+from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.term_tests import TermState, summary
-from imu_calib.imu import load_imu
-from imu_calib.methods import method
-from imu_calib.methods.joint import solve
-from imu_calib.model import PARAMETER_NAMES, PARAMETERS, named_terms
+from imu_calib.model.model_parameters import PARAMETER_NAMES, PARAMETERS
 from imu_calib.model.session_terms import Course, split_terms
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.modulation import instant_of, rates, spans
+from imu_calib.model.terms import named_terms
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.segmentation.thermometer import Temperature
-from imu_calib.share import named_file
-from imu_calib.simulation import BiasStep, SimulatedStand, StandOptions, WarmUp
-from imu_calib.stream import Floats, ImuBlock, TemperatureBlock
-from imu_calib.table_errors import ASSUMED
-from imu_calib.turntable import load_table, read_table
+from imu_calib.session.imu import load_imu
+from imu_calib.session.table import load_table, read_table
+from imu_calib.session.table_errors import ASSUMED
+from imu_calib.simulation.options import BiasStep, StandOptions, WarmUp
+from imu_calib.simulation.stand import SimulatedStand
 
 DEG_H, MICRO_G, PPM = DEG / 3600, 9.80665e-6, 1e-6
 RISE = 10 / 3600

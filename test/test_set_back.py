@@ -12,13 +12,9 @@ from other_world import Unit, World
 from sessions import quick_plan
 from test_other_world import EPOCH, MEDIUM, NAVIGATION, errors, recorded
 
-from imu_calib.calibrator import Calibrator, Result, Setup
-from imu_calib.earth import Site
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.segmentation.intake import StreamBuffer
-from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.segmentation.set_back import SetBackClock, set_back_sentences
-from imu_calib.stream import (
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.common.stream import (
     Floats,
     ImuBlock,
     JointBlock,
@@ -28,7 +24,13 @@ from imu_calib.stream import (
     Stamps,
     Units,
 )
-from imu_calib.turntable import load_table
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.segmentation.intake import StreamBuffer
+from imu_calib.segmentation.segmenter import Segmenter
+from imu_calib.segmentation.stamp_faults import SetBackClock, set_back_sentences
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.table import load_table
 
 NS = 10**9
 START = EPOCH * NS

@@ -8,10 +8,10 @@ import yaml
 
 from imu_calib.cli import dispatch, main, processes, several
 from imu_calib.cli.node_reports import NodeReports
-from imu_calib.errors import InputError, NotObservable
-from imu_calib.imu import load_imu
-from imu_calib.mounted import load_units
-from imu_calib.share import named_file
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.share import named_file
+from imu_calib.session.imu import load_imu
+from imu_calib.session.units_file import load_units
 
 PORT = 'socket://127.0.0.1:9'
 

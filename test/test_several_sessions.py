@@ -8,24 +8,26 @@ import pytest
 from loopback import patience, until
 from sessions import SITE, at_one_rate, paper_imu, quick_plan, stand, truth
 
-from imu_calib.bags import Journal, open_recording
-from imu_calib.calibrator import Setup
-from imu_calib.cdr import Kind, encode_imu, encode_joints, encode_setpoints
-from imu_calib.metadata import LEFT_OUT
-from imu_calib.model import SensorModel
-from imu_calib.nodes.live import SessionPhase
-from imu_calib.nodes.session_parameters import StatedUnit
-from imu_calib.nodes.sessions import Sessions
-from imu_calib.simulation import SeveralOnTable, SimulatedUnit
-from imu_calib.stream import ImuBlock, JointBlock, SetpointBlock
-from imu_calib.turntable import load_table
+from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.sensors import SensorModel
+from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints
+from imu_calib.recordings.journal import Journal
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.session.metadata import LEFT_OUT
+from imu_calib.session.table import load_table
+from imu_calib.simulation.several import SeveralOnTable, SimulatedUnit
+from imu_calib.stand.nodes.live import SessionPhase
+from imu_calib.stand.nodes.parameters import StatedUnit
+from imu_calib.stand.nodes.sessions import Sessions
 
 TABLE = load_table('three_axis')
 PLAN = at_one_rate(quick_plan('twelve_position', dwell=6.0))
 COMMON = {Kind.JOINTS: '/turntable/joint_states', Kind.SETPOINTS: '/turntable/setpoint'}
 SERIALS = ('A1', 'B2', 'C3')
 TOPICS = {serial: f'/unit_{serial}/imu/pulses' for serial in SERIALS}
-DESCRIPTION = {'imu_calib.plan': 'twelve, but shorter'}
+DESCRIPTION = {'imu_calib.session.plan': 'twelve, but shorter'}
 NOW = 1_700_000_000_000_000_000
 LIMIT = 4.5
 

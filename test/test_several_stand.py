@@ -10,25 +10,25 @@ import pytest
 import yaml
 from loopback import patience
 
-from imu_calib.errors import ImuCalibError
+from imu_calib.common.errors import ImuCalibError
 
 try:
     from live import LIMIT, Progress, Stand, State, short_plan
 
-    from imu_calib.middleware import messages
-    from imu_calib.nodes import qos
+    from imu_calib.stand.middleware import messages
+    from imu_calib.stand.nodes import qos
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
-from imu_calib.bags import open_recording
-from imu_calib.calibration import Calibration
-from imu_calib.cdr import Kind
+from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import main
-from imu_calib.metadata import LEFT_OUT
-from imu_calib.plan import load_plan
-from imu_calib.share import named_file
-from imu_calib.stream import Mode
-from imu_calib.turntable import load_table
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Mode
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.session.metadata import LEFT_OUT
+from imu_calib.session.plan import load_plan
+from imu_calib.session.table import load_table
 
 SERIALS = {'unit_A1': 'A1', 'unit_B_2': 'B-2', 'unit_C3': 'C3'}
 UNITS = [{'serial_number': serial, 'imu': 'fog_medium'} for serial in SERIALS.values()]

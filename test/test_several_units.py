@@ -10,14 +10,14 @@ import pytest
 import yaml
 
 import imu_calib
-from imu_calib.api.simulating import serialised
-from imu_calib.bags import RecordingWriter, open_recording
-from imu_calib.bags.recording import Recording
-from imu_calib.cdr import Kind
+from imu_calib.api.simulate import serialised
 from imu_calib.cli.main import main
-from imu_calib.errors import InputError, NotObservable
-from imu_calib.mounted import load_units
-from imu_calib.stream import ImuBlock
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.stream import ImuBlock
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import Recording, open_recording
+from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.session.units_file import load_units
 
 UNITS = """
 units:

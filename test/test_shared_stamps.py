@@ -11,17 +11,18 @@ import pytest
 from test_calibration_session import recut
 from test_other_world import MEDIUM, World, errors, fed
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.plan import load_plan
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Block, Floats, ImuBlock, Stamps, Units
+from imu_calib.common.units import DEG
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.segmentation.shared_stamps import SharedStamps
-from imu_calib.share import named_file
-from imu_calib.simulation import ImuOptions
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.plan import load_plan
 from imu_calib.simulation.hand import as_planned
-from imu_calib.stream import Block, Floats, ImuBlock, Stamps, Units
-from imu_calib.units import DEG
+from imu_calib.simulation.options import ImuOptions
 
 START = 1_700_000_000 * 10**9
 

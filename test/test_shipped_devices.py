@@ -10,8 +10,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from imu_calib.devices import Decoder, DeviceClock, load_format
-from imu_calib.imu import load_imu
+from imu_calib.session.imu import load_imu
+from imu_calib.stand.devices.clock import DeviceClock
+from imu_calib.stand.devices.decoder import Decoder
+from imu_calib.stand.devices.format import load_format
 
 NS = 1_000_000_000
 RATE = (Fraction(1, 8), Fraction(-3, 4), Fraction(5, 64))

@@ -7,8 +7,8 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from imu_calib.segmentation.cleaning import ShiftingDisturbance, _Means, _one_way
-from imu_calib.stream import Floats
+from imu_calib.common.stream import Floats
+from imu_calib.segmentation.dwells import ShiftingDisturbance, _Means, _one_way
 
 NONE = np.zeros(3)
 

@@ -11,31 +11,30 @@ from scipy.integrate import quad_vec
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from imu_calib.earth import EARTH_RATE, Site
-from imu_calib.errors import InputError
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.model import SensorModel, Triad
-from imu_calib.plan import Plan, Position, RateTest
-from imu_calib.simulation import (
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import Floats, ImuBlock, Mode, Setpoint, Units
+from imu_calib.common.units import ARCSEC, DEG, DEG_H
+from imu_calib.model.earth import EARTH_RATE, Site
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.plan import Plan, Position, RateTest
+from imu_calib.session.table import Joint, Table, load_table
+from imu_calib.simulation.frames import FRAME, crc16, pack, unpack
+from imu_calib.simulation.hardware import SimulatedHardware
+from imu_calib.simulation.imu import SimulatedImu
+from imu_calib.simulation.options import (
     ImuOptions,
     Shock,
-    SimulatedImu,
-    SimulatedStand,
-    SimulatedTable,
-    SimulatedUnit,
     StandOptions,
     TableOptions,
     ThermalDrift,
     Vibration,
     Warming,
-    simulate,
 )
-from imu_calib.simulation.frames import FRAME, crc16, pack, unpack
-from imu_calib.simulation.hardware import SimulatedHardware
+from imu_calib.simulation.several import SimulatedUnit
+from imu_calib.simulation.stand import SimulatedStand, simulate
+from imu_calib.simulation.table import SimulatedTable
 from imu_calib.simulation.tracks import trapezoid
-from imu_calib.stream import Floats, ImuBlock, Mode, Setpoint, Units
-from imu_calib.turntable import Joint, Table, load_table
-from imu_calib.units import ARCSEC, DEG, DEG_H
 
 SITE = Site(40 * DEG, 9.8, 'measured')
 IDEAL_TABLE = TableOptions(encoder_resolution=0, positioning_error=0, rate_error=0)

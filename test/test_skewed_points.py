@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 
-from imu_calib.errors import NotObservable
-from imu_calib.methods.skewed import (
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG, DEG_H
+from imu_calib.estimation.closed_forms.skewed import (
     RatePoints,
     _covariance,
     _gain,
@@ -22,10 +24,8 @@ from imu_calib.methods.skewed import (
     solve,
     variance_by_weights,
 )
-from imu_calib.model import parameters_of
-from imu_calib.observation.layout import OutputLayout
-from imu_calib.stream import Floats
-from imu_calib.units import DEG, DEG_H
+from imu_calib.estimation.layout import OutputLayout
+from imu_calib.model.sensors import parameters_of
 
 UP_RATE = 4e-5
 WALK = np.array([1e-6, 2e-6, 6e-6, 9.0, 9.0, 9.0])

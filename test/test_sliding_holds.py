@@ -10,16 +10,12 @@ from extent import again
 from shaky import shaky
 from test_noisy_holds import NOISE, UNIT, calibrator, result, session
 
-from imu_calib.calibrator import Result
-from imu_calib.methods.free_positions import (
-    FREE,
-    in_frame_of_accelerometers,
-    initial_equations,
-)
-from imu_calib.observation.known_noise import with_own_noise
-from imu_calib.segmentation.segment import Segment
-from imu_calib.stream import Floats
-from imu_calib.units import DEG
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG
+from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers, initial_equations
+from imu_calib.estimation.output_noise import with_own_noise
+from imu_calib.segmentation.segments import Segment
 
 SLIDES = 5
 

@@ -12,9 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imu_calib.bags import sqlite_pages
-from imu_calib.bags.sqlite_pages import OddPagesError, TablePages, Window, _big, _integers, _varints
-from imu_calib.bags.sqlite_rows import LAST_ROW
+from imu_calib.recordings import sqlite_pages
+from imu_calib.recordings.sqlite_pages import (
+    OddPagesError,
+    TablePages,
+    Window,
+    _big,
+    _integers,
+    _varints,
+)
+from imu_calib.recordings.sqlite_rows import LAST_ROW
 
 SIZE = 512
 INTEGERS = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}

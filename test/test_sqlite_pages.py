@@ -9,9 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_bags import KINDS, SESSION, assert_same, read, write_sqlite
 
-from imu_calib.bags import open_recording
-from imu_calib.bags.sqlite_pages import OddPagesError, TablePages
-from imu_calib.bags.sqlite_rows import RowQueries
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.sqlite_pages import OddPagesError, TablePages
+from imu_calib.recordings.sqlite_rows import RowQueries
 
 TABLE = (
     'CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, '

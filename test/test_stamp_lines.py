@@ -7,7 +7,9 @@ from math import inf, isinf, sqrt
 import numpy as np
 import pytest
 
-from imu_calib.segmentation.grid import (
+from imu_calib.common.stream import Floats, Stamps
+from imu_calib.segmentation.pace import Pace, Timing
+from imu_calib.segmentation.stamps import (
     SampleGrid,
     _first_period,
     _in_common,
@@ -17,8 +19,6 @@ from imu_calib.segmentation.grid import (
     clock_steps,
     read_grid,
 )
-from imu_calib.segmentation.pace import Pace, Timing
-from imu_calib.stream import Floats, Stamps
 
 START = 1_700_000_000_000_000_000
 MS = 1_000_000

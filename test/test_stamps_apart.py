@@ -12,18 +12,18 @@ from extent import ALL, again
 from sessions import Named, at_one_rate, calibrate, paper_imu, quick_plan, session, stand
 from test_calibration_session import recut
 
-from imu_calib.plan import Plan
+from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Stamps
+from imu_calib.common.units import DEG
 from imu_calib.segmentation.apart import offset_by_pattern
 from imu_calib.segmentation.bunches import sampling_times
-from imu_calib.segmentation.grid import clock_steps
 from imu_calib.segmentation.interruptions import Interruptions
 from imu_calib.segmentation.lateness import Lateness
-from imu_calib.segmentation.motion import Motion
 from imu_calib.segmentation.segmenter import Segmenter
+from imu_calib.segmentation.stamps import clock_steps
+from imu_calib.segmentation.table_motion import Motion
+from imu_calib.session.plan import Plan
+from imu_calib.session.table import Joint, Table, load_table
 from imu_calib.simulation.options import Delivery
-from imu_calib.stream import Floats, ImuBlock, JointBlock, Stamps
-from imu_calib.turntable import Joint, Table, load_table
-from imu_calib.units import DEG
 
 START = 1_700_000_000 * 10**9
 TABLE = Table('bench', (Joint('a', (1.0, 0.0, 0.0)), Joint('b', (0.0, 0.0, 1.0))))

@@ -7,7 +7,7 @@ held against the truth.
 
 import pytest
 
-from imu_calib.errors import ImuCalibError
+from imu_calib.common.errors import ImuCalibError
 
 try:
     from live import LEASE, Progress, Stand, State, finishes, resumes, spoofed_done, stops, stranger

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from loopback import patience
 
-from imu_calib.errors import ImuCalibError
+from imu_calib.common.errors import ImuCalibError
 
 try:
     from live import (
@@ -23,8 +23,8 @@ try:
         stranger,
     )
 
-    from imu_calib import middleware as ros
-    from imu_calib.nodes import qos
+    from imu_calib.stand import middleware as ros
+    from imu_calib.stand.nodes import qos
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 

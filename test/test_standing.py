@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import imu_calib
-from imu_calib import ImuCalibError, InputError, NotObservable
-from imu_calib.api.stated import TRUE_TABLE
+from imu_calib.api.session import TRUE_TABLE
 from imu_calib.cli import resume, stand_session
 from imu_calib.cli.main import main
 from imu_calib.cli.terminal import as_options
-from imu_calib.share import named_file
+from imu_calib.common.errors import ImuCalibError, InputError, NotObservable
+from imu_calib.common.share import named_file
 
 try:
     from live import LIMIT, short_plan

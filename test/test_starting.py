@@ -6,7 +6,7 @@ import pytest
 
 from imu_calib.cli.node_reports import NodeReports
 from imu_calib.cli.starting import Start
-from imu_calib.errors import InputError
+from imu_calib.common.errors import InputError
 
 JOURNAL = 'calibrator_node: journal'
 NOTHING = 'The stand does not start.'

@@ -20,11 +20,14 @@ from test_devices import NS, frame
 from imu_calib.cli import dispatch, listening, main, stand_session
 from imu_calib.cli.node_reports import NodeReports, NothingComes
 from imu_calib.cli.terminal import OUTPUT
-from imu_calib.devices import Reception, Severity, Source, choose_baud, load_format
-from imu_calib.devices.commands import Command, Commands
-from imu_calib.devices.source import Chunk, SourceState
-from imu_calib.imu import load_imu
-from imu_calib.share import named_file
+from imu_calib.common.share import named_file
+from imu_calib.session.imu import load_imu
+from imu_calib.stand.devices.baud import choose_baud
+from imu_calib.stand.devices.commands import Command, Commands
+from imu_calib.stand.devices.format import load_format
+from imu_calib.stand.devices.health import Severity
+from imu_calib.stand.devices.source import Chunk, Source, SourceState
+from imu_calib.stand.nodes.reception import Reception
 
 SIMULATED = load_format('simulated')
 FOG = load_imu('fog_medium')
@@ -109,8 +112,8 @@ def in_the_hand(tmp_path_factory):
 
 def test_info_of_a_session_in_the_hand_loads_nothing_that_solves_others(in_the_hand):
     modules = loaded(LOOKED, in_the_hand)
-    assert 'imu_calib.calibrator.by_hand' in modules
-    assert not among(modules, (*SLOW, *RUNTIME, 'imu_calib.calibrator.on_table'))
+    assert 'imu_calib.calibration.hand' in modules
+    assert not among(modules, (*SLOW, *RUNTIME, 'imu_calib.calibration.calibrator'))
 
 
 def test_info_of_topics_alone_loads_no_estimator(in_the_hand):
@@ -150,10 +153,10 @@ def test_info_of_a_session_that_determines_nothing_loads_nothing_that_solves(tmp
     assert main.main(['simulate', str(tmp_path / 'plan.yaml'), '-o', str(bag)]) == 0
     code = [*LOOKED.splitlines()[:-1], "assert 'K_gx' in shown.getvalue()"]
     modules = loaded('\n'.join(code), bag)
-    assert 'imu_calib.calibrator.on_table' in modules
+    assert 'imu_calib.calibration.calibrator' in modules
     # numpy 1.26 loads hashlib and numpy.polynomial itself, rich 13.0 its emoji.
     modules -= loaded('import numpy, rich.console')
-    assert not among(modules, (*SLOW, *RUNTIME, *NEEDLESS, 'imu_calib.calibrator.by_hand'))
+    assert not among(modules, (*SLOW, *RUNTIME, *NEEDLESS, 'imu_calib.calibration.hand'))
 
 
 UNUSED = (
@@ -179,7 +182,7 @@ def test_info_of_a_session_with_motions_loads_no_more_than_its_estimate(tmp_path
     bag = tmp_path / 'bag'
     assert main.main(['simulate', str(tmp_path / 'plan.yaml'), '-o', str(bag)]) == 0
     modules = loaded('\n'.join(LOOKED.splitlines()[:-1]), bag)
-    assert {'imu_calib.calibrator.on_table', 'imu_calib.estimation.estimate'} <= modules
+    assert {'imu_calib.calibration.calibrator', 'imu_calib.estimation.estimate'} <= modules
     # An older scipy.linalg loads scipy.sparse itself, rich 13.0 its emoji.
     modules -= loaded('import scipy.linalg, scipy.special, rich.console')
     others = 'calibrator.by_hand', 'prediction', 'verification', 'simulation'
@@ -187,7 +190,9 @@ def test_info_of_a_session_with_motions_loads_no_more_than_its_estimate(tmp_path
 
 
 def test_the_estimators_load_what_they_use():
-    code = 'import imu_calib.calibrator, imu_calib.prediction, imu_calib.verification'
+    code = (
+        'import imu_calib.calibration.calibrator_part, imu_calib.prediction, imu_calib.verification'
+    )
     assert not among(loaded(code), SLOW)
 
 
@@ -217,7 +222,9 @@ def test_a_device_that_cannot_do_is_refused_before_anything_is_loaded(tmp_path, 
     words += ['--port', strange(tmp_path, kind), '--device', 'simulated']
     modules = loaded(REFUSED, *words)
     assert 'imu_calib.cli.listening' in modules
-    assert not among(modules, (*SLOW, *RUNTIME, 'imu_calib.calibrator', 'imu_calib.bags'))
+    assert not among(
+        modules, (*SLOW, *RUNTIME, 'imu_calib.calibration.calibrator_part', 'imu_calib.bags')
+    )
     assert not (tmp_path / 'stand').exists()
 
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imu_calib.imu import ImuSpec, TriadSpec
+from imu_calib.common.stream import Floats, Units
 from imu_calib.segmentation.naming import attitude_words, heading, unique, up_words
-from imu_calib.segmentation.segment import Turn
+from imu_calib.segmentation.segments import Turn
 from imu_calib.segmentation.statistics import (
     BLOCK_SECONDS,
     Samples,
@@ -22,7 +22,7 @@ from imu_calib.segmentation.statistics import (
     to_samples,
 )
 from imu_calib.segmentation.turns import _level_share, _line_origin, _mean_phase, _steady
-from imu_calib.stream import Floats, Units
+from imu_calib.session.imu import ImuSpec, TriadSpec
 
 START = 1_700_000_000_000_000_000
 PERIOD = 0.05

@@ -12,21 +12,22 @@ import pytest
 from extent import again
 from sessions import SITE, Named, beside_exactness, calibrate, paper_imu, quick_plan, stand, truth
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Result
-from imu_calib.errors import NotObservable
-from imu_calib.imu import ImuSpec, load_imu
-from imu_calib.model import SensorModel
-from imu_calib.plan import Plan
-from imu_calib.segmentation.motion import Motion
-from imu_calib.segmentation.plateau import find_turns, no_turn_reason
-from imu_calib.share import named_file
-from imu_calib.simulation import StandOptions, simulate
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats, JointBlock, Setpoint
+from imu_calib.common.units import ARCSEC, DEG
+from imu_calib.model.sensors import SensorModel
+from imu_calib.segmentation.plateaus import find_turns, no_turn_reason
+from imu_calib.segmentation.table_motion import Motion
+from imu_calib.session.imu import ImuSpec, load_imu
+from imu_calib.session.plan import Plan
+from imu_calib.session.table import TURN, load_table
+from imu_calib.simulation.options import StandOptions
+from imu_calib.simulation.stand import simulate
 from imu_calib.simulation.table import SimulatedTable
 from imu_calib.simulation.tracks import Track, trapezoid
-from imu_calib.stream import Floats, JointBlock, Setpoint
-from imu_calib.turntable import TURN, load_table
-from imu_calib.units import ARCSEC, DEG
 
 RAMPS = 20.0
 """Of a slow table, deg/s^2: at 90 deg/s and a plateau of 385 deg more time goes to the ramps."""

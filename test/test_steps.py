@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imu_calib.errors import InputError
-from imu_calib.plan import Step, load_plan
-from imu_calib.sequencing.obstacles import Obstacles
-from imu_calib.sequencing.steps import check, end_of, held, motion_time, setpoint_of, steps_of_plan
-from imu_calib.stream import Mode
-from imu_calib.turntable import TURN, load_table
-from imu_calib.units import DEG
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import Mode
+from imu_calib.common.units import DEG
+from imu_calib.session.plan import Step, load_plan
+from imu_calib.session.table import TURN, load_table
+from imu_calib.stand.obstacles import Obstacles
+from imu_calib.stand.steps import check, end_of, held, motion_time, setpoint_of, steps_of_plan
 
 TABLE = load_table('three_axis')
 STILL = np.zeros(3)

@@ -8,21 +8,22 @@ from extent import again
 from scipy.stats import chi2
 from shaky import GRAVITY, LATITUDE, Shaky, shaky
 
-from imu_calib.calibrator import Result, Setup
-from imu_calib.calibrator.by_hand import HandCalibrator
-from imu_calib.earth import Site
-from imu_calib.errors import InputError, NotObservable
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.methods.free_positions import FREE, in_frame_of_accelerometers
-from imu_calib.model import SensorModel, Triad
-from imu_calib.plan import load_plan
-from imu_calib.segmentation.cleaning import find_step
-from imu_calib.segmentation.motion import Motion, Rest
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.stream import ImuBlock, Units
+from imu_calib.common.units import DEG, STANDARD_GRAVITY
+from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.model.sensors import SensorModel, Triad
+from imu_calib.segmentation.dwells import find_step
 from imu_calib.segmentation.segmenter import Segmenter
 from imu_calib.segmentation.statistics import Samples, statistics_at_rest
 from imu_calib.segmentation.stillness import StillnessTracker
-from imu_calib.stream import ImuBlock, Units
-from imu_calib.units import DEG, STANDARD_GRAVITY
+from imu_calib.segmentation.table_motion import Motion, Rest
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.plan import load_plan
 
 SITE = Site.at(LATITUDE, gravity=GRAVITY)
 SCALES = (2000 / 32768 * DEG, 4 * STANDARD_GRAVITY / 32768)

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import DEG
 from imu_calib.segmentation.encoder_line import (
     Line,
     _step,
@@ -16,8 +18,7 @@ from imu_calib.segmentation.encoder_line import (
     encoder_step,
     hidden_by_steps,
 )
-from imu_calib.segmentation.motion import Motion
-from imu_calib.segmentation.plateau import (
+from imu_calib.segmentation.plateaus import (
     Plateau,
     _bends,
     _half_turns,
@@ -28,8 +29,7 @@ from imu_calib.segmentation.plateau import (
     find_turns,
     no_turn_reason,
 )
-from imu_calib.stream import Floats
-from imu_calib.units import DEG
+from imu_calib.segmentation.table_motion import Motion
 
 LEAST = 1e-3 * DEG
 """Departure that counts at least, rad."""

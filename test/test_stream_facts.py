@@ -9,17 +9,18 @@ import pytest
 from numpy.typing import NDArray
 
 import imu_calib
-from imu_calib.bags import RecordingWriter
-from imu_calib.calibrator import HandCalibrator, Setup
-from imu_calib.cdr import RATES, encode_imu
-from imu_calib.earth import Site
-from imu_calib.errors import InputError, NotObservable
-from imu_calib.imu import load_imu
-from imu_calib.plan import load_plan
+from imu_calib.calibration.hand import HandCalibrator
+from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.stream import Floats, ImuBlock
+from imu_calib.common.units import DEG, STANDARD_GRAVITY
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.recordings.cdr_codec import RATES, encode_imu
+from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.gravity_removed import gravity_removed, quiet_means
-from imu_calib.segmentation.stream_facts import StreamFacts
-from imu_calib.stream import Floats, ImuBlock
-from imu_calib.units import DEG, STANDARD_GRAVITY
+from imu_calib.segmentation.segmentation_stream_facts import StreamFacts
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import load_plan
 
 LATITUDE = 34.65
 Session = tuple[NDArray[np.int64], Floats, Floats]

@@ -17,10 +17,11 @@ from imperfect_stands import CAUSES, CONDITIONS, blocks, stand
 from imperfections import PARAMETER_NAMES, misnamed, outcome
 from imperfections import session as simulated_session
 
-from imu_calib.calibrator import Calibrator, Setup
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.common.stream import Block
+from imu_calib.common.units import ARCSEC
+from imu_calib.estimation.setup import Setup
 from imu_calib.model.terms import TERMS
-from imu_calib.stream import Block
-from imu_calib.units import ARCSEC
 
 # One that two tests look at is simulated and solved once.
 session = cache(simulated_session)

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from sessions import calibrate, session, stand, truth
 
-from imu_calib.calibration import Calibration
-from imu_calib.plan import Plan, load_plan
-from imu_calib.turntable import load_table
-from imu_calib.units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G
+from imu_calib.session.plan import Plan, load_plan
+from imu_calib.session.table import load_table
 
 
 def two_turns(name: str) -> Plan:

@@ -24,33 +24,36 @@ from sessions import (
 )
 from test_information import evidence_of
 
-from imu_calib.alignment import free_of_frame
-from imu_calib.budget import Source
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Result, Setup
-from imu_calib.calibrator.losses import assumption_findings
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.calibration.losses import assumption_findings
 from imu_calib.cli.calibrate import show
 from imu_calib.cli.main import main
-from imu_calib.config import Section
-from imu_calib.errors import InputError
+from imu_calib.common.budget import Source
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError
+from imu_calib.common.share import share_folder
+from imu_calib.common.stream import Floats
+from imu_calib.common.units import ARCMIN, ARCSEC
+from imu_calib.estimation import joint
+from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.estimate import estimate
-from imu_calib.imu import load_imu
-from imu_calib.methods import joint
-from imu_calib.methods.joint_findings import _scatter_findings
-from imu_calib.model import PARAMETERS, ParameterKind
-from imu_calib.observation.equations import Equations
-from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.information import Information
-from imu_calib.observation.positioning_errors import PositioningErrors
-from imu_calib.prediction.expected import expected
-from imu_calib.prediction.forecast import information, state_at
+from imu_calib.estimation.evidence import Evidence
+from imu_calib.estimation.forecast import information, state_at
+from imu_calib.estimation.information import Information
+from imu_calib.estimation.joint_findings import _scatter_findings
+from imu_calib.estimation.outputs import PositioningErrors
+from imu_calib.estimation.predict import expected
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.alignment import free_of_frame
+from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import ParameterKind
 from imu_calib.segmentation.clock import fit_clock
-from imu_calib.share import share_folder
+from imu_calib.session.imu import load_imu
+from imu_calib.session.table import Table, load_table, read_table
+from imu_calib.session.table_errors import ASSUMED, LEVELLED, TableErrors
 from imu_calib.simulation.true_table import TableSizes, TrueTable
-from imu_calib.stream import Floats
-from imu_calib.table_errors import ASSUMED, LEVELLED, TableErrors
-from imu_calib.turntable import Table, load_table, read_table
-from imu_calib.units import ARCMIN, ARCSEC
 
 TABLE = load_table('three_axis')
 SIZES = {

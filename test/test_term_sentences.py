@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imu_calib.common.units import ARCSEC, DEG_H
 from imu_calib.estimation import term_tests
 from imu_calib.estimation.score import Family, Score
 from imu_calib.estimation.search import Found
@@ -18,11 +19,10 @@ from imu_calib.estimation.term_tests import (
     findings,
     summary,
 )
-from imu_calib.model import PARAMETERS, Parameter
+from imu_calib.model.model_parameters import PARAMETERS, Parameter
 from imu_calib.model.session_terms import Course, session_term
 from imu_calib.model.terms import ACCEL_CUBIC, GYRO_ASYMMETRY, GYRO_CUBIC
-from imu_calib.table_errors import TableErrors
-from imu_calib.units import ARCSEC, DEG_H
+from imu_calib.session.table_errors import TableErrors
 
 LN10 = 2.302585092994046
 CUBIC = Family('gyro_cubic', GYRO_CUBIC)

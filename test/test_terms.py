@@ -10,18 +10,20 @@ import numpy as np
 import pytest
 from sessions import SITE, fed, quick_plan, stand
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Result, Setup
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.calibrator_results import Result
 from imu_calib.cli.main import main
-from imu_calib.errors import InputError
-from imu_calib.imu import load_imu
-from imu_calib.methods import JOINT, METHODS, estimated_parameters, method
-from imu_calib.methods.free_positions import in_frame_of_accelerometers
-from imu_calib.model import TERMS, asks_for_search, named_terms, parameters_of, terms_of
-from imu_calib.prediction import forecast
-from imu_calib.share import named_file, share_folder
-from imu_calib.simulation import simulate
-from imu_calib.turntable import load_table
+from imu_calib.common.errors import InputError
+from imu_calib.common.share import named_file, share_folder
+from imu_calib.estimation import forecast
+from imu_calib.estimation.hand import in_frame_of_accelerometers
+from imu_calib.estimation.methods import JOINT, METHODS, estimated_parameters, method
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.sensors import parameters_of, terms_of
+from imu_calib.model.terms import TERMS, asks_for_search, named_terms
+from imu_calib.session.imu import load_imu
+from imu_calib.session.table import load_table
+from imu_calib.simulation.stand import simulate
 
 PLAN = quick_plan('twelve_position', 30.0)
 TOO_FAR = 4.5

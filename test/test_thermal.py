@@ -8,21 +8,21 @@ import pytest
 from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand, truth
 from test_compensation import known
 
-from imu_calib.calibration import Calibration
-from imu_calib.cli.main import main
-from imu_calib.compensation.thermal import (
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.thermal import (
     ThermalCalibration,
     combine,
     load_calibration,
     temperature_range,
 )
-from imu_calib.errors import InputError
-from imu_calib.model import SensorModel, Triad
+from imu_calib.cli.main import main
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import TemperatureBlock
+from imu_calib.common.units import DEG_H, MICRO_G
+from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.segmentation.thermometer import Thermometer
-from imu_calib.simulation import ThermalDrift, Warming
-from imu_calib.stamping import StampingClock
-from imu_calib.stream import TemperatureBlock
-from imu_calib.units import DEG_H, MICRO_G
+from imu_calib.session.stamping import StampingClock
+from imu_calib.simulation.options import ThermalDrift, Warming
 
 TEMPERATURES = (-20.0, 20.0, 55.0)
 REFERENCE = 25.0

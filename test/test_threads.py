@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from loopback import CHECKOUT
 
-from imu_calib import threads
+from imu_calib.api.calibrate import calibrate_units
 from imu_calib.api.calibrating import calibrated
-from imu_calib.api.calibrating_units import calibrate_units
-from imu_calib.api.predicting import optimise, predicted, shortest
+from imu_calib.api.predict import optimise, predicted, shortest
 from imu_calib.api.repeating import montecarlo
-from imu_calib.api.verifying import verify
+from imu_calib.api.verify import verify
+from imu_calib.common import threads
 
 _COUNT = """
 import os, {module}, numpy
@@ -25,7 +25,7 @@ print(len(os.listdir('/proc/self/task')))
 @pytest.mark.skipif(
     not Path('/proc/self/task').is_dir(), reason='threads are counted as Linux does'
 )
-@pytest.mark.parametrize('module', ['imu_calib.cli.main', 'imu_calib.nodes.live'])
+@pytest.mark.parametrize('module', ['imu_calib.cli.main', 'imu_calib.stand.nodes.live'])
 def test_a_product_of_matrices_takes_one_thread(module):
     environ = {k: v for k, v in os.environ.items() if not k.endswith('_NUM_THREADS')}
     environ['PYTHONPATH'] = os.pathsep.join([str(CHECKOUT), os.environ.get('PYTHONPATH', '')])
@@ -37,7 +37,7 @@ def test_a_product_of_matrices_takes_one_thread(module):
 _DEEP = """
 import sys
 from threadpoolctl import threadpool_info, threadpool_limits
-from imu_calib.threads import by_one_thread
+from imu_calib.common.threads import by_one_thread
 
 def threads():
     return sorted({pool['num_threads'] for pool in threadpool_info() if pool['user_api'] == 'blas'})

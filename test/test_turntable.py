@@ -4,12 +4,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imu_calib.config import Section
-from imu_calib.errors import InputError
-from imu_calib.plan import load_plan
-from imu_calib.stream import Mode
-from imu_calib.turntable import Table, load_table, read_table
-from imu_calib.units import DEG
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import Mode
+from imu_calib.common.units import DEG
+from imu_calib.session.plan import load_plan
+from imu_calib.session.table import Table, load_table, read_table
 
 JOINTS = """
 name: odd

@@ -12,23 +12,25 @@ import numpy as np
 import pytest
 from loopback import environment, patience, start, until
 
-from imu_calib.cdr import Messages, decode_setpoints, encode_joints, encode_setpoints
-from imu_calib.errors import ImuCalibError, InputError
-from imu_calib.nodes import qos
+from imu_calib.common.errors import ImuCalibError, InputError
+from imu_calib.common.stream import JointBlock, Mode, Setpoint, SetpointBlock
+from imu_calib.common.units import DEG
+from imu_calib.recordings.cdr_codec import encode_joints, encode_setpoints
+from imu_calib.recordings.decode import decode_setpoints
+from imu_calib.recordings.messages import Messages
+from imu_calib.session.table import load_table
 from imu_calib.simulation.options import TableOptions
 from imu_calib.simulation.table import SimulatedTable
-from imu_calib.stream import JointBlock, Mode, Setpoint, SetpointBlock
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG
+from imu_calib.stand.nodes import qos
 
 # ROS reads this when it loads its messages.
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
-    from imu_calib import middleware as ros
-    from imu_calib.nodes import stop, turntable_node
-    from imu_calib.nodes.calibrator_progress import CalibratorProgress
-    from imu_calib.nodes.turntable_node import TurntableNode
-    from imu_calib.sequencing import Phase
+    from imu_calib.stand import middleware as ros
+    from imu_calib.stand.nodes import stop, turntable_node
+    from imu_calib.stand.nodes.calibrator_progress import CalibratorProgress
+    from imu_calib.stand.nodes.turntable_node import TurntableNode
+    from imu_calib.stand.rules import Phase
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -184,11 +186,11 @@ class Watcher(ros.Node):
         self.progress.publish(message)
 
 
-MAIN = 'import sys\nfrom imu_calib.nodes.programs import turntable_node\nsys.exit(turntable_node())'
+MAIN = 'import sys\nfrom imu_calib.stand.nodes.nodes_programs import turntable_node\nsys.exit(turntable_node())'
 BROKEN = """
 import sys
-from imu_calib.middleware import run
-from imu_calib.nodes import turntable_node
+from imu_calib.stand.nodes.programs import run
+from imu_calib.stand.nodes import turntable_node
 class Broken(turntable_node.TurntableNode):
     def _go_on(self):
         super()._go_on()

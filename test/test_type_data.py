@@ -5,17 +5,17 @@ import sys
 import pytest
 from loopback import environment, until
 
-from imu_calib.errors import ImuCalibError
+from imu_calib.common.errors import ImuCalibError
 
 try:
-    from imu_calib import middleware as ros
+    from imu_calib.stand import middleware as ros
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 if ros.RUNTIME != 'dds':
     pytest.skip('of the runtime without ROS', allow_module_level=True)
 
-from imu_calib.middleware.dds import type_data
-from imu_calib.middleware.dds.wire import idl_type, topic_type
+from imu_calib.stand.middleware.dds import type_data
+from imu_calib.stand.middleware.dds.wire import idl_type, topic_type
 
 TYPES = [
     ('std_msgs/msg/Bool', ''),

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from loopback import CHECKOUT
 
-from imu_calib.budget import Source
-from imu_calib.calibrator import Calibrator, Result
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.calibration.calibrator_results import Result
+from imu_calib.common.budget import Source
+from imu_calib.common.stream import Floats
 from imu_calib.estimation.term_tests import TermState, summary
-from imu_calib.stream import Floats
 
 sys.path.insert(0, str(CHECKOUT / 'docs'))
 from imperfect_stands import blocks, stand, truth, unit_of

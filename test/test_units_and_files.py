@@ -3,14 +3,14 @@ from pathlib import Path
 
 import pytest
 
-from imu_calib.config import Section
-from imu_calib.errors import InputError
-from imu_calib.imu import load_imu, read_imu
-from imu_calib.plan import load_plan, read_plan
-from imu_calib.share import named_file
-from imu_calib.stream import Units
-from imu_calib.turntable import load_table, read_table
-from imu_calib.units import Dimension, parse
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Units
+from imu_calib.common.units import Dimension, parse
+from imu_calib.session.imu import load_imu, read_imu
+from imu_calib.session.plan import load_plan, read_plan
+from imu_calib.session.table import load_table, read_table
 
 
 @pytest.mark.parametrize(

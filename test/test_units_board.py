@@ -9,12 +9,12 @@ from rich.console import Console
 from test_web_board import NOON, SETUP, calibration, diagnostics, progress, state
 
 from imu_calib.cli.table_view import view
-from imu_calib.config import Section
-from imu_calib.devices.health import Severity
-from imu_calib.mounted import read_units
-from imu_calib.web import drawing
-from imu_calib.web.expectation import units_board
-from imu_calib.web.snapshot import Outcome
+from imu_calib.common.config import Section
+from imu_calib.session.units_file import read_units
+from imu_calib.stand.devices.health import Severity
+from imu_calib.stand.nodes.expectation import units_board
+from imu_calib.stand.web import drawing
+from imu_calib.stand.web.snapshot import Outcome
 
 FILE = """
 units:

@@ -9,15 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 import imu_calib
-from imu_calib.bags import RecordingWriter
-from imu_calib.calibration import Calibration
-from imu_calib.cdr import encode_imu
-from imu_calib.errors import InputError
-from imu_calib.imu import check_live, load_imu
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.errors import InputError
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats, ImuBlock, Units
+from imu_calib.common.units import DEG, STANDARD_GRAVITY
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.statistics import to_samples
-from imu_calib.share import named_file
-from imu_calib.stream import Floats, ImuBlock, Units
-from imu_calib.units import DEG, STANDARD_GRAVITY
+from imu_calib.session.imu import check_live, load_imu
 
 LATITUDE = 34.65
 TRUTH = Calibration.load(named_file('truths', 'mems_counts'))
@@ -54,7 +54,7 @@ def hand(tmp_path_factory: pytest.TempPathFactory) -> tuple[NDArray[np.int64], F
 def calibrated(hand: tuple[NDArray[np.int64], Floats, Floats], units: str, folder: Path):
     stamp, gyro, accel = hand
     per_rate, per_force = PER_NUMBER[units]
-    with RecordingWriter(folder / units, {'imu_calib.imu': SHORT[units]}) as writer:
+    with RecordingWriter(folder / units, {'imu_calib.session.imu': SHORT[units]}) as writer:
         block = ImuBlock(stamp, gyro / per_rate, accel / per_force)
         writer.write('/imu', 'sensor_msgs/msg/Imu', encode_imu(block), stamp)
     return imu_calib.calibrate(folder / units, latitude=LATITUDE).calibration

@@ -13,11 +13,11 @@ from test_units_board import diagnostics, progress
 from test_units_board import mounted as mounted  # noqa: PLC0414
 from test_web_board import SETUP, state
 
-from imu_calib.imu import load_imu
-from imu_calib.web.expectation import units_board
-from imu_calib.web.guard import Token
-from imu_calib.web.samples import Dwells
-from imu_calib.web.shape import table_shape
+from imu_calib.session.imu import load_imu
+from imu_calib.stand.nodes.expectation import units_board
+from imu_calib.stand.web.guard import Token
+from imu_calib.stand.web.samples import Dwells
+from imu_calib.stand.web.shape import table_shape
 
 needs_modules('nicegui')
 
@@ -27,7 +27,7 @@ SIZES = {'desk': (1280, 900), 'phone': (390, 844)}
 @pytest.fixture
 def shown(mounted, tmp_path):
     """A page that is served, and the board that it shows."""
-    from imu_calib.web import page, server
+    from imu_calib.stand.web import page, server
 
     board = units_board(SETUP, mounted)
     board.clock = [1.0]

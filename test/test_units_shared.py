@@ -10,12 +10,12 @@ import scipy
 import units_world as world
 from units_sessions import PULSE, TABLE, TURNED, WALK, solved, tilt, truth
 
-from imu_calib.budget import Source, total
-from imu_calib.calibrator.shared_results import estimate_together
-from imu_calib.estimation.several import join, own_covariance
-from imu_calib.observation.common_errors import CommonSizes, CommonTable
-from imu_calib.observation.positioning_errors import PositioningErrors
-from imu_calib.observation.session_model import Nuisance
+from imu_calib.calibration.shared_results import estimate_together
+from imu_calib.common.budget import Source, total
+from imu_calib.estimation.common_unknowns import join, own_covariance
+from imu_calib.estimation.outputs import PositioningErrors
+from imu_calib.estimation.session_model import Nuisance
+from imu_calib.estimation.table_effects import CommonSizes, CommonTable
 
 NAMES = ['one', 'two', 'three', 'four']
 UNITS = len(NAMES)

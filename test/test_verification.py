@@ -14,36 +14,31 @@ import pytest
 from scipy.stats import chi2, norm
 from sessions import LATITUDE, SITE, at_one_rate, calibrate, paper_imu, quick_plan, session, stand
 
-from imu_calib.api.simulating import serialised
-from imu_calib.bags import RecordingWriter
-from imu_calib.calibration import Calibration
+from imu_calib.api.simulate import serialised
+from imu_calib.calibration.calibration import Calibration
+from imu_calib.calibration.comparison import Quantity
+from imu_calib.calibration.diagnosis import diagnose
+from imu_calib.calibration.hypotheses import mistakes
+from imu_calib.calibration.verify import Verdict, Verification, _Trial, verify
 from imu_calib.cli.main import main
-from imu_calib.earth import Site, normal_gravity
-from imu_calib.errors import NotObservable
-from imu_calib.metadata import describe
-from imu_calib.model import G_SENSITIVITY, Triad
-from imu_calib.observation.lengths import Sensors
-from imu_calib.plan import UNPLANNED, Plan, load_plan
-from imu_calib.rotations import rotation
-from imu_calib.segmentation.segmented import Segmented
+from imu_calib.common.errors import NotObservable
+from imu_calib.common.rotations import rotation
+from imu_calib.common.share import named_file
+from imu_calib.common.stream import Floats, ImuBlock, Units
+from imu_calib.common.units import ARCMIN, ARCSEC, DEG, DEG_H, PPM, STANDARD_GRAVITY
+from imu_calib.estimation import system
+from imu_calib.estimation.free_dwells import Sensors
+from imu_calib.estimation.observed import Observed, observe
+from imu_calib.model.earth import Site, normal_gravity
+from imu_calib.model.sensors import Triad
+from imu_calib.model.terms import G_SENSITIVITY
+from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.share import named_file
-from imu_calib.stream import Floats, ImuBlock, Units
-from imu_calib.table_errors import TableErrors
-from imu_calib.turntable import Table, load_table
-from imu_calib.units import ARCMIN, ARCSEC, DEG, DEG_H, PPM, STANDARD_GRAVITY
-from imu_calib.verification import (
-    Observed,
-    Quantity,
-    Verdict,
-    Verification,
-    observe,
-    system,
-    verify,
-)
-from imu_calib.verification.diagnosis import diagnose
-from imu_calib.verification.hypotheses import mistakes
-from imu_calib.verification.judgement import _Trial
+from imu_calib.segmentation.stream_facts import Segmented
+from imu_calib.session.metadata import describe
+from imu_calib.session.plan import UNPLANNED, Plan, load_plan
+from imu_calib.session.table import Table, load_table
+from imu_calib.session.table_errors import TableErrors
 
 PLAN = quick_plan('six_position', 20.0)
 HEADING = 0.7
@@ -132,7 +127,7 @@ def test_moves_between_rests_alone_tell_scale_factors_of_gyros() -> None:
 
 def test_a_search_that_does_not_converge_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     trial = _Trial.of(gyro(g().error_matrix + 2000 * PPM * np.eye(3)), observed(), gyros=True)
-    monkeypatch.setattr('imu_calib.verification.system._ROUNDS', 1)
+    monkeypatch.setattr('imu_calib.estimation.system._ROUNDS', 1)
     begun = trial.system.fit(trial.values, trial.factor)
     assert trial.findings() == []
     (finding,) = replace(trial, fit=begun).findings()
@@ -147,7 +142,7 @@ def test_parameters_that_were_not_found_are_not_said_to_have_moved(
     vector = calibration().model.vector() * rng.uniform(-1.0, 0.5, 24)
     other = replace(calibration(), model=calibration().model.from_vector(vector))
     trial = _Trial.of(other, observed(), gyros=True)
-    monkeypatch.setattr('imu_calib.verification.system._ROUNDS', 1)
+    monkeypatch.setattr('imu_calib.estimation.system._ROUNDS', 1)
     diagnosis = diagnose(trial.system, trial.values, trial.factor)
     assert not diagnosis.moved
     assert (

@@ -13,27 +13,27 @@ from browser import browser as browser  # noqa: PLC0414
 from browser import look_at, needs_chromium, opened, overlaps, width
 from rich.console import Console
 
-from imu_calib.calibrator import Setup
 from imu_calib.cli.table_view import view
-from imu_calib.devices.health import Severity
-from imu_calib.earth import Site
-from imu_calib.errors import InputError
-from imu_calib.imu import load_imu
-from imu_calib.plan import load_plan
+from imu_calib.common.errors import InputError
+from imu_calib.common.stream import ImuBlock
+from imu_calib.common.units import DEG
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
 from imu_calib.reports.convergence import Courses
 from imu_calib.reports.remaining import Pace, ends_at, in_words
-from imu_calib.sequencing import Phase
-from imu_calib.stream import ImuBlock
-from imu_calib.turntable import load_table
-from imu_calib.units import DEG
-from imu_calib.web import drawing
-from imu_calib.web.board import Board
-from imu_calib.web.expectation import expectation
-from imu_calib.web.samples import Dwells
-from imu_calib.web.sentences import headline, time_left
-from imu_calib.web.shape import table_shape
-from imu_calib.web.snapshot import Outcome
-from imu_calib.web.style import STYLE
+from imu_calib.session.imu import load_imu
+from imu_calib.session.plan import load_plan
+from imu_calib.session.table import load_table
+from imu_calib.stand.devices.health import Severity
+from imu_calib.stand.nodes.expectation import expectation
+from imu_calib.stand.rules import Phase
+from imu_calib.stand.web import drawing
+from imu_calib.stand.web.board import Board
+from imu_calib.stand.web.samples import Dwells
+from imu_calib.stand.web.sentences import headline, time_left
+from imu_calib.stand.web.shape import table_shape
+from imu_calib.stand.web.snapshot import Outcome
+from imu_calib.stand.web.style import STYLE
 
 FOG = load_imu('fog_medium')
 SETUP = Setup(FOG, load_plan('twelve_position'), load_table('three_axis'), Site.at(0.6))

@@ -11,7 +11,7 @@ from loopback import until
 
 from imu_calib.cli.main import main
 from imu_calib.cli.processes import Processes, private_network
-from imu_calib.web.guard import Guard, Token, address, exposure, is_loopback
+from imu_calib.stand.web.guard import Guard, Token, address, exposure, is_loopback
 
 OWN = b'127.0.0.1:8080'
 

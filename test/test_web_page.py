@@ -16,7 +16,7 @@ from loopback import CHECKOUT, environment, patience, until
 
 from imu_calib.cli import web_page
 from imu_calib.cli.processes import free_port
-from imu_calib.errors import ImuCalibError
+from imu_calib.common.errors import ImuCalibError
 
 needs_modules('nicegui')
 try:

@@ -14,15 +14,17 @@ import pytest
 from other_world import Damage, Recording, Stop, Unit, World, damaged, joints_of, record
 from test_compensation import known
 
-from imu_calib.api.compensating import compensate
-from imu_calib.bags import RecordingWriter, open_recording
-from imu_calib.cdr import Kind, encode_imu
-from imu_calib.compensation.compensator import Compensator
-from imu_calib.compensation.whole_stream import WholeStream
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.model import SensorModel
+from imu_calib.api.compensate import compensate
+from imu_calib.calibration.compensator import Compensator
+from imu_calib.calibration.whole_stream import WholeStream
+from imu_calib.common.stream import ImuBlock, Units
+from imu_calib.model.sensors import SensorModel
+from imu_calib.recordings.cdr_codec import encode_imu
+from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.bunches import sampling_times
-from imu_calib.stream import ImuBlock, Units
+from imu_calib.session.imu import ImuSpec, TriadSpec
 
 START = 1_700_000_000 * 10**9
 UNIT = Unit()

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from imu_calib.budget import Share, Source
+from imu_calib.common.budget import Share, Source
+from imu_calib.common.stream import Floats
+from imu_calib.estimation.layout import OutputLayout
 from imu_calib.estimation.outliers import (
     _UNLIKE,
     MOST_OUTLIERS,
@@ -22,8 +24,6 @@ from imu_calib.estimation.outliers import (
 )
 from imu_calib.estimation.score import WhitenedResiduals
 from imu_calib.model.session_terms import Course
-from imu_calib.observation.layout import OutputLayout
-from imu_calib.stream import Floats
 
 ROWS, PRIORS, STATE = 40, 4, 6
 FEW = 9.0

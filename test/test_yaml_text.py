@@ -3,11 +3,11 @@
 import pytest
 import yaml
 
-from imu_calib.bags.metadata import custom_data_of, read_metadata
-from imu_calib.certificates.fields import read_fields
-from imu_calib.config import Section
-from imu_calib.errors import InputError
-from imu_calib.yaml_text import load
+from imu_calib.common.config import Section
+from imu_calib.common.errors import InputError
+from imu_calib.common.yaml_text import load
+from imu_calib.recordings.metadata import custom_data_of, read_metadata
+from imu_calib.reports.certificate_fields import read_fields
 
 TENS = 'a: &a [x,x,x,x,x,x,x,x,x,x]\n' + ''.join(
     f'{below}: &{below} [{",".join([f"*{above}"] * 10)}]\n'

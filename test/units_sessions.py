@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import units_world as world
 
-from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.earth import Site
-from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.plan import UNPLANNED
-from imu_calib.stream import ImuBlock, JointBlock, Units
-from imu_calib.turntable import load_table
+from imu_calib.calibration.calibrator import Calibrator
+from imu_calib.common.stream import ImuBlock, JointBlock, Units
+from imu_calib.estimation.setup import Setup
+from imu_calib.model.earth import Site
+from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.plan import UNPLANNED
+from imu_calib.session.table import load_table
 
 EPOCH = 1_700_000_000_000_000_000
 WALK, PULSE = (np.deg2rad(0.002) / 60, 5 * 9.80665e-6), (0.1 * world.ARCSEC, 1e-5)

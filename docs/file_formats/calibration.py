@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from imu_calib.alignment import GROUPS
-from imu_calib.budget import Source
-from imu_calib.compensation.thermal import MOST
-from imu_calib.model import AXES, MOST_SKEWED, TERMS, TRIADS
+from imu_calib.calibration.thermal import MOST
+from imu_calib.common.budget import Source
+from imu_calib.common.stream import Units
+from imu_calib.model.alignment import GROUPS
+from imu_calib.model.model_parameters import AXES, MOST_SKEWED
+from imu_calib.model.parameters import TRIADS
 from imu_calib.model.session_terms import Course
-from imu_calib.stream import Units
+from imu_calib.model.terms import TERMS
 
 from .keys import (
     REQUIRED,

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from imu_calib.devices import commands
-from imu_calib.devices.checks import FLETCHER, ORDERS, OWN_KINDS, WORDS
-from imu_calib.devices.checksum import CATALOGUE
-from imu_calib.devices.format import BAUD, COUNTLESS, LONGEST, TICKS_NS, TYPES
-from imu_calib.devices.messages import LENGTH_TYPES
-from imu_calib.units import Dimension
+from imu_calib.common.units import Dimension
+from imu_calib.stand.devices import commands
+from imu_calib.stand.devices.checks import FLETCHER, ORDERS, OWN_KINDS, WORDS
+from imu_calib.stand.devices.checksum import CATALOGUE
+from imu_calib.stand.devices.format import BAUD, COUNTLESS, LONGEST, TICKS_NS, TYPES
+from imu_calib.stand.devices.messages import LENGTH_TYPES
 
 from .keys import (
     REQUIRED,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from imu_calib.common.units import ARCSEC, PPM, Dimension
 from imu_calib.simulation.options import Shake, StandOptions, Vibration, WarmUp
-from imu_calib.units import ARCSEC, PPM, Dimension
 
 from .keys import (
     REQUIRED,

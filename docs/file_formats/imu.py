@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from imu_calib.model import TRIADS, ParameterKind
-from imu_calib.stream import Units
-from imu_calib.units import Dimension
+from imu_calib.common.stream import Units
+from imu_calib.common.units import Dimension
+from imu_calib.model.parameters import TRIADS, ParameterKind
 
 from .keys import (
     REQUIRED,

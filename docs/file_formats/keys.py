@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from imu_calib.units import Dimension
+from imu_calib.common.units import Dimension
 
 Schema = dict[str, Any]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from imu_calib.cli.outcome import FORMAT
-from imu_calib.model import TRIADS
+from imu_calib.model.parameters import TRIADS
 
 from .keys import (
     REQUIRED,

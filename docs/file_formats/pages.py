@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from imu_calib.units import Dimension
+from imu_calib.common.units import Dimension
 
 from . import calibration, certificate, device, imperfections, imu, output, plan, table
 from . import units as several_units

@@ -6,9 +6,9 @@ from itertools import product
 
 import numpy as np
 
-from imu_calib.methods import METHODS
-from imu_calib.plan import COMPASS
-from imu_calib.units import Dimension
+from imu_calib.common.units import Dimension
+from imu_calib.estimation.methods import METHODS
+from imu_calib.session.plan import COMPASS
 
 from .keys import (
     REQUIRED,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from imu_calib.table_errors import ASSUMED
-from imu_calib.units import ARCSEC, Dimension
+from imu_calib.common.units import ARCSEC, Dimension
+from imu_calib.session.table_errors import ASSUMED
 
 from .keys import (
     REQUIRED,

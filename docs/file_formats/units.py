@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from imu_calib.mounted import SERIAL, TOPIC
+from imu_calib.session.units_file import SERIAL, TOPIC
 
 from .keys import REQUIRED, Key, Tables, Value, array, mapping, number, text, whole
 from .table import MOUNT, TURNS

@@ -1,1 +1,1 @@
-"""The Python interface: one function per command. `imu_calib` exports them."""
+"""ROOM api"""

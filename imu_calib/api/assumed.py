@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..bags import Recording
-from ..cdr import Kind
-from ..errors import InputError, NotStated
-from ..imu import ImuSpec, load_imu
-from ..plan import Plan, load_plan
-from ..share import shipped
-from ..stream import Floats, ImuBlock, Units
-from ..units import LARGEST, STANDARD_GRAVITY
+from ..common.errors import InputError, NotStated
+from ..common.share import shipped
+from ..common.stream import Floats, ImuBlock, Units
+from ..common.units import LARGEST, STANDARD_GRAVITY
+from ..recordings.kinds import Kind
+from ..recordings.rosbag2 import Recording
+from ..session.imu import ImuSpec, load_imu
+from ..session.plan import Plan, load_plan
 
 if TYPE_CHECKING:
     # Loads slowly; most commands do not need it.
-    from ..segmentation.segmented import Segmented
+    from ..segmentation.stream_facts import Segmented
 
 _SI, _BY_HAND = 'si', 'free_positions'
 _BLOCKS = 200

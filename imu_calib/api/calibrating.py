@@ -5,24 +5,27 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..bags import AnyPath
-from ..calibrator import Calibrator, HandCalibrator, Result, calibrator_of
-from ..errors import InputError, NotObservable, NotStated
-from ..imu import HOTTEST
-from ..metadata import compensated_already, interpolated_from
-from ..paths import printable
-from ..plan import load_plan
-from ..segmentation.segmented import Segmented
-from ..threads import by_one_thread
+from ..calibration.calibrator import Calibrator
+from ..calibration.calibrator_part import calibrator_of
+from ..calibration.calibrator_results import Result
+from ..calibration.hand import HandCalibrator
+from ..common.errors import InputError, NotObservable, NotStated
+from ..common.files import printable
+from ..common.progress import Progress, silent
+from ..common.threads import by_one_thread
+from ..recordings.in_order import InOrder
+from ..recordings.remote import AnyPath
+from ..segmentation.stream_facts import Segmented
+from ..session.imu import HOTTEST
+from ..session.metadata import compensated_already, interpolated_from
+from ..session.plan import load_plan
 from .assumed import ASSUMED_BY_HAND, ask_for_plan, is_hand_held
 from .conforming import specification_of
-from .in_order import InOrder
 from .keywords import Session, with_keywords
 from .named import Named
 from .opening import Opened, open_session
-from .progress import Progress, silent
+from .session import Stated
 from .stamp_clock import clock_findings, refused_by_stamps
-from .stated import Stated
 
 _HOLDS_AND_TURNS = 'six_position_by_hand'
 _FEWEST_HOLDS, _MOST_HOLDS = 6, 18

@@ -6,22 +6,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..arguments import checked
-from ..calibration import Calibration
-from ..certificates.dcc import dcc
-from ..certificates.fields import Fields, read_fields
-from ..certificates.page import certificate_page
-from ..certificates.printing import pdf
-from ..certificates.statement import Certificate, certificate_of
-from ..compensation.thermal import AnyCalibration, ThermalCalibration, load_calibration
-from ..config import Section
-from ..errors import InputError
-from ..imu import ImuSpec
-from ..paths import user_path, write_whole
+from ..calibration.calibration import Calibration
+from ..calibration.thermal import AnyCalibration, ThermalCalibration, load_calibration
+from ..common.arguments import checked
+from ..common.config import Section
+from ..common.errors import InputError
+from ..common.files import user_path, write_whole
+from ..reports.certificate import Certificate, certificate_of
+from ..reports.certificate_fields import Fields, read_fields
+from ..reports.certificate_page import certificate_page
+from ..reports.certificates_dcc import dcc
+from ..reports.printing import pdf
+from ..session.imu import ImuSpec
 from .named import Named, as_calibration, as_imu, as_list
 
 if TYPE_CHECKING:
-    from ..calibrator import Result
+    from ..calibration.calibrator_results import Result
 
 FORMATS = ('.html', '.pdf', '.xml')
 """Formats by file ending."""

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arguments import checked
-from ..bags import Recording, Topic, open_recording
-from ..cdr import Kind
-from ..errors import InputError
-from ..extras import require
-from ..stream import (
+from ..calibration.views import draw_columns
+from ..common.arguments import checked
+from ..common.errors import InputError
+from ..common.extras import require
+from ..common.stream import (
     Block,
     ImuBlock,
     JointBlock,
@@ -25,8 +24,10 @@ from ..stream import (
     TemperatureBlock,
     Units,
 )
-from ..units import counted
-from ..views import draw_columns
+from ..common.units import counted
+from ..recordings.kinds import Kind
+from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.storage import Topic
 from .streams import recorded_units
 
 if TYPE_CHECKING:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ..arguments import checked
-from ..calibration import Calibration
-from ..compensation.thermal import ThermalCalibration
-from ..compensation.thermal import combine as of_temperatures
+from ..calibration.calibration import Calibration
+from ..calibration.thermal import ThermalCalibration
+from ..calibration.thermal import combine as of_temperatures
+from ..common.arguments import checked
 from .named import Named, as_calibration, as_list, name_of
 
 if TYPE_CHECKING:
-    from ..calibrator import Result
+    from ..calibration.calibrator_results import Result
 
 
 @checked

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from ..arguments import checked
-from ..calibrator import Result
-from ..compensation.thermal import AnyCalibration, ThermalCalibration
-from ..errors import InputError
-from ..imu import ImuSpec
+from ..calibration.calibrator_results import Result
+from ..calibration.thermal import AnyCalibration, ThermalCalibration
+from ..common.arguments import checked
+from ..common.errors import InputError
+from ..common.units import counted
 from ..reports.assessment import Assessed, assess, worst
-from ..specification import COVERAGE, Specification, Verdict
-from ..units import counted
+from ..session.imu import ImuSpec
+from ..session.specification import COVERAGE, Specification, Verdict
 from .named import Named, as_calibration, as_combined, as_imu
 
 

@@ -8,14 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from ..bags import RecordingWriter
-from ..cdr import Kind, Messages, encode_imu, encode_rates
-from ..errors import InputError
-from ..imu import ImuSpec, load_imu
-from ..paths import read_text
-from ..share import named_file
-from ..stream import ImuBlock, Units
-from ..units import counted
+from ..common.errors import InputError
+from ..common.files import read_text
+from ..common.share import named_file
+from ..common.stream import ImuBlock, Units
+from ..common.units import counted
+from ..recordings.cdr_codec import encode_imu, encode_rates
+from ..recordings.kinds import Kind
+from ..recordings.messages import Messages
+from ..recordings.writer import RecordingWriter
+from ..session.imu import ImuSpec, load_imu
 from .named import Named
 
 RAW, SI, JOINTS, TEMPERATURE = (
@@ -86,7 +88,7 @@ def described(imu: Named | None, numbers: Units) -> tuple[dict[str, str], ImuSpe
             f'`imu` {imu}: units: found {spec.units.value}, but the numbers are '
             f'{_NUMBERS[numbers]}.'
         )
-    return {'imu_calib.imu': read_text(file)}, spec
+    return {'imu_calib.session.imu': read_text(file)}, spec
 
 
 def write_imu(writer: RecordingWriter, block: ImuBlock, *, raw: bool) -> None:

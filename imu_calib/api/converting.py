@@ -5,21 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ..arguments import checked
-from ..bags import AnyPath, RecordingError, local, located, open_recording
-from ..bags.files import is_storage
-from ..cdr import Kind
-from ..errors import InputError
-from ..extras import require
-from ..other_formats import BAG_OF_ROS_1
-from ..paths import refuse_device, user_path
+from ..common.arguments import checked
+from ..common.errors import InputError
+from ..common.extras import require
+from ..common.files import refuse_device, user_path
+from ..common.other_formats import BAG_OF_ROS_1
+from ..common.progress import Progress, silent
+from ..recordings.files import is_storage
+from ..recordings.kinds import Kind
+from ..recordings.remote import AnyPath, local, located
+from ..recordings.rosbag2 import open_recording
+from ..recordings.storage import RecordingError
+from ..recordings.text import read_sensors, read_text
+from .convert import joined
+from .convert_text import from_text
 from .converted import Converted
-from .from_text import from_text
-from .joining import joined
 from .named import Named
 from .outputs import removed_on_failure
-from .progress import Progress, silent
-from .text import read_sensors, read_text
 
 
 @checked

@@ -6,17 +6,18 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..arguments import checked
-from ..compensation.thermal import AnyCalibration, ThermalCalibration, first_of
-from ..errors import InputError
-from ..exports import EXPORTS, Exported, ExportSource
-from ..imu import ImuSpec
-from ..paths import user_path, write_whole
+from ..calibration.exported import Exported, ExportSource
+from ..calibration.exports_part import EXPORTS
+from ..calibration.thermal import AnyCalibration, ThermalCalibration, first_of
+from ..common.arguments import checked
+from ..common.errors import InputError
+from ..common.files import user_path, write_whole
+from ..session.imu import ImuSpec
 from .named import Named, as_applied, as_imu
 from .outputs import output_path
 
 if TYPE_CHECKING:
-    from ..calibrator import Result
+    from ..calibration.calibrator_results import Result
 
 
 @checked

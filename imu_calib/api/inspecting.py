@@ -7,23 +7,24 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from ..bags import Extent, Recording, open_recording
-from ..cdr import Kind
-from ..errors import InputError, NotStated
-from ..metadata import COMPENSATED
-from ..units import counted
+from ..common.errors import InputError, NotStated
+from ..common.progress import Progress, silent
+from ..common.units import counted
+from ..recordings.kinds import Kind
+from ..recordings.recorded_clock import Extent
+from ..recordings.rosbag2 import Recording, open_recording
+from ..session.metadata import COMPENSATED
 from .keywords import Session, with_keywords
 from .named import Named
 from .opening import open_session
-from .progress import Progress, silent
+from .session import Stated
 from .stamp_clock import contradiction, difference
-from .stated import Stated
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     # Loaded only if it is stated how the streams are to be read.
-    from .stream_contents import StreamContents
+    from .inspect import StreamContents
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ def inspect_streams(outside: Inspection, stated: Stated, progress: Progress = si
     except NotStated as error:
         clocks = _clocks_alone(outside.path, progress)
         return replace(outside, missing_input=str(error), clocks=clocks)
-    from .stream_contents import stream_contents
+    from .inspect import stream_contents
 
     with opened.recording as recording:
         streams = stream_contents(opened, progress)

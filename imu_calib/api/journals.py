@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..bags import FINISHED, Recording, RecordingError, open_recording
-from ..instants import NS
-from ..simulation import StandOptions
+from ..common.instants import NS
+from ..recordings.journal import FINISHED
+from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.storage import RecordingError
+from ..simulation.options import StandOptions
 
 
 def is_finished(journal: Path) -> bool:

@@ -8,13 +8,13 @@ from functools import wraps
 from inspect import Parameter, signature
 from typing import TYPE_CHECKING, ParamSpec, TypedDict, TypeVar
 
-from ..arguments import check
-from .stated import Stated
+from ..common.arguments import check
+from .session import Stated
 
 if TYPE_CHECKING:
-    from ..imu import ImuSpec
-    from ..plan import Plan
-    from ..turntable import Table
+    from ..session.imu import ImuSpec
+    from ..session.plan import Plan
+    from ..session.table import Table
     from .named import Named
 
 Arguments = ParamSpec('Arguments')

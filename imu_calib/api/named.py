@@ -6,24 +6,24 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from ..calibration import Calibration
-from ..compensation.thermal import (
+from ..calibration.calibration import Calibration
+from ..calibration.thermal import (
     AnyCalibration,
     ThermalCalibration,
     by_temperature,
     first_of,
     load_calibration,
 )
-from ..errors import InputError
-from ..imu import ImuSpec, load_imu
-from ..mounted import MountedUnit, load_units
-from ..plan import Plan, load_plan
-from ..share import named_file
-from ..turntable import Table, load_table
+from ..common.errors import InputError
+from ..common.share import named_file
+from ..session.imu import ImuSpec, load_imu
+from ..session.plan import Plan, load_plan
+from ..session.table import Table, load_table
+from ..session.units_file import MountedUnit, load_units
 
 if TYPE_CHECKING:
     # Loads slowly; most commands do not need it.
-    from ..calibrator import Result
+    from ..calibration.calibrator_results import Result
 
 Named: TypeAlias = str | Path
 """The name of a supplied file, or the path of one."""

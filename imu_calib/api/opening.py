@@ -5,23 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
-from ..bags import AnyPath, Recording, located, open_recording
-from ..calibrator.setup import Setup
-from ..errors import InputError
-from ..plan import UNPLANNED
-from ..stream import Block
+from ..common.errors import InputError
+from ..common.progress import Progress, silent
+from ..common.stream import Block
+from ..estimation.setup import Setup
+from ..recordings.in_order import InOrder
+from ..recordings.remote import AnyPath, located
+from ..recordings.rosbag2 import Recording, open_recording
+from ..session.plan import UNPLANNED
 from .assumed import ASSUMED_BY_HAND, ASSUMED_SI, plan_by_hand, taken_as_si
-from .in_order import InOrder
-from .progress import Progress, silent
-from .stated import (
-    Stated,
-    mounted_on,
-    plan_of,
-    serial_of,
-    site_of,
-    stated_imu,
-    table_of,
-)
+from .session import Stated, mounted_on, plan_of, serial_of, site_of, stated_imu, table_of
 from .streams import Streams, streams_of
 
 

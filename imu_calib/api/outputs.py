@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..bags.files import is_storage
-from ..errors import InputError
-from ..paths import user_path
+from ..common.errors import InputError
+from ..common.files import user_path
+from ..recordings.files import is_storage
 from .named import Named
 
 

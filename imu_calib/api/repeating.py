@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..calibration import Calibration
-from ..calibrator import Setup
-from ..earth import LUOYANG
-from ..errors import InputError, NotObservable
-from ..imu import ImuSpec
-from ..methods import method as solver
-from ..plan import Plan
-from ..repetition import Outcome, Study, economical, repeat
-from ..simulation import StandOptions
-from ..threads import by_one_thread
-from ..units import counted
-from ..views import compared_frame, draw_normalised
+from ..calibration.calibration import Calibration
+from ..calibration.views import compared_frame, draw_normalised
+from ..common.errors import InputError, NotObservable
+from ..common.progress import Progress, silent
+from ..common.threads import by_one_thread
+from ..common.units import counted
+from ..estimation.methods import method as solver
+from ..estimation.setup import Setup
+from ..model.earth import LUOYANG
+from ..session.imu import ImuSpec
+from ..session.plan import Plan
+from ..simulation.options import StandOptions
+from ..simulation.repetition import Outcome, Study, economical, repeat
 from .keywords import Planned, with_keywords
 from .named import Named, as_imu, as_plan, load_truth
-from .progress import Progress, silent
-from .stated import Stated
+from .session import Stated
 
 if TYPE_CHECKING:
     import pandas

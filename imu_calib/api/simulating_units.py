@@ -8,23 +8,23 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..bags import RecordingWriter
-from ..calibration import Calibration
-from ..earth import LUOYANG
-from ..errors import InputError
-from ..metadata import describe, mount_description, shared_description, unit_description
-from ..methods import check_plan
-from ..mounted import TRUTHS, MountedUnit, spread_seeds
-from ..plan import Plan
-from ..simulation import SeveralOnTable, SimulatedUnit
-from ..turntable import Table
-from ..units import counted
+from ..calibration.calibration import Calibration
+from ..common.errors import InputError
+from ..common.progress import Progress, silent
+from ..common.units import counted
+from ..estimation.methods import check_plan
+from ..model.earth import LUOYANG
+from ..recordings.writer import RecordingWriter
+from ..session.metadata import describe, mount_description, shared_description, unit_description
+from ..session.plan import Plan
+from ..session.table import Table
+from ..session.units_file import TRUTHS, MountedUnit, spread_seeds
+from ..simulation.several import SeveralOnTable, SimulatedUnit
 from .keywords import AtSite, with_keywords
 from .named import Named, as_imu, as_plan, as_table, as_units, load_truth
 from .outputs import new_folder, removed_on_failure
-from .progress import Progress, silent
-from .simulating import options_of, save_true_table, write_blocks
-from .stated import Stated
+from .session import Stated
+from .simulate import options_of, save_true_table, write_blocks
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

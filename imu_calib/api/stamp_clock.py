@@ -6,15 +6,16 @@ import math
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from ..errors import InputError, NotObservable
-from ..stream import Units
-from ..units import PPM
+from ..common.errors import InputError, NotObservable
+from ..common.stream import Units
+from ..common.units import PPM
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     # Loads slowly; most commands do not need it.
-    from ..bags import RecordedClock, Recording
+    from ..recordings.recorded_clock import RecordedClock
+    from ..recordings.rosbag2 import Recording
     from .streams import Streams
 
 _DIFFERENT = 1000 * PPM

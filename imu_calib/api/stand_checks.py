@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ..calibrator.setup import Setup
-from ..earth import Site
-from ..errors import NotObservable
-from ..imu import ImuSpec
-from ..methods import free_positions
-from ..plan import Plan
-from ..prediction import check_session
-from ..simulation import StandOptions, TrueTable, load_imperfections
-from ..turntable import Table
+from ..common.errors import NotObservable
+from ..estimation import hand as free_positions
+from ..estimation.forecast import check_session
+from ..estimation.setup import Setup
+from ..model.earth import Site
+from ..session.imu import ImuSpec
+from ..session.plan import Plan
+from ..session.table import Table
+from ..simulation.imperfections import load_imperfections
+from ..simulation.options import StandOptions
+from ..simulation.true_table import TrueTable
 from .named import Named
-from .stated import Stated
+from .session import Stated
 
 
 def setup_of_stand(

@@ -9,21 +9,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..cdr import Kind
-from ..config import Section
-from ..errors import InputError, NotStated
-from ..imu import read_imu
-from ..metadata import LEFT_OUT, described_imu, serial_key
-from ..mounted import namespace
-from ..other_formats import other_encoding
-from ..stream import ImuBlock, Units
+from ..common.config import Section
+from ..common.errors import InputError, NotStated
+from ..common.other_formats import other_encoding
+from ..common.stream import ImuBlock, Units
+from ..recordings.kinds import Kind
+from ..session.imu import read_imu
+from ..session.metadata import LEFT_OUT, described_imu, serial_key
+from ..session.units_file import namespace
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     # Loads slowly; most commands do not need it.
-    from ..bags import Recording, Topic
-    from .stated import Stated
+    from ..recordings.rosbag2 import Recording
+    from ..recordings.storage import Topic
+    from .session import Stated
 
 _SKEW = 'imu/skew'
 _TEMPERATURE = 'imu/temperature'

@@ -6,11 +6,11 @@ import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from ..api.progress import Show
-from ..errors import NotObservable
+from ..common.errors import NotObservable
+from ..common.parallel import MEMORY
+from ..common.progress import Show
+from ..common.units import counted
 from ..fleet.running import batch
-from ..units import counted
-from ..workers import MEMORY
 from . import options
 from .outcome import Outcome
 from .terminal import ERRORS, OUTPUT, progress_bar

@@ -11,8 +11,8 @@ from rich.console import Group
 from rich.live import Live
 from rich.text import Text
 
-from ..plain_table import plain_table
-from ..units import ARCMIN, PPM, significant
+from ..common.units import ARCMIN, PPM, significant
+from ..reports.plain_table import plain_table
 from .embedded import Nodes
 from .node_reports import NodeReports
 from .processes import START, Outcome

@@ -10,21 +10,21 @@ from ..api.calibrating import calibrated
 from ..api.conforming import conformity
 from ..api.opening import recording_path
 from ..api.outputs import output_or_default, output_path
-from ..calibration import Calibration
-from ..earth import MEASURED, VAGUE
-from ..plan import METHOD_NAMES
+from ..calibration.calibration import Calibration
+from ..common.units import DEG, DEG_H, MICRO_G, PPM, significant
+from ..model.earth import MEASURED, VAGUE
 from ..reports.assessment import summary
 from ..reports.budget import budget_tables
 from ..reports.noise import noise_lines
 from ..reports.parameter_table import change_note, change_table, parameter_tables
-from ..units import DEG, DEG_H, MICRO_G, PPM, significant
+from ..session.plan import METHOD_NAMES
 from . import options
 from .calibrate_units import FOLDER, of_several, run_several
 from .outcome import EXIT_CODES, Outcome, add_json_option, judged_outcome
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
-    from ..calibrator import Result
+    from ..calibration.calibrator_results import Result
 
 _FILE = 'calibration.yaml'
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..api.calibrating_units import UnitResult, UnitResults, calibrate_units, holds_several
+from ..api.calibrate import UnitResult, UnitResults, calibrate_units, holds_several
 from ..api.conforming import Conformity, conformity
 from ..api.outputs import output_or_default
 from ..reports.assessment import summary

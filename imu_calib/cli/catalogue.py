@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 from rich.text import Text
 
-from ..errors import InputError
+from ..common.errors import InputError
 from ..fleet.catalogue import Catalogue, rows_of, schema
 from .row_files import row_file, write_rows
 from .terminal import OUTPUT

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from ..api.comparing import Compared, compare
-from ..reports.side_by_side import agreement_lines, comparison_table
+from ..api.compare import Compared, compare
+from ..reports.tables import agreement_lines, comparison_table
 from .outcome import Outcome, add_json_option
 from .terminal import OUTPUT, print_whole
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..api.compensating import compensate
+from ..api.compensate import compensate
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 

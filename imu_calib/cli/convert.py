@@ -6,7 +6,7 @@ import argparse
 
 from ..api.converting import convert
 from ..api.inspecting import Topic, topics
-from ..units import counted
+from ..common.units import counted
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 

@@ -14,10 +14,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn
 
-from ..errors import ImuCalibError, InputError
-from ..paths import user_path
-from ..units import point_for_comma
-from ..version import version
+from ..common.errors import ImuCalibError, InputError
+from ..common.files import user_path
+from ..common.units import point_for_comma
+from ..common.version import version
 from .interruption import INTERRUPTED, KIND, WORDS, clear_interrupt, end_once
 from .outcome import (
     JSON,

@@ -11,8 +11,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any, TypeAlias
 
-from ..errors import InputError
-from ..runtime import forced
+from ..common.errors import InputError
+from ..stand.runtime import forced
 from .processes import NodeFiles, Processes
 from .terminal import ERRORS
 
@@ -37,7 +37,7 @@ class Embedded:
         # Before the middleware is loaded: the nodes' modules take their names from it.
         self._until_the_end.enter_context(forced('embedded'))
         try:
-            from ..middleware.dds.container import Container
+            from ..stand.middleware.dds.executor import Container
 
             self._container = Container(in_step=in_step)
         except BaseException:
@@ -98,7 +98,7 @@ class Embedded:
 
     def join(self, name: str) -> Any:
         """Return a node of this command among the others; see `Processes.join`."""
-        from ..middleware import Node
+        from ..stand.middleware import Node
 
         return self._container.load(name, lambda: Node(name), [], ERRORS.file)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 from datetime import datetime
 
-from ..errors import InputError
+from ..common.errors import InputError
+from ..common.units import counted
+from ..fleet.page import summary
+from ..fleet.page_contents import AHEAD
 from ..fleet.report import written
-from ..histories.results import USUAL
-from ..reports.fleet.contents import AHEAD
-from ..reports.fleet.page import summary
-from ..units import counted
+from ..fleet.results import USUAL
 from . import options
 from .terminal import OUTPUT, progress_bar
 

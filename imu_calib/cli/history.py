@@ -8,23 +8,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..fleet.history import history
-from ..histories.plain import unit_rows
-from ..histories.sentences import listed
-from ..reports.histories import (
+from ..fleet.histories import (
     by_urgency,
     course_table,
     parameter_course_table,
     population_table,
     unit_table,
 )
+from ..fleet.history import history
+from ..fleet.plain import unit_rows
+from ..fleet.sentences import listed
 from . import options
 from .outcome import OUTSIDE, Outcome, add_json_option
 from .row_files import row_file, write_rows
 from .terminal import OUTPUT, print_whole, sentence_list
 
 if TYPE_CHECKING:
-    from ..histories.results import History, UnitHistory
+    from ..fleet.results import History, UnitHistory
 
 _SHOWN = 25
 """Units of a table on the terminal, the most urgent; a file has all."""

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 from rich.table import Table as Rows
 
 from ..api.inspecting import Inspection, inspect_streams, topics
-from ..plain_table import plain_table
-from ..units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
+from ..common.units import DEG, DEG_H, PPM, STANDARD_GRAVITY, counted
+from ..reports.plain_table import plain_table
 from . import options
 from .outcome import WRONG_INPUT, Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
     # Loaded only if it is stated how the streams are to be read.
-    from ..api.stream_contents import StreamContents
+    from ..api.inspect import StreamContents
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -7,8 +7,12 @@ from __future__ import annotations
 
 import time
 
-from ..devices import Baud, FrameFormat, Reception, Severity, Source, steady_time
-from ..imu import ImuSpec
+from ..session.imu import ImuSpec
+from ..stand.devices.baud import Baud
+from ..stand.devices.format import FrameFormat
+from ..stand.devices.health import Severity
+from ..stand.devices.source import Source, steady_time
+from ..stand.nodes.reception import Reception
 from .node_reports import NodeReports
 
 _ROUND = 0.02

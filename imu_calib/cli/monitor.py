@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from .. import middleware as ros
-from ..middleware import messages
-from ..nodes import qos
-from ..nodes.unit_topics import listen_to_each
-from ..web.board import Board
-from ..web.units import UnitsBoard
+from ..stand import middleware as ros
+from ..stand.middleware import messages
+from ..stand.nodes import qos
+from ..stand.nodes.unit_topics import listen_to_each
+from ..stand.web.board import Board
+from ..stand.web.units import UnitsBoard
 from .embedded import Nodes
 from .node_reports import NodeReports
 

@@ -12,17 +12,17 @@ from rich.table import Table as Rows
 
 from ..api.outputs import output_path
 from ..api.repeating import montecarlo
-from ..errors import InputError
-from ..paths import write_by
-from ..plain_table import plain_table
-from ..plan import METHOD_NAMES
+from ..calibration.views import empty_figure
+from ..common.errors import InputError
+from ..common.files import write_by
 from ..reports.parameter_table import decimals, engineering
-from ..views import empty_figure
+from ..reports.plain_table import plain_table
+from ..session.plan import METHOD_NAMES
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 if TYPE_CHECKING:
-    from ..repetition import Outcome
+    from ..simulation.repetition import Outcome
 
 _HEADINGS = (
     'parameter',

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from ..errors import InputError
+from ..common.errors import InputError
 from .terminal import ERRORS
 
 _STANDS = 1.0

@@ -8,11 +8,11 @@ from dataclasses import fields
 from inspect import Parameter, signature
 from typing import Any
 
-from ..api.stated import NO_PLAN, TERM_CHOICES, TRUE_TABLE, Stated
-from ..earth import HEIGHT_STD, LATITUDE_STD, NORMAL_GRAVITY_STD
-from ..errors import InputError
-from ..share import shipped
-from ..units import DEG
+from ..api.session import NO_PLAN, TERM_CHOICES, TRUE_TABLE, Stated
+from ..common.errors import InputError
+from ..common.share import shipped
+from ..common.units import DEG
+from ..model.earth import HEIGHT_STD, LATITUDE_STD, NORMAL_GRAVITY_STD
 
 
 def stated(arguments: argparse.Namespace) -> Stated:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ..errors import ImuCalibError, NotObservable
+from ..common.errors import ImuCalibError, NotObservable
 
 if TYPE_CHECKING:
     from ..api.conforming import Conformity

@@ -6,14 +6,14 @@ import argparse
 
 from rich.table import Table as Rows
 
-from ..api.predicting import optimise, plan_file, times_on
-from ..errors import InputError
-from ..plain_table import plain_table
-from ..plan import METHOD_NAMES, Plan, Position, Step, load_plan
-from ..share import share_folder
-from ..stream import Mode
-from ..turntable import Table, load_table
-from ..units import DEG
+from ..api.predict import optimise, plan_file, times_on
+from ..common.errors import InputError
+from ..common.share import share_folder
+from ..common.stream import Mode
+from ..common.units import DEG
+from ..reports.plain_table import plain_table
+from ..session.plan import METHOD_NAMES, Plan, Position, Step, load_plan
+from ..session.table import Table, load_table
 from . import options
 from .predicted import show_prediction, show_time
 from .terminal import OUTPUT, progress_bar

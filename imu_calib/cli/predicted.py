@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..api.named import as_truth
-from ..api.predicting import (
+from ..api.predict import (
     is_widened_by_leaning_holds,
     predicted,
     setup_of,
@@ -17,19 +17,21 @@ from ..api.predicting import (
     times_on,
     with_best_deviations,
 )
-from ..errors import NotObservable
-from ..plain_table import plain_table
-from ..plan import Plan
+from ..common.errors import NotObservable
+from ..common.units import DEG, PPM
 from ..reports.parameter_table import decimals, engineering
-from ..turntable import Table
-from ..units import DEG, PPM
+from ..reports.plain_table import plain_table
+from ..session.plan import Plan
+from ..session.table import Table
 from . import options
 from .terminal import OUTPUT
 
 if TYPE_CHECKING:
-    from ..calibrator import Setup
-    from ..model import Parameter, SensorModel
-    from ..prediction import ChangeForecast, Forecast, TermForecast
+    from ..estimation.each_term import ChangeForecast, TermForecast
+    from ..estimation.forecast import Forecast
+    from ..estimation.setup import Setup
+    from ..model.model_parameters import Parameter
+    from ..model.sensors import SensorModel
 
 _ON_A_TABLE = (
     'Predicted standard deviations: those of the method named, and the smallest possible in this '

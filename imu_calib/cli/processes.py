@@ -17,9 +17,10 @@ from typing import IO, Any
 
 import yaml
 
-from ..errors import InputError
-from ..lifetime import ENDS_WITH
-from ..network import (
+from ..common.errors import InputError
+from ..common.files import write_whole
+from ..common.lifetime import ENDS_WITH
+from ..stand.network import (
     LOOPBACK,
     REACH,
     check_domain,
@@ -28,8 +29,7 @@ from ..network import (
     on_interface,
     own_domain,
 )
-from ..paths import write_whole
-from ..security import in_enclave
+from ..stand.security import in_enclave
 from .terminal import ERRORS
 
 START = 30.0
@@ -176,21 +176,21 @@ class Processes:
     def join(self, name: str) -> Any:
         """Join the network of the nodes with a node of this command, and return it."""
         os.environ.update({**in_enclave('operator'), **self.environment})
-        from .. import middleware as ros
+        from ..stand import middleware as ros
 
         ros.init(args=[])
         return ros.Node(name)
 
     def leave(self, node: Any) -> None:
         """Leave the network."""
-        from .. import middleware as ros
+        from ..stand import middleware as ros
 
         node.destroy_node()
         ros.try_shutdown()
 
     def spin(self, node: Any, seconds: float) -> None:
         """Receive messages for the node of `join`, for a time, s."""
-        from .. import middleware as ros
+        from ..stand import middleware as ros
 
         until = time.monotonic() + seconds
         while (remaining := until - time.monotonic()) > 0:

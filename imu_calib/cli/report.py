@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 
 from ..api.conforming import Conformity, conformity
+from ..api.documents import written
 from ..api.outputs import output_path
-from ..api.reporting import written
 from ..reports.assessment import summary
 from . import options
 from .outcome import EXIT_CODES, Outcome, add_json_option, judged_outcome

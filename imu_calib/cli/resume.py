@@ -14,9 +14,9 @@ from typing import Any
 import yaml
 
 from ..api.journals import end_of_journal, is_finished
-from ..errors import InputError
-from ..paths import read_text, user_path, write_whole
-from ..share import named_file
+from ..common.errors import InputError
+from ..common.files import read_text, user_path, write_whole
+from ..common.share import named_file
 from . import several
 from .terminal import ERRORS
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from ..api.outputs import output_path
-from ..errors import InputError
-from ..paths import write_by
+from ..common.errors import InputError
+from ..common.files import write_by
 from .outcome import finite
 
 _ENDINGS = ('.csv', '.json')

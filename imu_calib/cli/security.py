@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from ..paths import user_path
-from ..security import enclave, make_keystore
+from ..common.files import user_path
+from ..stand.security import enclave, make_keystore
 from .terminal import OUTPUT
 
 

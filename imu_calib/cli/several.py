@@ -12,18 +12,20 @@ from typing import Any
 import yaml
 
 from ..api.named import load_truth
-from ..calibration import Calibration
-from ..devices import SCHEME, check_port, load_format
-from ..errors import InputError
-from ..imu import load_imu
-from ..mounted import PULSES, TRUTHS, MountedUnit, load_units, remaining
-from ..paths import read_text, user_path, write_whole
-from ..plain_table import plain_table
-from ..plan import load_plan
+from ..calibration.calibration import Calibration
+from ..common.errors import InputError
+from ..common.files import read_text, user_path, write_whole
+from ..common.share import named_file
+from ..common.units import significant
+from ..common.yaml_text import load
 from ..reports.parameter_table import engineering
-from ..share import named_file
-from ..units import significant
-from ..yaml_text import load
+from ..reports.plain_table import plain_table
+from ..session.imu import load_imu
+from ..session.plan import load_plan
+from ..session.units_file import PULSES, TRUTHS, MountedUnit, load_units, remaining
+from ..stand.devices.format import load_format
+from ..stand.devices.source import check_port
+from ..stand.nodes.in_memory import SCHEME
 from .options import refuse_with_imus
 from .terminal import OUTPUT, sentence_list
 

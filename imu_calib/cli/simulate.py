@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from ..api.simulating import TRUTH, Simulated, simulate
+from ..api.simulate import TRUTH, Simulated, simulate
 from ..api.simulating_units import SimulatedUnits, simulate_units
-from ..mounted import TRUTHS
+from ..session.units_file import TRUTHS
 from . import options
 from .terminal import OUTPUT, progress_bar
 

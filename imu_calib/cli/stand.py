@@ -7,17 +7,19 @@ import math
 from pathlib import Path
 
 from ..api.named import load_truth
-from ..api.stated import azimuth_of
-from ..calibration import Calibration
-from ..devices import Baud, FrameFormat, check_port, choose_baud, is_serial, load_format, too_slow
-from ..earth import LUOYANG
-from ..errors import InputError
-from ..imu import ImuSpec, check_live, load_imu
-from ..paths import user_path
-from ..plan import load_plan
-from ..share import shipped
-from ..tables import tcp_address
-from ..turntable import load_table
+from ..api.session import azimuth_of
+from ..calibration.calibration import Calibration
+from ..common.errors import InputError
+from ..common.files import user_path
+from ..common.share import shipped
+from ..model.earth import LUOYANG
+from ..session.imu import ImuSpec, check_live, load_imu
+from ..session.plan import load_plan
+from ..session.table import load_table
+from ..stand.devices.baud import Baud, choose_baud, too_slow
+from ..stand.devices.format import FrameFormat, load_format
+from ..stand.devices.source import check_port, is_serial
+from ..stand.table_line import tcp_address
 from . import options, several, web_page
 from .listening import listen
 from .node_reports import NodeReports

@@ -15,19 +15,19 @@ from typing import Any
 from rich.live import Live
 from rich.text import Text
 
+from ..api.session import DEFAULT_TERMS, TRUE_TABLE
 from ..api.stand_checks import check_stand, has_simulated_hands, setup_of_stand, true_table_of
-from ..api.stated import DEFAULT_TERMS, TRUE_TABLE
-from ..calibration import Calibration
-from ..earth import LUOYANG, Site
-from ..errors import InputError, NotObservable
-from ..imu import ImuSpec, load_imu
-from ..plan import Plan, load_plan
+from ..calibration.calibration import Calibration
+from ..common.errors import InputError, NotObservable
+from ..model.earth import LUOYANG, Site
 from ..reports.parameter_table import parameter_tables
-from ..runtime import forced
-from ..turntable import Table, load_table
-from ..web.board import Board
-from ..web.expectation import expectation, units_board
-from ..web.units import UnitsBoard
+from ..session.imu import ImuSpec, load_imu
+from ..session.plan import Plan, load_plan
+from ..session.table import Table, load_table
+from ..stand.nodes.expectation import expectation, units_board
+from ..stand.runtime import forced
+from ..stand.web.board import Board
+from ..stand.web.units import UnitsBoard
 from . import by_hand, options, resume, several, web_page
 from .embedded import Embedded, Nodes
 from .node_reports import NodeReports, NothingComes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from ..errors import InputError
+from ..common.errors import InputError
 from ..reports.remaining import READING
 from .node_reports import NodeReports
 

@@ -11,11 +11,11 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table as Rows
 from rich.text import Text
 
-from ..devices.health import Severity
 from ..reports.convergence import Converging
-from ..web.sentences import headline, time_left
-from ..web.snapshot import Snapshot
-from ..web.units import UnitRow
+from ..stand.devices.health import Severity
+from ..stand.web.sentences import headline, time_left
+from ..stand.web.snapshot import Snapshot
+from ..stand.web.units import UnitRow
 
 _STYLES = {Severity.OK: 'bold', Severity.WARN: 'bold yellow', Severity.ERROR: 'bold red'}
 _BAR = 30

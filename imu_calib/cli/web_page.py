@@ -9,10 +9,10 @@ import secrets
 import socket
 from typing import Any
 
-from ..errors import InputError
-from ..extras import require
-from ..plan import load_plan
-from ..web.guard import LOOPBACK, address, exposure
+from ..common.errors import InputError
+from ..common.extras import require
+from ..session.plan import load_plan
+from ..stand.web.guard import LOOPBACK, address, exposure
 from .embedded import Nodes
 from .processes import free_port
 from .terminal import ERRORS, OUTPUT

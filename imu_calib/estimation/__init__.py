@@ -1,1 +1,1 @@
-"""Estimate the unknowns from observations: fit of one system, excess scatter, missing terms."""
+"""ROOM estimation"""

@@ -11,8 +11,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..errors import NotObservable
-from ..stream import Floats
+from ..common.errors import NotObservable
+from ..common.stream import Floats
 
 _CONVERGED = 1e-9
 """Standard deviations, root mean square, of a negligible last step of the prediction. A judgement:

@@ -13,19 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..budget import Share, Source
-from ..model import PARAMETERS, Parameter
+from ..common.budget import Share, Source
+from ..common.stream import Floats
+from ..model.model_parameters import PARAMETERS, Parameter
 from ..model.motion import motion_parameters
 from ..model.session_terms import Change
-from ..observation.equations import Equations
-from ..observation.evidence import Evidence
-from ..observation.information import Information
-from ..observation.positioning_errors import NO_POSITIONING_ERRORS
-from ..observation.session_model import Nuisance
-from ..stream import Floats
-from .changing import shape_covariance, with_changes, with_shape
+from .equations import Equations
+from .evidence import Evidence
 from .excess_scatter import ExcessScatter, excess
 from .fit import check_observable, fit, headed, levelled, start, with_scatter
+from .information import Information
 from .outliers import (
     MOST_OUTLIERS,
     Outlier,
@@ -38,7 +35,10 @@ from .outliers import (
     turns_disagree,
     turns_downweighted,
 )
+from .outputs import NO_POSITIONING_ERRORS
 from .score import with_parameters
+from .session_model import Nuisance
+from .solve import shape_covariance, with_changes, with_shape
 
 
 @dataclass(frozen=True, eq=False)

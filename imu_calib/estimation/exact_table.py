@@ -13,14 +13,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..observation.equations import Equations
-from ..observation.evidence import Evidence
-from ..observation.information import Information
-from ..stream import Floats
-from ..table_errors import FINEST
-from ..turntable import Table
-from ..units import ARCSEC, significant
+from ..common.stream import Floats
+from ..common.units import ARCSEC, significant
+from ..session.table import Table
+from ..session.table_errors import FINEST
+from .equations import Equations
 from .estimate import Estimate
+from .evidence import Evidence
+from .information import Information
 from .search import Search
 
 SHOWN = 0.99

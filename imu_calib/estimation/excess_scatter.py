@@ -27,22 +27,22 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..budget import Source
-from ..model import BIASES, indices_of
-from ..observation.components import Blocks, Component, Diagonal
-from ..observation.equations import Equations
-from ..observation.evidence import SMALLEST_VARIANCE
-from ..observation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
-from ..segmentation.segment import Segment, Turn
-from ..segmentation.segmented import Move
-from ..stream import Floats
-from .bias_drift import STATED_TIME, BiasDrift
-from .likelihood import (
+from ..common.budget import Source
+from ..common.stream import Floats
+from ..model.model_parameters import BIASES, indices_of
+from ..segmentation.segments import Segment, Turn
+from ..segmentation.stream_facts import Move
+from .bias_drift import (
     gain_by_noise,
     log_likelihood,
     log_likelihoods_by_columns,
     log_likelihoods_by_ratio,
 )
+from .components import Blocks, Component, Diagonal
+from .equations import Equations
+from .estimation_bias_drift import STATED_TIME, BiasDrift
+from .evidence import SMALLEST_VARIANCE
+from .outputs import NO_POSITIONING_ERRORS, PositioningErrors
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 """Correlation times of drift on the grid, in lengths of the session: half decades. A drift slower

@@ -13,22 +13,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import NotObservable
-from ..gaussian import FIVE_SIGMA
-from ..model import PARAMETERS, terms_of
-from ..observation.equations import LEAST_AZIMUTH, Equations
-from ..observation.information import (
+from ..common.errors import NotObservable
+from ..common.gaussian import FIVE_SIGMA
+from ..common.stream import Floats
+from ..model.model_parameters import PARAMETERS
+from ..model.sensors import terms_of
+from .converge import least_squares, linear_step
+from .equations import LEAST_AZIMUTH, Equations
+from .excess_scatter import ExcessScatter, excess
+from .information import (
     Information,
     determined,
     nominal_information,
     undetermined_in_words,
     unobservable_in_words,
 )
-from ..observation.lacking import advice, undetermined_parameters
-from ..observation.session_model import Nuisance
-from ..stream import Floats
-from .converge import least_squares, linear_step
-from .excess_scatter import ExcessScatter, excess
+from .lacking import advice, undetermined_parameters
+from .session_model import Nuisance
 
 _STARTS = 8
 """Headings from which the fit is started where north is unknown: the nearest is at most 22.5 deg

@@ -13,17 +13,17 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..budget import Source, effective_freedom
-from ..model import RESPONSES
-from ..observation.equations import Equations
-from ..observation.evidence import SMALLEST_VARIANCE, Evidence
-from ..observation.information import Information
-from ..segmentation.segmented import Move
-from ..stream import Floats
-from ..units import DEG
+from ..common.budget import Source, effective_freedom
+from ..common.stream import Floats
+from ..common.units import DEG
+from ..model.model_parameters import RESPONSES
+from ..segmentation.stream_facts import Move
 from .converge import least_squares
+from .equations import Equations
+from .evidence import SMALLEST_VARIANCE, Evidence
 from .excess_scatter import excess
 from .fit import ITERATIONS, fit, with_scatter
+from .information import Information
 
 _OUTLYING = 1e-6
 """Chance by which a sound dwell or turn gets less weight: with fifty of them, one session in 20 000

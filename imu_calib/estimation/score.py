@@ -18,28 +18,21 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..model import (
-    AXES,
-    PARAMETERS,
-    TERMS,
-    Parameter,
-    ParameterKind,
-    Term,
-    indices_of,
-    parameters_of,
-    terms_of,
-)
+from ..common.stream import Floats
+from ..common.units import ARCMIN, ARCSEC, DEG, MICRO_G
+from ..model.model_parameters import AXES, PARAMETERS, Parameter, indices_of
 from ..model.motion import motion_parameters
+from ..model.parameters import ParameterKind
+from ..model.sensors import parameters_of, terms_of
 from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
-from ..observation.equations import Equations
-from ..observation.information import Information, useful_limit, with_nominal_attitudes
-from ..observation.modulation import columns as modulated
-from ..observation.modulation import interrupted, shapes, warms
-from ..stream import Floats
-from ..table_errors import TableErrors
-from ..units import ARCMIN, ARCSEC, DEG, MICRO_G
-from .changing import USEFUL_CHANGE, change_of
+from ..model.terms import TERMS, Term
+from ..session.table_errors import TableErrors
+from .equations import Equations
 from .excess_scatter import ExcessScatter, excess
+from .information import Information, useful_limit, with_nominal_attitudes
+from .modulation import columns as modulated
+from .modulation import interrupted, shapes, warms
+from .solve import USEFUL_CHANGE, change_of
 
 _SEEN = 10.0
 """Standard deviations by which a coefficient of the largest useful size must move the outputs: a

@@ -17,19 +17,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..budget import Share, Source
-from ..errors import NotObservable
-from ..model import PARAMETERS, Parameter, indices_of, parameters_of, terms_of
+from ..common.budget import Share, Source
+from ..common.errors import NotObservable
+from ..common.stream import Floats
+from ..model.model_parameters import PARAMETERS, Parameter, indices_of
+from ..model.sensors import parameters_of, terms_of
 from ..model.session_terms import Change, Course
-from ..observation.equations import Equations
-from ..observation.evidence import SMALLEST_VARIANCE, Evidence
-from ..observation.information import determined, nominal_information
-from ..observation.modulation import interrupted
-from ..stream import Floats
-from .changing import with_changes, with_shape
 from .converge import NotConverged, linear_step
+from .equations import Equations
 from .estimate import Estimate, estimate
+from .evidence import SMALLEST_VARIANCE, Evidence
 from .fit import fit
+from .information import determined, nominal_information
+from .modulation import interrupted
 from .score import (
     Family,
     Pattern,
@@ -43,6 +43,7 @@ from .score import (
     tries_of,
     values_of,
 )
+from .solve import with_changes, with_shape
 from .undecided_drifts import UndecidedDrifts, undecided
 
 CHANCE = 1e-3

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from ..model import TRIADS, ParameterKind
+from ..common.units import PPM, significant
+from ..model.parameters import TRIADS, ParameterKind
 from ..model.session_terms import Course, change
-from ..observation.modulation import temperatures, warms
-from ..units import PPM, significant
 from .estimate import Estimate
+from .modulation import temperatures, warms
 
 _CHEAPEST = 200 * PPM
 """Scale factor per kelvin of the cheapest units (MPU-9150: 0.02 % of the accelerometers). Where

@@ -8,14 +8,16 @@ from enum import Enum
 
 import numpy as np
 
-from ..budget import PROBABILITY
-from ..instants import at
-from ..model import Parameter, Term, terms_of
+from ..common.budget import PROBABILITY
+from ..common.instants import at
+from ..common.stream import Floats
+from ..common.units import ARCSEC, significant
+from ..model.model_parameters import Parameter
+from ..model.sensors import terms_of
 from ..model.session_terms import Change, Course, largest, names_of
-from ..observation.modulation import instant_of
-from ..stream import Floats
-from ..turntable import Table
-from ..units import ARCSEC, significant
+from ..model.terms import Term
+from ..session.table import Table
+from .modulation import instant_of
 from .score import Family, Score
 from .search import Found, Search
 

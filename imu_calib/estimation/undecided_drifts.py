@@ -19,8 +19,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..common.stream import Floats
 from ..model.session_terms import Course
-from ..stream import Floats
 from .score import Family, Score
 
 _ODDS = 1 / 20

@@ -21,15 +21,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from ..arguments import checked
-from ..errors import InputError, NotObservable
-from ..extras import require
-from ..histories.sentences import listed
-from ..model import PARAMETER_NAMES, PARAMETERS
-from ..other_formats import other_format
-from ..paths import printable, user_path, write_whole
-from ..units import counted
-from .task import CALIBRATED, Done
+from ..common.arguments import checked
+from ..common.errors import InputError, NotObservable
+from ..common.extras import require
+from ..common.files import printable, user_path, write_whole
+from ..common.other_formats import other_format
+from ..common.units import counted
+from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from .batch import CALIBRATED, Done
+from .sentences import listed
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -301,7 +301,7 @@ class Catalogue:
 def _make_room(folder: Path) -> None:
     """Refuse a folder that cannot hold a catalogue."""
     # To query a catalogue takes no recording.
-    from ..bags import metadata
+    from ..recordings import metadata
 
     if not folder.parent.is_dir():
         raise InputError(f'{folder}: the folder {folder.parent} does not exist.')

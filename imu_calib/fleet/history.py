@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..api.named import Named, as_imu, as_list
-from ..arguments import checked
-from ..errors import InputError, NotObservable
-from ..histories.backtest import backtest
-from ..histories.results import USUAL, History, Rules, Sessions
-from ..histories.sentences import listed
-from ..imu import ImuSpec
-from ..model import PARAMETER_NAMES, PARAMETERS
-from ..share import is_shipped
-from ..stream import Floats
+from ..common.arguments import checked
+from ..common.errors import InputError, NotObservable
+from ..common.share import is_shipped
+from ..common.stream import Floats
+from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from ..session.imu import ImuSpec
+from .backtest import backtest
+from .batch import CALIBRATED, limits_of
 from .catalogue import Catalogue
-from .task import CALIBRATED, limits_of
+from .results import USUAL, History, Rules, Sessions
+from .sentences import listed
 
 if TYPE_CHECKING:
     import pyarrow as pa

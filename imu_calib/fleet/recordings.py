@@ -14,14 +14,14 @@ from typing import Any
 import yaml
 
 from ..api.keywords import Session
-from ..api.stated import Stated
-from ..bags import AnyPath, RemotePath, is_url, located
-from ..bags.files import is_storage
-from ..errors import InputError
-from ..other_formats import OTHERS, other_format
-from ..paths import read_text, user_path
-from ..units import point_for_comma
-from ..yaml_text import load
+from ..api.session import Stated
+from ..common.errors import InputError
+from ..common.files import read_text, user_path
+from ..common.other_formats import OTHERS, other_format
+from ..common.units import point_for_comma
+from ..common.yaml_text import load
+from ..recordings.files import is_storage
+from ..recordings.remote import AnyPath, RemotePath, is_url, located
 
 _METADATA = 'metadata.yaml'
 _MANIFESTS = ('.csv', '.yaml', '.yml')

@@ -13,19 +13,19 @@ import numpy as np
 
 from ..api.named import Named
 from ..api.outputs import page_path
-from ..api.progress import Progress, silent
-from ..arguments import checked
-from ..extras import require
-from ..histories.backtest import backtest
-from ..histories.results import USUAL, History, Rules, Sessions
-from ..imu import ImuSpec
-from ..model import PARAMETER_NAMES
-from ..paths import write_whole
-from ..reports.fleet.contents import AHEAD, Fleet, Recordings
-from ..reports.fleet.page import page
+from ..common.arguments import checked
+from ..common.extras import require
+from ..common.files import write_whole
+from ..common.progress import Progress, silent
+from ..model.model_parameters import PARAMETER_NAMES
+from ..session.imu import ImuSpec
+from .backtest import backtest
+from .batch import CALIBRATED
 from .catalogue import Catalogue
 from .history import columns_of, history, times_of
-from .task import CALIBRATED
+from .page import page
+from .page_contents import AHEAD, Fleet, Recordings
+from .results import USUAL, History, Rules, Sessions
 
 if TYPE_CHECKING:
     import pyarrow as pa

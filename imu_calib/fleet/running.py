@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from ..api.keywords import Session, with_keywords
 from ..api.named import as_list
-from ..api.progress import Progress, silent
-from ..api.stated import Stated
-from ..errors import InputError
-from ..mounted import load_units
-from ..units import counted
-from ..workers import MEMORY, Engine, WorkerDied, outcomes
+from ..api.session import Stated
+from ..common.errors import InputError
+from ..common.parallel import MEMORY, Engine, WorkerDied, outcomes
+from ..common.progress import Progress, silent
+from ..common.units import counted
+from ..session.units_file import load_units
+from .batch import CALIBRATED, Done, lost, run
 from .catalogue import Catalogue
 from .recordings import OF_ONE, Job, convertible, find_jobs
-from .task import CALIBRATED, Done, lost, run
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..stream import Floats
+from ..common.stream import Floats
 
 _ROUNDS = 30
 """Newton's steps double the digits: five suffice for terms of a percent. Where terms exceed the

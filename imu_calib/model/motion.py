@@ -17,9 +17,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..stream import Floats
-from .kinds import ParameterKind
-from .parameters import Parameter
+from ..common.stream import Floats
+from .model_parameters import Parameter
+from .parameters import ParameterKind
 from .sensors import SensorModel
 from .terms import DELAY, SIZE_EFFECT, Term
 

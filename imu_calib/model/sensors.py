@@ -9,11 +9,10 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import NotObservable
-from ..stream import Floats
+from ..common.errors import NotObservable
+from ..common.stream import Floats
 from .inversion import inverted, times_transpose
-from .kinds import ParameterKind
-from .parameters import (
+from .model_parameters import (
     AXES,
     MOST_SKEWED,
     PARAMETERS,
@@ -22,6 +21,7 @@ from .parameters import (
     linear_product,
     skewed_parameters,
 )
+from .parameters import ParameterKind
 from .terms import G_SENSITIVITIES, G_SENSITIVITY, TERMS, Term, term
 
 _IDENTITY = np.eye(3)

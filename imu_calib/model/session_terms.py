@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import cache
 
-from ..errors import InputError
-from ..units import significant
-from .kinds import ParameterKind, Unit
-from .parameters import PARAMETERS, Parameter
+from ..common.errors import InputError
+from ..common.units import significant
+from .model_parameters import PARAMETERS, Parameter
+from .parameters import ParameterKind, Unit
 
 _ALL = ('D_g', 'D_a', 'K_g', 'K_a')
 _SECONDS_PER_HOUR = 3600.0

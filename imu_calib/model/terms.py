@@ -14,10 +14,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..errors import InputError
-from ..units import DEG
-from .kinds import ParameterKind
-from .parameters import AXES, NOTHING, Parameter, Product
+from ..common.errors import InputError
+from ..common.units import DEG
+from .model_parameters import AXES, NOTHING, Parameter, Product
+from .parameters import ParameterKind
 from .session_terms import SESSION_TERMS, Change, session_term
 
 NO_TERMS = 'none'

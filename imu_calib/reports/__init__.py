@@ -1,1 +1,1 @@
-"""Results for people: tables, plots, reports."""
+"""ROOM reports"""

@@ -7,11 +7,11 @@ from html import escape
 
 import numpy as np
 
-from ..channel_noise import TRIADS, ChannelNoise, Coefficient, TriadUnits
-from ..imu import ImuSpec, TriadSpec
-from .html import paragraph, table
+from ..session.channel_noise import TRIADS, ChannelNoise, Coefficient, TriadUnits
+from ..session.imu import ImuSpec, TriadSpec
+from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .noise import written
-from .svg import COLOURS, Axis, Panel, drawing, label, legend, tag
+from .reports_html import paragraph, table
 
 _WIDTH, _HEIGHT, _LEFT, _TOP = 372.0, 250.0, 56.0, 52.0
 """px; layout."""

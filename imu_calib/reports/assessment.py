@@ -9,13 +9,15 @@ from html import escape
 
 import numpy as np
 
-from ..alignment import SCALE, SHOWN
-from ..calibration import Calibration
-from ..model import TERMS, Parameter, ParameterKind
-from ..specification import COVERAGE, Specification, Verdict, judge
-from .html import table
+from ..calibration.calibration import Calibration
+from ..model.alignment import SCALE, SHOWN
+from ..model.model_parameters import Parameter
+from ..model.parameters import ParameterKind
+from ..model.terms import TERMS
+from ..session.specification import COVERAGE, Specification, Verdict, judge
+from .charts import drawing, joined, tag
 from .parameter_table import decimals, engineering
-from .svg import drawing, joined, tag
+from .reports_html import table
 
 LIMITS = (
     'Pass and fail are given where the value and its error bar of two standard deviations lie '

@@ -8,15 +8,15 @@ from html import escape
 
 import numpy as np
 
-from ..calibrator import Result
-from ..directions import across
-from ..instants import utc
+from ..calibration.calibrator_results import Result
+from ..common.directions import across
+from ..common.instants import utc
+from ..common.stream import Floats
+from ..common.units import DEG
 from ..segmentation.naming import attitude_words, up_words
-from ..segmentation.segment import Segment
-from ..stream import Floats
-from ..units import DEG
-from .html import paragraph
-from .svg import drawing, joined, label, tag
+from ..segmentation.segments import Segment
+from .charts import drawing, joined, label, tag
+from .reports_html import paragraph
 
 _SIDE, _HALF = 104.0, 21.0
 """px: of a drawing, and half of the cube's edge."""

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from ..budget import PROBABILITY, Budget, Source
-from ..calibration import Calibration
-from ..model import Parameter
-from ..plain_table import plain_table
-from ..stream import Floats
-from .html import paragraph, table
+from ..calibration.calibration import Calibration
+from ..common.budget import PROBABILITY, Budget, Source
+from ..common.stream import Floats
+from ..model.model_parameters import Parameter
+from .charts import drawing, label, tag
 from .parameter_table import decimals, engineering
-from .svg import drawing, label, tag
+from .plain_table import plain_table
+from .reports_html import paragraph, table
 
 _LEAST = 0.005
 """A source below half a percent of every variance has no column: it would be shown as zero."""

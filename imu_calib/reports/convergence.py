@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ..model import Parameter
-from ..specification import Specification, Verdict, judge
+from ..model.model_parameters import Parameter
+from ..session.specification import Specification, Verdict, judge
 from .parameter_table import engineering, three_digits
 
 _MOST_POINTS = 120

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..calibration import Calibration
-from ..channel_noise import TRIADS, ChannelNoise, Coefficient, TriadUnits
-from ..imu import TriadSpec
+from ..calibration.calibration import Calibration
+from ..session.channel_noise import TRIADS, ChannelNoise, Coefficient, TriadUnits
+from ..session.imu import TriadSpec
 from .parameter_table import decimals, three_digits
 
 

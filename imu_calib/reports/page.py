@@ -6,16 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-from ..calibration import Calibration
-from ..calibrator import Result
-from ..imu import ImuSpec
+from ..calibration.calibration import Calibration
+from ..calibration.calibrator_results import Result
+from ..session.imu import ImuSpec
 from . import allan_plot, attitudes, provenance, repeatability, residuals, timeline
 from .assessment import LIMITS, angles_table, assess, badge, summary, tables, worst
 from .budget import budget_section
-from .html import bullets, document, facts, paragraph, section, table
+from .charts import tag
+from .html import STYLE
 from .parameter_table import FREE_OF_FRAME, change_note, decimals
-from .style import STYLE
-from .svg import tag
+from .reports_html import bullets, document, facts, paragraph, section, table
 from .terms import terms_section
 
 

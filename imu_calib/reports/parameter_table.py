@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from rich.table import Table
 
-from ..alignment import SCALE, SHOWN
-from ..calibration import Calibration
-from ..instants import at
-from ..model import AXES, TERMS, Parameter
-from ..plain_table import plain_table
+from ..calibration.calibration import Calibration
+from ..common.instants import at
+from ..model.alignment import SCALE, SHOWN
+from ..model.model_parameters import AXES, Parameter
+from ..model.terms import TERMS
+from .plain_table import plain_table
 
 _OF_TERMS = {term.kind for term in TERMS}
 

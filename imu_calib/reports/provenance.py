@@ -7,11 +7,11 @@ from datetime import datetime
 
 import numpy as np
 
-from ..calibration import Calibration
-from ..units import DEG, DEG_H, MICRO_G, PPM
-from .html import named_rows, table
+from ..calibration.calibration import Calibration
+from ..common.units import DEG, DEG_H, MICRO_G, PPM
+from .charts import tag
 from .parameter_table import three_digits
-from .svg import tag
+from .reports_html import named_rows, table
 
 Facts = Mapping[str, object]
 

@@ -14,16 +14,16 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..agreement import FEWEST_FOR_A_STEP
-from ..calibration import Calibration
-from ..errors import InputError
-from ..gravity import same_place, without_gravity
-from ..model import Parameter
-from ..stream import Floats
-from .html import named_rows, paragraph, table
+from ..calibration.agreement import FEWEST_FOR_A_STEP
+from ..calibration.calibration import Calibration
+from ..calibration.gravity import same_place, without_gravity
+from ..common.errors import InputError
+from ..common.stream import Floats
+from ..model.model_parameters import Parameter
+from .charts import tag
 from .parameter_table import decimals, engineering
+from .reports_html import named_rows, paragraph, table
 from .small import panels, small
-from .svg import tag
 
 _SURPRISING = 0.001
 """Probability of chance below which the scatter of sessions is significant."""

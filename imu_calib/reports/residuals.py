@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..calibration import Calibration
-from ..calibrator import Result
-from ..stream import Floats
-from ..units import DEG_H, MICRO_G
-from .html import paragraph, scrolling, table
+from ..calibration.calibration import Calibration
+from ..calibration.calibrator_results import Result
+from ..common.stream import Floats
+from ..common.units import DEG_H, MICRO_G
+from .charts import Axis, Panel, drawing, label, legend
 from .parameter_table import three_digits
-from .svg import Axis, Panel, drawing, label, legend
+from .reports_html import paragraph, scrolling, table
 
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
 """px; layout."""

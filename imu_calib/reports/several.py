@@ -7,12 +7,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from rich.table import Table
 
-from ..calibration import Calibration
-from ..estimation.several import TableEstimate
-from ..model import Parameter
-from ..plain_table import plain_table
-from ..units import ARCSEC, DEG
+from ..calibration.calibration import Calibration
+from ..common.units import ARCSEC, DEG
+from ..estimation.common_unknowns import TableEstimate
+from ..model.model_parameters import Parameter
 from .parameter_table import decimals, engineering
+from .plain_table import plain_table
 
 _COARSE = 60 * ARCSEC
 """Standard deviation from which an angle is shown in degrees."""

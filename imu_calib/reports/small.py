@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..model import Parameter
-from ..stream import Floats
+from ..common.stream import Floats
+from ..model.model_parameters import Parameter
+from .charts import COLOURS, Axis, Panel, drawing, label, tag
 from .parameter_table import engineering
-from .svg import COLOURS, Axis, Panel, drawing, label, tag
 
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP = 182.0, 74.0, 44.0, 12.0, 22.0
 """px, the margins around the plot included; layout."""

@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from ..calibration import Calibration
-from ..model import Parameter, by_name, coefficients_of
+from ..calibration.calibration import Calibration
+from ..common.units import significant
+from ..model.model_parameters import Parameter
+from ..model.sensors import by_name
 from ..model.session_terms import Change, largest
-from ..units import significant
-from .html import paragraph, table
+from ..model.terms import coefficients_of
+from .reports_html import paragraph, table
 
 _NOTE = (
     'A term that is "off" was tested and is not significant: a single coefficient of the stated '

@@ -8,12 +8,12 @@ from datetime import timedelta
 from enum import Enum
 from html import escape
 
-from ..calibrator import Result
-from ..instants import utc
-from ..methods.free_positions import NAME as FREE_POSITIONS
-from ..units import DEG
-from .html import scrolling, table
-from .svg import Axis, Panel, drawing, label, tag
+from ..calibration.calibrator_results import Result
+from ..common.instants import utc
+from ..common.units import DEG
+from ..estimation.hand import NAME as FREE_POSITIONS
+from .charts import Axis, Panel, drawing, label, tag
+from .reports_html import scrolling, table
 
 _WIDTH, _ROW, _LEFT, _TOP = 760.0, 30.0, 84.0, 14.0
 """px; layout."""

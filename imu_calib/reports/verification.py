@@ -7,10 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Table
 
-from ..plain_table import plain_table
-from ..units import ARCSEC, DEG, DEG_H, MICRO_G
-from ..verification import ComparedQuantity, Quantity, ShiftedParameter, Verdict, Verification
+from ..calibration.comparison import ComparedQuantity, Quantity
+from ..calibration.diagnosis import ShiftedParameter
+from ..calibration.verify import Verdict, Verification
+from ..common.units import ARCSEC, DEG, DEG_H, MICRO_G
 from .parameter_table import Shown, decimals, engineering
+from .plain_table import plain_table
 
 _SHOWN = {
     Quantity.GRAVITY: Shown('ug', MICRO_G),

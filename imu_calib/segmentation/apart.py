@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..rotations import angle_between
-from ..stream import Floats, Stamps
-from ..turntable import Table
-from ..units import DEG
-from .motion import Motion
+from ..common.rotations import angle_between
+from ..common.stream import Floats, Stamps
+from ..common.units import DEG
+from ..session.table import Table
+from .table_motion import Motion
 
 FARTHEST = 60.0
 """s: clocks of GPS, of UTC and of TAI are up to 37 s apart, a clock that is never set is within a

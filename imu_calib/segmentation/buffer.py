@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..stream import Floats, Stamps
+from ..common.stream import Floats, Stamps
 
 _FIRST_CAPACITY = 1024
 """Rows. A choice: it doubles when it is full."""

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..stream import Floats, Stamps
+from ..common.stream import Floats, Stamps
 
 LAG = 240
 """Most samples over which the mean step is taken: several bunches, and short enough that half of

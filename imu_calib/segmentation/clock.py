@@ -9,10 +9,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..gaussian import MAD_TO_STD
-from ..rotations import angle_between
-from ..stream import Floats, Stamps
-from ..units import DEG
+from ..common.gaussian import MAD_TO_STD
+from ..common.rotations import angle_between
+from ..common.stream import Floats, Stamps
+from ..common.units import DEG
 from .statistics import Samples, gap_free
 
 _ITERATIONS = 12

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..stream import Floats
-from ..units import DEG
+from ..common.stream import Floats
+from ..common.units import DEG
 
 FEWEST = 6
 """Fewest angles of a line: four coefficients are fitted to a seed, and two degrees of freedom

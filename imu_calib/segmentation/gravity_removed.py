@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ..stream import Floats
-from ..units import LARGEST, STANDARD_GRAVITY
+from ..common.stream import Floats
+from ..common.units import LARGEST, STANDARD_GRAVITY
 
 _NEAR_ZERO = 0.05 * STANDARD_GRAVITY
 """m/s^2. A judgement: what phones and fusion chips leave at rest is a tenth of that, and an

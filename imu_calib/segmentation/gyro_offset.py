@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..earth import EARTH_RATE
-from ..gaussian import MAD_TO_STD
-from ..stream import Floats
-from ..units import DEG, STANDARD_GRAVITY
+from ..common.gaussian import MAD_TO_STD
+from ..common.stream import Floats
+from ..common.units import DEG, STANDARD_GRAVITY
+from ..model.earth import EARTH_RATE
 
 _CHUNK_WINDOWS = 5
 """Windows of a tenth of a second that are averaged: a hand trembles at 8 to 12 Hz (Stiles 1976, J.

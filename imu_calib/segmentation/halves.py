@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..stream import Floats, Units
+from ..common.stream import Floats, Units
 
 _LEAST = 0.05
 """Share of rows that each sensor has of its own. A judgement: a unit whose gyros read 0 at rest

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instants import at
-from ..stream import (
+from ..common.instants import at
+from ..common.stream import (
     Floats,
     ImuBlock,
     JointBlock,
@@ -18,15 +18,15 @@ from ..stream import (
     Stamps,
     Units,
 )
-from ..turntable import Table
-from ..units import LARGEST, counted
+from ..common.units import LARGEST, counted
+from ..session.table import Table
 from .buffer import RowBuffer
 from .false_samples import SCALE_OF_SI, FalseSampleFilter, FalseSamples, Rows
 from .interruptions import Interruptions
 from .order import Ordered, StampOrder
-from .set_back import SetBackClock, set_back_sentences
+from .segmentation_stream_facts import StreamFacts
 from .shared_stamps import SharedStamps
-from .stream_facts import StreamFacts
+from .stamp_faults import SetBackClock, set_back_sentences
 
 _APART = 10_000_000_000
 """ns by which joint states may outlast the samples of a recording. A judgement: an operator ends

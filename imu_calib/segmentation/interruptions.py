@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..instants import NS, at
-from ..stream import Stamps
+from ..common.instants import NS, at
+from ..common.stream import Stamps
 from .bunches import LAG, SHORT
 
 INTERRUPTION = NS

@@ -11,16 +11,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import InputError
-from ..plan import Plan
-from ..rotations import angle_between
-from ..stream import Mode, Setpoint
-from ..turntable import TURN, Table
-from ..units import DEG
+from ..common.errors import InputError
+from ..common.rotations import angle_between
+from ..common.stream import Mode, Setpoint
+from ..common.units import DEG
+from ..session.plan import Plan
+from ..session.table import TURN, Table
 from .naming import attitude_words, unique, up_words
-from .segment import Segment, Turn
-from .segmented import MountShift, Rejected, Segmented
+from .segments import Segment, Turn
 from .statistics import BLOCK_SECONDS
+from .stream_facts import MountShift, Rejected, Segmented
 from .without_joint_states import (
     SHORT_DWELL,
     UP_TOLERANCE,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gaussian import MAD_TO_STD
-from ..instants import at
-from ..stream import Stamps
+from ..common.gaussian import MAD_TO_STD
+from ..common.instants import at
+from ..common.stream import Stamps
 
 JITTER = 6 * MAD_TO_STD
 """Times the median absolute deviation: six standard deviations of Gaussian jitter."""

@@ -17,13 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..directions import cross
-from ..stream import Floats
-from ..units import DEG
-from .segment import Segment
-from .segmented import MountShift, Move, Rejected, VelocitySteps
+from ..common.directions import cross
+from ..common.stream import Floats
+from ..common.units import DEG
+from .segments import Segment
 from .sensor import Sensor
 from .statistics import Samples, gap_free
+from .stream_facts import MountShift, Move, Rejected, VelocitySteps
 
 STEP_ANGLE = 1 * DEG
 """Angle of a step, rad: the second order leaves out a twelfth of its cube at most, 0.1 arcsec."""

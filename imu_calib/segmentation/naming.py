@@ -7,8 +7,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..stream import Floats
-from ..units import DEG
+from ..common.stream import Floats
+from ..common.units import DEG
 
 _AXES = 'XYZ'
 _VERTICAL = 1 * DEG

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..stream import Floats, Stamps
+from ..common.stream import Floats, Stamps
 
 
 @dataclass(frozen=True, eq=False)

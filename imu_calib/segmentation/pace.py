@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..stream import Floats, Stamps
-from .grid import SampleGrid, read_grid
+from ..common.stream import Floats, Stamps
+from .stamps import SampleGrid, read_grid
 
 _NEAR_WHOLE = 0.25
 """Of an interval: tolerance of the distance of segments about a whole number of intervals; beyond

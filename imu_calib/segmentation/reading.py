@@ -9,26 +9,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..stream import Floats, Stamps
-from ..turntable import TURN, Table
-from ..units import DEG
-from .bridging import LONGEST, Bridged, bridged
+from ..common.stream import Floats, Stamps
+from ..common.units import DEG
+from ..session.table import TURN, Table
 from .buffer import RowBuffer
 from .bunches import sampling_times
 from .clock import ClockSample, MeasuredShare, cells, clock_sample, measured_share
-from .dwells import read_dwell
-from .grid import clock_steps
+from .gaps import LONGEST, Bridged, bridged
 from .intake import StreamBuffer
 from .lateness import Lateness
-from .motion import Motion, Rest
 from .moves import MoveReader
 from .pace import Pace
 from .repeated_samples import Repetition
 from .rounding import Rounding
-from .segment import Segment, Turn
-from .segmented import FreeMotion, MountShift, Rejected
+from .segmentation_dwells import read_dwell
+from .segments import Segment, Turn
 from .sensor import Sensor
+from .stamps import clock_steps
 from .statistics import Samples
+from .stream_facts import FreeMotion, MountShift, Rejected
+from .table_motion import Motion, Rest
 from .turns import MARGIN_NS, Around, read_free_motion, read_turns
 
 NEAR = 0.5

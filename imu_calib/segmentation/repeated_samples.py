@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..stream import Floats
-from ..units import DEG
+from ..common.stream import Floats
+from ..common.units import DEG
 from .rows import all_in_row
 
 _FEWEST = 8

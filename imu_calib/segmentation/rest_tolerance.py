@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..stream import Floats
-from ..units import DEG, STANDARD_GRAVITY
+from ..common.stream import Floats
+from ..common.units import DEG, STANDARD_GRAVITY
 from .gyro_offset import ASSUMED_SPREAD
 
 _BESIDE = 5

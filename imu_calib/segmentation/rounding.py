@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
-from ..imu import ImuSpec
-from ..stream import Floats, Units
-from ..units import DEG, STANDARD_GRAVITY
+from ..common.stream import Floats, Units
+from ..common.units import DEG, STANDARD_GRAVITY
+from ..session.imu import ImuSpec
 from .statistics import whole_channels
 
 _SAMPLES = 1000

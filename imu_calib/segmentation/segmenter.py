@@ -7,9 +7,8 @@ from collections import deque
 
 import numpy as np
 
-from ..imu import ImuSpec
-from ..instants import at
-from ..stream import (
+from ..common.instants import at
+from ..common.stream import (
     Block,
     Floats,
     ImuBlock,
@@ -18,24 +17,22 @@ from ..stream import (
     SkewBlock,
     TemperatureBlock,
 )
-from ..turntable import Table
-from ..units import counted
+from ..common.units import counted
+from ..session.imu import ImuSpec
+from ..session.table import Table
 from .apart import FARTHEST, offset_by_pattern
-from .clock import (
-    ClockFit,
-    fit_clock,
-)
+from .clock import ClockFit, fit_clock
 from .intake import StreamBuffer
 from .interruptions import interruptions
-from .motion import JointTracker, Motion, Rest
 from .order import Ordered
 from .reading import NEAR, IntervalReader
-from .segment import Segment
-from .segmented import Move, Segmented
+from .segments import Segment
 from .sensor import Sensor
 from .spoiled import SEEN, reject_all, reject_hidden, reject_untimed
 from .statistics import sample_period, to_samples
 from .stillness import WINDOW_SECONDS, Quietest, StillnessTracker
+from .stream_facts import Move, Segmented
+from .table_motion import JointTracker, Motion, Rest
 from .thermometer import Thermometer
 from .turns import MARGIN_NS
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..imu import FULL_SCALES, NEARLY, ImuSpec, TriadSpec
-from ..stream import Floats, Stamps, Units
+from ..common.stream import Floats, Stamps, Units
+from ..session.imu import FULL_SCALES, NEARLY, ImuSpec, TriadSpec
 from .pace import Pace
 from .statistics import Samples, to_samples, whole_channels
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instants import at
-from ..stream import Floats, Stamps
-from ..units import counted
+from ..common.instants import at
+from ..common.stream import Floats, Stamps
+from ..common.units import counted
 from .interruptions import INTERRUPTION, steps_since
 
 _STAMPS = 3

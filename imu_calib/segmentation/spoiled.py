@@ -11,7 +11,7 @@ from .intake import StreamBuffer
 from .moves import MoveReader
 from .reading import IntervalReader
 from .repeated_samples import Repetition
-from .segment import Segment, Turn
+from .segments import Segment, Turn
 
 SEEN = 0.75
 """Of a motion: less seen means that some was lost or beyond the range."""

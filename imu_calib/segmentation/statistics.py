@@ -10,11 +10,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allan import allan_sums
-from ..gaussian import MAD_TO_STD
-from ..imu import ImuSpec
-from ..stream import Floats, Stamps, Units
-from .counter import (
+from ..common.gaussian import MAD_TO_STD
+from ..common.stream import Floats, Stamps, Units
+from ..session.imu import ImuSpec
+from .allan import allan_sums
+from .counters import (
     END_POINT_VARIANCE,
     MeanRate,
     block_edges,
@@ -22,9 +22,9 @@ from .counter import (
     mean_rate,
     rate_between,
 )
-from .grid import read_grid
 from .pace import Timing
-from .segment import Statistics
+from .segments import Statistics
+from .stamps import read_grid
 
 BLOCK_SECONDS = 10.0
 """Shortest block whose mean shows the random walk of a quantised counter.

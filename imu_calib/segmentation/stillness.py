@@ -11,11 +11,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ..stream import Floats, Stamps
+from ..common.stream import Floats, Stamps
 from .buffer import RowBuffer
 from .gyro_offset import GyroOffset
-from .motion import Motion, Rest
 from .rest_tolerance import RestTolerance
+from .table_motion import Motion, Rest
 
 WINDOW_SECONDS = 0.1
 """s: shorter than any hold, and about one period of a tremor."""

@@ -1,121 +1,174 @@
-"""Facts of an IMU's stream as it came in, for sentences on sessions that are refused."""
+"""Contents of a session's streams: the values returned by segmentation."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
+
 import numpy as np
 
-from ..stream import Floats, Stamps, Units
-from ..units import counted
-from .halves import are_apart, of_one_sensor
-
-_SHOWN = 0.01
-"""Least share of samples that is stated: fewer do not make a session fail. A judgement."""
-_INTERVALS = 4096
-"""First stamps by which the sample interval is judged. A choice."""
-_CHANNELS = tuple(f'{triad} {axis}' for triad in ('gyro', 'accelerometer') for axis in 'xyz')
+from ..common.stream import Floats, Setpoint
+from .clock import ClockFit
+from .false_samples import NONE_FALSE, FalseSamples
+from .segmentation_stream_facts import StreamFacts
+from .segments import Segment, Statistics, Turn
+from .thermometer import Temperature
 
 
-class StreamFacts:
-    """Counts what is unusual about samples, before anything is left out.
-
-    Args:
-        units: Of the samples.
+@dataclass(frozen=True, eq=False)
+class Rejected:
+    """A dwell, turn or move that was not used.
 
     Attributes:
-        units: Of the samples.
-        samples: Number of samples.
+        start: Its first instant, ns, IMU clock.
+        end: Its last instant, ns, IMU clock.
+        reason: Why it was not used, as part of a sentence.
+        position: Id of the plan's position; None where unknown.
+        turn: Whether it is a turn or a move; else a dwell.
     """
 
-    def __init__(self, units: Units = Units.SI) -> None:
-        self.units = units
-        self.samples = 0
-        self._stamps: Stamps = np.empty(0, np.int64)
-        self._first = self._last = self._previous = 0
-        self._back = self._same = self._no_number = 0
-        self._zero = np.zeros(2, np.int64)
-        self._alone = np.zeros(2, np.int64)
-        self._largest = np.zeros(6)
-        self._at_largest = np.zeros(6, np.int64)
+    start: int
+    end: int
+    reason: str
+    position: str | None = None
+    turn: bool = False
+
+
+@dataclass(frozen=True)
+class MountShift:
+    """At `instant` (ns, IMU clock) a shock turned the unit in its mount by `angle` (rad)."""
+
+    instant: int
+    angle: float
+
+
+@dataclass(frozen=True, eq=False)
+class FreeMotion:
+    """A motion between two dwells as seen by the gyros alone.
+
+    Attributes:
+        start: First instant, ns, IMU clock.
+        end: Last instant, ns, IMU clock.
+        statistics: Of its samples.
+        turned: (3,) integral of the rates, rad.
+        mean_phase: Mean over the motion of exp(i angle), the angle turned since its start.
+    """
+
+    start: int
+    end: int
+    statistics: Statistics
+    turned: Floats
+    mean_phase: complex
 
     @property
-    def apart(self) -> bool:
-        """Whether gyros and accelerometers come in messages of their own."""
-        return are_apart(int(self._alone[0]), int(self._alone[1]), self.samples)
+    def level(self) -> complex:
+        """`mean_phase`, by its former name."""
+        return self.mean_phase
 
-    def take(self, stamp: Stamps, values: Floats) -> None:
-        """Count samples of (n,) stamps, ns, with (n, 6) values as delivered."""
-        if not len(stamp):
-            return
-        if not self.samples:
-            self._first = self._last = int(stamp[0])
-        else:
-            self._back += int(stamp[0] < self._previous)
-            self._same += int(stamp[0] == self._previous)
-        steps = np.diff(stamp)
-        self._back += int(np.count_nonzero(steps < 0))
-        self._same += int(np.count_nonzero(steps == 0))
-        self._first = min(self._first, int(stamp.min()))
-        self._last = max(self._last, int(stamp.max()))
-        self._previous = int(stamp[-1])
-        self.samples += len(stamp)
-        if len(self._stamps) < _INTERVALS:
-            self._stamps = np.concatenate([self._stamps, stamp])[:_INTERVALS]
-        self._count_values(values)
 
-    def _count_values(self, values: Floats) -> None:
-        self._no_number += int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
-        zero = values == 0
-        self._zero += [np.count_nonzero(zero[:, k : k + 3].all(axis=1)) for k in (0, 3)]
-        self._alone += [
-            np.count_nonzero(rows) for rows in of_one_sensor(values[:, :3], values[:, 3:])
-        ]
-        sizes = np.where(np.isfinite(values), np.abs(values), 0.0)
-        largest = sizes.max(axis=0)
-        count = np.count_nonzero(sizes == largest, axis=0)
-        further = np.where(largest == self._largest, self._at_largest + count, self._at_largest)
-        self._at_largest = np.where(largest > self._largest, count, further)
-        self._largest = np.maximum(largest, self._largest)
+@dataclass(frozen=True, eq=False)
+class VelocitySteps:
+    """Velocities gained by the accelerometers on a move, step by step.
 
-    @property
-    def sentence(self) -> str:
-        """The facts as one sentence; empty without samples."""
-        if not self.samples:
-            return ''
-        seconds = (self._last - self._first) * 1e-9
-        rate = f', {(self.samples - 1) / seconds:.4g} Hz' if seconds > 0 else ''
-        facts = [
-            f'The stream: {counted(self.samples, "sample")} in {seconds:.4g} s{rate}',
-            f'{self._missing:.0%} are missing' if self._missing >= _SHOWN else '',
-            *(
-                f'{count / self.samples:.0%} {what}'
-                for count, what in self._counts()
-                if count >= _SHOWN * self.samples
-            ),
-        ]
-        usual = ['none missing, in order'] if len([f for f in facts if f]) == 1 else []
-        return '; '.join([*(fact for fact in facts if fact), *usual]) + '.'
+    Attributes:
+        velocity: (n, 3) integral of the specific force of each step, in the body axes in the mean
+            of its rotation over its time, m/s.
+        mean: (n, 3) that mean less half of the rotation, rad: the effect of a changing rate.
+        pulse: (3,) size of one pulse of their counters, m/s; 0 where there are none.
+        filled: Variance along any axis due to lost samples that are interpolated, (m/s)^2.
+        predicted: Whether the counts are predicted: before a session they are not known to a pulse.
+    """
+
+    velocity: Floats
+    mean: Floats
+    pulse: Floats
+    filled: float = 0.0
+    predicted: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """A motion from one segment at rest to the next, without a gap.
+
+    Attributes:
+        start: End of the segment before, ns, IMU clock.
+        end: Start of the segment after, ns, IMU clock.
+        turned: (n, 3) rotation vector of each step, rad.
+        seconds: (n,) duration of each step, s.
+        pulse: (3,) size of one pulse of the gyros' counters, rad; 0 where there are none.
+        filled: Variance of its angle about any axis due to lost samples that are interpolated,
+            rad^2.
+        velocity_steps: Velocities gained by the accelerometers; None where not requested.
+    """
+
+    start: int
+    end: int
+    turned: Floats
+    seconds: Floats
+    pulse: Floats
+    filled: float = 0.0
+    velocity_steps: VelocitySteps | None = None
 
     @property
-    def _missing(self) -> float:
-        """Share of the samples that the usual interval leads to expect."""
-        steps = np.diff(np.unique(self._stamps))
-        if not len(steps):
-            return 0.0
-        expected = (self._last - self._first) / float(np.median(steps)) + 1
-        return max(0.0, 1 - (self.samples - self._same) / expected)
+    def duration(self) -> float:
+        """Its duration, s."""
+        return float(self.seconds.sum())
 
-    def _counts(self) -> list[tuple[int, str]]:
-        """Return numbers of samples, and what they have in common."""
-        clipped = [
-            (int(count), f'of {name} are its largest value, {largest:.4g}')
-            for name, count, largest in zip(_CHANNELS, self._at_largest, self._largest, strict=True)
-            if largest > 0
-        ]
-        return [
-            (self._back, 'come after one with a later stamp'),
-            (self._same, 'have the stamp of the one before'),
-            (self._no_number, 'hold values that are not numbers'),
-            (int(self._zero[0]), 'have gyros of exactly 0 (not measured, or a dead band)'),
-            (int(self._zero[1]), 'have accelerometers of exactly 0 (not measured)'),
-            *clipped,
-        ]
+    @property
+    def fastest(self) -> float:
+        """Highest rate about any body axis, rad/s."""
+        return float(np.max(np.abs(self.turned) / self.seconds[:, None], initial=0.0))
+
+    def scaled(self, factors: Floats) -> Move:
+        """Return angles, velocities and their pulses multiplied by (6,) factors, one a triad."""
+        gyro, accel = factors[:3], factors[3:]
+        gained = self.velocity_steps
+        if gained is not None:
+            velocity, pulse = gained.velocity * accel, gained.pulse * accel
+            gained = replace(gained, velocity=velocity, mean=gained.mean * gyro, pulse=pulse)
+        turned, pulse = self.turned * gyro, self.pulse * gyro
+        return replace(self, turned=turned, pulse=pulse, velocity_steps=gained)
+
+
+@dataclass(frozen=True, eq=False)
+class Segmented:
+    """All that a session's streams contain.
+
+    Attributes:
+        segments: Static dwells, in order.
+        turns: Whole turns measured by an encoder, in order.
+        motions: Larger motions without an encoder, in order.
+        moves: Motions seen by the gyros between one segment and the next, in order.
+        rejected: Static dwells that were not used.
+        mount_shifts: Shocks that shifted the unit in its mount, in order.
+        losses: Data lost on input, in sentences.
+        setpoints: The first of every run of equal setpoints, in order.
+        clock: Table against IMU.
+        samples: Number of IMU samples received.
+        duration: From the first to the last IMU stamp, s.
+        start: First IMU stamp, ns; None without samples.
+        temperature: Of the unit's thermometer; None without one.
+        foreign_joints: Sentence on joint states if none were the table's; else empty.
+        lost_moves: Motions from one segment to the next that are not used, with the reason.
+        interruptions: Last stamp before and first after each interruption of the IMU's stream, ns.
+        facts: Of the IMU's stream, as it came in.
+        false_samples: Samples of the IMU that are false, and count as missing.
+    """
+
+    segments: tuple[Segment, ...]
+    turns: tuple[Turn, ...]
+    motions: tuple[FreeMotion, ...]
+    moves: tuple[Move, ...]
+    rejected: tuple[Rejected, ...]
+    mount_shifts: tuple[MountShift, ...]
+    losses: tuple[str, ...]
+    setpoints: tuple[Setpoint, ...]
+    clock: ClockFit
+    samples: int
+    duration: float
+    start: int | None = None
+    temperature: Temperature | None = None
+    foreign_joints: str = ''
+    lost_moves: tuple[Rejected, ...] = ()
+    interruptions: tuple[tuple[int, int], ...] = ()
+    facts: StreamFacts = field(default_factory=StreamFacts)
+    false_samples: FalseSamples = NONE_FALSE

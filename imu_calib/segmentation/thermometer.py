@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..imu import COLDEST, HOTTEST
-from ..instants import NS
-from ..stream import Floats, Stamps, TemperatureBlock
-from ..units import counted
+from ..common.instants import NS
+from ..common.stream import Floats, Stamps, TemperatureBlock
+from ..common.units import counted
+from ..session.imu import COLDEST, HOTTEST
 
 _STEP = 1e-6
 """K: less is rounding."""

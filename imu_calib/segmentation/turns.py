@@ -8,20 +8,20 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..imu import SCALE_LIMIT
-from ..instants import NS
-from ..stream import Floats, Stamps
-from ..turntable import TURN, Table
-from ..units import ARCSEC, DEG, significant
-from .bridging import bridged, filled_at_steady_rate
-from .counter import END_POINT_VARIANCE
-from .motion import Motion, averaged
-from .plateau import WholeTurns, find_turns, no_turn_reason
+from ..common.instants import NS
+from ..common.stream import Floats, Stamps
+from ..common.units import ARCSEC, DEG, significant
+from ..session.imu import SCALE_LIMIT
+from ..session.table import TURN, Table
+from .counters import END_POINT_VARIANCE
+from .gaps import bridged, filled_at_steady_rate
+from .plateaus import WholeTurns, find_turns, no_turn_reason
 from .repeated_samples import repeating_samples
-from .segment import RestToRest, Statistics, Turn
-from .segmented import FreeMotion, Rejected
+from .segments import RestToRest, Statistics, Turn
 from .sensor import Sensor
 from .statistics import Samples, gap_free, statistics_between
+from .stream_facts import FreeMotion, Rejected
+from .table_motion import Motion, averaged
 
 MARGIN_NS = NS
 """Time read before and after a motion, ns."""

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..plan import Plan, Position
-from ..stream import Floats
-from ..turntable import TURN
-from ..units import DEG
-from .segment import Segment, Turn
-from .segmented import FreeMotion, Rejected
+from ..common.stream import Floats
+from ..common.units import DEG
+from ..session.plan import Plan, Position
+from ..session.table import TURN
+from .segments import Segment, Turn
+from .stream_facts import FreeMotion, Rejected
 
 SHORT_DWELL = 0.25
 """Share of a dwell below which it is not one of the plan's. A judgement."""

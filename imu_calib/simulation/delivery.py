@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..stream import Floats
+from ..common.stream import Floats
 from .options import Delivery
 
 _QUEUED = 20e-6

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..errors import InputError
-from ..units import DEG
+from ..common.errors import InputError
+from ..common.units import DEG
 
 _OF_TABLE = {'overshoot': 'DEG', 'delay': 'S', 'joint_rate': 'HZ'}
 _OF_LINE = {

@@ -7,8 +7,8 @@ from binascii import crc_hqx
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..stream import Floats, ImuBlock
+from ..common.errors import InputError
+from ..common.stream import Floats, ImuBlock
 
 SYNC = 0x55AA
 """First two bytes of a frame: AA 55, low byte first."""

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..earth import Site
-from ..imu import ImuSpec
-from ..model import SensorModel
-from ..plan import Plan
-from ..rotations import rotation, rotation_vectors
-from ..stream import Floats, ImuBlock
-from ..turntable import TURN
-from ..units import DEG
+from ..common.rotations import rotation, rotation_vectors
+from ..common.stream import Floats, ImuBlock
+from ..common.units import DEG
+from ..model.earth import Site
+from ..model.sensors import SensorModel
+from ..session.imu import ImuSpec
+from ..session.plan import Plan
+from ..session.table import TURN
 from .imu import SimulatedImu
 from .motion import Motion
 from .options import ImuOptions

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..earth import Site
-from ..errors import InputError
-from ..stream import JointBlock, Mode, Setpoint
-from ..turntable import Table
+from ..common.errors import InputError
+from ..common.stream import JointBlock, Mode, Setpoint
+from ..model.earth import Site
+from ..session.table import Table
 from .faults import TableFaults, order
 from .line import ImuLine
 from .options import StandOptions

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..earth import Site
-from ..imu import ImuSpec, check_live
-from ..model import SensorModel
-from ..stream import Floats
-from ..units import DEG
+from ..common.stream import Floats
+from ..common.units import DEG
+from ..model.earth import Site
+from ..model.sensors import SensorModel
+from ..session.imu import ImuSpec, check_live
 from .frames import pack
 from .hand import AXES, PAUSE, directions
 from .imu import SimulatedImu

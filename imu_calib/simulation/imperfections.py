@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from ..config import Section
-from ..errors import InputError
-from ..turntable import Table
-from ..units import Dimension
+from ..common.config import Section
+from ..common.errors import InputError
+from ..common.units import Dimension
+from ..session.table import Table
 from .options import (
     BiasStep,
     Channels,

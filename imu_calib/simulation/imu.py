@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..earth import Site
-from ..errors import InputError
-from ..imu import ImuSpec
-from ..model import SensorModel
+from ..common.errors import InputError
+from ..common.stream import Floats, ImuBlock, SkewBlock, Stamps, Units
+from ..model.earth import Site
 from ..model.motion import delay, places
-from ..stream import Floats, ImuBlock, SkewBlock, Stamps, Units
+from ..model.sensors import SensorModel
+from ..session.imu import ImuSpec
 from .delivery import DeliveryLine
 from .motion import Motion
 from .options import BiasStep, ImuOptions, ThermalDrift, WarmUp

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..earth import Site
-from ..imu import check_live
-from ..stream import Floats, ImuBlock
+from ..common.stream import Floats, ImuBlock
+from ..model.earth import Site
+from ..session.imu import check_live
 from .faults import LineFaults
 from .frames import pack
 from .imu import SimulatedImu

@@ -8,10 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..directions import cross
-from ..earth import Site
-from ..rotations import all_in_rotated_frame, in_rotated_frame
-from ..stream import Floats
+from ..common.directions import cross
+from ..common.rotations import all_in_rotated_frame, in_rotated_frame
+from ..common.stream import Floats
+from ..model.earth import Site
 from .tracks import Track
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)

@@ -8,9 +8,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ..stream import Floats
-from ..turntable import TURN
-from ..units import ARCSEC
+from ..common.stream import Floats
+from ..common.units import ARCSEC
+from ..session.table import TURN
 from .true_table import TrueTable
 
 Channels: TypeAlias = float | tuple[float, float, float]

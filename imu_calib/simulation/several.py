@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..earth import Site
-from ..imu import ImuSpec
-from ..model import SensorModel
-from ..plan import Plan
-from ..stream import Block, Floats
-from ..turntable import Table
+from ..common.stream import Block, Floats
+from ..model.earth import Site
+from ..model.sensors import SensorModel
+from ..session.imu import ImuSpec
+from ..session.plan import Plan
+from ..session.table import Table
 from .imu import SimulatedImu
 from .motion import Motion
 from .options import StandOptions

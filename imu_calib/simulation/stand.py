@@ -10,12 +10,8 @@ from itertools import count
 
 import numpy as np
 
-from ..earth import Site
-from ..errors import InputError
-from ..imu import ImuSpec
-from ..model import SensorModel
-from ..plan import Plan, Step
-from ..stream import (
+from ..common.errors import InputError
+from ..common.stream import (
     Block,
     Floats,
     JointBlock,
@@ -24,7 +20,11 @@ from ..stream import (
     Stamps,
     TemperatureBlock,
 )
-from ..turntable import Table
+from ..model.earth import Site
+from ..model.sensors import SensorModel
+from ..session.imu import ImuSpec
+from ..session.plan import Plan, Step
+from ..session.table import Table
 from .imu import SimulatedImu
 from .motion import Motion, Ringing, Shaking
 from .options import Shake, Shock, StandOptions

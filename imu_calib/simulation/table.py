@@ -8,11 +8,11 @@ from operator import attrgetter
 
 import numpy as np
 
-from ..errors import InputError
-from ..rotations import rotation
-from ..stream import Floats, Mode, Setpoint
-from ..turntable import TURN, Joint, Table
-from ..units import DEG
+from ..common.errors import InputError
+from ..common.rotations import rotation
+from ..common.stream import Floats, Mode, Setpoint
+from ..common.units import DEG
+from ..session.table import TURN, Joint, Table
 from .motion import Link, Motion
 from .options import TableOptions
 from .tracks import Track, braking, side_by_side, trapezoid

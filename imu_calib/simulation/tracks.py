@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..stream import Floats
+from ..common.stream import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from ..paths import write_whole
-from ..rotations import rotation
-from ..stream import Floats
-from ..turntable import Table
-from ..units import ARCSEC, DEG
+from ..common.files import write_whole
+from ..common.rotations import rotation
+from ..common.stream import Floats
+from ..common.units import ARCSEC, DEG
+from ..session.table import Table
 from .motion import Link
 
 Harmonic = tuple[float, float]

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from imu_calib.bags import RecordingWriter
-from imu_calib.cdr import RATES, encode_imu
-from imu_calib.stream import ImuBlock
+from imu_calib.common.stream import ImuBlock
+from imu_calib.recordings.cdr_codec import RATES, encode_imu
+from imu_calib.recordings.writer import RecordingWriter
 
 RATE = 204.8
 

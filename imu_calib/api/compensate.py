@@ -1,0 +1,376 @@
+"""Compensate a recording's raw IMU stream to rates and forces; copy the rest."""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..calibration.compensate import noise_gains
+from ..calibration.compensator import Compensator, Reading
+from ..calibration.samples import Mark
+from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_unit, first_of
+from ..calibration.turns_seen import TurnsSeen
+from ..calibration.whole_stream import WholeStream
+from ..common.arguments import checked
+from ..common.errors import InputError, NotObservable
+from ..common.progress import Progress, silent
+from ..common.stream import ImuBlock, Stamps
+from ..common.units import counted
+from ..recordings.cdr_codec import encode_rates
+from ..recordings.decode import decode_imu
+from ..recordings.kinds import Kind
+from ..recordings.messages import Malformed, Messages
+from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.storage import Topic
+from ..recordings.writer import RecordingWriter
+from ..session.imu import ImuSpec, compensated_imu
+from ..session.metadata import COMPENSATED, compensated_already, compensated_key, stream_description
+from ..session.units_file import TOPIC
+from .named import Named, as_applied
+from .outputs import new_folder, removed_on_failure
+from .session import Stated, serial_of, stated_imu
+from .stamp_clock import sample_findings
+from .streams import imu_topic, skew_topic, temperature_topic
+
+if TYPE_CHECKING:
+    from ..calibration.calibrator_results import Result
+
+_MOST = 0.5
+"""Share of the samples: with fewer written, most are lost."""
+_RAW, _RATES, _CALIBRATED = '/pulses', '/data_raw', '/data_calibrated'
+_WORDS = {
+    Mark.GYRO_RANGE: 'a saturated gyro (covariance -1: no estimate)',
+    Mark.ACCEL_RANGE: 'a saturated accelerometer (covariance -1: no estimate)',
+    Mark.RATE: 'rotation faster than in the calibration',
+    Mark.TEMPERATURE: 'temperature outside that of the calibration; the nearest was used',
+    Mark.PARITY: 'four gyros that contradict each other',
+    Mark.NO_NUMBER: 'values that are not numbers, or too large to compute with (left out)',
+}
+
+
+@dataclass(frozen=True)
+class Compensated:
+    """Result of compensating a recording's raw stream.
+
+    Attributes:
+        path: The written recording.
+        topic: The raw stream.
+        target: The compensated stream.
+        further_topics: Further topics that were used: temperature, a skewed gyro.
+        samples_in: Number of samples of the raw stream.
+        samples_out: Number of samples written.
+        marked: Number of samples by mark, for instance beyond the range.
+        findings: Messages for the user, in sentences.
+    """
+
+    path: Path
+    topic: str
+    target: str
+    further_topics: tuple[str, ...]
+    samples_in: int
+    samples_out: int
+    marked: Mapping[Mark, int]
+    findings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        findings = counted(len(self.findings), 'finding')
+        return f'<Compensated: {self.samples_out} samples in {self.path}, {findings}>'
+
+
+@checked
+def compensate(
+    bag: Named,
+    calibration: Result | AnyCalibration | Named,
+    output: Named,
+    *,
+    imu: ImuSpec | Named | None = None,
+    serial: str | None = None,
+    imu_topic: str | None = None,
+    output_topic: str | None = None,
+    frame_id: str = '',
+    keep: bool = False,
+    compression: str = '',
+    progress: Progress = silent,
+) -> Compensated:
+    """Copy a recording with its raw IMU stream compensated to rates and forces in SI units.
+
+    Args:
+        bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
+        calibration: calibration.yaml, single or combined, or a loaded calibration.
+        output: Recording to write (mcap): a new folder.
+        imu: Units of the IMU's samples; None: as in the recording, else in the calibration.
+        serial: Serial number of the unit.
+        imu_topic: The raw stream, if there are several of sensor_msgs/Imu.
+        output_topic: None: imu/data_raw for imu/pulses, imu/data_calibrated for imu/data_raw.
+        frame_id: Of the written samples; empty for that of the raw ones.
+        keep: Write the raw stream too.
+        compression: '', 'lz4' or 'zstd', of the output.
+        progress: Shows the progress; nothing by default.
+
+    Raises:
+        InputError: Unreadable, the calibration is not this unit's, or the output exists.
+        NotObservable: No sample can be compensated: nothing is written.
+    """
+    loaded, name = as_applied(calibration)
+    file = Path(calibration).name if isinstance(calibration, str | Path) else ''
+    written = new_folder(output)
+    with open_recording(bag) as recording, removed_on_failure(written):
+        topic = _topic(imu_topic, recording, serial or first_of(loaded).serial_number)
+        stated = Stated(imu=imu, serial=serial)
+        spec = _check_unit(loaded, name, stated, recording, topic)
+        target = _target(output_topic, recording, topic)
+        stamps = _all_stamps(recording, topic, first_of(loaded).imu.sample_rate, progress)
+        clock = sample_findings(recording, topic.name, spec.units)
+        loaded = _with_data_sheet(loaded, spec)
+        compensator = Compensator(loaded, stamps.instants())
+        further_topics = _take_aside(compensator, recording, topic, progress)
+        meant = stream_description(
+            recording.custom_data,
+            target,
+            compensated_imu(spec, *noise_gains(first_of(loaded).model)),
+            raw_is_kept=keep,
+        )
+        by = file or first_of(loaded).imu.id
+        data = {**meant, COMPENSATED: by, compensated_key(target): by}
+        already = compensated_already(recording.custom_data, topic.name)
+        stream = _Stream(compensator, target, frame_id)
+        with (
+            RecordingWriter(written, data, compression) as writer,
+            progress('compensating') as show,
+        ):
+            writer.copy_records(recording)
+            for other in recording.topics:
+                if keep or other.name != topic.name:
+                    writer.copy_topic(other)
+            writer.add_topic(target, Kind.IMU.type_name)
+            for one, messages, times in recording.messages(show):
+                if one.name != topic.name or keep:
+                    writer.copy(one, messages, times)
+                if one.name == topic.name:
+                    stream.write(writer, messages, times.log)
+            stream.finish(writer)
+        findings = _findings(stream)
+        if not stream.samples_out:
+            reasons = ' '.join([*clock, *findings, *stamps.words(), *recording.losses])
+            raise NotObservable(
+                f'None of the {stream.samples_in} samples of {topic.name} could be compensated, '
+                f'and no recording is written. {reasons}'
+            )
+        return Compensated(
+            written,
+            topic.name,
+            target,
+            tuple(further_topics),
+            stream.samples_in,
+            stream.samples_out,
+            {mark: compensator.counts[mark] for mark in Mark if compensator.counts[mark]},
+            (
+                *clock,
+                *already,
+                *first_of(loaded).unknown_noise,
+                *findings,
+                *stamps.words(),
+                *recording.losses,
+            ),
+        )
+
+
+class _Stream:
+    """The IMU's stream between reading and writing."""
+
+    def __init__(self, compensator: Compensator, target: str, frame_id: str) -> None:
+        self.compensator = compensator
+        self.malformed = Malformed()
+        self.samples_in = self.samples_out = 0
+        self.turns = TurnsSeen()
+        self._target = target
+        self._frame_id = frame_id
+        self._dropped = 0
+        self._times: deque[Stamps] = deque()
+
+    def write(self, writer: RecordingWriter, messages: Messages, log_time: Stamps) -> None:
+        """Compensate messages and write the samples that are ready."""
+        before = self.malformed.count
+        blocks = decode_imu(messages, self.malformed)
+        if self.malformed.count > before:
+            log_time = log_time[_sound(messages)]
+        self.samples_in += len(messages)
+        repeats, kept = self.compensator.repeats, []
+        readings = []
+        for block in blocks:
+            readings += self.compensator.take(block)
+            mask = self.compensator.kept
+            kept.append(np.ones(len(block), np.bool_) if mask is None else mask)
+        if self.compensator.repeats > repeats:
+            log_time = log_time[np.concatenate(kept)]
+        self._times.append(log_time)
+        self._put(writer, readings)
+
+    def finish(self, writer: RecordingWriter) -> None:
+        """Write the samples that waited for the end."""
+        self._put(writer, self.compensator.finish())
+
+    def _put(self, writer: RecordingWriter, readings: list[Reading]) -> None:
+        # Dropped samples are the oldest that were not written.
+        self._next_times(self.compensator.dropped - self._dropped)
+        self._dropped = self.compensator.dropped
+        for reading in readings:
+            values, frame_id = reading.values, self._frame_id or reading.frame_id
+            self.turns.take(reading.stamp, values.rate, values.force)
+            block = ImuBlock(reading.stamp, values.rate, values.force, frame_id)
+            encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
+            times = self._next_times(len(reading))[reading.numbers]
+            self.samples_out += len(times)
+            kept = encoded.select(reading.numbers)
+            writer.write(self._target, Kind.IMU.type_name, kept, times)
+
+    def _next_times(self, count: int) -> Stamps:
+        """Remove and return the log times of the oldest samples."""
+        parts = [np.empty(0, np.int64)]
+        while count:
+            times = self._times.popleft()
+            parts.append(times[:count])
+            if count < len(times):
+                self._times.appendleft(times[count:])
+            count -= len(parts[-1])
+        return np.concatenate(parts)
+
+
+def _sound(messages: Messages) -> list[bool]:
+    """Return for every message whether it can be decoded."""
+    return [
+        bool(decode_imu(messages.select(slice(k, k + 1)), Malformed()))
+        for k in range(len(messages))
+    ]
+
+
+def _check_unit(
+    calibration: AnyCalibration, name: str, stated: Stated, recording: Recording, topic: Topic
+) -> ImuSpec:
+    """Compare the calibration with what is stated of the IMU; return that, if any."""
+    serial = serial_of(stated, recording, topic.name)
+    known = stated_imu(stated, recording, topic.name)
+    # If the unit's type is not stated, use that of the calibration.
+    imu, where = (first_of(calibration).imu, str(recording.path)) if known is None else known
+    check_unit(calibration, name, imu, where, serial)
+    return imu
+
+
+def _with_data_sheet(calibration: AnyCalibration, imu: ImuSpec) -> AnyCalibration:
+    """Return the calibration with the noise of a data sheet, for what was made in the hand."""
+    if isinstance(calibration, ThermalCalibration):
+        sheets = tuple(one.with_data_sheet(imu) for one in calibration.calibrations)
+        return replace(calibration, calibrations=sheets)
+    return calibration.with_data_sheet(imu)
+
+
+def _topic(wanted: str | None, recording: Recording, serial: str) -> Topic:
+    """Return the topic of the raw stream; for several units that of this serial number."""
+    name = imu_topic(wanted, recording, serial)
+    return next(topic for topic in recording.topics if topic.name == name)
+
+
+def _renamed(topic: str) -> str:
+    """Return the name of a stream after compensation.
+
+    REP 145 uses data_raw for both uncompensated and compensated rates: a topic with that name, or
+    imu/data, which has an orientation too, gets another name.
+    """
+    for ending in ('/data_raw', '/data'):
+        if topic.endswith(ending):
+            return f'{topic.removesuffix(ending)}{_CALIBRATED}'
+    return f'{topic.removesuffix(_RAW)}{_RATES}'
+
+
+def _target(wanted: str | None, recording: Recording, topic: Topic) -> str:
+    """Return the topic to write, which must be new."""
+    target = _renamed(topic.name) if wanted is None else wanted
+    if not re.fullmatch(TOPIC, target):
+        raise InputError(
+            f'`output_topic`: found {target!r}, expected the name of a topic: words of letters, '
+            'digits and underscores, with slashes between them.'
+        )
+    target = target if target.startswith('/') else f'/{target}'
+    if any(other.name == target for other in recording.topics):
+        raise InputError(
+            f'{recording.path} has a topic {target} already; choose another with `output_topic`.'
+        )
+    return target
+
+
+def _all_stamps(
+    recording: Recording, topic: Topic, rate: float | None, progress: Progress
+) -> WholeStream:
+    """Read the stamps of all samples, which determine when each was taken."""
+    stamps = WholeStream(rate)
+    with progress('reading') as show:
+        for _, block in recording.read({topic.name: Kind.IMU}, show):
+            if isinstance(block, ImuBlock):
+                stamps.take(block)
+    return stamps
+
+
+def _take_aside(
+    compensator: Compensator, recording: Recording, topic: Topic, progress: Progress
+) -> list[str]:
+    """Read the data that belongs to samples before the samples; return its topics."""
+    temperature = temperature_topic(recording)
+    named = {} if temperature is None else {temperature: Kind.TEMPERATURES}
+    calibration = compensator.calibration
+    if isinstance(calibration, ThermalCalibration) and temperature is None:
+        raise InputError(
+            f'{recording.path}: no topic of type {Kind.TEMPERATURES.type_name}, which a combined '
+            'calibration needs.'
+        )
+    skewed = skew_topic(recording, topic.name)
+    if first_of(calibration).model.skewed is not None and skewed is not None:
+        named[skewed] = Kind.SKEW
+    if named:
+        with progress('reading') as show:
+            for _, block in recording.read(named, show):
+                compensator.take(block)
+    return sorted(named)
+
+
+def _findings(stream: _Stream) -> list[str]:
+    """Return messages for the user about the samples."""
+    compensator = stream.compensator
+    sent = stream.samples_in - compensator.repeats
+    known = []
+    if 0 < stream.samples_out < _MOST * sent:
+        known.append(
+            f'Warning: most of the samples are lost: {stream.samples_out} of {sent} could be '
+            'compensated.'
+        )
+    known += [
+        f'{compensator.counts[m]} samples: {_WORDS[m]}.' for m in Mark if compensator.counts[m]
+    ]
+    if not compensator.gravity.is_gravity:
+        known.append(compensator.gravity.contradiction(first_of(compensator.calibration).imu))
+    if compensator.alone:
+        known.append(f"{compensator.alone} samples went without the skewed gyro's value.")
+    if compensator.repeats:
+        known.append(f'{compensator.repeats} samples came twice and are written once.')
+    if stream.turns.contradict:
+        known.append(stream.turns.contradiction(first_of(compensator.calibration).imu))
+    if compensator.untimed:
+        known.append(
+            f'The stamps of {compensator.untimed} samples show no sample interval: they are '
+            'compensated without. Unless the description of the IMU states a `sample_rate`, their '
+            'covariances do not contain the noise of single samples.'
+        )
+    if compensator.dropped:
+        known.append(f'{compensator.dropped} samples could not be timed and are left out.')
+    if stream.malformed.count:
+        known.append(
+            f'{stream.malformed.count} malformed messages are left out; the first: '
+            f'{stream.malformed.reason}.'
+        )
+    return known

@@ -1,0 +1,308 @@
+"""The set-up of a session: as its caller states it, else as the recording does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..common.config import Section
+from ..common.errors import InputError, NotStated
+from ..common.stream import Floats
+from ..common.units import DEG
+from ..model.earth import MEASURED, VAGUE, Site
+from ..model.session_terms import SESSION_TERMS, Change, split_terms
+from ..model.terms import AUTO_TERMS, NO_TERMS, TERMS, Term, asks_for_search, named_terms
+from ..session.imu import ImuSpec, read_imu
+from ..session.metadata import (
+    SERIAL_NUMBER,
+    TABLE,
+    described_imu,
+    described_mount,
+    described_site,
+    imu_key,
+    serial_key,
+    states_site,
+)
+from ..session.plan import UNPLANNED, Plan, read_plan
+from ..session.table import Table, read_table
+from .named import Named, as_imu, as_plan, as_table
+
+if TYPE_CHECKING:
+    # Loads slowly; most commands do not need it.
+    from ..recordings.rosbag2 import Recording
+    from .streams import Streams
+
+NO_PLAN = 'none'
+"""Value for a plan if none was run, or if the recording's own must not be used."""
+
+TRUE_TABLE = 'true_table.yaml'
+"""File in a simulated recording: the true table, if it differs from its description."""
+
+DEFAULT_TERMS = AUTO_TERMS
+"""Of `terms`: those that the session shows."""
+
+TERM_CHOICES = (
+    f'{AUTO_TERMS}, those that the session shows; {NO_TERMS}; or of '
+    f'{", ".join([*(term.name for term in TERMS), *SESSION_TERMS])} (default: {DEFAULT_TERMS})'
+)
+"""Values of `terms`, in words."""
+
+_TABLE = 'three_axis'
+_ANYWHERE = 0.0
+"""deg: assumed latitude, with the standard deviation `VAGUE`, if only gravity is stated for a unit
+in the hand. The error of the vertical Earth rate is then at most 15 deg/h in either hemisphere:
+0.008 deg in a turn of two seconds."""
+
+
+@dataclass(frozen=True)
+class Stated:
+    """Statements of a caller on a session; None uses the recording or a default.
+
+    Attributes:
+        plan: The plan that was run; `NO_PLAN` for none.
+        imu: Units and noise of the IMU's samples.
+        table: The turntable.
+        azimuth: Heading of the table's zero against north, deg.
+        imu_topic: Of sensor_msgs/Imu.
+        joint_topic: Of sensor_msgs/JointState.
+        setpoint_topic: Of imu_calib_msgs/TurntableSetpoint.
+        imu_only: Use only the IMU and the order of the plan.
+        latitude: Degrees, negative in the south.
+        latitude_std: Its standard deviation, deg.
+        height: Above the ellipsoid, m.
+        height_std: Its standard deviation, m.
+        gravity: Measured gravity, m/s^2.
+        gravity_std: Its standard deviation, m/s^2.
+        method: Name of the estimator.
+        terms: Terms that the joint estimate adds to the 24 parameters: names separated by commas.
+        serial: Serial number of the unit.
+        mount: (3, 3) its body axes in those of the table's described mount.
+    """
+
+    plan: Plan | Named | None = None
+    imu: ImuSpec | Named | None = None
+    table: Table | Named | None = None
+    azimuth: float | None = None
+    imu_topic: str | None = None
+    joint_topic: str | None = None
+    setpoint_topic: str | None = None
+    imu_only: bool = False
+    latitude: float | None = None
+    latitude_std: float | None = None
+    height: float | None = None
+    height_std: float | None = None
+    gravity: float | None = None
+    gravity_std: float | None = None
+    method: str | None = None
+    terms: str | None = None
+    serial: str | None = None
+    mount: Floats | None = None
+
+    @property
+    def _terms(self) -> str:
+        return DEFAULT_TERMS if self.terms is None else self.terms
+
+    @property
+    def sensor_terms(self) -> tuple[Term, ...]:
+        """Terms of the sensors that are requested by name.
+
+        Raises:
+            InputError: No such term.
+        """
+        return named_terms(split_terms(self._terms)[0])
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Coefficients of the session's terms that are requested by name.
+
+        Raises:
+            InputError: No such term, or two that exclude each other.
+        """
+        return split_terms(self._terms)[1]
+
+    @property
+    def search_terms(self) -> bool:
+        """Whether terms that the session shows are also estimated."""
+        return asks_for_search(self._terms)
+
+    def site(self, otherwise: float) -> Site:
+        """Return the stated site; its latitude is `otherwise`, deg, if it is not stated.
+
+        Raises:
+            InputError: There is no such place on Earth.
+        """
+        latitude = otherwise if self.latitude is None else self.latitude
+        return Site.at(
+            latitude * DEG,
+            self.height,
+            self.gravity,
+            height_std=self.height_std,
+            gravity_std=self.gravity_std,
+            latitude_std=None if self.latitude_std is None else self.latitude_std * DEG,
+        )
+
+    def simulated_table(self) -> Table:
+        """Return the stated table or the three-axis table, at the stated azimuth."""
+        return self.at_azimuth(as_table(self.table or _TABLE))
+
+    def at_azimuth(self, table: Table) -> Table:
+        """Return a table at the stated azimuth, if any.
+
+        Raises:
+            InputError: It is not an angle.
+        """
+        if self.azimuth is None:
+            return table
+        return replace(table, azimuth=azimuth_of(self.azimuth))
+
+
+def azimuth_of(degrees: float) -> float:
+    """Return an azimuth in rad.
+
+    Raises:
+        InputError: It is no angle, or beyond a turn.
+    """
+    if not abs(degrees) <= 360:
+        raise InputError(f'`azimuth`: found {degrees:g} deg, expected -360 to 360.')
+    return degrees * DEG
+
+
+def plan_of(stated: Stated, recording: Recording, streams: Streams) -> Plan | None:
+    """Return the plan of a recording; none is needed if joint states give the attitudes.
+
+    Returns:
+        None without plan and joint states: only a unit that was turned by hand needs no plan then.
+
+    Raises:
+        InputError: The file is broken.
+    """
+    if (plan := stated_plan(stated, recording)) is not None:
+        return plan
+    return None if streams.joints is None else UNPLANNED
+
+
+def stated_plan(stated: Stated, recording: Recording) -> Plan | None:
+    """Return the stated plan, or the one in the recording; None without.
+
+    Raises:
+        InputError: The file is broken.
+    """
+    if stated.plan == NO_PLAN:
+        return None
+    if stated.plan is not None:
+        return as_plan(stated.plan)
+    if (text := recording.custom_data.get('imu_calib.session.plan')) is not None:
+        return read_plan(Section.parse(text, f'{recording.path}: its plan'))
+    return None
+
+
+def stated_imu(stated: Stated, recording: Recording, topic: str) -> tuple[ImuSpec, str] | None:
+    """Return the description of the IMU of a topic, and its origin; None without one.
+
+    Raises:
+        InputError: The file is broken, or states other units than those of a computed stream.
+    """
+    data = recording.custom_data
+    text, says = described_imu(data, topic), f'{recording.path}: its IMU'
+    described = None if text is None else read_imu(Section.parse(text, says))
+    if stated.imu is None:
+        return None if described is None else (described, says)
+    given = as_imu(stated.imu)
+    name = given.id if isinstance(stated.imu, ImuSpec) else str(stated.imu)
+    if described is not None and imu_key(topic) in data and given.units is not described.units:
+        raise InputError(
+            f'`imu` {name}: units: found {given.units.value}, but {topic} of {recording.path} was '
+            f'computed from the raw stream and holds {described.units.value}: leave `imu` out.'
+        )
+    return given, name
+
+
+def serial_of(stated: Stated, recording: Recording, topic: str) -> str:
+    """Return the stated serial number, or that of the recording; empty without one.
+
+    Args:
+        stated: Known facts.
+        recording: The recording.
+        topic: Of the unit's samples: each of several units has its own.
+
+    Raises:
+        InputError: The two differ.
+    """
+    data = recording.custom_data
+    recorded, given = data.get(serial_key(topic), data.get(SERIAL_NUMBER, '')), stated.serial
+    if given is not None and recorded and given != recorded:
+        raise InputError(
+            f'`serial`: found {given}, but {recording.path} is of the unit with serial number '
+            f'{recorded}.'
+        )
+    return given or recorded
+
+
+def mounted_on(table: Table, stated: Stated, recording: Recording, topic: str) -> Table:
+    """Return a table with the unit's mount, as stated or as in the recording.
+
+    Args:
+        table: As described.
+        stated: Known facts.
+        recording: The recording.
+        topic: Of the unit's samples.
+
+    Raises:
+        InputError: The mount in the recording is invalid.
+    """
+    mount = stated.mount
+    if mount is None:
+        mount = described_mount(recording.custom_data, topic, str(recording.path))
+    return table if np.array_equal(mount, np.eye(3)) else replace(table, mount=table.mount @ mount)
+
+
+def table_of(stated: Stated, recording: Recording) -> Table:
+    """Return the stated table, that of the recording, or the three-axis table."""
+    text = recording.custom_data.get(TABLE)
+    if stated.table is not None or text is None:
+        return stated.simulated_table()
+    if not text:
+        raise NotStated(
+            f'{recording.path} does not state its table, which was a value without a file: give '
+            '`table`.'
+        )
+    return stated.at_azimuth(read_table(Section.parse(text, f'{recording.path}: its table')))
+
+
+def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> Site:
+    """Return the stated site, or the one in the recording.
+
+    Stated height and gravity also apply at the recording's latitude.
+
+    Args:
+        stated: Known facts.
+        recording: The recording.
+        by_hand: A measured gravity is sufficient: the Earth rate is below the resolution in a hand.
+
+    Raises:
+        InputError: The site is not stated, or is not on Earth.
+    """
+    if stated.latitude is not None:
+        return stated.site(stated.latitude)
+    if by_hand and stated.gravity is not None and not states_site(recording.custom_data):
+        return replace(stated, latitude_std=VAGUE / DEG).site(_ANYWHERE)
+    own = described_site(recording.custom_data, str(recording.path))
+    height, gravity = stated.height, stated.gravity
+    deviations = (stated.height_std, stated.gravity_std, stated.latitude_std)
+    if all(value is None for value in (height, gravity, *deviations)):
+        return own
+    if height is None:
+        height = own.height
+        if gravity is None and own.gravity_source == MEASURED:
+            gravity = own.gravity
+    doubt = own.latitude_std if stated.latitude_std is None else stated.latitude_std * DEG
+    return Site.at(
+        own.latitude,
+        height,
+        gravity,
+        height_std=stated.height_std,
+        gravity_std=stated.gravity_std,
+        latitude_std=doubt,
+    )

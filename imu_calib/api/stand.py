@@ -1,0 +1,144 @@
+"""Run a stand live, with simulated hardware and the nodes of a real one."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..calibration.calibration import Calibration
+from ..common.errors import ImuCalibError, InputError, NotObservable
+from ..common.files import user_path
+from ..common.lifetime import ENDS_WITH
+from .keywords import OnStand, with_keywords
+from .named import Named
+from .session import TRUE_TABLE
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+_COMMAND = 'imu_calib.cli.main'
+_ERRORS = {error.exit_code: error for error in (InputError, NotObservable)}
+
+
+@dataclass(frozen=True, eq=False)
+class StandRun:
+    """A completed session of a simulated stand.
+
+    Attributes:
+        path: Its folder.
+        recording: The recording used for the calibration.
+        calibration: The result, as in calibration.yaml of the folder.
+        truth: The unit's true parameters.
+        true_table: File of the true table; None if it is as described.
+    """
+
+    path: Path
+    recording: Path
+    calibration: Calibration
+    truth: Calibration
+    true_table: Path | None
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f'<StandRun: {self.calibration} in {self.path}>'
+
+
+@with_keywords(OnStand)
+def stand(
+    plan: Named,
+    output: Named = 'stand',
+    *,
+    imu: Named | None = None,
+    table: Named = 'three_axis',
+    truth: Named | None = None,
+    azimuth: float = 0.0,
+    serial: str | None = None,
+    sample_rate: float | None = None,
+    imperfections: Named | None = None,
+    seed: int = 0,
+    speed: float | None = None,
+    **stated: Unpack[OnStand],
+) -> StandRun:
+    """Run a plan live on a simulated stand: nodes in separate processes, connected by DDS.
+
+    `simulate` and `calibrate` give the same result much faster. This tests the nodes as on a real
+    stand, which only the command can run (`imu-calib stand --port`).
+
+    Args:
+        plan: Name or file; so are `imu`, `table`, `truth` and `imperfections`.
+        output: Folder to create.
+        imu: None for fog_medium, or mems_counts if the plan is run by hand.
+        table: The turntable.
+        truth: The unit's true parameters; None for those of the default IMU.
+        azimuth: True heading of the table's zero, deg.
+        serial: Serial number of the unit.
+        sample_rate: Hz; None for the IMU's own.
+        imperfections: Faults of the stand; None for none.
+        seed: Same seed, same errors.
+        speed: Times real time at most; None for as fast as the nodes can follow.
+        **stated: `method`, `terms` and the site, as of `calibrate`; Luoyang's latitude by default.
+
+    Raises:
+        InputError: A file is missing or broken, the folder exists already, they do not match each
+            other, or a node does not start.
+        NotObservable: The session gives no calibration; the text states why.
+        ImuCalibError: There is no middleware for the nodes.
+    """
+    options = {
+        'imu': imu,
+        'table': table,
+        'truth': truth,
+        'azimuth': azimuth,
+        'serial': serial,
+        'sample_rate': sample_rate,
+        'imperfections': imperfections,
+        'seed': seed,
+        'speed': speed,
+        **stated,
+    }
+    folder = user_path(output)
+    given = {name.replace('_', '-'): value for name, value in options.items()}
+    words = [f'--{name}={value}' for name, value in given.items() if value is not None]
+    _run(['stand', f'--output={folder}', *words, '--', str(plan)], options)
+    drawn = folder / TRUE_TABLE
+    return StandRun(
+        folder,
+        folder / 'journal',
+        Calibration.load(folder / 'calibration.yaml'),
+        Calibration.load(folder / 'truth.yaml'),
+        drawn if drawn.exists() else None,
+    )
+
+
+def _run(words: list[str], keywords: Collection[str]) -> None:
+    """Run a command line in a process that ends with this one; its errors name keywords."""
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'imu_calib.common.lifetime', sys.executable, '-m', _COMMAND, *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        env={**os.environ, ENDS_WITH: str(os.getpid())},
+        text=True,
+    )
+    try:
+        _, errors = process.communicate()
+    finally:
+        if process.poll() is None:
+            # It stops the table first.
+            process.send_signal(signal.SIGTERM)
+            process.communicate()
+    if process.returncode == 0:
+        return
+    if process.returncode == 128 + signal.SIGINT:
+        raise KeyboardInterrupt
+    text = errors.rpartition('imu-calib stand: ')[2].strip()
+    for name in keywords:
+        text = re.sub(rf'--{name.replace("_", "-")}\b(?!-)', f'`{name}`', text)
+    raise _ERRORS.get(process.returncode, ImuCalibError)(text)

@@ -1,0 +1,172 @@
+"""Acceptance test of a calibration with an independent recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..calibration.calibration import Calibration
+from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_identity, first_of
+from ..calibration.verify import Verification
+from ..calibration.verify import verify as judge
+from ..common.errors import InputError, NotObservable, NotStated
+from ..common.progress import Progress, silent
+from ..common.threads import by_one_thread
+from ..estimation.hand import NAME as FREE_POSITIONS
+from ..estimation.observed import observe
+from ..recordings.in_order import InOrder
+from ..recordings.rosbag2 import Recording, open_recording
+from ..segmentation.segmenter import Segmenter
+from ..segmentation.thermometer import Temperature
+from ..session.imu import ImuSpec
+from ..session.metadata import compensated_already
+from ..session.plan import UNPLANNED
+from .keywords import Verified, with_keywords
+from .named import Named, as_applied
+from .session import Stated, serial_of, site_of, stated_imu, stated_plan, table_of
+from .stamp_clock import clock_findings, refused_by_stamps
+from .streams import streams_of
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from ..calibration.calibrator_results import Result
+
+_OTHER_TEMPERATURE = 5.0
+"""K between two sessions from which the difference is reported. A judgement: MEMS biases move by a
+tenth of a degree per second in it, those of fibre-optic gyros within their stability."""
+
+_THE_SAME = (
+    'The calibration was made from this recording: its parameters were fitted to it, and the '
+    'residuals do not show their errors. Verify it with another recording.'
+)
+
+
+@with_keywords(Verified)
+@by_one_thread
+def verify(
+    calibration: Result | AnyCalibration | Named,
+    bag: Named,
+    *,
+    another_unit: bool = False,
+    progress: Progress = silent,
+    **stated: Unpack[Verified],
+) -> Verification:
+    """Compare a calibration with a recording.
+
+    Args:
+        calibration: calibration.yaml, single or combined, or a loaded calibration.
+        bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
+        another_unit: Compare even if calibration and recording name different units.
+        progress: Shows the progress.
+        **stated: The session, by the keywords of `calibrate` but `method` and `terms`; by default
+            the IMU is that of the calibration.
+
+    Returns:
+        The verdict on gyros and accelerometers, with its evidence.
+
+    Raises:
+        InputError: Something is missing or unreadable, or the recording is of another unit.
+        NotObservable: The recording contains nothing to compare with.
+    """
+    loaded, name = as_applied(calibration)
+    with open_recording(bag) as recording:
+        return _verify(loaded, name, recording, Stated(**stated), another_unit, progress)
+
+
+def _verify(
+    loaded: AnyCalibration,
+    name: str,
+    recording: Recording,
+    stated: Stated,
+    another_unit: bool,
+    progress: Progress,
+) -> Verification:
+    streams = streams_of(stated, recording)
+    # Omit what is not stated: a plan gives names, a table attitudes.
+    plan = stated_plan(stated, recording) or UNPLANNED
+    known = stated_imu(stated, recording, streams.imu)
+    imu, says = (_described(first_of(loaded)), str(recording.path)) if known is None else known
+    if not another_unit:
+        serial = serial_of(stated, recording, streams.imu)
+        _check_identity(loaded, name, imu, says, serial)
+    # A skewed gyro is not verified: do not wait for it.
+    imu = replace(imu, skewed=None)
+    try:
+        # The gyros of a calibration in the hand do not show the direction of the Earth rate.
+        origin = first_of(loaded).provenance
+        by_hand = streams.joints is None and origin.get('method') == FREE_POSITIONS
+        site = site_of(stated, recording, by_hand=by_hand)
+    except NotStated as error:
+        own = origin.get('latitude_deg')
+        same = '' if own is None else f' {name} was made at latitude {own:g}: the same place?'
+        raise NotStated(f'{error}{same}') from None
+    table = table_of(stated, recording) if streams.joints is not None else None
+    segmenter = Segmenter(imu, table)
+    kinds = {t: kind for t, kind in streams.kinds().items() if t != streams.skew}
+    order = InOrder()
+    with refused_by_stamps(recording, streams):
+        with progress('reading') as show:
+            for block in order.passed(recording.read(kinds, show), streams.imu):
+                segmenter.feed(block)
+        session = segmenter.finish()
+        calibration, notes = _at_temperature(loaded, session.temperature)
+        try:
+            observed = observe(session, imu, site, plan, table, calibration.clock)
+        except NotObservable as error:
+            raise type(error)(f'{error} {session.facts.sentence}'.strip()) from None
+    notes += clock_findings(recording, streams, imu.units)
+    already = compensated_already(recording.custom_data, streams.imu)
+    found = judge(
+        calibration, replace(observed, notes=(*already, *order.sentences, *notes, *observed.notes))
+    )
+    if calibration.provenance.get('sha256') != recording.sha256():
+        return found
+    return replace(found, findings=(_THE_SAME, *found.findings), own_recording=True)
+
+
+def _check_identity(
+    calibration: AnyCalibration, name: str, imu: ImuSpec, where: str, serial: str
+) -> None:
+    """Refuse the calibration of another unit, if calibration and recording name their units."""
+    try:
+        check_identity(calibration, name, imu.id, where, serial)
+    except InputError as error:
+        raise InputError(
+            f'{error} Give the calibration of that unit; `another_unit` compares them all the same.'
+        ) from None
+
+
+def _described(calibration: Calibration) -> ImuSpec:
+    """Return the calibration's description of its IMU, with the noise used for it."""
+    imu = calibration.imu
+    walk = np.nan_to_num(np.array(calibration.provenance.get('random_walk', [0.0] * 6), float))
+    gyro, accel = np.sqrt(np.mean(walk.reshape(2, 3) ** 2, axis=1))
+    return replace(
+        imu,
+        gyro=replace(imu.gyro, random_walk=float(gyro)),
+        accel=replace(imu.accel, random_walk=float(accel)),
+    )
+
+
+def _at_temperature(
+    loaded: AnyCalibration, seen: Temperature | None
+) -> tuple[Calibration, list[str]]:
+    """Return the calibration at the recording's temperature, and messages about it."""
+    if isinstance(loaded, ThermalCalibration):
+        if seen is None:
+            raise InputError(
+                'The calibration depends on the temperature, which the recording does not hold.'
+            )
+        return loaded.at(seen.mean), []
+    made_at = loaded.provenance.get('temperature')
+    if seen is None or not isinstance(made_at, dict):
+        return loaded, []
+    if abs(seen.mean - float(made_at['mean'])) < _OTHER_TEMPERATURE:
+        return loaded, []
+    return loaded, [
+        f'The recording was made at {seen.mean:.1f} degrees Celsius, the calibration at '
+        f'{float(made_at["mean"]):.1f}.'
+    ]

@@ -1,0 +1,144 @@
+"""Test whether calibrations of one unit agree within their uncertainties, by parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..common.stream import Floats
+from ..model.model_parameters import Parameter, indices_of
+from .calibration import Calibration
+from .gravity import gravity_deviation, same_place, without_gravity
+
+FALSE_ALARM = 0.01
+"""Probability that calibrations of an unchanged unit are found to differ in any parameter, as in
+`verification.judgement.DOUBT`; shared among the parameters (Bonferroni)."""
+
+FEWEST_FOR_A_STEP = 4
+"""Fewest sessions of a parameter for a search of steps: a line and a step are three numbers."""
+
+_NO_VARIANCE = 1e-9
+"""Of the largest eigenvalue of a correlation: smaller ones are rounding. Double precision, 1e-16
+times some hundred rows, leaves a margin for files written with fewer digits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """Differences of k calibrations of one unit, compared with their covariances.
+
+    Attributes:
+        parameters: n of them.
+        chi_square: (n,) about the value that fits all calibrations best; NaN if all are exact.
+        freedom: (n,) its degrees of freedom.
+        chance: (n,) probability of this chi-square or more, for an unchanged unit.
+        total: Chi-square of all parameters together, by the whole covariances.
+        total_freedom: Its degrees of freedom.
+        total_chance: Its probability.
+    """
+
+    parameters: tuple[Parameter, ...]
+    chi_square: Floats
+    freedom: NDArray[np.int64]
+    chance: Floats
+    total: float
+    total_freedom: int
+    total_chance: float
+
+    @property
+    def limit(self) -> float:
+        """Probability below which one parameter counts as changed."""
+        return FALSE_ALARM / max(1, int(np.sum(self.freedom > 0)))
+
+    @property
+    def differ(self) -> NDArray[np.bool_]:
+        """(n,) mask of the parameters that differ significantly."""
+        return np.asarray((self.freedom > 0) & (self.chance < self.limit))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters that differ significantly."""
+        return tuple(p.name for p, off in zip(self.parameters, self.differ, strict=True) if off)
+
+    @property
+    def consistent(self) -> bool:
+        """Whether all of them together are consistent with chance."""
+        return self.total_freedom == 0 or self.total_chance >= FALSE_ALARM
+
+
+def agreement(
+    calibrations: Sequence[Calibration], parameters: Sequence[Parameter]
+) -> tuple[Agreement, Floats]:
+    """Compare calibrations of independent sessions.
+
+    The differences d of all from the first have the covariance S = A P A', with P that of all the
+    parameters and A = [1, -1]: chi-square is d' S^-1 d, equal to that about the generalised
+    least-squares mean, for any choice of the first (docs/mathematics.md, 'Calibrations side by
+    side').
+
+    Args:
+        calibrations: k of them, two or more, with the nominal scale factors of the first.
+        parameters: n parameters in all of them.
+
+    Returns:
+        The agreement, and the (k - 1, n) standard deviations of the differences from the first.
+    """
+    count, size = len(calibrations) - 1, len(parameters)
+    values = np.array([c.model.values(tuple(parameters)) for c in calibrations])
+    apart = values[1:] - values[0]
+    spread = _covariance(calibrations, parameters)
+    blocks = [spread[k::size, k::size] for k in range(size)]
+    each = [_chi_square(apart[:, k], block) for k, block in enumerate(blocks)]
+    total, total_freedom = _chi_square(apart.ravel(), spread)
+    square = np.array([s if f else np.nan for s, f in each])
+    freedom = np.array([f for _, f in each], dtype=np.int64)
+    chance = np.where(freedom > 0, scipy.special.chdtrc(np.maximum(freedom, 1), square), np.nan)
+    found = Agreement(
+        tuple(parameters),
+        square,
+        freedom,
+        chance,
+        total,
+        total_freedom,
+        float(scipy.special.chdtrc(max(total_freedom, 1), total)),
+    )
+    std = np.sqrt(np.diag(spread)).reshape(count, size)
+    return found, std
+
+
+def _covariance(calibrations: Sequence[Calibration], parameters: Sequence[Parameter]) -> Floats:
+    """Return the covariance of the differences from the first, ((k - 1) n, (k - 1) n).
+
+    The error of gravity is common to calibrations made with the same gravity at one place, and
+    cancels in their difference (docs/mathematics.md, 'Gravity').
+    """
+    count, size = len(calibrations), len(parameters)
+    whole = np.zeros((count, size, count, size))
+    places = [indices_of(parameters, c.parameters) for c in calibrations]
+    by_gravity = [gravity_deviation(c)[rows] for c, rows in zip(calibrations, places, strict=True)]
+    for i, (one, rows) in enumerate(zip(calibrations, places, strict=True)):
+        whole[i, :, i] = without_gravity(one)[np.ix_(rows, rows)]
+        where = one.provenance
+        for j, other in enumerate(calibrations):
+            if i == j or same_place(other, where.get('gravity'), where.get('latitude_deg')):
+                whole[i, :, j] += np.outer(by_gravity[i], by_gravity[j])
+    flat = whole.reshape(count * size, count * size)
+    differences = np.hstack([-np.ones((count - 1, 1)), np.eye(count - 1)])
+    matrix = np.kron(differences, np.eye(size))
+    return np.asarray(matrix @ flat @ matrix.T)
+
+
+def _chi_square(apart: Floats, spread: Floats) -> tuple[float, int]:
+    """Return chi-square and its degrees of freedom, without directions of no variance."""
+    deviation = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    known = deviation > 0
+    if not known.any():
+        return float('nan'), 0
+    scaled = deviation[known]
+    values, vectors = np.linalg.eigh(spread[np.ix_(known, known)] / np.outer(scaled, scaled))
+    good = values > _NO_VARIANCE * values[-1]
+    along = vectors.T @ (apart[known] / scaled)
+    return float(np.sum(along[good] ** 2 / values[good])), int(good.sum())

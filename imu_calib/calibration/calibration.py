@@ -1,0 +1,622 @@
+"""A calibration as a value: computed once, saved as text, loaded and applied by others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from ..common.arguments import checked
+from ..common.budget import Budget, Share, Source
+from ..common.config import Section
+from ..common.errors import InputError
+from ..common.files import user_path, write_whole
+from ..common.stream import Floats, Units
+from ..common.units import counted
+from ..common.yaml_text import SafeDumper, dump
+from ..model.alignment import Angles, free_of_frame
+from ..model.changes import KEY as CHANGES
+from ..model.changes import Changes, read_changes
+from ..model.model_parameters import (
+    AXES,
+    MOST_SKEWED,
+    PARAMETERS,
+    Parameter,
+    indices_of,
+    skewed_parameters,
+)
+from ..model.parameters import TRIADS
+from ..model.sensors import SensorModel, Skewed, Triad, parameters_of, terms_of
+from ..model.terms import TERMS, Term
+from ..session.channel_noise import ChannelNoise, read_noise
+from ..session.imu import ImuSpec, TriadSpec
+from ..session.plausibility import check_plausible
+from ..session.stamping import KEY as CLOCK
+from ..session.stamping import StampingClock, read_clock
+from .budget_file import budget_document, read_budget
+from .provenance import read_origin
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+_FORMAT = 1
+"""Version of calibration.yaml; others are refused."""
+
+BY_ACCELEROMETERS = 'accelerometers'
+"""Value of `frame` in the provenance: the axes of a session in the hand."""
+
+_ROUNDED = 1e-6
+"""Ratio by which a stated standard deviation may differ from that of the covariance: seven digits
+in a text, single precision in other software."""
+_EXPECTED = 'a calibration file, which imu-calib calibrate makes of a recording'
+_RECORDINGS = {'.mcap', '.db3'}
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualRow:
+    """Residuals of a static dwell: (3,) rad/s and (3,) m/s^2.
+
+    NaN for a triad that was not estimated.
+    """
+
+    position: str
+    time: float
+    gyro: Floats
+    accel: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The parameters of one unit, with all that is needed to apply them.
+
+    Attributes:
+        imu: Description of the unit's stream (nominal scale factors, units).
+        model: The parameters.
+        covariance: (n, n) in the order of `parameters`, SI units. Rows and columns of a triad that
+            was not estimated are NaN.
+        residuals: One per static dwell.
+        findings: What the user must know, in sentences.
+        provenance: Origin: recording, hash, plan, method, site, versions.
+        serial_number: Unit of the type `ImuSpec.id`; empty if not stated.
+        parameters: Of the rows of the covariance: the 24, those of terms, those of skewed gyros,
+            in the order of `model.parameters_of`.
+        budget: The variances by source; None if the method does not give them.
+        changes: Changes of parameters during the session; None if not asked for. Those with the
+            temperature are applied (`compensation/thermal`), others are not.
+        clock: The stamping clock, if the session compared it with the table's: pulses are then per
+            second of the table's clock, else of the stamps'.
+    """
+
+    imu: ImuSpec
+    model: SensorModel
+    covariance: Floats
+    residuals: tuple[ResidualRow, ...] = ()
+    findings: tuple[str, ...] = ()
+    provenance: dict[str, Any] = field(default_factory=dict)
+    serial_number: str = ''
+    parameters: tuple[Parameter, ...] = PARAMETERS
+    budget: Budget | None = None
+    changes: Changes | None = None
+    clock: StampingClock | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a covariance that does not fit the model's parameters."""
+        assert self.covariance.shape == (len(self.parameters),) * 2
+        assert set(self.model.parameters) <= set(self.parameters)
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviations of `parameters`, SI units; NaN if not estimated."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def __repr__(self) -> str:
+        """Return one line; `to_dataframe` has the parameters."""
+        count = int(np.isfinite(self.std).sum())
+        findings = counted(len(self.findings), 'finding')
+        return f'<Calibration of {self.unit_name}: {count} parameters, {findings}>'
+
+    @property
+    def unit_name(self) -> str:
+        """Type and serial number of the unit, for people."""
+        return ' '.join([self.imu.id, self.serial_number]).strip()
+
+    @property
+    def values(self) -> Floats:
+        """Values of `parameters`, SI units."""
+        return self.model.values(self.parameters)
+
+    @property
+    def free_of_frame(self) -> tuple[Angles, ...]:
+        """The angles between input axes, which do not depend on the table's frame."""
+        return free_of_frame(self.model, self.covariance, self.parameters)
+
+    @property
+    def noise(self) -> dict[str, ChannelNoise]:
+        """The noise of the session, by channel ('gx'); empty if unknown."""
+        return read_noise(self.provenance.get('noise') or {})
+
+    @property
+    def sensor_walk(self) -> Floats:
+        """Random walk (6,) of the sensors, rad/sqrt(s) and (m/s)/sqrt(s); NaN if unknown.
+
+        That of a session in the hand is mostly the hand's.
+        """
+        walk = self.provenance.get('sensor_random_walk' if self.in_the_hand else 'random_walk')
+        return np.array([np.nan] * 6 if walk is None else walk, dtype=float)
+
+    @property
+    def in_the_hand(self) -> bool:
+        """Whether the session was in the hand, in attitudes that nobody stated."""
+        return self.provenance.get('frame') == BY_ACCELEROMETERS
+
+    @property
+    def unknown_noise(self) -> list[str]:
+        """A sentence if the session does not show the noise of the sensors; else empty."""
+        unknown = np.isnan(self.sensor_walk)
+        names = ['gyros'] * bool(unknown[:3].any())
+        names += ['accelerometers'] * bool(unknown[3:].any() and self.has_accelerometers)
+        if not (names and 'random_walk' in self.provenance):
+            return []
+        return [
+            f'The noise of the {" and ".join(names)} is unknown, since that of the session is the '
+            "hand's: covariances of compensated samples do not contain it. State the random walk "
+            "of the data sheet in the IMU's file."
+        ]
+
+    def with_data_sheet(self, sheet: ImuSpec) -> Calibration:
+        """Return the calibration with the noise of a data sheet, if it was made in the hand."""
+        if not self.in_the_hand:
+            return self
+        stated = np.repeat([sheet.gyro.random_walk, sheet.accel.random_walk], 3)
+        walk = np.where(stated > 0, stated, self.sensor_walk).tolist()
+        return replace(self, provenance={**self.provenance, 'sensor_random_walk': walk})
+
+    def with_share(self, source: Source, share: Share) -> Calibration:
+        """Return the calibration with the contribution of another source to its covariance."""
+        budget = None if self.budget is None else self.budget.with_share(source, share)
+        return replace(self, covariance=self.covariance + share.covariance, budget=budget)
+
+    @property
+    def has_accelerometers(self) -> bool:
+        """Whether the accelerometers were estimated; else their model is that of ideal ones."""
+        of_accels = np.array([p.triad == 'a' for p in self.parameters])
+        return bool(np.isfinite(self.std[of_accels]).all())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of the file, by its keys (docs/files/calibration.md): plain values,
+        SI.
+
+        A triad that was not estimated has no numbers: zeros could be taken for a result.
+
+        Raises:
+            InputError: An estimated parameter is not a finite number.
+        """
+        known = np.isfinite(self.std)
+        # Of the accelerometers all are estimated, or none.
+        of_accels = np.array([p.triad == 'a' for p in self.parameters])
+        needed = ~of_accels | known[of_accels].any()
+        lost = needed & ~np.isfinite(self.values + self.std)
+        if lost.any():
+            names = [p.name for p, gone in zip(self.parameters, lost, strict=True) if gone]
+            raise InputError(
+                f'The calibration cannot be written: {", ".join(names)} is not a number.'
+            )
+        return {
+            'format': _FORMAT,
+            'imu': self.imu.id,
+            'serial_number': self.serial_number,
+            'units': self.imu.units.value,
+            'gyro': self._triad_document('g', self.imu.gyro, self.model.gyro),
+            'accelerometer': (
+                self._triad_document('a', self.imu.accel, self.model.accel)
+                if self.has_accelerometers
+                else _spec_document(self.imu.accel)
+            ),
+            **self._skewed_document(),
+            'free_of_frame': self._free_document(),
+            'covariance': {
+                'parameters': [p.name for p, k in zip(self.parameters, known, strict=True) if k],
+                'matrix': _nested_lists(self.covariance[np.ix_(known, known)]),
+            },
+            **self._budget_document(known),
+            **({} if self.changes is None else {CHANGES: self.changes.document()}),
+            **({} if self.clock is None else {CLOCK: self.clock.document()}),
+            'residuals': [_residual_document(r) for r in self.residuals],
+            'findings': list(self.findings),
+            'provenance': self.provenance,
+        }
+
+    def to_yaml(self) -> str:
+        """Return the file's text: SI units, for people and for yaml.safe_load.
+
+        Raises:
+            InputError: An estimated parameter is not a finite number.
+        """
+        head = (
+            '# Calibration of an IMU, SI units: rad, m, s.\n'
+            '# Outputs times scale_factor = (I + error_matrix) input + bias.\n'
+            + self._head_of_further()
+        )
+        return head + dump(self.to_dict(), _Dumper, width=200)
+
+    def _free_document(self) -> dict[str, Any]:
+        """Return the angles between input axes, for people: `read` recomputes them."""
+        found = self.free_of_frame
+        return {
+            **{angles.group.key: _row(angles.values) for angles in found},
+            'std': {angles.group.key: _row(angles.std) for angles in found},
+        }
+
+    def _budget_document(self, known: NDArray[np.bool_]) -> dict[str, Any]:
+        if self.budget is None:
+            return {}
+        return {'uncertainty_budget': budget_document(self.budget, self.parameters, known)}
+
+    def _head_of_further(self) -> str:
+        further = ''.join(
+            f'# To channel i of the {TRIADS[term.triad]} add {term.formula}.\n'
+            for term in terms_of(self.parameters)
+        )
+        if not self.has_accelerometers:
+            further += '# The accelerometers were not calibrated.\n'
+        return further
+
+    def _triad_document(self, letter: str, spec: TriadSpec, triad: Triad) -> dict[str, Any]:
+        """Return a triad's section: the linear part, and its terms."""
+        return {
+            **_spec_document(spec),
+            'error_matrix': _nested_lists(triad.error_matrix),
+            'bias': _row(triad.bias),
+            **self._term_documents(letter, self.values),
+            'std': self._std_document(letter),
+        }
+
+    def _term_documents(self, letter: str, values: Floats) -> dict[str, Any]:
+        """Return values of the parameters that belong to the terms of a triad."""
+        return {
+            term.name: _shaped(values[indices_of(term.parameters, self.parameters)])
+            for term in terms_of(self.parameters)
+            if term.triad == letter
+        }
+
+    def _std_document(self, letter: str) -> dict[str, Any]:
+        """Return the standard deviations in the section of a triad."""
+        std = SensorModel.from_vector(self.std[indices_of(PARAMETERS, self.parameters)])
+        triad = std.gyro if letter == 'g' else std.accel
+        return {
+            'error_matrix': _nested_lists(triad.error_matrix),
+            'bias': _row(triad.bias),
+            **self._term_documents(letter, self.std),
+        }
+
+    def _skewed_document(self) -> dict[str, Any]:
+        skewed = self.model.skewed
+        if skewed is None:
+            return {}
+        return {
+            'skewed_gyro': {
+                **_spec_document(self.imu.skewed or self.imu.gyro),
+                'response': _nested_lists(skewed.response),
+                'bias': _row(skewed.bias),
+                'std': self._skewed_std_document(len(skewed.bias)),
+            }
+        }
+
+    def _skewed_std_document(self, channels: int) -> dict[str, Any]:
+        """Return the standard deviations in the section of the skewed gyros."""
+        mine = indices_of(skewed_parameters(channels), self.parameters)
+        std = self.std[mine].reshape(-1, 4)
+        return {'response': _nested_lists(std[:, :3]), 'bias': _row(std[:, 3])}
+
+    def _check_stated_std(self, section: Section) -> None:
+        """Refuse standard deviations in a file that are not those of its covariance."""
+        expected = {'gyro': self._std_document('g')}
+        if self.has_accelerometers:
+            expected['accelerometer'] = self._std_document('a')
+        if self.model.skewed is not None:
+            expected['skewed_gyro'] = self._skewed_std_document(len(self.model.skewed.bias))
+        for key, std in expected.items():
+            if section.section(key).has('std'):
+                _check_std(section.section(key).section('std'), std)
+
+    @classmethod
+    @checked
+    def from_yaml(cls, text: str, where: str) -> Calibration:
+        """Read a calibration.
+
+        Args:
+            text: As written by `to_yaml`.
+            where: The file, for messages.
+
+        Raises:
+            InputError: Not a calibration; names file, key, what was found and what was expected.
+        """
+        return cls.read(Section.parse(text, where))
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return value, std and unit of each parameter as a pandas.DataFrame, by its name.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        from .views import compared_frame
+
+        return compared_frame(self.parameters, {'value': self.values, 'std': self.std}, {})
+
+    def plot(self) -> Figure:
+        """Draw the parameters with bars of two standard deviations; return the matplotlib Figure.
+
+        Raises:
+            InputError: matplotlib is not installed.
+        """
+        from .views import draw_parameters
+
+        return draw_parameters(self.unit_name, self.parameters, self.values, self.std)
+
+    def plot_residuals(self) -> Figure:
+        """Draw the residuals of the static dwells by position; return the matplotlib Figure.
+
+        Raises:
+            InputError: matplotlib is not installed, or the calibration contains no residuals.
+        """
+        from .views import draw_residuals
+
+        rows = self.residuals
+        if not rows:
+            raise InputError(
+                f'The calibration of {self.unit_name} carries no residuals: it was not made of a '
+                'recording.'
+            )
+        columns = [np.array([r.gyro for r in rows]), np.array([r.accel for r in rows])]
+        return draw_residuals(self.unit_name, [r.position for r in rows], columns)
+
+    def plot_noise(self) -> Figure:
+        """Draw the Allan deviation of the session; return the matplotlib Figure.
+
+        Raises:
+            InputError: matplotlib is not installed, or the calibration contains no noise.
+        """
+        from .views import draw_noise
+
+        return draw_noise(self.unit_name, self.noise)
+
+    @checked
+    def save(self, path: str | Path) -> None:
+        """Write the file whole or not at all.
+
+        Raises:
+            InputError: It cannot be written.
+        """
+        write_whole(user_path(path), self.to_yaml())
+
+    @classmethod
+    @checked
+    def load(cls, path: str | Path) -> Calibration:
+        """Read a calibration file.
+
+        Raises:
+            InputError: Unreadable, or not a calibration.
+        """
+        return cls.read(calibration_section(path))
+
+    @classmethod
+    def read(cls, section: Section) -> Calibration:
+        """Read a calibration from its YAML mapping.
+
+        Raises:
+            InputError: Not a calibration, or not plausible for a strapdown IMU.
+        """
+        version = section.number('format')
+        if version != _FORMAT:
+            raise InputError(f'{section.key("format")}: found {version:g}, expected {_FORMAT}.')
+        units = section.choice('units', {u.value: u for u in Units})
+        gyros, accels = section.section('gyro'), section.section('accelerometer')
+        terms = {**_read_terms(gyros, 'g'), **_read_terms(accels, 'a')}
+        gyro_spec, gyro = _read_triad(gyros)
+        accel_spec, accel = _read_triad(accels)
+        skewed_spec, skewed = _read_skewed(section)
+        if gyro is None:
+            raise InputError(f'{gyros.where}: the keys error_matrix and bias are missing.')
+        of_accels = [term.name for term in terms if term.triad == 'a']
+        if accel is None and of_accels:
+            raise InputError(
+                f'{accels.where}: found {", ".join(of_accels)}, but the keys error_matrix and bias '
+                'are missing.'
+            )
+        spec = ImuSpec(section.text('imu'), units, None, gyro_spec, accel_spec, skewed_spec)
+        channels = 0 if skewed is None else len(skewed.bias)
+        parameters = parameters_of(tuple(terms), skewed=channels)
+        covariance = _read_covariance(section, parameters, accelerometers=accel is not None)
+        model = SensorModel(gyro, accel or Triad(), skewed=skewed)
+        for term, values in terms.items():
+            model = model.with_values(term.parameters, values)
+        residuals = _read_residuals(section)
+        findings = section.texts('findings')
+        section.skip('free_of_frame')
+        provenance = read_origin(section)
+        serial_number = section.text('serial_number', '')
+        budget = None
+        if section.has('uncertainty_budget'):
+            variances = np.diag(covariance)
+            budget = read_budget(section.section('uncertainty_budget'), parameters, variances)
+        calibration = cls(
+            spec,
+            model,
+            covariance,
+            residuals,
+            findings,
+            provenance,
+            serial_number,
+            parameters,
+            budget,
+            read_changes(section.section(CHANGES), parameters, covariance)
+            if section.has(CHANGES)
+            else None,
+            read_clock(section.section(CLOCK)) if section.has(CLOCK) else None,
+        )
+        section.finish()
+        check_plausible(calibration, section.where)
+        calibration._check_stated_std(section)
+        return calibration
+
+
+class _Dumper(SafeDumper):
+    """Write each key on a line, rows of numbers on one line, floats in full precision."""
+
+
+def _flow_list(dumper: SafeDumper, data: list[Any]) -> yaml.Node:
+    numbers = all(isinstance(v, (int, float)) for v in data)
+    names = all(isinstance(v, str) and ' ' not in v for v in data)
+    return dumper.represent_sequence('tag:yaml.org,2002:seq', data, flow_style=numbers or names)
+
+
+_Dumper.add_representer(list, _flow_list)
+
+
+def _row(values: Floats) -> list[float]:
+    return [float(v) for v in values]
+
+
+def _nested_lists(matrix: Floats) -> list[list[float]]:
+    return [_row(row) for row in matrix]
+
+
+def _spec_document(spec: TriadSpec) -> dict[str, Any]:
+    """Return the description of a triad; a range that is not stated is left out."""
+    document = {'scale_factor': float(spec.scale_factor)}
+    if np.isfinite(spec.range):
+        document['range'] = float(spec.range)
+    return document
+
+
+def _shape(term: Term) -> tuple[int, ...]:
+    """Return the shape of a term's coefficients in a file: one, one for each channel, or rows."""
+    count = len(term.parameters) // len(AXES)
+    if not count:
+        return ()
+    return (len(AXES),) if count == 1 else (len(AXES), count)
+
+
+def _shaped(values: Floats) -> list[Any] | float:
+    """Return coefficients in the shape of a file."""
+    if len(values) == 1:
+        return float(values[0])
+    return (
+        _row(values) if len(values) == len(AXES) else _nested_lists(values.reshape(len(AXES), -1))
+    )
+
+
+def _residual_document(row: ResidualRow) -> dict[str, Any]:
+    document: dict[str, Any] = {'position': row.position, 'time': float(row.time)}
+    for name, values in (('gyro', row.gyro), ('accelerometer', row.accel)):
+        if np.isfinite(values).all():
+            document[name] = _row(values)
+    return document
+
+
+def _read_covariance(
+    section: Section, parameters: tuple[Parameter, ...], *, accelerometers: bool
+) -> Floats:
+    """Read the covariance; a truth written by hand has none, and is exact."""
+    known = [accelerometers or p.triad != 'a' for p in parameters]
+    covariance = np.full((len(parameters), len(parameters)), np.nan)
+    count = sum(known)
+    if section.has('covariance'):
+        block = section.section('covariance')
+        names = [p.name for p, k in zip(parameters, known, strict=True) if k]
+        if block.items('parameters') != names:
+            raise InputError(
+                f'{block.key("parameters")}: not the {count} parameters in their order.'
+            )
+        covariance[np.ix_(known, known)] = block.array('matrix', (count, count))
+        block.finish()
+    else:
+        covariance[np.ix_(known, known)] = 0.0
+    return covariance
+
+
+def calibration_section(path: str | Path) -> Section:
+    """Read the mapping of a calibration file.
+
+    Raises:
+        InputError: Unreadable, a recording, or another file.
+    """
+    file = user_path(path)
+    inside = file.iterdir() if file.is_dir() else (file,)
+    if any(one.suffix in _RECORDINGS for one in inside):
+        raise InputError(f'{file} is a recording, expected {_EXPECTED}.')
+    section = Section.load(file, _EXPECTED)
+    if not section.has('format'):
+        raise InputError(f"{file} is not a calibration file (the key 'format' is missing).")
+    return section
+
+
+def _read_terms(section: Section, letter: str) -> dict[Term, Floats]:
+    """Read the coefficients of the terms in a triad's section."""
+    mine = [term for term in TERMS if term.triad == letter and section.has(term.name)]
+    return {term: section.array(term.name, _shape(term)).ravel() for term in mine}
+
+
+def _read_triad(section: Section) -> tuple[TriadSpec, Triad | None]:
+    """Read a triad; None for one with a scale factor alone: it was not estimated."""
+    scale = section.number('scale_factor')
+    triad = None
+    if section.has('error_matrix') or section.has('bias'):
+        triad = Triad(section.array('error_matrix', (3, 3)), section.array('bias', (3,)))
+        section.skip('std')
+    return _finish_spec(section, scale), triad
+
+
+def _finish_spec(section: Section, scale: float) -> TriadSpec:
+    limit = section.number('range', np.inf)
+    if not (scale > 0 and limit > 0):
+        key, found = ('range', limit) if scale > 0 else ('scale_factor', scale)
+        raise InputError(f'{section.key(key)}: found {found:g}, expected above 0.')
+    section.finish()
+    return TriadSpec(scale, range=limit)
+
+
+def _read_skewed(section: Section) -> tuple[TriadSpec | None, Skewed | None]:
+    if not section.has('skewed_gyro'):
+        return None, None
+    block = section.section('skewed_gyro')
+    scale, channels = block.number('scale_factor'), len(block.items('bias'))
+    if channels > MOST_SKEWED:
+        raise InputError(f'{block.key("bias")}: found {channels}, expected at most {MOST_SKEWED}.')
+    skewed = Skewed(block.array('response', (channels, 3)), block.array('bias', (channels,)))
+    block.skip('std')
+    return _finish_spec(block, scale), skewed
+
+
+def _check_std(section: Section, expected: Mapping[str, Any]) -> None:
+    """Refuse standard deviations that contradict expected ones, each by its key."""
+    for key, values in expected.items():
+        if section.has(key):
+            found, wanted = section.array(key, np.shape(values)), np.array(values)
+            if not (np.abs(found - wanted) <= _ROUNDED * wanted).all():
+                raise InputError(
+                    f'{section.key(key)}: not the square roots of the variances in covariance.'
+                )
+    section.finish()
+
+
+def _read_residuals(section: Section) -> tuple[ResidualRow, ...]:
+    if not section.has('residuals') or section.raw('residuals') == []:
+        return ()
+    return tuple(_read_residual(row) for row in section.sections('residuals'))
+
+
+def _read_residual(row: Section) -> ResidualRow:
+    gyro, accel = (
+        row.array(key, (3,)) if row.has(key) else np.full(3, np.nan)
+        for key in ('gyro', 'accelerometer')
+    )
+    residual = ResidualRow(row.text('position'), row.number('time'), gyro, accel)
+    row.finish()
+    return residual

@@ -1,0 +1,225 @@
+"""Calibrate a unit on a table from a recording or a live stream."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ..common.errors import Contradiction, InputError, NotObservable
+from ..common.stream import Block
+from ..estimation.cross_check import Comparison
+from ..estimation.evidence import Evidence
+from ..estimation.information import attainable_std
+from ..estimation.methods import check_plan, closed_form_of, method, provisional
+from ..estimation.setup import Setup
+from ..estimation.solution import Solution
+from ..model.model_parameters import AXES, Parameter
+from ..model.motion import has_motion_terms
+from ..model.sensors import SensorModel, gravity_covariance
+from ..segmentation.labelling import Labelled, label
+from ..segmentation.segmenter import Segmenter
+from ..segmentation.stream_facts import Segmented
+from ..session.table_clock import clock_share
+from .basis import Basis
+from .calibrator_results import Result, Review
+from .losses import false_samples_first, loss_findings, losses_of_all_segments
+from .results import dead_channels, explained, joints_in_degrees, refuse_apart, with_facts
+from .unsupported import unsupported_steps
+
+
+class Calibrator:
+    """Collect blocks as they come and solve on request.
+
+    The result depends on the sequence of each topic and its stamps, but not on how topics
+    interleave or how blocks are cut.
+
+    Raises:
+        InputError: The method does not exist.
+        NotObservable: No session of the plan can determine the method's parameters.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        check_plan(setup.method_name, setup.plan, setup.site)
+        self._setup = setup
+        arguments = setup.method_name, setup.terms, setup.changes
+        self._solver = method(*arguments, find_terms=setup.search_terms)
+        self._glance = provisional(*arguments)
+        self._segmenter = Segmenter(setup.imu, setup.table)
+        self._gathered: tuple[tuple[object, ...], Evidence] | None = None
+
+    def feed(self, block: Block) -> None:
+        """Take a block of any topic."""
+        self._segmenter.feed(block)
+
+    def finish(self) -> Result:
+        """End the session and solve.
+
+        Raises:
+            InputError: The data does not agree with the set-up.
+            NotObservable: The data does not determine all parameters; names them and the reason.
+        """
+        session = self._segmenter.finish()
+        refuse_apart(session)
+        with with_facts(session):
+            if session.foreign_joints:
+                raise InputError(session.foreign_joints)
+            return self._solve(session, self._labelled(session), final=True)
+
+    def snapshot(self) -> Calibrator:
+        """Return a calibrator with all data so far; this one continues independently.
+
+        Finishing the snapshot gives the result of a session that ended here.
+        """
+        other = copy.copy(self)
+        other._segmenter = self._segmenter.snapshot()
+        return other
+
+    def review(self) -> Review:
+        """Solve a snapshot, or return what is determined already.
+
+        Terms that were not asked for are searched for only at the end: the search takes several
+        times as long as the estimate, and later data may change what it finds.
+
+        Raises:
+            InputError: The data does not agree with the set-up.
+        """
+        return self._reviewed(final=False)
+
+    def conclude(self) -> Review:
+        """End the session: return the result of `finish`, or how far the session has come.
+
+        Raises:
+            InputError: The data does not agree with the set-up.
+        """
+        return explained(self._reviewed(final=True))
+
+    def _reviewed(self, *, final: bool) -> Review:
+        session = self._segmenter.finish()
+        labelled = self._labelled(session)
+        unsupported = unsupported_steps(session, labelled, self._setup.plan, self._setup.steps)
+        result, refusal = None, ''
+        try:
+            result = self._solve(session, labelled, final=final)
+            found = result.calibration
+            std = dict(zip(found.parameters, found.std.tolist(), strict=True))
+        except NotObservable as error:
+            refusal, std = str(error), self._reached(labelled, session)
+        wanted = self._setup.parameters
+        reached = np.array([std.get(parameter, np.nan) for parameter in wanted])
+        return Review(session, wanted, reached, unsupported, result, refusal)
+
+    def _reached(self, labelled: Labelled, session: Segmented) -> dict[Parameter, float]:
+        """Return the standard deviations of determined parameters, NaN for the rest."""
+        parameters = tuple(p for p in self._setup.parameters if p.row < len(AXES))
+        try:
+            noise_alone = attainable_std(self.evidence(labelled, session), parameters)
+        except NotObservable:
+            return {}
+        setup, ideal = self._setup, SensorModel()
+        relative_std = setup.site.gravity_relative_std
+        share = np.diag(gravity_covariance(ideal, parameters, relative_std))
+        if setup.table is not None:
+            clock = clock_share(ideal, parameters, setup.imu.units, setup.table.clock)
+            share = share + np.diag(clock.covariance)
+        return dict(zip(parameters, np.sqrt(noise_alone**2 + share).tolist(), strict=True))
+
+    def evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
+        """Return a labelled session as input of the method.
+
+        Raises:
+            NotObservable: Neither the data nor the IMU's description determines the noise.
+        """
+        return self._evidence(self._used(labelled), session)
+
+    def _used(self, labelled: Labelled) -> Labelled:
+        """Return the segments that the method uses."""
+        setup = self._setup
+        return labelled.of_plan(setup.plan) if setup.plan_alone else labelled
+
+    def _evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
+        """Collect the evidence; shared if the session contains the plan's positions alone."""
+        setup, parts = self._setup, (labelled.segments, labelled.turns, session)
+        if self._gathered is None or self._gathered[0] != parts:
+            found = Evidence.of(labelled, session, setup.plan, setup.imu, setup.site, setup.table)
+            self._gathered = parts, replace(found, coarse=has_motion_terms(setup.terms))
+        return self._gathered[1]
+
+    def _estimate(
+        self,
+        evidence: Evidence,
+        labelled: Labelled,
+        session: Segmented,
+        solver: Callable[[Evidence], Solution],
+    ) -> tuple[Solution, Comparison | None]:
+        """Solve; for a joint estimate, also by the closed form of the plan.
+
+        Contradictions found by the closed form are refused: a joint estimate could reduce the
+        weight of half of the data until the other half agrees.
+        """
+        name = closed_form_of(self._setup.method_name, self._setup.plan)
+        if name is None:
+            return solver(evidence), None
+        closed: Solution | NotObservable
+        try:
+            closed = method(name)(self._evidence(labelled.of_plan(self._setup.plan), session))
+        except Contradiction:
+            raise
+        except NotObservable as error:
+            closed = error
+        try:
+            solution = solver(evidence)
+        except InputError:
+            # Parameters that part of a session does not determine may have any value.
+            if isinstance(closed, NotObservable):
+                raise closed from None
+            raise
+        if isinstance(closed, NotObservable):
+            return solution, Comparison.refused(name, str(closed))
+        return solution, Comparison.of(solution, closed, name)
+
+    def _labelled(self, session: Segmented) -> Labelled:
+        """Return the session's segments by the names of the plan."""
+        return label(session, self._setup.plan, self._setup.table)
+
+    def _solve(self, session: Segmented, labelled: Labelled, *, final: bool) -> Result:
+        """Solve a labelled session; search for terms only if it is `final`.
+
+        Raises:
+            NotObservable: The data does not determine all parameters; with what was lost.
+        """
+        try:
+            return self._solve_as_stated(session, labelled, final=final)
+        except NotObservable as error:
+            # All else that it says follows from that.
+            degrees = joints_in_degrees(session)
+            refusal = Contradiction(degrees) if degrees else error
+            raise false_samples_first(refusal, session) from None
+        except InputError as error:
+            raise false_samples_first(error, session) from None
+
+    def _solve_as_stated(self, session: Segmented, labelled: Labelled, *, final: bool) -> Result:
+        setup = self._setup
+        used = self._used(labelled)
+        if not used.segments and not used.turns:
+            raise NotObservable(losses_of_all_segments(session, labelled, setup))
+        evidence = self._evidence(used, session)
+        lost = loss_findings(setup, evidence, labelled, session)
+        try:
+            solver = self._solver if final else self._glance
+            solution, comparison = self._estimate(evidence, labelled, session, solver)
+        except NotObservable as error:
+            dead = dead_channels(session)
+            raise type(error)(' '.join([*dead, str(error), *lost])) from None
+        except InputError as error:
+            if dead := dead_channels(session):
+                raise NotObservable(' '.join([*dead, str(error)])) from None
+            raise
+        except np.linalg.LinAlgError as error:
+            # Channels without noise make covariances singular.
+            singular = f'The equations of the session have no solution ({error}).'
+            raise NotObservable(' '.join([*dead_channels(session), singular, *lost])) from None
+        found = Basis(setup, evidence, session, labelled, comparison, tuple(lost), final)
+        return found.concluded(solution)

@@ -1,0 +1,364 @@
+"""Compensate pulses to rates and specific forces, with covariances and marks.
+
+Every sum has a fixed order, so that a sample gives the same bits alone as among a million.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from ..common.errors import NotObservable
+from ..common.stream import Floats, Units
+from ..model.inversion import inverted
+from ..model.model_parameters import Parameter, Product
+from ..model.motion import has_motion_terms
+from ..model.sensors import PRODUCTS, SensorModel, terms_of
+from ..session.imu import FULL_SCALES, NEARLY, TriadSpec
+from .calibration import Calibration
+from .samples import CompensatedSamples, Mark, Marks, concatenated
+from .single_sample import SingleSample
+
+_AXES = 3
+"""X, Y, Z."""
+_LINEAR = tuple(Product(factors) for factors in ((0,), (1,), (2,), (), (3,), (4,), (5,)))
+"""Factors on the errors of the linear model's parameters: rate, one, specific force."""
+
+_ELEMENTS = tuple((i, j) for i in range(_AXES) for j in range(_AXES))
+
+_BEYOND = 1.05
+"""Times the highest rate of the calibration up to which it is taken as valid; a choice."""
+_LARGEST = 1e100
+"""SI: no sensor reads it, and sums of squares and cubes of larger values overflow. A judgement."""
+_PARITY = 6.0
+"""Standard deviations of the parity of four gyros: false in 2e-9 of Gaussian samples."""
+_AT_ONCE = 512
+"""Samples at once: their intermediate arrays fit into a processor's cache."""
+
+_BITS = {mark: np.uint8(mark) for mark in Mark}
+_RATE_UNKNOWN = np.uint8(Mark.GYRO_RANGE | Mark.NO_NUMBER)
+_FORCE_UNKNOWN = np.uint8(Mark.ACCEL_RANGE | Mark.NO_NUMBER)
+
+
+class Compensation:
+    """A calibration prepared for applying.
+
+    f = (I + M_a)^-1 (dW / tau - d_a), w = (I + M_g)^-1 (dTheta / tau - d_g - G f), with dW and
+    dTheta the pulses of one sample times the nominal scale factor and tau the sample interval
+    (Luo 2018, eqs. (2-190) to (2-193)), by the table's clock if the calibration states it. With
+    further terms, the model is inverted for f and w by Newton's method (docs/mathematics.md,
+    'Terms'). With skewed gyros the rate is the least-squares solution of all gyros, weighted by
+    their noise, and the residual is their parity.
+
+    The covariances are those of the calibration, propagated to first order at the rate and force of
+    each sample, plus the noise of one sample: N^2 / tau of the random walk N of the sensors, and of
+    a pulse q (q / tau)^2 / 6, the mean over phases of c (1 - c) (q / tau)^2 for an accumulating
+    counter (docs/mathematics.md, 'Noise of a mean'); of an ADC's step q^2 / 12. For nonlinear
+    terms, the slopes at the sample are used; errors of forces that reach rates through such terms
+    are neglected.
+
+    Args:
+        calibration: What to apply.
+        skewed: Whether samples come with the skewed gyros' values.
+        mark: Added to every sample.
+
+    Attributes:
+        calibration: What is applied.
+        moving: Whether motion terms apply (`in_motion`).
+
+    Raises:
+        NotObservable: I + M is singular.
+    """
+
+    def __init__(self, calibration: Calibration, *, skewed: bool = False, mark: int = 0) -> None:
+        self.calibration = calibration
+        self._units = calibration.imu.units
+        # Rate of the stamping clock over that of the table's.
+        self._clock_ratio = 1.0 if calibration.clock is None else 1 + calibration.clock.faster
+        model, imu = calibration.model, calibration.imu
+        channels = model.skewed if skewed else None
+        specs = [imu.gyro] * 3 + [imu.skewed or imu.gyro] * (len(channels.bias) if channels else 0)
+        self._gyros = len(specs)
+        response = model.gyro.response
+        bias = model.gyro.bias
+        sensitivity = model.g_sensitivity
+        if channels is not None:
+            response = np.vstack([response, channels.response])
+            bias = np.concatenate([bias, channels.bias])
+            sensitivity = np.vstack([sensitivity, np.zeros((len(channels.bias), _AXES))])
+        self._set_channels([*specs, *[imu.accel] * 3], np.concatenate([bias, model.accel.bias]))
+        self._walk = _random_walk(calibration, len(specs))
+        self._power = self._walk**2
+        force = _inverse(model.accel.response, np.ones(_AXES))
+        rate = _inverse(response, self._weights(specs))
+        from_force = -rate @ sensitivity
+        # From all channels to rates and forces in one matrix: a live sample pays for every step.
+        through = from_force @ force
+        nothing = np.zeros((_AXES, len(specs)))
+        self._to_inputs = np.block([[rate, through], [nothing, force]]).T.copy()
+        self._known_force = calibration.has_accelerometers
+        self._model, self._linear = model, model.linear
+        self.moving = has_motion_terms(terms_of(model.parameters))
+        # Without skewed gyros: those to which nonlinear terms apply.
+        six = [*range(_AXES), *range(len(specs), len(specs) + _AXES)]
+        self._orthogonal_channels, self._gain = six, self._to_inputs[six].T.copy()
+        self._levers = _levers(calibration.parameters)
+        self._pairs = tuple(combinations_with_replacement(range(len(self._levers)), 2))
+        # Factors on `_terms`, (t, 18): nine of rate, nine of force.
+        both = ((rate, through), (nothing, force))
+        self._covariance = np.hstack([self._propagated(*of, _ELEMENTS) for of in both])
+        self._parity_vector: Floats | None = None
+        if channels is not None:
+            self._set_parity(response, sensitivity, force)
+        # Without g-sensitivity most levers have no effect.
+        count = len(self._pairs)
+        used = self._covariance[:count].any(axis=1)
+        self._factors = np.ascontiguousarray(np.array(self._pairs)[used].T)
+        self._covariance = np.vstack([self._covariance[:count][used], self._covariance[count:]])
+        self._unmarked = np.full(_AT_ONCE, mark, np.uint8)
+        self._unmarked.flags.writeable = False
+        highest = calibration.provenance.get('highest_rate')
+        self._highest = float('inf') if highest is None else _BEYOND * float(highest)
+        self._single: SingleSample | None = None
+        if channels is None and model.linear and len(self._levers) == len(_LINEAR):
+            self._single = SingleSample(
+                self._units.per_interval,
+                self._clock_ratio,
+                np.column_stack([self._scale, self._bias, self._limit, self._full]).tolist(),
+                self._to_inputs.T.tolist(),
+                self._highest,
+                self._factors.T.tolist(),
+                np.column_stack([self._power, self._quantisation_variance]).tolist(),
+                self._covariance,
+                self._known_force,
+                self._unmarked[:1],
+            )
+
+    def noise(self, interval: Floats) -> Floats:
+        """Return the variances of single samples from noise and quantisation, (n, channels) SI."""
+        return self._noise(interval[:, None] / self._clock_ratio)
+
+    def _noise(self, tau: Floats) -> Floats:
+        """Return the variances of single samples, (n, channels) SI, by (n, 1) intervals, s."""
+        if self._units.per_interval:
+            return np.asarray(self._power / tau + self._quantisation_variance / (tau * tau))
+        return np.asarray(self._power / tau + self._quantisation_variance)
+
+    def apply(
+        self, gyro: Floats, accel: Floats, interval: Floats, skewed: Floats | None = None
+    ) -> CompensatedSamples:
+        """Return rates and specific forces.
+
+        Args:
+            gyro: (n, 3) as the sensor delivers them: pulses, counts or SI.
+            accel: (n, 3) likewise.
+            interval: (n,) sample intervals, s by the clock that stamps the samples.
+            skewed: (n, k) skewed gyros likewise, where the model has any.
+        """
+        if len(interval) == 1 and self._single is not None:
+            alone = self._single.apply([*gyro[0].tolist(), *accel[0].tolist()], interval.item())
+            if alone is not None:
+                return alone
+        triads = [gyro, accel] if skewed is None else [gyro, skewed, accel]
+        raw = np.concatenate(triads, axis=1)
+        if len(raw) <= _AT_ONCE:
+            return self._apply(raw, interval)
+        parts = [
+            self._apply(raw[k : k + _AT_ONCE], interval[k : k + _AT_ONCE])
+            for k in range(0, len(raw), _AT_ONCE)
+        ]
+        return concatenated(parts)
+
+    # Infinite and huge values are marked, without a warning.
+    @np.errstate(invalid='ignore', over='ignore')
+    def _apply(self, raw: Floats, interval: Floats) -> CompensatedSamples:
+        """Compensate raw samples (n, channels) of (n,) intervals, s, by arrays."""
+        tau = interval[:, None] / self._clock_ratio
+        outputs = raw * self._scale
+        if self._units.per_interval:
+            outputs = outputs / tau
+        outputs[np.abs(outputs) >= _LARGEST] = np.nan
+        free = outputs - self._bias
+        both = _mix(free, self._to_inputs)
+        if not self._linear:
+            both = inverted(self._model, both, self._gain)[0]
+            free[:, self._orthogonal_channels] -= self._model.extra(both)
+        rate, force = both[:, :_AXES], both[:, _AXES:]
+        covariance = _mix(self._terms(both, tau), self._covariance)
+        rate_covariance, force_covariance = covariance[:, :9], covariance[:, 9:18]
+        if not self._linear:
+            rate_covariance, force_covariance = self._through_terms(both, covariance[:, :18])
+        marks, parity = self._marks_of(raw, outputs, rate, tau), None
+        if not self._linear:
+            marks = marks | ~np.isfinite(both).all(axis=1) * _BITS[Mark.NO_NUMBER]
+        if self._parity_vector is not None:
+            parity = _mix(free, self._parity_vector)[:, 0]
+            marks = marks | (parity**2 > _PARITY**2 * covariance[:, 18]) * _BITS[Mark.PARITY]
+        if np.count_nonzero(marks):
+            rate_covariance[marks & _RATE_UNKNOWN > 0, 0] = -1.0
+            force_covariance[marks & _FORCE_UNKNOWN > 0, 0] = -1.0
+        if not self._known_force:
+            force_covariance[:, 0] = -1.0
+        return CompensatedSamples(rate, force, rate_covariance, force_covariance, marks, parity)
+
+    def _through_terms(self, both: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+        """Return covariances of rate and force, with the slopes of nonlinear terms applied."""
+        sound = np.isfinite(both).all(axis=1)
+        slopes = np.eye(6) + self._gain @ self._model.extra_slopes(both[sound])
+        result = []
+        for k, part in enumerate((slopes[:, :3, :3], slopes[:, 3:, 3:])):
+            answer = np.linalg.inv(part)
+            nine = covariance[:, 9 * k : 9 * k + 9].copy()
+            square = answer @ nine[sound].reshape(-1, 3, 3) @ np.swapaxes(answer, 1, 2)
+            nine[sound] = square.reshape(-1, 9)
+            result.append(nine)
+        return result[0], result[1]
+
+    def _set_channels(self, specs: list[TriadSpec], bias: Floats) -> None:
+        """Set scale factors, ends of the range and quantisation of the channels."""
+        self._scale = np.array([spec.scale_factor for spec in specs])
+        self._limit = np.minimum(NEARLY * np.array([spec.range for spec in specs]), _LARGEST)
+        rate, force = self.calibration.imu.least_ends
+        self._least_ends = np.repeat([rate, force], [self._gyros, _AXES])
+        self._full = np.array(
+            [self._smallest_full(*of) for of in zip(self._scale, self._least_ends, strict=True)]
+        )
+        self._bias = bias
+        steps = {Units.PULSES: 1 / 6, Units.COUNTS: 1 / 12}
+        self._quantisation_variance = self._scale**2 * steps.get(self._units, 0.0)
+
+    def _smallest_full(self, scale: float, least: float) -> float:
+        """Return the smallest full scale that may be the end of a channel's range."""
+        if not self._units.whole:
+            return np.inf
+        if self._units is Units.PULSES:
+            # What a pulse is in rate follows from the interval.
+            return FULL_SCALES[0]
+        return min((full for full in FULL_SCALES if full * scale >= least), default=np.inf)
+
+    def _weights(self, specs: list[TriadSpec]) -> Floats:
+        """Return the weights of the gyros: by their random walk if known, else equal."""
+        walk = self._walk[: len(specs)]
+        return np.asarray(1 / walk**2 if (walk > 0).all() else np.ones(len(specs)))
+
+    def _set_parity(self, response: Floats, sensitivity: Floats, force: Floats) -> None:
+        """Compute the combination of gyros that does not depend on the rate (CN103697918A)."""
+        vector = np.linalg.svd(response)[0][:, -1]
+        accel = -vector @ sensitivity @ force
+        self._parity_vector = np.concatenate([vector, accel])[:, None]
+        rows = self._propagated(vector[None], accel[None], ((0, 0),))
+        self._covariance = np.hstack([self._covariance, rows])
+
+    def _propagated(
+        self, gyros: Floats, accels: Floats, elements: tuple[tuple[int, int], ...]
+    ) -> Floats:
+        """Return the coefficients of e elements of the covariance (m, m) of an output, (t, e).
+
+        A row per pair of levers, then one per channel's variance. The output takes the errors of
+        the gyro channels by `gyros` (m, channels), those of the accelerometers by `accels` (m, 3).
+        """
+        parameters = self.calibration.parameters
+        square = np.nan_to_num(self.calibration.covariance)
+        effect = np.zeros((len(self._levers), len(gyros), len(parameters)))
+        for k, parameter in enumerate(parameters):
+            reach = gyros if parameter.triad == 'g' else accels
+            # Of skewed gyros that are not in the samples.
+            if parameter.row < reach.shape[1] and not PRODUCTS[parameter].is_zero:
+                effect[self._levers.index(PRODUCTS[parameter]), :, k] = reach[:, parameter.row]
+        spread = np.einsum('amp,pq,bnq->abmn', effect, square, effect)
+        # The sign of the error on the output does not matter in its square.
+        rows = [
+            [spread[a, b, i, j] + (spread[b, a, i, j] if a != b else 0.0) for i, j in elements]
+            for a, b in self._pairs
+        ]
+        noise = np.hstack([gyros, accels]).T
+        rows += [[row[i] * row[j] for i, j in elements] for row in noise]
+        return np.array(rows)
+
+    def _terms(self, both: Floats, tau: Floats) -> Floats:
+        """Return the products of levers and the variances of the channels, (n, t)."""
+        count, linear = self._factors.shape[1], len(_LINEAR)
+        levers = np.empty((len(both), len(self._levers)))
+        levers[:, :_AXES] = both[:, :_AXES]
+        levers[:, _AXES] = 1.0
+        levers[:, _AXES + 1 : linear] = both[:, _AXES:]
+        for k, product in enumerate(self._levers[linear:], linear):
+            levers[:, k] = product.value(both)
+        factors = levers.take(self._factors, axis=1)
+        terms = np.empty((len(both), len(self._covariance)))
+        np.multiply(factors[:, 0], factors[:, 1], out=terms[:, :count])
+        terms[:, count:] = self._noise(tau)
+        return terms
+
+    def _marks_of(self, raw: Floats, outputs: Floats, rate: Floats, tau: Floats) -> Marks:
+        """Return the marks (n,) by range, rate and values that are not finite."""
+        marks = self._unmarked[: len(raw)]
+        size = np.abs(outputs)
+        # Comparisons with NaN are false.
+        sound = size < self._limit
+        sound &= np.abs(raw) < self._full
+        if np.count_nonzero(sound) == sound.size and (
+            self._highest == np.inf or np.count_nonzero(np.abs(rate) <= self._highest) == rate.size
+        ):
+            return marks
+        far = size >= self._limit
+        highest: float | Floats = self._highest
+        if self._units is Units.PULSES:
+            # A counter may read up to one pulse more than the input: one pulse can come at any
+            # rate.
+            far &= np.abs(raw) > 1
+            highest = highest + self._scale[: self._gyros].max() / tau
+        if self._units.whole:
+            far |= np.isin(np.abs(raw), FULL_SCALES) & (size >= self._least_ends)
+        marks = marks | far[:, : self._gyros].any(axis=1) * _BITS[Mark.GYRO_RANGE]
+        marks |= far[:, self._gyros :].any(axis=1) * _BITS[Mark.ACCEL_RANGE]
+        marks |= (np.abs(rate) > highest).any(axis=1) * _BITS[Mark.RATE]
+        marks |= ~np.isfinite(outputs).all(axis=1) * _BITS[Mark.NO_NUMBER]
+        return marks
+
+
+def _levers(parameters: tuple[Parameter, ...]) -> tuple[Product, ...]:
+    """Return the factors on errors of parameters, each once."""
+    products = (PRODUCTS[parameter] for parameter in parameters)
+    return tuple(
+        dict.fromkeys((*_LINEAR, *(product for product in products if not product.is_zero)))
+    )
+
+
+def noise_gains(model: SensorModel) -> tuple[float, float]:
+    """Return the largest amplification of noise by compensation: gyros, accelerometers."""
+    gyro, accel = (
+        float(np.linalg.norm(np.linalg.inv(triad.response), axis=1).max())
+        for triad in (model.gyro, model.accel)
+    )
+    return gyro, accel
+
+
+def _mix(columns: Floats, matrix: Floats) -> Floats:
+    """Return (n, k) columns times (k, m), summed column by column.
+
+    A BLAS product of many rows may round differently from that of one.
+    """
+    products = columns.T[:, :, None] * matrix[:, None, :]
+    return np.asarray(np.add.reduce(products, axis=0))
+
+
+def _inverse(response: Floats, weights: Floats) -> Floats:
+    """Return the weighted least-squares inverse of (m, 3) responses, (3, m)."""
+    weighted = response * weights[:, None]
+    try:
+        if len(response) == _AXES:
+            return np.asarray(np.linalg.inv(response))
+        return np.asarray(np.linalg.solve(response.T @ weighted, weighted.T))
+    except np.linalg.LinAlgError:
+        raise NotObservable('The model cannot be inverted: I + M is singular.') from None
+
+
+def _random_walk(calibration: Calibration, gyros: int) -> Floats:
+    """Return the random walk of every channel; zero if it is unknown.
+
+    A calibration does not hold that of a skewed gyro: the mean of the three is used.
+    """
+    walk = np.nan_to_num(calibration.sensor_walk)
+    return np.concatenate([walk[:3], np.full(gyros - _AXES, walk[:3].mean()), walk[3:]])

@@ -1,0 +1,377 @@
+"""Compensate the streams of a unit: blocks in, rates and forces out, live as offline."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
+from ..segmentation.shared_stamps import SharedStamps
+from .calibration import Calibration
+from .compensate import Compensation
+from .gravity_seen import GravitySeen
+from .in_motion import Applied, InMotion
+from .sample_clock import SampleClock, Times
+from .samples import CompensatedSamples, Mark, concatenated
+from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_range
+
+_LAG = 500_000_000
+"""ns after its stamp from which a temperature is used: it has arrived by then, live as in bulk."""
+_PATIENCE = 50_000_000
+"""ns that a sample waits for the skewed gyro's: fifty samples at 1 kHz."""
+_MOST_WAITING = 1 << 16
+"""Samples held while waiting for a temperature or a skewed gyro: a minute at 1 kHz."""
+_STEP = 0.01
+"""K: smaller changes of temperature are ignored."""
+_NO_NUMBER = np.uint8(Mark.NO_NUMBER)
+
+
+# Not frozen, like its values: one is made for each live sample.
+@dataclass(eq=False)
+class Reading:
+    """Consecutive samples with one frame, compensated.
+
+    Attributes:
+        stamp: (n,) ns: header stamps as received; sampling times of samples that came in bunches
+            and, in bulk, of those that came late.
+        values: Compensated rates and forces.
+        frame_id: As received.
+    """
+
+    stamp: Stamps
+    values: CompensatedSamples
+    frame_id: str
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    @property
+    def numbers(self) -> NDArray[np.bool_]:
+        """Mask of samples that may be published, (n,): NaN would persist in a filter's state."""
+        return np.asarray((self.values.marks & _NO_NUMBER) == 0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Timed:
+    """Samples whose intervals are known."""
+
+    block: ImuBlock
+    interval: Floats
+    instant: Stamps
+
+    def cut(self, start: int, stop: int) -> _Timed:
+        part = slice(start, stop)
+        return _Timed(_rows(self.block, start, stop), self.interval[part], self.instant[part])
+
+
+class Compensator:
+    """Apply a calibration to the streams of a unit.
+
+    The output depends on the sequence of every topic and its stamps. A temperature counts for
+    samples stamped half a second after it and later, so that live streams have received it by then;
+    the first counts for all before. If a calibration depends on the temperature, samples wait for
+    the first one. A skewed gyro's value belongs to the sample of the same stamp; after 50 ms a
+    sample is compensated without it. The other topics of a recording are therefore fed before its
+    samples. Repeated samples are dropped. If places or delay of the accelerometers are calibrated,
+    a sample waits for the next one (`in_motion`).
+
+    Args:
+        calibration: Single or combined.
+        instants: Sampling times of the coming samples, (n,) ns without repeats, if known beforehand
+            (`whole_stream`); None: inferred from their stamps as they come.
+
+    Raises:
+        NotObservable: It cannot be inverted.
+
+    Attributes:
+        celsius: The latest temperature, degrees Celsius; NaN before the first.
+        counts: Number of samples with each `Mark`.
+        gravity: What the accelerometers read.
+        dropped: Samples that waited too long for the first temperature, or could not be timed.
+        alone: Samples compensated without the expected value of a skewed gyro.
+        repeats: Repeated samples.
+        kept: Mask of samples of the last block that are no repeats, (n,); None if all.
+    """
+
+    def __init__(self, calibration: AnyCalibration, instants: Stamps | None = None) -> None:
+        self.celsius = float('nan')
+        self.counts: Counter[Mark] = Counter()
+        self.gravity = GravitySeen()
+        self.alone = self.repeats = 0
+        self.kept: NDArray[np.bool_] | None = None
+        self._instants, self._used_instants = instants, 0
+        self._dropped = 0
+        rate = first_of(calibration).imu.sample_rate
+        self._clock = SampleClock(rate)
+        self._shared, self._skew_shared = SharedStamps(rate), SharedStamps(rate)
+        self._untimed: list[ImuBlock] = []
+        self._timed: list[_Timed] = []
+        self._skewed: list[SkewBlock] = []
+        self._temperatures: list[tuple[int, float]] = []
+        self._used: float | None = None
+        self._mark = 0
+        self._in_motion = InMotion()
+        self.replace(calibration)
+
+    def replace(self, calibration: AnyCalibration) -> None:
+        """Use another calibration from the next sample on.
+
+        Raises:
+            NotObservable: It cannot be inverted; the one before stays.
+        """
+        single = first_of(calibration)
+        ready = {skewed: Compensation(single, skewed=skewed) for skewed in _ways(single)}
+        self._calibration = calibration
+        self._range = temperature_range(calibration)
+        self._ready = ready
+        self._takes_skewed = single.model.skewed is not None
+        # Pulses become rates, and motion terms differences, by the time between samples.
+        moving = any(one.moving for one in ready.values())
+        self._clock.required = single.imu.units.per_interval or moving
+        celsius, self._used = self._used, None
+        if celsius is not None:
+            self._use(celsius)
+
+    @property
+    def calibration(self) -> AnyCalibration:
+        """The calibration in use."""
+        return self._calibration
+
+    @property
+    def waiting(self) -> int:
+        """Number of samples received and not yet returned."""
+        waiting = sum(map(len, self._untimed)) + sum(len(t.interval) for t in self._timed)
+        return waiting + self._in_motion.waiting
+
+    @property
+    def waits_for_temperature(self) -> bool:
+        """Whether output waits for the first temperature."""
+        return isinstance(self._calibration, ThermalCalibration) and self._used is None
+
+    @property
+    def dropped(self) -> int:
+        """Number of samples that will not be returned."""
+        return self._dropped + self._clock.lost
+
+    @property
+    def untimed(self) -> int:
+        """Number of samples whose interval is not known, and that need none."""
+        return self._clock.untimed
+
+    @property
+    def period(self) -> float:
+        """Sample interval, s; 0 before it is known."""
+        return self._clock.typical
+
+    @property
+    def irregular_steps(self) -> int:
+        """Number of steps between stamps that are no sample interval."""
+        return self._clock.irregular_steps
+
+    def take(self, block: Block) -> list[Reading]:
+        """Take a block of any topic; return the samples that are ready."""
+        if isinstance(block, TemperatureBlock):
+            self._take_temperature(block)
+        elif isinstance(block, SkewBlock):
+            if self._takes_skewed and len(block):
+                stamp, gyro, _ = self._skew_shared.take(block.stamp, block.gyro[:, None])
+                self._skewed.append(SkewBlock(stamp, gyro[:, 0]))
+                del self._skewed[:-_MOST_WAITING]
+        elif isinstance(block, ImuBlock) and len(block):
+            block = self._without_repeats(block)
+            lost = self._clock.lost
+            times = self._clock.take(self._made(block.stamp))
+            if len(times.interval) == len(block) and self._nothing_waits:
+                values = self._compensated(block, times.interval)
+                return [Reading(times.instant, values, block.frame_id)] if len(block) else []
+            self._untimed.append(block)
+            self._time(times, self._clock.lost - lost)
+        return self._release(last=False)
+
+    def finish(self) -> list[Reading]:
+        """End all topics: return the waiting samples."""
+        lost = self._clock.lost
+        times = self._clock.finish()
+        self._time(times, self._clock.lost - lost)
+        return self._release(last=True)
+
+    def _without_repeats(self, block: ImuBlock) -> ImuBlock:
+        """Separate samples that share a stamp; drop repeated ones."""
+        values = np.concatenate([block.gyro, block.accel], axis=1)
+        stamp, self.kept = self._shared.separate_stamps(block.stamp, values)
+        if self.kept is None:
+            return block if stamp is block.stamp else replace(block, stamp=stamp)
+        kept = self.kept
+        self.repeats += int(np.count_nonzero(~kept))
+        return ImuBlock(stamp[kept], block.gyro[kept], block.accel[kept], block.frame_id)
+
+    def _made(self, stamp: Stamps) -> Stamps:
+        """Return the sampling times known beforehand, (n,) ns."""
+        if self._instants is None:
+            return stamp
+        first = self._used_instants
+        self._used_instants += len(stamp)
+        return self._instants[first : self._used_instants]
+
+    @property
+    def _nothing_waits(self) -> bool:
+        """Whether a timed sample is returned at once: the usual state of a live stream."""
+        return not (
+            self._untimed
+            or self._timed
+            or self._temperatures
+            or self._takes_skewed
+            or self.waits_for_temperature
+            or self._in_motion.waiting
+            or self._ready[False].moving
+        )
+
+    def _use(self, celsius: float) -> None:
+        """Prepare for a temperature, unless already prepared for it."""
+        if self._used is not None and abs(celsius - self._used) < _STEP:
+            return
+        low, high = self._range
+        mark = 0 if low <= celsius <= high else int(Mark.TEMPERATURE)
+        single = self._calibration
+        if isinstance(single, ThermalCalibration):
+            single = single.at(celsius)
+        elif self._used is not None and mark == self._mark:
+            self._used = celsius
+            return
+        self._mark, self._used = mark, celsius
+        self._ready = {s: Compensation(single, skewed=s, mark=mark) for s in _ways(single)}
+
+    def _take_temperature(self, block: TemperatureBlock) -> None:
+        """Keep a temperature until samples half a second younger come."""
+        sound = np.isfinite(block.celsius)
+        for stamp, celsius in zip(
+            block.stamp[sound].tolist(), block.celsius[sound].tolist(), strict=True
+        ):
+            self.celsius = celsius
+            self._temperatures.append((stamp + _LAG, celsius))
+
+    def _time(self, times: Times, lost: int) -> None:
+        """Assign times to the oldest samples; drop the lost ones before them."""
+        intervals, instants = times
+        while self._untimed and (lost or len(intervals)):
+            block = self._untimed.pop(0)
+            skip = min(lost, len(block))
+            count = min(len(intervals), len(block) - skip)
+            lost -= skip
+            if count:
+                rows = _rows(block, skip, skip + count)
+                self._timed.append(_Timed(rows, intervals[:count], instants[:count]))
+                intervals, instants = intervals[count:], instants[count:]
+            if skip + count < len(block):
+                self._untimed.insert(0, _rows(block, skip + count, len(block)))
+
+    def _release(self, *, last: bool) -> list[Reading]:
+        """Return the samples for which all other topics have arrived; all of them at the `last`."""
+        if self.waits_for_temperature and not self._temperatures:
+            self._hold(last=last)
+            return []
+        if self._used is None and self._temperatures:
+            self._use(self._temperatures.pop(0)[1])
+        applied: list[Applied] = []
+        while self._timed:
+            timed = self._timed[0]
+            count = len(timed.interval) if last else self._ready_count(timed.block.stamp)
+            if not count:
+                break
+            self._timed.pop(0)
+            if count < len(timed.interval):
+                self._timed.insert(0, timed.cut(count, len(timed.interval)))
+            for one in self._by_temperature(timed.cut(0, count)):
+                applied += self._in_motion.take(one)
+        if last:
+            applied += self._in_motion.finish()
+        return [Reading(one.stamp, one.values, one.frame_id) for one in applied]
+
+    def _hold(self, *, last: bool) -> None:
+        """Hold the latest samples until a temperature comes; drop the oldest beyond the limit."""
+        while self._timed and (last or self.waiting > _MOST_WAITING):
+            self._dropped += len(self._timed.pop(0).interval)
+
+    def _ready_count(self, stamp: Stamps) -> int:
+        """Return the number of oldest samples for which all other topics have arrived."""
+        if not self._takes_skewed:
+            return len(stamp)
+        newest = int(self._timed[-1].block.stamp[-1]) - _PATIENCE
+        if self._skewed:
+            newest = max(newest, int(self._skewed[-1].stamp[-1]))
+        late = np.flatnonzero(stamp > newest)
+        return int(late[0]) if len(late) else len(stamp)
+
+    def _by_temperature(self, timed: _Timed) -> list[Applied]:
+        """Compensate samples, each at its temperature."""
+        applied = []
+        while self._temperatures and len(timed.interval):
+            since, celsius = self._temperatures[0]
+            beyond = np.flatnonzero(timed.block.stamp >= since)
+            if not len(beyond):
+                break
+            first = int(beyond[0])
+            applied.append(self._applied(timed.cut(0, first)))
+            timed = timed.cut(first, len(timed.interval))
+            self._temperatures.pop(0)
+            self._use(celsius)
+        applied.append(self._applied(timed))
+        return applied
+
+    def _applied(self, timed: _Timed) -> Applied:
+        block, interval = timed.block, timed.interval
+        values = self._compensated(block, interval)
+        return Applied(timed.instant, values, block.frame_id, interval, self._ready[False])
+
+    def _compensated(self, block: ImuBlock, interval: Floats) -> CompensatedSamples:
+        if not self._takes_skewed or not len(block):
+            values = self._ready[False].apply(block.gyro, block.accel, interval)
+        else:
+            values = self._with_skewed(block, interval)
+        self.gravity.take(values)
+        if np.count_nonzero(values.marks):
+            for mark in Mark:
+                self.counts[mark] += int(np.count_nonzero(values.marks & mark))
+        return values
+
+    def _with_skewed(self, block: ImuBlock, interval: Floats) -> CompensatedSamples:
+        """Compensate with the skewed gyro where it has a value of the same stamp."""
+        stamp, gyro = self._skewed_until(int(block.stamp[-1]))
+        place = np.minimum(np.searchsorted(stamp, block.stamp), max(len(stamp) - 1, 0))
+        there = stamp[place] == block.stamp if len(stamp) else np.zeros(len(block), np.bool_)
+        self.alone += int((~there).sum())
+        edges = [0, *(np.flatnonzero(np.diff(there)) + 1).tolist(), len(block)]
+        parts = []
+        for first, end in pairwise(edges):
+            run = slice(first, end)
+            fourth = gyro[place[run]][:, None] if there[first] else None
+            way = self._ready[fourth is not None]
+            parts.append(way.apply(block.gyro[run], block.accel[run], interval[run], fourth))
+        return concatenated(parts)
+
+    def _skewed_until(self, end: int) -> tuple[Stamps, Floats]:
+        """Return and remove the skewed gyro's samples up to a stamp."""
+        stamps, values = [np.empty(0, np.int64)], [np.empty(0)]
+        while self._skewed and int(self._skewed[0].stamp[0]) <= end:
+            block = self._skewed.pop(0)
+            count = int(np.searchsorted(block.stamp, end, side='right'))
+            stamps.append(block.stamp[:count])
+            values.append(block.gyro[:count])
+            if count < len(block):
+                self._skewed.insert(0, SkewBlock(block.stamp[count:], block.gyro[count:]))
+        return np.concatenate(stamps), np.concatenate(values)
+
+
+def _ways(calibration: Calibration) -> tuple[bool, ...]:
+    return (False,) if calibration.model.skewed is None else (False, True)
+
+
+def _rows(block: ImuBlock, start: int, stop: int) -> ImuBlock:
+    if start == 0 and stop == len(block):
+        return block
+    rows = slice(start, stop)
+    return ImuBlock(block.stamp[rows], block.gyro[rows], block.accel[rows], block.frame_id)

@@ -1,0 +1,392 @@
+"""Calibrate a unit in free positions from a recording or a live stream."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..common.errors import InputError, NotObservable
+from ..common.stream import Block, Floats, ImuBlock, TemperatureBlock, Units
+from ..common.units import DEG, STANDARD_GRAVITY, counted
+from ..estimation.checks import far_scales
+from ..estimation.evidence import Evidence
+from ..estimation.hand import (
+    FEWEST,
+    FREE,
+    NAME,
+    FreeFit,
+    is_clear,
+    scatter_words,
+    solve,
+    term_words,
+)
+from ..estimation.methods import estimated_parameters
+from ..estimation.output_noise import known_noise, walk_of_sensors, with_own_noise
+from ..estimation.setup import Setup
+from ..estimation.solution import Residual, Solution
+from ..model.model_parameters import PARAMETERS
+from ..model.sensors import SensorModel, gravity_covariance
+from ..segmentation.clock import NO_CLOCK
+from ..segmentation.labelling import Labelled
+from ..segmentation.moves import COARSE, MISSING, SATURATED
+from ..segmentation.segmenter import Segmenter
+from ..segmentation.segments import Segment
+from ..segmentation.stream_facts import Move, Segmented
+from ..session.imu import SCALE_LIMIT
+from .calibration import BY_ACCELEROMETERS
+from .calibrator_provenance import provenance
+from .calibrator_results import Result, Review, calibrated
+from .guidance import CHECKED, HOLD_SECONDS, Guidance, Stage, guide
+from .losses import false_samples_first
+from .results import dead_channels, explained, refuse_apart, with_facts
+
+_LEAST_STD = np.repeat([1e-9, 1e-7], 3)
+"""rad/s and m/s^2: least std assumed for numbers without noise, for the conditioning of the solver.
+After a hold, the std of the best shipped units is 300 times larger."""
+_LOST = 100.0
+"""Ratio of the variance from lost samples in a turn to all its other variance above which the turn
+is not used: with ten times the std, it has a hundredth of the information of others."""
+
+_NEARLY_NONE = 0.05
+"""Of gravity: as in `segmentation.gravity_removed`."""
+_REMEDIES = {
+    SATURATED: ': turn more slowly, or set a wider range',
+    COARSE: ': turn more slowly, or check the unit of the gyros',
+}
+"""Remedy for each reason for which a turn is lost."""
+
+_NOISE = (
+    "The noise of the sensors is unknown, and the IMU's file does not state it: hold the unit "
+    'still for a minute.'
+)
+_FRAME = (
+    'Frame of the result: X along the input axis of accelerometer x, the input axis of '
+    'accelerometer y in the plane of X and Y (E_axy, E_axz and E_ayz are zero by that choice).'
+)
+
+
+@dataclass(frozen=True, eq=False)
+class HandReview(Review):
+    """How far a session in the hand has come, and what to do next.
+
+    Attributes:
+        guidance: Guidance for the user.
+    """
+
+    guidance: Guidance
+
+
+class HandCalibrator:
+    """Collect blocks as they come, like `Calibrator`, and solve on request.
+
+    Setpoints and joint states do not apply to a unit held by hand: they are ignored.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._segmenter = Segmenter(setup.imu, None)
+
+    def feed(self, block: Block) -> None:
+        """Take a block."""
+        if isinstance(block, ImuBlock | TemperatureBlock):
+            self._segmenter.feed(block)
+
+    def finish(self) -> Result:
+        """End the session and solve.
+
+        Raises:
+            InputError: The outputs are not in the units that the IMU's description states.
+            NotObservable: The data does not determine all parameters; names them and the reason.
+        """
+        session = self._segmenter.finish()
+        refuse_apart(session)
+        with with_facts(session):
+            return self._solve(session)
+
+    def segmented(self) -> Segmented:
+        """End the session: return the contents of its streams, solved or not."""
+        return self._segmenter.finish()
+
+    def refusal(self, session: Segmented) -> str:
+        """Return why a result of `segmented` gives no calibration; empty if it does."""
+        try:
+            if not (session.segments and is_clear(self.evidence(session))):
+                self._solve(session)
+        except (InputError, NotObservable) as error:
+            return str(false_samples_first(error, session))
+        return ''
+
+    def evidence(self, session: Segmented) -> Evidence:
+        """Return the holds of a session and the turns between them as input of `solve`.
+
+        Raises:
+            NotObservable: Neither they nor the IMU's description determine the noise.
+        """
+        return self._evidence(session.segments, session.moves)
+
+    def _solve(self, session: Segmented) -> Result:
+        try:
+            return self._solve_as_read(session)
+        except (InputError, NotObservable) as error:
+            raise false_samples_first(error, session) from None
+
+    def _solve_as_read(self, session: Segmented) -> Result:
+        lost = [*self._other_offsets(), *(f'{loss}.' for loss in session.losses)]
+        if not session.segments:
+            if other := self._other_length():
+                raise InputError(other)
+            text = f'The unit never stood still in {session.duration:.0f} s: there is no hold.'
+            raise NotObservable(' '.join([text, *self._least_motion(), *lost]))
+        evidence = self.evidence(session)
+        try:
+            fit = solve(evidence)
+        except NotObservable as error:
+            self._refuse_other_lengths(evidence)
+            few = self._least_motion() if len(evidence.segments) < FEWEST else []
+            few += _lost_turns(evidence, session)
+            dead = dead_channels(session)
+            raise NotObservable(' '.join([*dead, str(error), *few, *lost])) from None
+        return self._result(session, evidence, fit)
+
+    def _refuse_other_lengths(self, evidence: Evidence) -> None:
+        """Refuse holds at which the accelerometers do not read gravity in any unit.
+
+        Applied to sessions that cannot be solved: the others are judged by their solution.
+        """
+        forces = np.array([s.statistics.mean[3:] for s in evidence.segments])
+        length = float(np.median(np.linalg.norm(forces, axis=1)))
+        if text := self._not_gravity(length, 'at rest'):
+            raise InputError(text)
+
+    def _other_length(self) -> str:
+        """Return why no hold can be found: by its description the unit does not read gravity.
+
+        A hand does not move so that the mean over the quietest two seconds is off by as much.
+        """
+        seen = self._segmenter.quietest
+        return '' if seen is None else self._not_gravity(seen.length, 'in the quietest two seconds')
+
+    def _not_gravity(self, force: float, when: str) -> str:
+        """Return why a mean force, m/s^2, is not gravity in the stated units; empty if it is."""
+        length = force / self._setup.site.gravity
+        if 1 / SCALE_LIMIT < length < SCALE_LIMIT:
+            return ''
+        counts = self._setup.imu.units is Units.COUNTS
+        zero = ', and that counts are those from zero (an ADC has it in the middle: subtract it)'
+        removed = ' Near 0 gravity may have been removed: record the accelerometers themselves.'
+        return (
+            f'The accelerometers {when} read {length:.3g} times the gravity of the site: check '
+            'that the columns are those of the accelerometers, and that the units or the scale '
+            f"factor of the IMU's description are those of the recording{zero if counts else ''}."
+            f'{removed if length < _NEARLY_NONE else ""}'
+        )
+
+    def _least_motion(self) -> list[str]:
+        """Return the least motion of the unit and a remedy, if there are too few holds."""
+        seen = self._segmenter.quietest
+        if seen is None:
+            return ['Less than 2 s of data were received: record a session of a minute or more.']
+        return [
+            'In the quietest two seconds the means of a tenth of a second deviated by '
+            f'{seen.rate / DEG:.2g} deg/s and {seen.force / STANDARD_GRAVITY:.2g} g from their '
+            f'mean; a hold keeps within {seen.tolerance.rate / DEG:.2g} deg/s of the rate at rest '
+            f'and {seen.tolerance.force / STANDARD_GRAVITY:.2g} g, by the noise of this session, '
+            f'for a second or more. Hold the unit still for {HOLD_SECONDS:.0f} s in each attitude, '
+            'the hand propped on something firm, and turn it by a quarter turn or more between.'
+        ]
+
+    def _other_offsets(self) -> list[str]:
+        """Report further rates at which the gyros stood: of two, one is not that at rest."""
+        return [
+            f'In {attitudes} attitudes the gyros stood at a rate that differs from that at rest by '
+            f'up to {np.abs(apart).max() / DEG:.2g} deg/s: their biases stepped (a restart, '
+            'another range, an automatic zero), or the unit turned evenly. Holds at one rate may '
+            'count as turned, and the biases are those of the holds that were found. Switch '
+            'automatic zeros off, and record the session in one run of the unit.'
+            for apart, attitudes in self._segmenter.other_offsets
+        ]
+
+    def snapshot(self) -> HandCalibrator:
+        """Return a calibrator with all data so far; this one continues independently."""
+        other = copy.copy(self)
+        other._segmenter = self._segmenter.snapshot()
+        return other
+
+    def review(self) -> HandReview:
+        """Solve a snapshot; return how far the session has come and what to do next."""
+        session = self._segmenter.finish()
+        still = self._segmenter.still
+        result, refusal = None, ''
+        try:
+            result = self._solve(session)
+        except (InputError, NotObservable) as error:
+            # Part of a session may look like data in other units.
+            refusal = str(error)
+        # Further holds do not reduce the uncertainty of gravity: guidance counts noise alone.
+        reached = None if result is None else result.solution.std[: len(PARAMETERS)][FREE]
+        guidance = self._guidance(session, still, reached)
+        if not session.segments and (other := self._other_length()):
+            guidance = replace(guidance, stage=Stage.HOLD, text=other)
+        relative_std = self._setup.site.gravity_relative_std
+        share = np.diag(gravity_covariance(SensorModel(), PARAMETERS, relative_std))
+        std = np.sqrt(guidance.std**2 + share)[FREE]
+        if result is not None:
+            std = result.calibration.std[: len(PARAMETERS)][FREE]
+        return HandReview(session, estimated_parameters(NAME), std, (), result, refusal, guidance)
+
+    def conclude(self) -> HandReview:
+        """End of the session: `review` solves it as `finish` does."""
+        return explained(self.review())
+
+    def _guidance(
+        self, session: Segmented, still: tuple[int, int] | None, reached: Floats | None
+    ) -> Guidance:
+        segments = session.segments
+        holding = None
+        if still is not None:
+            since, until = still
+            holding = (until - since) * 1e-9
+            if holding < HOLD_SECONDS:
+                # A hold that has not ended does not count yet.
+                segments = tuple(s for s in segments if s.end <= since)
+        try:
+            evidence = self._evidence(segments, session.moves)
+        except NotObservable:
+            guidance = guide(self._evidence((), ()), holding=holding)
+            return replace(guidance, stage=Stage.HOLD, text=_NOISE)
+        return guide(evidence, holding=holding, reached=reached)
+
+    def _evidence(self, segments: Sequence[Segment], moves: Sequence[Move]) -> Evidence:
+        """Return the evidence of numbered holds and the turns between them."""
+        setup = self._setup
+        holds = tuple(
+            replace(
+                s,
+                position=str(k + 1),
+                statistics=replace(
+                    s.statistics,
+                    quantisation_variance=s.statistics.quantisation_variance + _LEAST_STD**2,
+                ),
+            )
+            for k, s in enumerate(segments)
+        )
+        holds = with_own_noise(holds)
+        walk, freedom = known_noise(holds, setup.imu) if holds else (np.zeros(6), np.full(6, 1.0))
+        evidence = Evidence(
+            holds,
+            (),
+            setup.plan,
+            setup.site,
+            NO_CLOCK,
+            None,
+            walk,
+            walk_freedom=freedom,
+            moves=tuple(moves),
+            units=setup.imu.units,
+            free=True,
+        )
+        links, variances = evidence.used_moves.linked, evidence.used_moves.variances(walk)[:, :3]
+        kept = tuple(
+            link.move
+            for link, variance in zip(links, variances, strict=True)
+            if link.move.filled <= _LOST * (variance.mean() - link.move.filled)
+            # A hold that slides is in another attitude at its end.
+            and not (holds[link.first].sliding or holds[link.second].sliding)
+        )
+        return replace(evidence, moves=kept)
+
+    def _result(self, session: Segmented, evidence: Evidence, fit: FreeFit) -> Result:
+        """Return a fit as a result, with its findings and provenance."""
+        setup = self._setup
+        segments, turns = evidence.segments, len(evidence.used_moves)
+        std = np.sqrt(evidence.variances())
+        residuals = tuple(
+            Residual(str(s.position), s.start, value, deviation)
+            for s, value, deviation in zip(segments, fit.residuals, std, strict=True)
+        )
+        findings = [_FRAME, *far_scales(fit.model), *term_words(fit), *scatter_words(fit)]
+        if len(segments) < CHECKED:
+            findings.append(
+                f'{len(segments)} holds are few: {CHECKED} or more, in attitudes of their own, '
+                'make standard deviations smaller, and show a hold that was none.'
+            )
+        findings += _lost_turns(evidence, session)
+        if fit.rejected_moves:
+            names = ', '.join(f'{k + 1} to {k + 2}' for k in fit.rejected_moves)
+            findings.append(f'Outliers, left out: turns from hold {names}.')
+        findings += [*_noisy_holds(evidence), *self._other_offsets()]
+        findings += [f'{loss}.' for loss in session.losses]
+        solution = Solution(
+            fit.model,
+            fit.covariance,
+            residuals,
+            azimuth=float('nan'),
+            azimuth_std=float('inf'),
+            earth_up=float('nan'),
+            earth_up_std=float('inf'),
+            condition=fit.condition,
+            findings=tuple(findings),
+            parameters=fit.parameters,
+            shares=fit.shares,
+            changes=fit.changes,
+            tests=fit.tests,
+        )
+        origin = provenance(setup, evidence, session, solution)
+        origin['turns'] = turns
+        walk = walk_of_sensors(segments, setup.imu)
+        origin['frame'] = BY_ACCELEROMETERS
+        origin['sensor_random_walk'] = [float(v) if np.isfinite(v) else None for v in walk]
+        # The attitudes of a free-position plan are proposals: none can be missing.
+        origin.pop('missing_positions', None)
+        calibration = calibrated(setup, solution, origin, solution.findings)
+        noise = calibration.unknown_noise
+        calibration = replace(calibration, findings=(*calibration.findings, *noise))
+        return Result(calibration, solution, session, Labelled(segments, (), session.rejected))
+
+
+def _lost_turns(evidence: Evidence, session: Segmented) -> list[str]:
+    """List the turns between holds that are not used, with reason and remedy."""
+    segments = evidence.segments
+    linked = {link.first for link in evidence.used_moves.linked}
+    why = {lost.start: lost.reason for lost in session.lost_moves}
+    lost = [k for k in range(len(segments) - 1) if k not in linked]
+    if not lost:
+        return []
+    by_reason: dict[str, list[str]] = {}
+    for k in lost:
+        between = f'{segments[k].position} to {segments[k + 1].position}'
+        slid = [str(s.position) for s in segments[k : k + 2] if s.sliding]
+        reason = f'the unit slid at hold {slid[0]}' if slid else MISSING
+        by_reason.setdefault(why.get(segments[k].end, reason), []).append(between)
+    reasons = '; '.join(
+        f'from hold {", ".join(turns)} ({reason}{_REMEDIES.get(reason, "")})'
+        for reason, turns in by_reason.items()
+    )
+    verb = 'is' if len(lost) == 1 else 'are'
+    return [f'{counted(len(lost), "turn")} {verb} lost, and the gyros know less: {reasons}.']
+
+
+def _noisy_holds(evidence: Evidence) -> list[str]:
+    """List the holds with excess accelerometer noise, and by how much."""
+    names: list[str] = []
+    times: list[float] = []
+    for hold in evidence.segments:
+        if hold.excess_covariance is None:
+            continue
+        usual = float((evidence.walk[3:] ** 2 * hold.statistics.walk_gain[3:]).mean())
+        times.append(
+            float(np.sqrt(1 + float(np.linalg.eigvalsh(hold.excess_covariance)[-1]) / usual))
+        )
+        names.append(str(hold.position))
+    if not names:
+        return []
+    at = f'hold {names[0]}' if len(names) == 1 else f'holds {", ".join(names)}'
+    least, most = f'{min(times):.2g}', f'{max(times):.2g}'
+    size = most if least == most else f'{least} to {most}'
+    return [
+        f'The noise of the accelerometers at {at} is {size} times that at the others (the unit '
+        f'swayed): {"it counts" if len(names) == 1 else "they count"} less.'
+    ]

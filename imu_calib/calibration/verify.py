@@ -1,0 +1,409 @@
+"""The acceptance test of a calibration: PASS, MARGINAL or FAIL, with the symptom.
+
+A calibration passes if the data agrees with it within the covariance of its parameters, the noise
+of the session, and tilt and azimuth of the table. The limits are false-alarm probabilities of a
+session of sound data: one in a hundred for MARGINAL, one in a million for FAIL, shared among all
+compared quantities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+import scipy
+
+from ..common.stream import Floats
+from ..common.units import DEG, counted
+from ..estimation.free_dwells import Sensors, Up, noise_at_rest
+from ..estimation.observed import Observed
+from ..estimation.system import Fit, TriadSystem, factor_of
+from ..model.earth import Site
+from ..model.model_parameters import Parameter, indices_of
+from ..model.motion import has_motion_terms
+from ..model.parameters import ParameterKind
+from ..model.sensors import SensorModel, gravity_covariance, terms_of
+from ..model.session_terms import Course
+from ..segmentation.stream_facts import Move
+from .calibration import Calibration
+from .comparison import ComparedQuantity, compare
+from .diagnosis import Diagnosis, diagnose, with_true_noise
+from .gravity import same_place, without_gravity
+
+DOUBT, REJECTION = 1e-2, 1e-6
+"""Probabilities of a false alarm in a session of sound data. A choice: a doubt in one check of a
+hundred, and practically no false rejection."""
+
+
+_Considered = tuple[tuple[Parameter, float], ...]
+"""Parameters and standard deviations."""
+
+_TOO_WIDE = 5.0
+"""Times the stated scatter: wider limits would accept a wrong latitude."""
+
+
+class Verdict(IntEnum):
+    """The outcome, better ones first."""
+
+    PASS = 0
+    MARGINAL = 1
+    FAIL = 2
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+_OUTCOMES = {
+    Verdict.PASS: 'ACCEPTED: the recording is consistent with the calibration.',
+    Verdict.MARGINAL: (
+        'MARGINAL, accepted: the recording casts doubt on the calibration but does not '
+        'contradict it. Verify with another one: one sound session in a hundred is marginal by '
+        'chance, two in a row are not.'
+    ),
+    Verdict.FAIL: 'REJECTED: the recording contradicts the calibration.',
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Result for the gyros or the accelerometers.
+
+    Attributes:
+        gyros: Whether it is of the gyros.
+        verdict: The outcome.
+        chi_square: Chi-square of all their equations.
+        freedom: Its degrees of freedom.
+        diagnosis: What is wrong; None unless rejected.
+    """
+
+    gyros: bool
+    verdict: Verdict
+    chi_square: float
+    freedom: int
+    diagnosis: Diagnosis | None
+
+    def __str__(self) -> str:
+        """Return the result in one line."""
+        return (
+            f'{"gyros" if self.gyros else "accelerometers"}: {self.verdict}, chi-square '
+            f'{self.chi_square:.1f} with {self.freedom} degrees of freedom'
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values, SI units."""
+        found = self.diagnosis
+        return {
+            'sensors': 'gyros' if self.gyros else 'accelerometers',
+            'verdict': str(self.verdict),
+            'chi_square': float(self.chi_square),
+            'degrees_of_freedom': int(self.freedom),
+            'symptom': None if found is None else found.symptom,
+            'moved': [] if found is None else [moved.to_dict() for moved in found.moved],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """Result of verifying a calibration by a session.
+
+    Attributes:
+        triads: Gyros and accelerometers, as far as they were calibrated.
+        compared: Every quantity at every position, in the order of the session.
+        limits: Standard deviations beyond which a quantity is marginal, and rejected.
+        findings: What the user must know, in sentences.
+        own_recording: Whether the calibration was made from this recording: its residuals then do
+            not show its errors, and it is not accepted.
+    """
+
+    triads: tuple[Judged, ...]
+    compared: tuple[ComparedQuantity, ...]
+    limits: tuple[float, float]
+    findings: tuple[str, ...]
+    own_recording: bool = False
+
+    def __repr__(self) -> str:
+        """Return one line; `compared` has every quantity."""
+        triads = ', '.join(
+            f'{"gyros" if t.gyros else "accelerometers"} {t.verdict.name} (chi-square '
+            f'{t.chi_square:.1f} with {t.freedom} degrees of freedom)'
+            for t in self.triads
+        )
+        outcome = 'not tested' if self.own_recording else self.verdict.name
+        return f'<Verification: {outcome}; {triads}; {counted(len(self.findings), "finding")}>'
+
+    def __str__(self) -> str:
+        """Return the outcome, a line on each triad, symptoms and findings."""
+        symptoms = [t.diagnosis.symptom for t in self.triads if t.diagnosis is not None]
+        triads = [str(triad) for triad in self.triads]
+        return '\n'.join([self.outcome, *triads, *(f'- {s}' for s in (*symptoms, *self.findings))])
+
+    @property
+    def outcome(self) -> str:
+        """The verdict in a sentence."""
+        if self.own_recording and self.verdict is not Verdict.FAIL:
+            return 'NOT TESTED: the calibration was made from this recording. Take a second one.'
+        if self.own_recording:
+            return (
+                'REJECTED: the recording contradicts the calibration, which was made from it. '
+                'Something is stated otherwise than then (latitude, gravity, IMU, table, plan), or '
+                'parameters changed during it.'
+            )
+        return _OUTCOMES[self.verdict]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it passes, by a recording other than its own."""
+        return not self.own_recording and self.verdict is not Verdict.FAIL
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worse of the two triads' verdicts."""
+        return max(t.verdict for t in self.triads)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values, SI units, by the keys of docs/files/output.md."""
+        doubt, rejection = self.limits
+        return {
+            'verdict': str(self.verdict),
+            'own_recording': self.own_recording,
+            'limits': {'doubt': doubt, 'rejection': rejection},
+            'triads': [triad.to_dict() for triad in self.triads],
+            'compared': [one.to_dict() for one in self.compared],
+            'findings': list(self.findings),
+        }
+
+
+def verify(calibration: Calibration, observed: Observed) -> Verification:
+    """Verify a calibration by a session that it was not made from.
+
+    Raises:
+        NotObservable: No parameters explain the session, or the model has no inverse.
+    """
+    # Refuse a model without an inverse here, with a message.
+    calibration.model.compensate(np.zeros((1, 3)), np.zeros((1, 3)))
+    gyros = _Trial.of(calibration, observed, gyros=True)
+    trials = [gyros]
+    if calibration.has_accelerometers and observed.evidence.segments:
+        carried, considered = _carried(calibration, observed, gyros)
+        trials.append(_Trial.of(calibration, carried, gyros=False, considered=considered))
+    compared = [c for t in trials for c in compare(t.system, t.values, t.factor, t.fit)]
+    limits = (_limit(DOUBT, len(compared)), _limit(REJECTION, len(compared)))
+    judged = tuple(trial.judge(compared, limits) for trial in trials)
+    return Verification(
+        judged,
+        tuple(compared),
+        limits,
+        (
+            *_omissions(calibration, observed),
+            *(f for t in trials for f in t.findings()),
+            *_without_drift(trials, judged),
+            *observed.notes,
+        ),
+    )
+
+
+def _limit(chance: float, count: int) -> float:
+    """Return the limit exceeded by the largest of `count` standard normal numbers by chance."""
+    return float(-scipy.special.ndtri(chance / (2 * count)))
+
+
+def _omissions(calibration: Calibration, observed: Observed) -> list[str]:
+    notes = []
+    if not observed.with_attitudes:
+        notes.append(
+            'Attitudes are unknown: lengths are compared, and the rate along gravity. Axes that '
+            'changed places and a matrix that was transposed hardly show in them.'
+        )
+    elif not observed.evidence.turns:
+        others = (
+            ' and in the moves between static dwells'
+            if len(observed.evidence.used_moves)
+            else ' alone'
+        )
+        notes.append(
+            'No turns by an encoder: scale factors and misalignments of the gyros show in the '
+            f'Earth rate{others}.'
+        )
+    if not calibration.has_accelerometers:
+        notes.append('The accelerometers were not calibrated: they are not verified.')
+    elif not observed.evidence.segments:
+        notes.append('The recording has turns alone: the accelerometers are not verified.')
+    if calibration.model.skewed is not None:
+        notes.append('The skewed gyro is not verified.')
+    changed = () if calibration.changes is None else calibration.changes.changes
+    names = list(dict.fromkeys(c.name for c in changed if c.course is not Course.THERMAL))
+    if names:
+        notes.append(
+            f'{", ".join(names)} changed during the session of the calibration (session_terms of '
+            'its file): the recording is compared with their means. Such a change is not told from '
+            'a wrong value.'
+        )
+    return notes
+
+
+def _without_drift(trials: Sequence[_Trial], judged: Sequence[Judged]) -> list[str]:
+    """List failed triads whose covariance has no bias instability between sessions."""
+    names = [
+        trial.name
+        for trial, found in zip(trials, judged, strict=True)
+        if found.verdict is Verdict.FAIL and not trial.system.spec.bias_instability
+    ]
+    if not names:
+        return []
+    return [
+        f'No bias instability of the {" and ".join(names)} is stated: their biases are expected to '
+        'be those of the calibration to its standard deviations. Those of MEMS units differ by '
+        "more between two sessions: state bias_instability in the IMU's file, and give it as "
+        '`imu` (docs/files/imu.md).'
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """One triad of a calibration, fitted to one session."""
+
+    system: TriadSystem
+    values: Floats
+    factor: Floats
+    fit: Fit
+
+    @classmethod
+    def of(
+        cls,
+        calibration: Calibration,
+        observed: Observed,
+        *,
+        gyros: bool,
+        considered: _Considered = (),
+    ) -> _Trial:
+        sensors = Sensors.of(calibration.parameters, gyros=gyros)
+        reading = observed.reading(calibration.imu)[0 if gyros else 1]
+        system = TriadSystem(observed, sensors, reading, considered=considered)
+        if not observed.with_attitudes:
+            system = replace(system, up=_up(calibration, observed))
+        system = with_true_noise(system)
+        factor = _factor(calibration, system)
+        values = calibration.model.values(sensors.parameters)
+        return cls(system, values, factor, system.fit(values, factor))
+
+    @property
+    def name(self) -> str:
+        return 'gyros' if self.system.gyros else 'accelerometers'
+
+    def findings(self) -> list[str]:
+        """Report excess scatter of the session, and a search that did not converge."""
+        found = [
+            f'Between {what} the {self.name} scatter {factor:.1f} times more than within them, '
+            'whatever the parameters (positioning errors, bias drift): the limits are widened.'
+            + (
+                ' Scatter this large alone makes the verdict MARGINAL.'
+                if factor > _TOO_WIDE
+                else ''
+            )
+            for what, factor in zip(
+                ('positions', 'turns', 'moves'), self.system.inflation, strict=True
+            )
+            if factor > 1
+        ]
+        if not self.fit.converged:
+            found.append(
+                f'The errors of the {self.name} that explain the session best were not found (the '
+                'search did not converge): chi-square is that of the calibration as it stands, '
+                'which may be too large. Calibrate this recording, and compare the two '
+                '(imu-calib compare).'
+            )
+        return found
+
+    def judge(self, compared: list[ComparedQuantity], limits: tuple[float, float]) -> Judged:
+        """Return the verdict and, for a rejection, the diagnosis."""
+        mine = [abs(c.ratio) for c in compared if c.quantity.of_gyros == self.system.gyros]
+        chance, worst = self.fit.chance, max(mine)
+        verdict = Verdict.PASS
+        # Limits this wide would hide more than positioning errors and drift, such as a wrong
+        # latitude.
+        if not (chance > DOUBT and worst < limits[0]) or max(self.system.inflation) > _TOO_WIDE:
+            verdict = Verdict.MARGINAL
+        if not (chance > REJECTION and worst < limits[1]):
+            verdict = Verdict.FAIL
+        diagnosis = None
+        if verdict is Verdict.FAIL:
+            diagnosis = diagnose(self.system, self.values, self.factor)
+        return Judged(self.system.gyros, verdict, self.fit.chi_square, self.fit.freedom, diagnosis)
+
+
+def _carried(
+    calibration: Calibration, observed: Observed, gyros: _Trial
+) -> tuple[Observed, _Considered]:
+    """Return the session for the accelerometers, and the uncertainty of the gyros in it.
+
+    Gyros propagate the axes of velocity changes: moves are rotated by the gyro readings, with the
+    parameters that explain the session. If the calibration's gyro parameters do not explain it
+    within their deviations, velocities are omitted, so that gyro errors do not affect the
+    accelerometers' verdict.
+    """
+    evidence = observed.evidence
+    if not evidence.moves:
+        return observed, ()
+    explained = gyros.fit.chance > REJECTION
+    parameters = gyros.system.sensors.parameters
+    model = calibration.model.with_values(parameters, gyros.values + gyros.fit.delta)
+    reading = np.repeat(observed.reading(calibration.imu), 3)
+    moves = tuple(
+        _meant(move, model, reading) if explained else replace(move, velocity_steps=None)
+        for move in evidence.moves
+    )
+    coarse = evidence.coarse or has_motion_terms(terms_of(calibration.parameters))
+    carried = replace(observed, evidence=replace(evidence, moves=moves, coarse=coarse))
+    return carried, tuple(zip(parameters, gyros.fit.std.tolist(), strict=True))
+
+
+def _meant(move: Move, model: SensorModel, reading: Floats) -> Move:
+    """Return a move with angles inferred from its gyro readings; velocities stay as read."""
+    if move.velocity_steps is None:
+        return move
+    seconds = move.seconds[:, None]
+    angle, velocity = move.turned * reading[:3], move.velocity_steps.velocity * reading[3:]
+    rate, _ = model.compensate(angle / seconds, velocity / seconds)
+    gained = replace(move.velocity_steps, mean=move.velocity_steps.mean * reading[:3])
+    return replace(move, turned=rate * seconds, velocity_steps=gained)
+
+
+def _up(calibration: Calibration, observed: Observed) -> Up:
+    """Return the directions of up by the calibrated accelerometers."""
+    accels = TriadSystem(
+        observed,
+        Sensors.of(calibration.parameters, gyros=False),
+        observed.reading(calibration.imu)[1],
+    )
+    values, gravity = calibration.model.values(accels.sensors.parameters), accels.magnitude
+    noise = noise_at_rest(accels.evidence.variances()[:, 3:], gravity)
+    factor = np.zeros((len(values), 0))
+    if calibration.has_accelerometers:
+        factor = _factor(calibration, accels)
+    found = accels.sensors.compensated(values, accels.outputs, accels.outputs)
+    return Up.of(found, noise, factor, gravity)
+
+
+def _factor(calibration: Calibration, system: TriadSystem) -> Floats:
+    """Return a factor of the parameters' covariance with bias instability and gravity."""
+    parameters = system.sensors.parameters
+    mine = indices_of(parameters, calibration.parameters)
+    covariance = _with_both_gravities(calibration, system.evidence.site)[np.ix_(mine, mine)]
+    bias = [k for k, p in enumerate(parameters) if p.kind is ParameterKind.BIAS]
+    covariance[bias, bias] += system.spec.bias_instability**2
+    return factor_of(covariance)
+
+
+def _with_both_gravities(calibration: Calibration, site: Site) -> Floats:
+    """Return the covariance (n, n) with the uncertainty of gravity at the recording's site.
+
+    Where calibration and recording use the same gravity at the same latitude, they share its error:
+    it cancels, and the calibration's own part is subtracted.
+    """
+    if same_place(calibration, site.gravity, site.latitude / DEG):
+        return without_gravity(calibration)
+    there = gravity_covariance(calibration.model, calibration.parameters, site.gravity_relative_std)
+    return np.asarray(calibration.covariance + there)

@@ -1,0 +1,258 @@
+"""Calibrations, and their comparisons, as data frames and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..common.errors import InputError
+from ..common.extras import require
+from ..common.stream import Floats, Stamps
+from ..common.units import significant
+from ..model.model_parameters import Parameter
+from ..session.channel_noise import TRIADS, ChannelNoise
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.axes import Axes
+
+    from ..common.picture import Picture
+
+_TRIADS = {'g': 'gyros', 'a': 'accelerometers'}
+_BAR = 2.0
+"""Standard deviations of a bar to either side: 95 percent."""
+
+_WHISKERS_95 = (2.5, 97.5)
+"""Percentiles that contain 95 %."""
+_NORMAL_95 = 1.96
+"""Standard deviations that contain 95 % of a normal law."""
+_POINTS = 1000
+"""Most points of a line: the width of a picture in pixels."""
+
+_NAMES = 30
+"""Most names below an axis: more would overlap."""
+_HEIGHT = 4.2
+"""Height of a row of panels, and width of a panel, inches."""
+
+
+def compared_frame(
+    parameters: Sequence[Parameter], shown: dict[str, Floats], plain: dict[str, Floats]
+) -> pandas.DataFrame:
+    """Return columns by parameter: some in the unit of each, some without one.
+
+    Args:
+        parameters: n of them.
+        shown: (n,) by the heading of the column, SI units.
+        plain: (n,) without a unit.
+
+    Raises:
+        InputError: pandas is not installed.
+    """
+    require('pandas', 'A data frame', 'dataframe')
+    import pandas as pd
+
+    scale = np.array([p.unit.scale for p in parameters])
+    index = pd.Index([p.name for p in parameters], name='parameter')
+    columns = {name: values / scale for name, values in shown.items()}
+    units = [p.unit.shown for p in parameters]
+    return pd.DataFrame({**columns, **plain, 'unit': units}, index=index)
+
+
+def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) -> pandas.DataFrame:
+    """Return predicted standard deviations, and the least possible ones, by parameter.
+
+    Raises:
+        InputError: pandas is not installed.
+    """
+    return compared_frame(parameters, {'std': std, 'best': best}, {})
+
+
+def draw_parameters(
+    unit_name: str, parameters: tuple[Parameter, ...], values: Floats, std: Floats
+) -> Picture:
+    """Draw parameters, (n,) in SI, with bars of two standard deviations, grouped by unit.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    groups = _groups(parameters)
+    columns = max(sum(triad == letter for triad, _ in groups) for letter in _TRIADS)
+    figure = empty_figure(3.2 * columns, 6.0)
+    places = dict.fromkeys(_TRIADS, 0)
+    for (letter, unit), members in groups.items():
+        places[letter] += 1
+        row = list(_TRIADS).index(letter)
+        axes = figure.add_subplot(2, columns, row * columns + places[letter])
+        scale = parameters[members[0]].unit.scale
+        shown, bars = values[members] / scale, _BAR * std[members] / scale
+        axes.axhline(0.0, color='0.7', linewidth=0.8)
+        axes.errorbar(range(len(members)), shown, yerr=bars, fmt='o', markersize=4, capsize=3)
+        _name(axes, [parameters[k].name for k in members])
+        axes.set_ylabel(unit)
+        axes.set_title(_TRIADS[letter])
+    figure.suptitle(f'{unit_name}: bars of {_BAR:g} standard deviations')
+    return figure
+
+
+def draw_residuals(unit_name: str, positions: Sequence[str], residuals: list[Floats]) -> Picture:
+    """Draw the residuals of each static dwell by position: gyros (n, 3), accelerometers (n, 3), SI.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    figure = empty_figure(2 * _HEIGHT, _HEIGHT)
+    for triad, own, axes in zip(TRIADS, residuals, figure.subplots(1, 2), strict=True):
+        axes.axhline(0.0, color='0.7', linewidth=0.8)
+        for channel, column in zip('xyz', own.T / triad.rate_scale, strict=True):
+            axes.plot(column, 'o', markersize=4, label=channel)
+        _name(axes, positions)
+        axes.set_xlabel('position')
+        axes.set_ylabel(f'residual, {triad.rate}')
+        axes.set_title(f'{triad.name}s')
+        axes.legend()
+    figure.suptitle(f'{unit_name}: residuals of the static dwells')
+    return figure
+
+
+def draw_noise(unit_name: str, seen: Mapping[str, ChannelNoise]) -> Picture:
+    """Draw the Allan deviation of the session, with the estimated random walk.
+
+    Raises:
+        InputError: matplotlib is not installed, or the calibration contains no noise.
+    """
+    if not any(len(noise.tau) for noise in seen.values()):
+        raise InputError(
+            f'The calibration of {unit_name} carries no Allan deviation: its static '
+            'dwells are too short for one, as holds in a hand are. Lay the unit down for some '
+            'minutes in one of them (docs/report.md).'
+        )
+    figure = empty_figure(2 * _HEIGHT, _HEIGHT)
+    for triad, axes in zip(TRIADS, figure.subplots(1, 2), strict=True):
+        for channel in (c for c in triad.channels if c in seen and len(seen[c].tau)):
+            noise = seen[channel]
+            walk, words = noise.random_walk.value, channel
+            if walk is not None:
+                words = f'{channel}: {significant(walk / triad.walk_scale)} {triad.walk}'
+            shown = noise.deviation / triad.rate_scale
+            (line,) = axes.loglog(noise.tau, shown, 'o', markersize=4, label=words)
+            if walk is not None:
+                slope = walk / np.sqrt(noise.tau) / triad.rate_scale
+                axes.loglog(noise.tau, slope, '--', linewidth=0.8, color=line.get_color())
+            axes.legend()
+        axes.set_xlabel('averaging time, s')
+        axes.set_ylabel(f'Allan deviation, {triad.rate}')
+        axes.set_title(f'{triad.name}s')
+    figure.suptitle(f'{unit_name}: noise; dashed: random walk')
+    return figure
+
+
+def draw_differences(title: str, parameters: Sequence[Parameter], normalised: Floats) -> Picture:
+    """Draw differences over their standard deviations, by parameter.
+
+    Args:
+        title: Above the axes.
+        parameters: n of them.
+        normalised: (n,); NaN is not drawn.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    names = [p.name for p in parameters]
+    figure = empty_figure(0.3 * len(names) + 2, _HEIGHT)
+    axes = figure.subplots()
+    _beside_normal(axes)
+    axes.plot(range(len(names)), normalised, 'o', markersize=5)
+    _name(axes, names)
+    axes.set_ylabel('difference / standard deviation')
+    axes.set_title(title)
+    return figure
+
+
+def draw_columns(
+    title: str, stamp: Stamps, columns: Mapping[str, Floats], units: Mapping[str, str]
+) -> Picture:
+    """Draw columns over time, with a panel for each quantity: their names up to the point.
+
+    Args:
+        title: Above the panels.
+        stamp: (n,) ns.
+        columns: (n,) each, by name.
+        units: By name, if there is one.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    quantities: dict[str, list[str]] = {}
+    for name in columns:
+        quantities.setdefault(name.partition('.')[0], []).append(name)
+    figure = empty_figure(2 * _HEIGHT, 0.5 + 2.0 * len(quantities))
+    panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
+    few = max(1, len(stamp) // _POINTS)
+    seconds = _means(np.asarray((stamp - stamp[:1]) * 1e-9, dtype=np.float64), few)
+    for axes, (quantity, names) in zip(panels, quantities.items(), strict=True):
+        for name in names:
+            label = name.partition('.')[2] or name
+            axes.plot(seconds, _means(columns[name], few), linewidth=0.8, label=label)
+        unit = units.get(names[0], '')
+        axes.set_ylabel(f'{quantity},\n{unit}' if unit else quantity)
+        axes.legend(loc='upper right')
+    panels[-1].set_xlabel('s')
+    figure.suptitle(title)
+    return figure
+
+
+def _means(values: Floats, few: int) -> Floats:
+    """Return means of so many consecutive values each; the remainder is left out."""
+    count = len(values) // few
+    return np.asarray(values[: count * few].reshape(count, few).mean(axis=1))
+
+
+def draw_normalised(title: str, names: Sequence[str], normalised: Floats) -> Picture:
+    """Draw normalised errors (runs, n) of repeated sessions beside those of a normal law.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    figure = empty_figure(0.4 * len(names) + 2, _HEIGHT)
+    axes = figure.subplots()
+    _beside_normal(axes)
+    # The quartiles of a normal law are at 0.67, the ends of the whiskers at 1.96.
+    axes.boxplot(normalised, whis=_WHISKERS_95, sym='.')
+    _name(axes, names, first=1)
+    axes.set_ylabel('error / standard deviation stated')
+    axes.set_title(title)
+    return figure
+
+
+def empty_figure(width: float, height: float, what: str = 'A plot') -> Picture:
+    """Return a figure of a size in inches, without a window.
+
+    Raises:
+        InputError: matplotlib is not installed; begins with the feature that needs it.
+    """
+    require('matplotlib', what, 'plot')
+    from ..common.picture import Picture
+
+    return Picture(figsize=(width, height), layout='constrained')
+
+
+def _beside_normal(axes: Axes) -> None:
+    """Mark one standard deviation, and the range of 95 percent."""
+    axes.axhspan(-1, 1, color='0.85')
+    for level in (-_NORMAL_95, _NORMAL_95):
+        axes.axhline(level, color='0.6', linewidth=0.8, linestyle='--')
+
+
+def _name(axes: Axes, names: Sequence[str], first: int = 0) -> None:
+    step = -(-len(names) // _NAMES)
+    axes.set_xticks(range(first, first + len(names), step), names[::step], rotation=90)
+
+
+def _groups(parameters: tuple[Parameter, ...]) -> dict[tuple[str, str], list[int]]:
+    """Return the indices of the parameters of each triad with a common unit."""
+    found: dict[tuple[str, str], list[int]] = {}
+    for k, parameter in enumerate(parameters):
+        found.setdefault((parameter.triad, parameter.unit.shown), []).append(k)
+    return found

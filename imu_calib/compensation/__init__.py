@@ -1,1 +1,0 @@
-"""Apply a calibration: pulses to rates and specific forces, in bulk and live alike."""

@@ -1,0 +1,1 @@
+"""ROOM estimation.closed_forms"""

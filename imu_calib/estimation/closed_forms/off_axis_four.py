@@ -1,0 +1,97 @@
+"""Four positions about an axis between X and Y, gyros only (off-axis 2019, section 2).
+
+The inner axis of a two-axis table lies at 45 degrees to X and Y, so that half a turn moves all
+three axes: X points north and south once each and is level twice, so does Y; Z is up and down
+twice.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...common.errors import NotObservable
+from ...common.stream import Floats
+from ...common.units import DEG_H
+from ...model.earth import Site
+from ...session.plan import Plan
+from ..evidence import Evidence
+from ..solution import Solution
+from .linear import bias_names, response_names
+from .methods_linear import BIAS
+from .static_six import gyros_only, require_north
+
+_ALONG = 0.99
+"""Cosine: 8 degrees; an axis that is off by more is not at a position of this method."""
+_LEAST_RATE = 0.5 * DEG_H
+"""rad/s: that of two degrees from a pole or the equator."""
+_WORDS = ('X north', 'X south', 'Y north', 'Y south')
+
+
+def solve(evidence: Evidence) -> Solution:
+    """Estimate the 12 parameters of the gyros; the accelerometers are not estimated.
+
+    Raises:
+        NotObservable: North is unknown, one of the four positions is missing, or the Earth is
+            too slow for the noise.
+    """
+    require_north(evidence)
+    weights = _weights(evidence.attitudes(), evidence.site, 'the recording')
+    # Every column of the four equations is a difference or a mean of all outputs: orthogonal.
+    return gyros_only(evidence, weights, _condition(evidence.site))
+
+
+def check(plan: Plan, site: Site) -> None:
+    """Raise if a plan lacks one of the four positions, or for a site where they do not suffice.
+
+    Raises:
+        NotObservable: Names the position and the parameters.
+    """
+    held = [p.attitude for p in plan.positions if p.dwell > 0]
+    _weights(np.array(held).reshape(-1, 3, 3), site, f'plan {plan.name}')
+
+
+def _weights(attitudes: Floats, site: Site, where: str) -> Floats:
+    """Return (4, s) weights on the outputs: responses to X, Y, Z and the bias.
+
+    The positions are recognised by the directions of X and Y, so that the same holds with P = (X +
+    Y) / sqrt(2), where 2 and 3 change places.
+
+    Source: off-axis 2019, section 2; docs/mathematics.md, 'Gyros from the Earth rate'.
+    """
+    for rate, lost, place in (
+        (site.north_rate, f'{response_names("g", 0)}, {response_names("g", 1)}', 'near a pole'),
+        (abs(site.up_rate), response_names('g', 2), 'near the equator'),
+    ):
+        if rate < _LEAST_RATE:
+            raise NotObservable(f'The input is too small {place}: {lost} cannot be determined.')
+    towards = [attitudes[:, 1, 0], -attitudes[:, 1, 0], attitudes[:, 1, 1], -attitudes[:, 1, 1]]
+    shares = np.zeros((4, len(attitudes)))
+    for share, cosine, words in zip(shares, towards, _WORDS, strict=True):
+        mine = cosine > _ALONG
+        if not mine.any():
+            column = 'XY'.index(words[0])
+            raise NotObservable(
+                f'No position with {words} was found in {where}: {response_names("g", column)}, '
+                f'{response_names("g", 2)}, {bias_names("g")} cannot be determined.'
+            )
+        share[mine] = 1 / mine.sum()
+    x_north, x_south, y_north, y_south = shares
+    ups = np.array([float(share @ attitudes[:, 2, 2]) for share in shares])
+    if np.any(np.abs(np.abs(ups) - 1) > 1 - _ALONG) or abs(ups.sum()) > 1 - _ALONG:
+        raise NotObservable(
+            f'Z must be up twice and down twice in {where}, found {np.round(ups, 2).tolist()}: '
+            f'{response_names("g", 2)}, {bias_names("g")} cannot be determined.'
+        )
+    result = np.empty((BIAS + 1, len(attitudes)))
+    result[0] = (x_north - x_south) / (2 * site.north_rate)
+    result[1] = (y_north - y_south) / (2 * site.north_rate)
+    result[2] = np.sign(ups) @ shares / (4 * site.up_rate)
+    result[3] = shares.mean(axis=0)
+    return result
+
+
+def _condition(site: Site) -> float:
+    """Return the condition number of [w / omega_ie, 1]: its columns are orthogonal."""
+    inputs = np.sqrt(2) * site.north_rate, 2 * abs(site.up_rate)
+    norms = np.array([*inputs, 2 * np.hypot(site.north_rate, site.up_rate)])
+    return float(norms.max() / norms.min())

@@ -1,0 +1,290 @@
+"""A session as equations: predicted outputs, their covariance, and priors.
+
+Source: docs/mathematics.md, 'Joint estimate'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, wraps
+from typing import Any, cast
+
+import numpy as np
+import scipy
+
+from ..common.budget import Share, Source
+from ..common.stream import Floats
+from ..common.units import ARCMIN, DEG
+from ..model.model_parameters import BIASES, Parameter
+from ..model.parameters import ParameterKind
+from .components import Component, Diagonal, Factor, add_all, shares
+from .evidence import SMALLEST_VARIANCE
+from .modulation import stated_changes
+from .observation_output_noise import encoder_rates, level_gravity, own_parts, unknown_north
+from .outputs import NO_POSITIONING_ERRORS, PositioningErrors
+from .session_model import Nuisance, SessionModel, Value
+
+ANY_AZIMUTH = 180 * DEG / np.sqrt(3)
+"""Standard deviation of an unknown heading, rad: uniform over a whole turn (GUM 4.3.7)."""
+
+_FEW = 32
+"""Outputs of five dwells, which determine nothing: numpy solves so few in 0.1 ms, and loading scipy
+takes longer than the rest of the work on such a session."""
+
+_ROUNDING = 4 * float(np.finfo(float).eps)
+"""Of a variance, for each output: loss by rounding in a root of the covariance (Higham 2002,
+Accuracy and Stability of Numerical Algorithms, theorem 10.7)."""
+
+GIVEN_AZIMUTH = 1 * ARCMIN
+"""Standard deviation of a table's azimuth where its configuration states it, rad. A
+judgement."""
+
+LEAST_AZIMUTH = 0.05 * DEG
+"""Least reported difference between north by the gyros and a table's stated azimuth, rad: rounding
+to a tenth of a degree has this error."""
+
+
+def cached_by_weights(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Floats], Value]:
+    """Cache results that depend on the weights alone, at the last states (n,).
+
+    A fit ends where the next step begins, often with new equation objects.
+    """
+
+    @wraps(method)
+    def remembered(self: Equations, state: Floats) -> Value:
+        key = (method.__name__, type(self), state.tobytes(), self.weights)
+        for known, inflation, value in reversed(self.evidence.cached_results):
+            if known == key and inflation is self.inflation:
+                return cast(Value, value)
+        found = method(self, state)
+        self.evidence.cached_results.append((key, self.inflation, found))
+        return found
+
+    return remembered
+
+
+@dataclass(frozen=True, eq=False)
+class Equations(SessionModel):
+    """The equations of a session.
+
+    Attributes:
+        levelled: Standard deviation of the table's tilt about either axis, rad; None for that of
+            the table's file.
+        any_heading: Whether the azimuth is unknown, though the table's configuration states one.
+        positioning: Scatter of positioning errors beyond that of the table's file.
+        extra: Further parts of the covariance of the outputs.
+        inflation: (m,) factors on the variance of each output's own noise, or None.
+        considered: Consider parameters: not in the state, each with its standard deviation about
+            zero.
+        held: Kinds of parameters of motion that are exactly zero: for others that are not in the
+            state the covariance allows.
+    """
+
+    levelled: float | None = None
+    any_heading: bool = False
+    positioning: PositioningErrors = NO_POSITIONING_ERRORS
+    extra: tuple[Component, ...] = field(default=(), repr=False)
+    inflation: Floats | None = field(default=None, repr=False)
+    considered: tuple[tuple[Parameter, float], ...] = ()
+    held: frozenset[ParameterKind] = frozenset()
+
+    @property
+    def north_known(self) -> bool:
+        """Whether the attitudes are against north."""
+        return self.evidence.azimuth is not None and not self.any_heading
+
+    @cached_property
+    def prior(self) -> tuple[Floats, Floats]:
+        """Prior means and standard deviations of the nuisances, (k,) each."""
+        evidence = self.evidence
+        azimuth = GIVEN_AZIMUTH if self.north_known else ANY_AZIMUTH
+        clock_std = evidence.clock_rate()[1]
+        # Whitening divides by each deviation: one of zero is replaced by 1e-15.
+        level = evidence.levelling if self.levelled is None else self.levelled
+        deviations = [azimuth, level, level, max(clock_std, 1e-15), *evidence.arms.deviations]
+        return np.zeros(self.nuisances), np.array(deviations)
+
+    def prior_rows(self, state: Floats) -> Floats:
+        """Return the priors as equations: (k, n + 1), derivatives and residuals.
+
+        An unknown azimuth has residual zero: its prior only bounds the standard deviations.
+        """
+        mean, deviation = self.prior
+        rows = np.zeros((self.nuisances, self.size + 1))
+        rows[:, self.nuisance_slice] = np.diag(1 / deviation)
+        rows[:, -1] = (mean - state[self.nuisance_slice]) / deviation
+        if not self.north_known:
+            rows[Nuisance.AZIMUTH, -1] = 0.0
+        return rows
+
+    @cached_property
+    def own(self) -> tuple[Component, ...]:
+        """The parts of the covariance that are independent for each output, at any state."""
+        return own_parts(self.evidence, self.inflation)
+
+    @cached_property
+    def own_variances(self) -> Floats:
+        """Variances of the outputs by walk, quantisation and encoders, (m,)."""
+        diagonals = [c.part.variances for c in self.own if isinstance(c.part, Diagonal)]
+        own = np.asarray(np.sum(diagonals, axis=0)).reshape(len(self.outputs))
+        # The parts of the smallest variance may round above it, and zero noise is zero scatter.
+        least = own < SMALLEST_VARIANCE * (1 + 1e-9)
+        return np.asarray(np.where(least, SMALLEST_VARIANCE, own))
+
+    def shared(self, state: Floats) -> tuple[Component, ...]:
+        """Return the parts of the covariance that are common to several outputs.
+
+        The outputs of one turn share the error of the encoder's rate, those of neighbours the
+        positioning error of the table, and all of them the error of the latitude.
+        """
+        evidence, response = self.evidence, self.model(state).gyro.response
+        turning, rates, _ = evidence.turn_inputs
+        ups = np.vstack([evidence.dwell_attitudes[:, 2], turning])
+        found = [
+            *encoder_rates(evidence, rates, response, self._pulled(state)),
+            unknown_north(evidence, ups, response),
+            level_gravity(evidence, turning, float(self.prior[1][Nuisance.TILT_X])),
+            *self.extra,
+            *self._positioning_error_parts(state),
+        ]
+        if self.considered:
+            parameters, deviations = zip(*self.considered, strict=True)
+            columns = self.parameter_derivatives(state, parameters) * np.array(deviations)
+            found.append(Component(Source.TERMS, Factor(columns)))
+        if self.layout.moves_with_accels:
+            # The effect of lever arms and the accelerometers' delay on the velocities of moves.
+            known = self.held | {p.kind for p in self.parameters}
+            rate, model = self.surroundings(state).rate, self.model(state)
+            by_moves = evidence.used_moves.shared_velocity_errors(model, rate, known)
+            for source, in_moves in zip((Source.ARM, Source.DELAY), by_moves, strict=True):
+                found.append(Component(source, Factor(self._of_moves(in_moves))))
+        if (by_table := self.table_error_effects(state)).shape[1]:
+            found.append(Component(Source.TABLE, Factor(by_table)))
+        if evidence.site.latitude_std:
+            slope = self.latitude_derivatives(state) * evidence.site.latitude_std
+            found.append(Component(Source.LATITUDE, Factor(slope[:, None])))
+        if evidence.temperature is not None and evidence.thermal.any():
+            # By the coefficients that the data sheet states.
+            changes, sizes = stated_changes(self.parameters, evidence.thermal)
+            warmth = self.columns(changes, self.jacobian(state)) * sizes
+            found.append(Component(Source.TEMPERATURE, Factor(warmth)))
+        return tuple(found)
+
+    def _of_moves(self, in_moves: Floats) -> Floats:
+        """Return values (m, 6, ...) of moves in the order of the outputs, zero for all others."""
+        at_rest, turned = (
+            np.zeros((count, *in_moves.shape[1:]))
+            for count in (self.layout.dwells, self.layout.turns)
+        )
+        return self.layout.joined(at_rest, turned, in_moves)
+
+    @cached_by_weights
+    def covariance(self, state: Floats) -> Floats:
+        """Return the covariance of the outputs, (m,) square."""
+        result = np.diag(self.own_variances)
+        common = [part for part in self.own if not isinstance(part.part, Diagonal)]
+        add_all((*common, *self.shared(state)), result)
+        # Without noise, common errors leave only rounding of the outputs, and there is no root.
+        result[np.diag_indices(len(result))] *= 1 + _ROUNDING * len(result)
+        result.flags.writeable = False
+        return result
+
+    def shares(self, state: Floats, gain: Floats) -> dict[Source, Share]:
+        """Return by source the covariance of parameters that are a `gain` times the outputs.
+
+        Args:
+            state: (n,).
+            gain: (p, m).
+
+        Source: docs/mathematics.md, 'Uncertainty budget'.
+        """
+        return shares((*self.own, *self.shared(state)), gain)
+
+    @property
+    def prior_sources(self) -> tuple[tuple[Source, list[int], float], ...]:
+        """Sources of the priors in `prior_rows`, and degrees of freedom of their size."""
+        return (
+            (Source.AZIMUTH, [Nuisance.AZIMUTH], np.inf),
+            (Source.TILT, [Nuisance.TILT_X, Nuisance.TILT_Y], np.inf),
+            (Source.CLOCK, [Nuisance.CLOCK], self.evidence.clock_freedom),
+            (Source.ARM, list(range(len(Nuisance), self.nuisances)), np.inf),
+        )
+
+    def _positioning_error_parts(self, state: Floats) -> list[Component]:
+        """Return the parts of the covariance by positioning errors, stated and found."""
+        found = self.positioning
+        sizes = (
+            (Source.POSITIONING_STATED, 0, self.evidence.positioning),
+            (Source.POSITIONING_FOUND, 0, found.joints),
+            (Source.STOPS, 1, found.stops),
+        )
+        parts = [
+            Component(source, Factor(self.positioning_error_effects(state)[which] * size))
+            for source, which, size in sizes
+            if size
+        ]
+        if self.evidence.plan.by_hand and (square := found.joints**2 + found.stops**2):
+            parts.append(Component(Source.STOPS, Factor(self._by_tilt_cosines(state) * square)))
+        return parts
+
+    def _by_tilt_cosines(self, state: Floats) -> Floats:
+        """Return the changes of outputs by 1 - cos of tilts of holds, (m, 1 + s + t).
+
+        For tilts of variance s^2 about two level axes 1 - cos has the mean s^2, common to all
+        holds and turns, and the standard deviation s^2 about it, independent for each.
+        """
+        biases = self.parameter_derivatives(state, BIASES) @ self.model(state).values(BIASES)
+        vertical = self.predict(state) - biases
+        own = self.layout.segment[:, None] == np.arange(self.layout.dwells + self.layout.turns)
+        return np.column_stack([vertical, vertical[:, None] * own])
+
+    def whitened(self, state: Floats) -> tuple[Floats, Floats]:
+        """Return derivatives and residuals in standard deviations, the priors' rows last.
+
+        Returns:
+            (m + k, n) derivatives and (m + k,) outputs less prediction.
+        """
+        columns = self._factor_and_whitened(state)[1]
+        return columns[:, :-1], columns[:, -1]
+
+    def factor(self, state: Floats) -> Floats:
+        """Return the lower root of `covariance`, (m,) square, by which outputs are whitened."""
+        return self._factor_and_whitened(state)[0]
+
+    @cached_by_weights
+    def _factor_and_whitened(self, state: Floats) -> tuple[Floats, Floats]:
+        """Return `factor` and `whitened_by` it."""
+        factor = np.asarray(np.linalg.cholesky(self.covariance(state)), dtype=float)
+        return factor, self.whitened_by(factor, state)
+
+    @property
+    def weights(self) -> tuple[object, ...]:
+        """All but session, state and `inflation` on which the equations depend."""
+        return (
+            self.parameters,
+            self.changes,
+            self.shape,
+            self.levelled,
+            self.any_heading,
+            self.positioning,
+            self.extra,
+            self.considered,
+            self.held,
+        )
+
+    def whitened_by(self, factor: Floats, state: Floats) -> Floats:
+        """Return derivatives and residuals, (m + k, n + 1), by a root (m, m) of a covariance."""
+        columns = np.column_stack([self.jacobian(state), self.outputs - self.predict(state)])
+        if len(columns):
+            columns = _solved(factor, columns)
+        columns = np.vstack([columns, self.prior_rows(state)])
+        columns.flags.writeable = False
+        return columns
+
+
+def _solved(root: Floats, columns: Floats) -> Floats:
+    """Solve for columns (m, n) by a lower root (m, m)."""
+    if len(root) <= _FEW:
+        return np.asarray(np.linalg.solve(root, columns))
+    return np.asarray(scipy.linalg.solve_triangular(root, columns, lower=True, check_finite=False))

@@ -1,0 +1,438 @@
+"""Input of a method: the labelled segments of a session, and their uncertainties."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.errors import NotObservable
+from ..common.stream import Floats, Units
+from ..model.earth import Site
+from ..segmentation.clock import ClockFit
+from ..segmentation.labelling import Labelled
+from ..segmentation.segments import Segment, Turn
+from ..segmentation.stream_facts import Move, Segmented
+from ..segmentation.thermometer import Temperature
+from ..session.imu import ImuSpec
+from ..session.plan import Plan
+from ..session.table import Table
+from ..session.table_errors import LEVELLED, TableErrors
+from .arms import Arms
+from .headings import headings
+from .layout import OutputLayout
+from .moves import Moves
+from .output_noise import known_noise
+from .outputs import AttitudeErrors, around, of_holds, of_joints, of_stops
+
+UP = np.array([0.0, 0.0, 1.0])
+"""In east, north, up."""
+_AXIS_TOLERANCE = 0.05
+"""Largest amount by which the cosine of a vertical axis is below one: 18 deg, beyond any error of a
+table and less than half of the 45 deg to the next attitude of any plan."""
+_CACHED = 30
+"""Results kept in `Evidence.state_cache`: ten at each of three states, that of the last step and
+two from which the next fits start."""
+_WEIGHED = 6
+"""Results kept in `Evidence.cached_results`: covariance, and equations whitened by it, of two
+solutions used alternately and of the last step."""
+_OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms', 'whole_ways'}
+"""Cached properties of `Evidence` that depend on dwells and turns alone."""
+
+_QUARTZ = 50e-6
+"""Standard deviation of the rate between clocks that are not compared by motions, as a ratio:
+quartz oscillators are sold for 20 to 100 ppm over their temperatures."""
+
+SMALLEST_VARIANCE = 1e-24
+"""Replaces zero where a noise-free session is divided by its variance, SI units squared.
+
+In 64-bit numbers a mean over samples of gravity is resolved to some 1e-14 m/s^2, and whole turns at
+90 deg/s, cut at a line through thousands of angles, to some 1e-12 rad/s: no smaller error is
+claimed.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A labelled session, ready to be solved.
+
+    Attributes:
+        segments: Static dwells with position and attitude.
+        turns: Whole turns about the vertical.
+        plan: What was run; `plan.UNPLANNED` where unknown.
+        site: Gravity and Earth rate.
+        clock: Table against IMU.
+        azimuth: Heading of the table's zero against north, rad; None when unknown.
+        walk: (6,) random-walk coefficients, rad/sqrt(s) and (m/s)/sqrt(s).
+        positioning: Standard deviation of a positioning error of the table, rad; 0 when not stated.
+        instability: (6,) standard deviation of drifting biases, by the data sheet, rad/s and m/s^2;
+            0 when not stated.
+        walk_freedom: (6,) degrees of freedom of the squares of `walk`; infinite for exact ones.
+        moves: Motions seen by the gyros between one static dwell and the next.
+        table: The table that turned the unit; None where the errors of its axes are unknown.
+        units: Of the numbers of the unit's stream.
+        temperature: Of the session; None without a thermometer.
+        thermal: (2, 2) scale factor and bias per K of gyros and of accelerometers, by the data
+            sheet, standard deviations, 1/K and SI/K; 0 where not stated.
+        free: Whether the attitudes are unknown: they are then estimated, and moves join them.
+        coarse: Whether to use velocities of moves with little information beside the dwells: for
+            parameters that only motion determines.
+        interruptions: As in `Segmented`: the unit may have been switched off and on there.
+    """
+
+    segments: tuple[Segment, ...]
+    turns: tuple[Turn, ...]
+    plan: Plan
+    site: Site
+    clock: ClockFit
+    azimuth: float | None
+    walk: Floats
+    positioning: float = 0.0
+    instability: Floats = field(default_factory=lambda: np.zeros(6))
+    walk_freedom: Floats = field(default_factory=lambda: np.full(6, np.inf))
+    moves: tuple[Move, ...] = ()
+    table: Table | None = None
+    units: Units = Units.PULSES
+    temperature: Temperature | None = None
+    thermal: Floats = field(default_factory=lambda: np.zeros((2, 2)))
+    free: bool = False
+    coarse: bool = False
+    interruptions: tuple[tuple[int, int], ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        labelled: Labelled,
+        session: Segmented,
+        plan: Plan,
+        imu: ImuSpec,
+        site: Site,
+        table: Table | None,
+    ) -> Evidence:
+        """Gather the evidence of a session whose dwells and turns have names.
+
+        Raises:
+            NotObservable: Neither the data nor the IMU's description gives the noise.
+        """
+        walk, freedom = known_noise(labelled.segments, imu)
+        return cls(
+            labelled.segments,
+            tuple(turn.by_more_accurate_rate(walk) for turn in labelled.turns),
+            plan,
+            site,
+            session.clock,
+            table.azimuth if table is not None else None,
+            walk,
+            table.positioning if table is not None else 0.0,
+            np.repeat([imu.gyro.bias_instability, imu.accel.bias_instability], 3),
+            freedom,
+            session.moves,
+            table,
+            imu.units,
+            session.temperature,
+            thermal_of(imu),
+            interruptions=session.interruptions,
+        )
+
+    def with_moves(self, moves: tuple[Move, ...]) -> Evidence:
+        """Return the session with other moves, or none; results of dwells and turns are kept."""
+        return self._replaced(
+            _OF_DWELLS | {'table_attitude_errors', 'positioning_attitude_errors'}, moves=moves
+        )
+
+    def with_table_errors(self, errors: TableErrors) -> Evidence:
+        """Return the session on its table with other errors.
+
+        Only `table_attitude_errors` depends on them.
+
+        Raises:
+            ValueError: No table is given.
+        """
+        if self.table is None:
+            raise ValueError('no table, and none of its errors')
+        key = 'table', errors
+        if key not in self.cache:
+            kept = _OF_DWELLS | {
+                'positioning_attitude_errors',
+                'used_moves',
+                'layout',
+                'state_cache',
+            }
+            self.cache[key] = self._replaced(kept, table=replace(self.table, errors=errors))
+        return cast(Evidence, self.cache[key])
+
+    def _replaced(self, kept: set[str], **changed: Any) -> Evidence:
+        """Return the session with other fields; the cached properties named in `kept` stay."""
+        found = replace(self, **changed)
+        vars(found).update({name: vars(self)[name] for name in kept & vars(self).keys()})
+        return found
+
+    @cached_property
+    def state_cache(self) -> deque[tuple[Any, ...]]:
+        """Cached results at the last few states (`Equations`)."""
+        return deque(maxlen=_CACHED)
+
+    @cached_property
+    def cached_results(self) -> deque[tuple[Any, ...]]:
+        """Cached results at the last states with the last weights (`Equations`)."""
+        return deque(maxlen=_WEIGHED)
+
+    @cached_property
+    def cache(self) -> dict[Any, Any]:
+        """Cached results that do not depend on the state (`Equations`)."""
+        return {}
+
+    @cached_property
+    def dwell_attitudes(self) -> Floats:
+        """R_nb of the static dwells, (s, 3, 3): `attitudes`, cached."""
+        return self.attitudes()
+
+    @cached_property
+    def turn_inputs(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Up in body axes (t, 3), rate by the table's clock (t,), whether that clock is used."""
+        ups = np.array([t.up for t in self.turns]).reshape(-1, 3)
+        timed = np.array([t.seconds is not None for t in self.turns], dtype=bool)
+        return ups, np.array([t.rate() for t in self.turns]), timed
+
+    @cached_property
+    def whole_ways(self) -> tuple[Floats, NDArray[np.bool_]]:
+        """Relative change of the rate of a whole motion by one rad at either end, (t,).
+
+        Zero for a turn without a whole motion from rest to rest; and whether it has one.
+        """
+        ways = [t.whole_way for t in self.turns]
+        some = np.array([way is not None for way in ways], dtype=bool)
+        return np.array([2 / way.way if way else 0.0 for way in ways]), some
+
+    @cached_property
+    def headings(self) -> Floats:
+        """The attitudes during turns, (t, 8, 3, 3), see `headings`."""
+        return headings(self.turn_inputs[0])
+
+    @cached_property
+    def used_moves(self) -> Moves:
+        """The moves that are used as observations."""
+        site = self.site
+        return Moves.between(
+            self.segments,
+            self.turns,
+            self.moves,
+            site.gravity,
+            self.walk,
+            free=self.free,
+            coarse=self.coarse,
+        )
+
+    @cached_property
+    def layout(self) -> OutputLayout:
+        """Where the outputs lie among the equations."""
+        accel_turns = tuple(self.arms.turns.tolist())
+        return OutputLayout(
+            len(self.segments),
+            len(self.turns),
+            len(self.used_moves),
+            accel_turns,
+            self.used_moves.with_accels,
+        )
+
+    @cached_property
+    def arms(self) -> Arms:
+        """The lever arms of the turns whose accelerometers are used."""
+        return Arms.of(self.turns, self.site.up_rate)
+
+    @cached_property
+    def table_attitude_errors(self) -> tuple[Floats, Floats]:
+        """Attitude errors by the uncertainty of the table's geometry, rad per standard deviation.
+
+        Rotations about the body axes, (s, 3, e) of the static dwells and (t, 3, e) of the turns;
+        those of a turn are means over all angles of the joint that turns.
+        """
+        known = [s.angles for s in self.segments] + [t.angles for t in self.turns]
+        if self.table is None or self.table.errors.exact or any(a is None for a in known):
+            return np.zeros((len(self.segments), 3, 0)), np.zeros((len(self.turns), 3, 0))
+        angles = np.array(known).reshape(-1, len(self.table.joints))
+        dwells = len(self.segments)
+        turned = [
+            held[None] if turn.joint is None else around(held, turn.joint)
+            for turn, held in zip(self.turns, angles[dwells:], strict=True)
+        ]
+        # All at once: a call takes longer than the computation for one turn.
+        errors = self.table.attitude_errors(np.concatenate([angles[:dwells], *turned]))
+        ends = dwells + np.cumsum([len(one) for one in turned], dtype=int)
+        turning = [
+            errors[end - len(one) : end].mean(axis=0)
+            for one, end in zip(turned, ends.tolist(), strict=True)
+        ]
+        return errors[:dwells], np.array(turning).reshape(len(self.turns), *errors.shape[1:])
+
+    @cached_property
+    def positioning_attitude_errors(self) -> tuple[AttitudeErrors, AttitudeErrors]:
+        """Attitude errors by positioning errors of joints, and by each stop separately.
+
+        In the hand both are the same.
+        """
+        if self.plan.by_hand:
+            held = of_holds(self.segments, self.turns)
+            return held, held
+        return (
+            of_joints(self.segments, self.turns, self.table),
+            of_stops(self.segments, self.turns),
+        )
+
+    @property
+    def levelling(self) -> float:
+        """Standard deviation of the table's tilt about either level axis, rad."""
+        return LEVELLED if self.table is None else self.table.level
+
+    @property
+    def encoder_step(self) -> float:
+        """The step of the encoders that at least half of the turns show, rad; else 0.
+
+        A ramp of round numbers, read at equal intervals, looks coarse by chance.
+        """
+        steps = sorted(turn.step for turn in self.turns)
+        return steps[(len(steps) - 1) // 2] if steps else 0.0
+
+    def scaled(self, factors: Floats) -> Evidence:
+        """Return the session with outputs, and their noise, multiplied by (6,) factors."""
+        segments = (replace(s, statistics=s.statistics.scaled(factors)) for s in self.segments)
+        turns = (replace(t, statistics=t.statistics.scaled(factors)) for t in self.turns)
+        moves = (m.scaled(factors) for m in self.moves)
+        walk = self.walk * factors
+        changed = replace(self, segments=tuple(segments), turns=tuple(turns), moves=tuple(moves))
+        return replace(changed, walk=walk)
+
+    def with_attitudes(self, attitudes: Floats) -> Evidence:
+        """Return the session in other attitudes, (s, 3, 3) R_nb.
+
+        Results that do not depend on them are kept: those of turns, and of a unit in the hand the
+        choice of moves and the outputs' own noise, which there are taken without attitudes.
+        """
+        pairs = zip(self.segments, attitudes, strict=True)
+        segments = tuple(replace(s, attitude=a) for s, a in pairs)
+        found = self._replaced(_OF_DWELLS - {'dwell_attitudes'} | {'layout'}, segments=segments)
+        if self.free:
+            moves = replace(self.used_moves, attitudes=found.dwell_attitudes)
+            vars(found)['used_moves'] = moves
+            found.cache.update({key: self.cache[key] for key in self.cache.keys() & {'own'}})
+        return found
+
+    def outputs(self) -> Floats:
+        """Return the mean outputs at rest, (s, 6)."""
+        return np.array([s.statistics.mean for s in self.segments]).reshape(-1, 6)
+
+    def variances(self) -> Floats:
+        """Return the variances of the mean outputs at rest, (s, 6): not below those of rounding."""
+        rows = [s.variance(self.walk, self.site.gravity) for s in self.segments]
+        return np.maximum(np.array(rows).reshape(-1, 6), SMALLEST_VARIANCE)
+
+    def attitudes(self) -> Floats:
+        """Return R_nb of the static dwells, (s, 3, 3), in the frame of the table's azimuth."""
+        return np.array([s.attitude for s in self.segments]).reshape(-1, 3, 3)
+
+    def position_weights(self) -> Floats:
+        """Return the weight of every static dwell in the mean of its position, (s, 6).
+
+        A position measured several times is averaged first, each time by its variance.
+        """
+        precision = 1 / self.variances()
+        names = [s.position for s in self.segments]
+        total = np.array(
+            [precision[[other == name for other in names]].sum(axis=0) for name in names]
+        ).reshape(-1, 6)
+        return np.asarray(precision / total)
+
+    def vertical_axes(self) -> list[tuple[int, int]]:
+        """Return for every static dwell which body axis is vertical, and +1 up or -1 down.
+
+        Raises:
+            NotObservable: An attitude with no body axis vertical.
+        """
+        pairs = zip(self.attitudes(), self.segments, strict=True)
+        return [vertical_axis(attitude[2], s.position) for attitude, s in pairs]
+
+    def off_axis(self) -> Floats:
+        """Return the deviation of up, by encoders, from the vertical body axis, (s, 3)."""
+        exact = [sign * np.eye(3)[axis] for axis, sign in self.vertical_axes()]
+        return np.asarray(self.attitudes()[:, 2] - np.array(exact).reshape(-1, 3))
+
+    def clock_rate(self) -> tuple[float, float]:
+        """Return the relative rate of the IMU's clock against the table's, and its deviation.
+
+        The estimate from the motions is combined with the tolerance of two quartz clocks. Where
+        they are not compared and no turn was timed by a table, seconds are those of the stamps.
+        """
+        if not self.clocks_compared:
+            timed = any(turn.seconds is not None for turn in self.turns)
+            return 0.0, _QUARTZ if timed else 0.0
+        share = _QUARTZ**2 / (_QUARTZ**2 + self.clock.rate_std**2)
+        return share * self.clock.rate, float(np.sqrt(share)) * self.clock.rate_std
+
+    @property
+    def clocks_compared(self) -> bool:
+        """Whether motions of a table determine the rate of the clock of the stamps."""
+        return bool(np.isfinite(self.clock.rate_std))
+
+    @property
+    def turns_clock_std(self) -> float:
+        """Standard deviation of the clocks' rate, where it affects responses to turns.
+
+        Pulses are counted over seconds of one clock and turns timed by the other; counts and SI
+        values are already rates.
+        """
+        return self.clock_rate()[1] if self.units.per_interval else 0.0
+
+    @property
+    def clock_freedom(self) -> float:
+        """Degrees of freedom of the deviation of `clock_rate`; infinite if from quartz alone."""
+        if not self.clocks_compared:
+            return np.inf
+        # A rate, and an offset for each piece between jumps.
+        return max(1.0, float(self.clock.motions - 2 - len(self.clock.jumps)))
+
+    def missing_positions(self) -> list[str]:
+        """Return the names of the plan's positions without a usable segment."""
+        found = {s.position for s in self.segments}
+        return [p.id for p in self.plan.positions if p.dwell > 0 and p.id not in found]
+
+    def missing_words(self) -> str:
+        """Return `missing_positions` as the end of a clause; empty where none is missing."""
+        missing = self.missing_positions()
+        return f' (missing: {", ".join(missing)})' if missing else ''
+
+    def positions_in_words(self) -> str:
+        """Return how many positions were found, and which are missing, as part of a sentence."""
+        return f'{len({s.position for s in self.segments})} positions{self.missing_words()}'
+
+
+def vertical_axis(up: Floats, position: str | None) -> tuple[int, int]:
+    """Return which body axis is vertical, and +1 up or -1 down.
+
+    Args:
+        up: (3,) up in body axes.
+        position: Its position, for the message.
+
+    Raises:
+        NotObservable: None of the three is.
+    """
+    axis = int(np.argmax(np.abs(up)))
+    if abs(up[axis]) < 1 - _AXIS_TOLERANCE:
+        raise NotObservable(
+            f'Position {position}: no axis is vertical (up is {np.round(up, 2)} in X, Y, Z); '
+            'this method needs one of X, Y, Z up or down.'
+        )
+    return axis, int(np.sign(up[axis]))
+
+
+def thermal_of(imu: ImuSpec) -> Floats:
+    """Return scale factor and bias per K of gyros and of accelerometers by the data sheet, (2, 2).
+
+    Standard deviations, 1/K and SI/K; 0 where not stated.
+    """
+    return np.array(
+        [[t.scale_factor_temperature, t.bias_temperature] for t in (imu.gyro, imu.accel)]
+    )

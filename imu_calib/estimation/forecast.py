@@ -1,0 +1,252 @@
+"""Forecast the standard deviations of a session, by the plan's method and by the information bound.
+
+The method is given outputs equal to their expectation, with their covariance in such a session.
+Bias drift is propagated by the derivatives of the parameters by the outputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..common.budget import Source
+from ..common.errors import NotObservable
+from ..common.stream import Floats
+from ..model.model_parameters import AXES, PARAMETERS, Parameter
+from ..model.sensors import SensorModel, gravity_covariance
+from ..session.table_clock import clock_share
+from . import exact_table
+from . import hand as free_positions
+from .closed_forms import skewed
+from .closed_forms.skewed import RatePoints
+from .components import Blocks, Component
+from .equations import Equations
+from .evidence import Evidence
+from .fit import check_observable
+from .free import FreeEquations
+from .information import Information, determined
+from .methods import JOINT, check_plan, method
+from .predict import bias_drift_covariance, expected
+from .setup import Setup
+from .solution import Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """Forecast of a session.
+
+    Attributes:
+        evidence: The evidence of the session.
+        method: Name of the method.
+        parameters: The parameters that the method estimates.
+        std: (n,) by that method, SI units; NaN for parameters not estimated, or if the method
+            fails.
+        best: (n,) by the Fisher information; NaN for parameters that are not observable.
+        refusal: Why the method gives no result, else empty.
+    """
+
+    evidence: Evidence
+    method: str
+    parameters: tuple[Parameter, ...]
+    std: Floats
+    best: Floats
+    refusal: str
+
+
+def forecast(
+    setup: Setup,
+    truth: SensorModel,
+    azimuth: float | None = None,
+    *,
+    drifting: bool = False,
+    rise: float = 0.0,
+) -> Forecast:
+    """Predict the standard deviations of a session.
+
+    Args:
+        setup: Plan, method, table, IMU and site.
+        truth: Assumed sensors.
+        azimuth: True heading of the table's zero, rad; None for the table's own, or north.
+        drifting: Whether the biases drift by the IMU's bias instability.
+        rise: As in `expected`.
+
+    Raises:
+        InputError: The table cannot run the plan, the IMU states no noise, or there is no such
+            method.
+    """
+    evidence = expected(setup, truth, azimuth, rise=rise)
+    if setup.method_name == free_positions.NAME:
+        return _with_common(_in_the_hand(truth, evidence), setup, truth)
+    # A closed form does not use moves.
+    resting = replace(evidence, moves=())
+    name = setup.method_name
+    solver = method(name, setup.terms)
+    refusal = ''
+    parameters = listed(setup)
+    square = _nothing(parameters)
+    if name not in JOINT:
+        try:
+            extra = bias_drift_covariance(resting, setup.imu) if drifting else None
+            parameters, square = _by_closed_form(resting, solver, extra)
+            if name == skewed.NAME:
+                square = square + skewed.variance_by_weights(evidence)
+        except NotObservable as error:
+            refusal = str(error)
+    else:
+        try:
+            check_observable(Equations(evidence, parameters))
+        except NotObservable as error:
+            refusal = str(error)
+    extra = bias_drift_covariance(evidence, setup.imu) if drifting else None
+    best = _best(evidence, truth, parameters, extra)
+    std = best if name in JOINT else np.sqrt(square)
+    return _with_common(Forecast(evidence, name, parameters, std, best, refusal), setup, truth)
+
+
+def with_parameters(
+    evidence: Evidence,
+    setup: Setup,
+    truth: SensorModel,
+    parameters: tuple[Parameter, ...],
+    *,
+    drifting: bool,
+) -> Floats:
+    """Return the standard deviations (n,) of a joint estimate of other parameters; see `forecast`.
+
+    NaN stands for parameters that the session does not determine.
+    """
+    extra = bias_drift_covariance(evidence, setup.imu) if drifting else None
+    best = _best(evidence, truth, parameters, extra)
+    found = Forecast(evidence, setup.method_name, parameters, best, best, '')
+    return _with_common(found, setup, truth).std
+
+
+def resting_on_the_table(found: Forecast, truth: SensorModel) -> list[str]:
+    """List the parameters of a joint estimate that rely on table errors below `FINEST`."""
+    if found.method not in JOINT or found.refusal:
+        return []
+    parameters = tuple(p for p in found.parameters if p.row < len(AXES))
+    equations = Equations(found.evidence, parameters)
+    std = found.std[: len(parameters)]
+    return exact_table.resting_on_the_table(equations, state_at(equations, truth), std)
+
+
+def gravity_variances(found: Forecast, truth: SensorModel) -> Floats:
+    """Return the part of gravity's uncertainty in the variances of a forecast, (n,)."""
+    relative_std = found.evidence.site.gravity_relative_std
+    return np.asarray(np.diag(gravity_covariance(truth, found.parameters, relative_std)))
+
+
+def _with_common(found: Forecast, setup: Setup, truth: SensorModel) -> Forecast:
+    """Add the uncertainty of gravity and of the table's clock, as in every calibration."""
+    share = gravity_variances(found, truth)
+    if setup.table is not None:
+        clock = clock_share(truth, found.parameters, setup.imu.units, setup.table.clock)
+        share = share + np.diag(clock.covariance)
+    return replace(found, std=np.sqrt(found.std**2 + share), best=np.sqrt(found.best**2 + share))
+
+
+def check_session(setup: Setup) -> None:
+    """Refuse a plan that the method could not solve even with a perfect session.
+
+    Raises:
+        InputError: The table cannot run the plan, or there is no such method.
+        NotObservable: Names what cannot be determined, and what is missing.
+    """
+    check_plan(setup.method_name, setup.plan, setup.site)
+    if setup.table is not None and not setup.plan.by_hand:
+        setup.plan.steps(setup.table)
+    noisy = min(setup.imu.gyro.random_walk, setup.imu.accel.random_walk) > 0
+    if noisy and setup.method_name != free_positions.NAME:
+        method(setup.method_name)(expected(setup, SensorModel()))
+
+
+def _best(
+    evidence: Evidence, truth: SensorModel, parameters: tuple[Parameter, ...], extra: Floats | None
+) -> Floats:
+    """Return the least standard deviations that a session allows; NaN for undetermined ones."""
+    modelled = tuple(p for p in parameters if p.row < len(AXES))
+    found = information(evidence, truth, modelled, extra=extra)
+    best = np.sqrt(np.diag(found.covariance)[: len(modelled)])
+    best = np.where(determined(found, modelled), best, np.nan)
+    if parameters == modelled:
+        return np.asarray(best)
+    turns = [t for t in evidence.turns if t.skewed is not None]
+    square = None if extra is None else extra[-len(turns) :, -len(turns) :]
+    askew = np.sqrt(np.diag(skewed.gauss_markov_bound(RatePoints.of(evidence), square)))
+    return np.concatenate([best, askew])
+
+
+def _in_the_hand(truth: SensorModel, evidence: Evidence) -> Forecast:
+    """Forecast a session in the hand: its least-squares method reaches the information bound."""
+    std, sought = np.zeros(len(PARAMETERS)), free_positions.ESTIMATES
+    found = information(evidence, free_positions.in_frame_of_accelerometers(truth), sought)
+    std[free_positions.FREE] = np.sqrt(np.diag(found.covariance)[: len(sought)])
+    return Forecast(evidence, free_positions.NAME, PARAMETERS, std, _nothing(PARAMETERS), '')
+
+
+def listed(setup: Setup) -> tuple[Parameter, ...]:
+    """Return the parameters of a forecast: the 24, estimated or not, and additional ones.
+
+    Raises:
+        InputError: There is no such method, or it knows no terms.
+    """
+    return tuple(dict.fromkeys((*PARAMETERS, *setup.parameters)))
+
+
+def _nothing(parameters: tuple[Parameter, ...]) -> Floats:
+    return np.full(len(parameters), np.nan)
+
+
+def information(
+    evidence: Evidence,
+    truth: SensorModel,
+    parameters: tuple[Parameter, ...] = PARAMETERS,
+    *,
+    extra: Floats | None = None,
+) -> Information:
+    """Return the Fisher information of a session at the truth.
+
+    Source: docs/mathematics.md, 'Joint estimate'.
+    """
+    kind = FreeEquations if evidence.free else Equations
+    return information_of(kind(evidence, parameters), truth, extra)
+
+
+def information_of(equations: Equations, truth: SensorModel, extra: Floats | None) -> Information:
+    """Return the Fisher information of equations at the truth.
+
+    Args:
+        equations: Without bias drift.
+        truth: Assumed sensors.
+        extra: Covariance of their outputs by bias drift, or None.
+    """
+    if extra is not None:
+        m = len(equations.outputs)
+        part = Blocks(np.arange(m)[None], extra[None, :m, :m])
+        equations = replace(equations, extra=(Component(Source.BIAS_STATED, part),))
+    return Information.of(equations.whitened(state_at(equations, truth))[0])
+
+
+def state_at(equations: Equations, truth: SensorModel) -> Floats:
+    """Return the state (n,) of `equations` for the assumed sensors."""
+    state = equations.nominal()
+    state[: equations.sensors] = truth.values(equations.parameters)
+    return state
+
+
+def _by_closed_form(
+    evidence: Evidence, solver: Callable[[Evidence], Solution], extra: Floats | None
+) -> tuple[tuple[Parameter, ...], Floats]:
+    """Return parameters and variances of a method with fixed weights of its outputs."""
+    solution = solver(evidence)
+    square = np.asarray(solution.std**2)
+    if extra is not None:
+        gain = solution.gain
+        assert gain is not None
+        # Dwells come first: with gyros at rest alone, turns have no weight and are left out.
+        outputs = slice(0, gain.shape[1])
+        square = square + np.einsum('ij,jk,ik->i', gain, extra[outputs, outputs], gain)
+    return solution.parameters, square

@@ -1,0 +1,252 @@
+"""Velocity gained on a move by the accelerometers of a model, and its derivatives.
+
+With C_i the rotation from the middle of step i to the end of the move, f_i its specific force by
+the model and t_i its length, all in the body axes at the end,
+
+v = sum of C_i f_i t_i, V_i = the sum before step i and half of its own.
+
+Rotations and rates are those of the move's `GyroPath`. Terms of specific force multiply gravity on
+the path, as everywhere, without the effects of pulses and lever arms.
+
+Source: docs/mathematics.md, 'Velocities of moves'; the strapdown equations of Savage 1998, J.
+Guidance 21, 208.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import combinations_with_replacement
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.directions import cross
+from ..common.rotations import GENERATORS, rotations
+from ..common.stream import Floats
+from ..model.motion import delay, places
+from ..model.sensors import SensorModel
+from ..model.terms import term
+from ..segmentation.stream_facts import VelocitySteps
+from .observation_gyro_paths import GyroPath, summed
+
+_EACH = np.eye(3)[:, :, None] * np.eye(3)[:, None, :]
+"""For each channel the part of a vector that it measures: (3, 3, 3)."""
+
+_CROSS = np.ascontiguousarray(np.moveaxis(GENERATORS, 0, -1))
+"""[v] = _CROSS @ v, the cross product by a vector from the left: (3, 3, 3)."""
+
+_ONE = np.zeros(1, dtype=np.intp)
+"""Start index of a single motion."""
+
+_SQUARES = tuple(combinations_with_replacement(range(3), 2))
+"""Products of rates, each once."""
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityIncrement:
+    """The specific force of a move by a model.
+
+    Attributes:
+        path: The rotation.
+        model: The sensors.
+        additions: (n, 3) outputs by biases and terms, m/s^2.
+        specific_force: (n, 3) mean specific force of each step, m/s^2.
+        steps: (n, 3) velocity of each step, body axes at the end, m/s.
+    """
+
+    path: GyroPath
+    model: SensorModel
+    additions: Floats
+    specific_force: Floats
+    steps: Floats
+
+    @classmethod
+    def of_each(
+        cls, gained: Sequence[VelocitySteps], paths: Sequence[GyroPath], model: SensorModel
+    ) -> tuple[VelocityIncrement, ...]:
+        """Follow several paths; all their steps are compensated at once."""
+        if not gained:
+            return ()
+        rates, forces, axes, seconds = (
+            np.concatenate([getattr(path, name) for path in paths])
+            for name in ('rates', 'forces', 'axes', 'seconds')
+        )
+        velocity, means = (
+            np.concatenate([getattr(g, n) for g in gained]) for n in ('velocity', 'mean')
+        )
+        alone = {name: found for name, found in model.terms.items() if term(name).triad == 'a'}
+        terms = replace(model, terms=alone).extra(np.hstack([rates, forces]))[:, 3:]
+        additions = terms + model.accel.bias
+        outputs = velocity / seconds[:, None] - additions
+        specific_force = np.einsum('ij,nj->ni', np.linalg.inv(model.accel.response), outputs)
+        mean = np.einsum('ij,nj->ni', np.linalg.inv(model.gyro.response), means)
+        half_way = specific_force + cross(mean, specific_force + cross(mean, specific_force) / 2)
+        steps = np.einsum('nij,nj->ni', axes, half_way) * seconds[:, None]
+        ends = np.cumsum([len(path.seconds) for path in paths])[:-1]
+        parts = zip(
+            paths, *(np.split(x, ends) for x in (additions, specific_force, steps)), strict=True
+        )
+        return tuple(cls(path, model, *mine) for path, *mine in parts)
+
+    @cached_property
+    def velocity(self) -> Floats:
+        """v, (3,) m/s."""
+        return np.asarray(self.steps.sum(axis=0))
+
+    @cached_property
+    def correction(self) -> Floats:
+        """Correction of v for places and delay of the accelerometers, (3,) m/s.
+
+        Linear in the places, and in the delay with the rotation of the axes meanwhile, up to the
+        third order of the angle turned during the delay.
+        """
+        found = np.zeros(3)
+        if (apart := places(self.model)).any():
+            found += by_places([self])[0] @ apart.ravel()
+        if seconds := delay(self.model):
+            # The axes earlier by the delay, by the rate half way back.
+            change = _change(self.path.rates, self.path.seconds)
+            back = self.path.rates - change * (seconds / 2)
+            turned = rotations(-back * seconds) - np.eye(3)
+            specific_force = (
+                np.einsum('nij,nj->ni', turned, self.specific_force) * self.path.seconds[:, None]
+            )
+            found += np.einsum('nij,nj->i', self.path.axes, specific_force)
+        return found
+
+    @cached_property
+    def displacement(self) -> Floats:
+        """(3,) the sum of V_i t_i, m: from the start to the end of the move."""
+        return np.asarray(self.path.seconds @ self._velocities)
+
+    @cached_property
+    def _velocities(self) -> Floats:
+        """V_i, (n, 3) m/s."""
+        return np.asarray(np.cumsum(self.steps, axis=0) - self.steps / 2)
+
+    @cached_property
+    def turning(self) -> Floats:
+        """Derivative of v by outputs of the gyros (rad/s) during a step, (n, 3, 3) m.
+
+        A rotation of the axes at step i turns the velocity gained before; half of the whole
+        rotation is removed from all of it: v is given in axes half way between those of the ends.
+        """
+        beyond = np.einsum('ijk,nk->nij', _CROSS, self.velocity / 2 - self._velocities)
+        return np.asarray(beyond @ self.path.timed_transfer)
+
+    @cached_property
+    def _timed_axes(self) -> Floats:
+        """Derivative of v by a specific force during a step, (n, 3, 3) s."""
+        return np.asarray(self.path.axes * self.path.seconds[:, None, None])
+
+    def integrated_courses(self, products: Floats) -> Floats:
+        """Return the velocities by courses (n, q) added to each accelerometer, (3, 3, q) m/s."""
+        answer = np.linalg.inv(self.model.accel.response)
+        return np.asarray(answer.T @ summed(self._timed_axes, products))
+
+    @cached_property
+    def integrated_force(self) -> Floats:
+        """The same by the whole specific force: for scale factors and misalignments."""
+        return self.integrated_courses(self.specific_force)
+
+    @cached_property
+    def by_seconds(self) -> Floats:
+        """The derivative of v by the lengths of the steps as shares of them, (3,) m/s.
+
+        The pulses are constant, but the subtracted biases and terms grow.
+        """
+        specific_force = self.additions @ np.linalg.inv(self.model.accel.response).T
+        return -np.asarray(np.einsum('nij,nj->i', self._timed_axes, specific_force))
+
+
+def by_delay(increments: Sequence[VelocityIncrement]) -> Floats:
+    """Return the correction of v for a delay s of the accelerometers, per s, (m, 3) m/s^2.
+
+    They give f(t - s) for f(t), which is s times the sum of C (w x f) t over a move from rest to
+    rest; this is minus that.
+
+    Args:
+        increments: m of one model.
+    """
+    rates, axes, seconds, starts = _all_steps(increments)
+    crossed = (
+        cross(rates, np.concatenate([t.specific_force for t in increments])) * seconds[:, None]
+    )
+    return -np.asarray(np.add.reduceat(np.einsum('nij,nj->ni', axes, crossed), starts))
+
+
+def by_places(increments: Sequence[VelocityIncrement]) -> Floats:
+    """Return the correction of v for the places of the accelerometers, per m, (m, 3, 9) 1/s.
+
+    In the order x, y, z of accelerometer x, then of y and z. Accelerometer i reads row i of (I + M)
+    a_i, a_i = ([alpha] + [w][w]) r_i. From dwell to dwell integration by parts removes alpha: the
+    integral of C P_i a_i is that of C (P_i [w] - [w] P_i) [w] r_i; this is minus that.
+
+    Args:
+        increments: m of one model.
+    """
+    matrix = np.reshape(
+        _responses_alone(increments[0].model).reshape(3, 9) @ _by_responses(), (3, 18, 3)
+    )
+    return np.asarray(_moments(increments) @ np.swapaxes(matrix, 0, 1).reshape(18, 9))
+
+
+@lru_cache(maxsize=1)
+def _by_responses() -> Floats:
+    """Return P [w] - [w] P, times [w], as a matrix of P and products of w, (9, 18 * 3)."""
+    apart = np.einsum('mjp,klq->jkmpql', _CROSS, _CROSS)
+    apart -= np.einsum('kap,alq,jm->jkmpql', _CROSS, _CROSS, np.eye(3))
+    # Products of rates are symmetric.
+    folded = [apart[..., p, q, :] + (apart[..., q, p, :] if p != q else 0.0) for p, q in _SQUARES]
+    return np.stack(folded, axis=3).reshape(9, -1)
+
+
+def _moments(increments: Sequence[VelocityIncrement]) -> Floats:
+    """Return sums of C w_p w_q t over the steps, (m, 3, 3 * 6): of each product once.
+
+    A rate that changes by d within a step has a mean square of w^2 + d^2 / 12.
+    """
+    rates, axes, seconds, starts = _all_steps(increments)
+    change = _change(rates, seconds, starts) * seconds[:, None] / np.sqrt(12)
+    first, second = np.array(_SQUARES).T
+    squares = rates[:, first] * rates[:, second]
+    squares += change[:, first] * change[:, second]
+    timed = squares * seconds[:, None]
+    parts = zip(np.split(axes, starts[1:]), np.split(timed, starts[1:]), strict=True)
+    return np.array([summed(axis, square) for axis, square in parts]).reshape(len(starts), 3, -1)
+
+
+def _all_steps(
+    increments: Sequence[VelocityIncrement],
+) -> tuple[Floats, Floats, Floats, NDArray[np.intp]]:
+    """Return rates, axes and seconds of all steps, and the start of each motion."""
+    rates, axes, seconds = (
+        np.concatenate([getattr(increment.path, name) for increment in increments])
+        for name in ('rates', 'axes', 'seconds')
+    )
+    return rates, axes, seconds, np.cumsum([0, *(len(t.path.seconds) for t in increments[:-1])])
+
+
+def _responses_alone(model: SensorModel) -> Floats:
+    """Return P_i = (I + M)^-1 e_i e_i' (I + M): the response of accelerometer i alone."""
+    response = model.accel.response
+    return np.asarray(np.linalg.inv(response) @ _EACH @ response)
+
+
+def _change(rates: Floats, seconds: Floats, starts: NDArray[np.intp] = _ONE) -> Floats:
+    """Return the change of rates (n, 3), rad/s^2; the unit is at rest before and after.
+
+    Args:
+        rates: Of the steps, rad/s.
+        seconds: (n,) their lengths.
+        starts: Starts of motions, each from rest to rest.
+    """
+    ends, last = np.cumsum(seconds), np.append(starts[1:], len(seconds)) - 1
+    middles = ends - seconds / 2
+    before, after = np.roll(middles, 1), np.roll(middles, -1)
+    before[starts], after[last] = (ends - seconds)[starts], ends[last]
+    slower, faster = np.roll(rates, 1, axis=0), np.roll(rates, -1, axis=0)
+    slower[starts] = faster[last] = 0.0
+    return np.asarray((faster - slower) / (after - before)[:, None])

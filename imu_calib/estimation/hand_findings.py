@@ -1,0 +1,162 @@
+"""Contradictions in a session in the hand: units, exchanged axes, a latitude of another site.
+
+Free positions have no plan to compare with, but three facts remain: gravity has a known length, the
+gyros must turn gravity from hold to hold as seen by the accelerometers, and the Earth turns at the
+rate of the site.
+
+Source: docs/mathematics.md, 'Free positions'.
+"""
+
+from __future__ import annotations
+
+from itertools import permutations, product
+
+import numpy as np
+
+from ..common.errors import Contradiction, InputError
+from ..common.stream import Floats
+from ..common.units import DEG
+from ..model.model_parameters import AXES
+from ..model.sensors import SensorModel, Triad
+from ..model.wrong_scale import wrong_turns_sentences
+from ..session.imu import SCALE_LIMIT
+from .evidence import Evidence
+from .measured_earth_rate import measured_latitude, vertical_earth_rate
+
+_ASTRAY = 10 * DEG
+"""rad, root mean square over the turns: gravity turned by the gyros misses the next hold by more
+only with wrong channels or units. Scale factors and misalignments of percents cause a few degrees
+in half a turn."""
+_BETTER = 3.0
+"""Factor by which exchanged axes or other units must fit better to be named. A judgement: the right
+one leaves the few degrees of `_ASTRAY`, the wrong one some ninety."""
+_DOUBT = 3.0
+"""Standard deviations: three sessions in a thousand are solved in full before they are accepted."""
+_UNITS = (1.0, 1 / DEG, DEG, 2.0, 0.5)
+"""Responses of gyros in rad/s where deg/s are stated as rad/s or rad/s as deg/s, and where half or
+twice the rate of the samples, or the next range of a converter, is stated."""
+
+_AROUND = np.geomspace(0.8, 1.25, 41).tolist()
+"""Of a named response, by 1.1 %: from those in `_UNITS` to those that are solved and reported."""
+
+
+def check_turns(evidence: Evidence, model: SensorModel) -> None:
+    """Raise if gravity turned by the gyros disagrees with the accelerometers of the next hold.
+
+    All exchanges and signs of axes, in rad/s and in deg/s, are tried; the one with the fewest
+    changes of those that fit is named. If none fits, this function does not raise.
+
+    Args:
+        evidence: In attitudes whose ups are those of the accelerometers.
+        model: Only its gyro biases are used.
+
+    Raises:
+        InputError: Units or scale factor of the gyros differ from those of the recording.
+        Contradiction: Axes are exchanged or mirrored; names them.
+    """
+    if not len(evidence.used_moves):
+        return
+    astray = _turned_gravity_error(evidence, model, np.eye(3))
+    if astray < _ASTRAY:
+        return
+    responses = [scale * axes for scale in _UNITS for axes in _signed_axes()]
+    misses = np.array([_turned_gravity_error(evidence, model, response) for response in responses])
+    if misses.min() * _BETTER > astray:
+        return
+    response = responses[int(np.argmax(misses <= misses.min() * _BETTER))]
+    scale = float(np.abs(response).max())
+    if scale != 1.0:
+        scale *= min(
+            _AROUND, key=lambda factor: _turned_gravity_error(evidence, model, factor * response)
+        )
+        if 1 / SCALE_LIMIT < scale < SCALE_LIMIT:
+            return
+        raise InputError(
+            wrong_turns_sentences(
+                scale,
+                "units or scale factor of the IMU's description are not those of the recording",
+            )
+        )
+    raise Contradiction(
+        f'The gyros contradict the accelerometers: from hold to hold {_in_words(response)}. '
+        'Channels are exchanged or have a wrong sign: correct the driver or the columns of the '
+        'recording.'
+    )
+
+
+def other_latitudes(evidence: Evidence) -> tuple[float, ...]:
+    """Return latitudes, rad, that may be meant: the opposite one, and that seen by the gyros."""
+    seen = vertical_earth_rate(evidence.segments)
+    found = None if seen is None else measured_latitude(*seen)
+    stated = evidence.site.latitude
+    return (-stated,) if found is None else (-stated, found[0])
+
+
+def contradicts_latitude(evidence: Evidence) -> bool:
+    """Return whether the gyros at rest contradict the Earth rate of the stated latitude.
+
+    By three standard deviations: a doubt, not a contradiction. The attitudes have the ups of the
+    accelerometers.
+    """
+    seen = vertical_earth_rate(evidence.segments)
+    return seen is not None and abs(seen[0] - evidence.site.up_rate) > _DOUBT * seen[1]
+
+
+def wrong_latitude(evidence: Evidence, latitude: float) -> Contradiction:
+    """Return a sentence on a latitude (rad) that fits in place of the stated one.
+
+    Accelerometers with the other sign see down where up is: north of the equator turns like south.
+    """
+    sign = ''
+    if latitude * evidence.site.latitude < 0:
+        sign = (
+            ' Accelerometers of the opposite sign do the same: at rest the one that points up has '
+            'to read +1 g.'
+        )
+    return Contradiction(
+        f'The data contradicts the latitude {evidence.site.latitude / DEG:.2f} deg: the gyros fit '
+        f'a latitude of {latitude / DEG:.2f} deg, with odds of more than a thousand to one. State '
+        f'the latitude of the site, negative in the south.{sign}'
+    )
+
+
+def _signed_axes() -> list[Floats]:
+    """Return the 48 ways in which three channels can be exchanged or mirrored, few changes first.
+
+    (3, 3) each: row i the channel, column j its input axis.
+    """
+    found = [
+        np.eye(3)[list(order)] * np.array(signs)[:, None]
+        for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3))
+    ]
+    return sorted(found, key=lambda axes: int(np.count_nonzero(axes != np.eye(3))))
+
+
+def _turned_gravity_error(evidence: Evidence, model: SensorModel, response: Floats) -> float:
+    """Return the error of gravity turned by gyros of a response (3, 3), rad, root mean square."""
+    tried = SensorModel(Triad(response - np.eye(3), model.gyro.bias), model.accel)
+    used, ups = evidence.used_moves, evidence.attitudes()[:, 2]
+    propagated_ups = np.array(
+        [
+            path.rotation @ ups[link.first]
+            for path, link in zip(used.paths(tried), used.linked, strict=True)
+        ]
+    )
+    cosines = np.einsum('ij,ij->i', propagated_ups, ups[[link.second for link in used.linked]])
+    missed = np.arccos(np.clip(cosines, -1.0, 1.0))
+    return float(np.sqrt(np.mean(missed**2)))
+
+
+def _in_words(response: Floats) -> str:
+    """Return the input axis of each channel that is not its own."""
+    words = []
+    for channel, row in zip(AXES, response, strict=True):
+        axis = int(np.argmax(np.abs(row)))
+        sign = '-' if row[axis] < 0 else ''
+        if sign or AXES[axis] != channel:
+            words.append(f'gyro {channel} answers to {sign}{AXES[axis].upper()}')
+    text = ', '.join(words)
+    alone = np.flatnonzero(np.diag(response) > 0)
+    if np.linalg.det(response) > 0 and len(words) == 2 and len(alone) == 1:
+        text += f' (accelerometer {AXES[alone[0]]} with a wrong sign looks the same)'
+    return text

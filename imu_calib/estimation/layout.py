@@ -1,0 +1,125 @@
+"""The order of a session's outputs in its equations; it is defined in this module only.
+
+Six for each dwell (gyros x y z, accelerometers x y z), then three for each turn (gyros), then three
+for each move (angles), then three for each turn whose accelerometers are used, then three for each
+move whose accelerometers are used (velocities).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.stream import Floats
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class OutputLayout:
+    """The layout of a session's outputs.
+
+    Attributes:
+        dwells: Their number.
+        turns: Likewise.
+        moves: Likewise.
+        turns_with_accels: Turns whose accelerometers are used.
+        moves_with_accels: Moves whose accelerometers are used.
+    """
+
+    dwells: int
+    turns: int = 0
+    moves: int = 0
+    turns_with_accels: tuple[int, ...] = ()
+    moves_with_accels: tuple[int, ...] = ()
+
+    def __len__(self) -> int:
+        """Return the number of outputs."""
+        threes = self.turns + self.moves + len(self.turns_with_accels) + len(self.moves_with_accels)
+        return 6 * self.dwells + 3 * threes
+
+    @cached_property
+    def dwell(self) -> Indices:
+        """Of the dwells, (s, 6): gyros, then accelerometers."""
+        return np.arange(6 * self.dwells).reshape(-1, 6)
+
+    @cached_property
+    def turn(self) -> Indices:
+        """Of the turns' gyros, (t, 3)."""
+        return 6 * self.dwells + np.arange(3 * self.turns).reshape(-1, 3)
+
+    @cached_property
+    def move(self) -> Indices:
+        """Of the moves' angles, (m, 3)."""
+        return 6 * self.dwells + 3 * self.turns + np.arange(3 * self.moves).reshape(-1, 3)
+
+    @cached_property
+    def turn_accels(self) -> Indices:
+        """Of the turns' accelerometers, (f, 3)."""
+        before = 6 * self.dwells + 3 * (self.turns + self.moves)
+        return before + np.arange(3 * len(self.turns_with_accels)).reshape(-1, 3)
+
+    @cached_property
+    def velocity(self) -> Indices:
+        """Of the moves' velocities, (v, 3)."""
+        count = 3 * len(self.moves_with_accels)
+        return len(self) - count + np.arange(count).reshape(-1, 3)
+
+    @cached_property
+    def moving(self) -> Indices:
+        """Of all outputs of moves: angles, velocities."""
+        return np.concatenate([self.move.ravel(), self.velocity.ravel()])
+
+    @cached_property
+    def gyros(self) -> Indices:
+        """Of all outputs of gyros, in groups of three: dwells, turns, moves."""
+        return np.concatenate([self.dwell[:, :3].ravel(), self.turn.ravel(), self.move.ravel()])
+
+    @cached_property
+    def accels(self) -> Indices:
+        """Of all outputs of accelerometers, in groups of three: dwells, turns, moves."""
+        parts = (self.dwell[:, 3:], self.turn_accels, self.velocity)
+        return np.concatenate([part.ravel() for part in parts])
+
+    @cached_property
+    def channels(self) -> Indices:
+        """Channel of each output, 0 to 5; an axis of a move counts as one."""
+        result = np.empty(len(self), dtype=np.intp)
+        result[self.dwell] = np.arange(6)
+        result[self.turn] = result[self.move] = np.arange(3)
+        result[self.turn_accels] = result[self.velocity] = np.arange(3, 6)
+        return result
+
+    @cached_property
+    def segment(self) -> Indices:
+        """Index of each output's dwell, turn or move: numbered through in this order."""
+        result = np.empty(len(self), dtype=np.intp)
+        result[self.dwell] = np.arange(self.dwells)[:, None]
+        result[self.turn] = self.dwells + np.arange(self.turns)[:, None]
+        moves = self.dwells + self.turns + np.arange(self.moves)[:, None]
+        result[self.move] = moves
+        result[self.turn_accels] = (
+            self.dwells + np.array(self.turns_with_accels, dtype=np.intp)[:, None]
+        )
+        result[self.velocity] = moves[list(self.moves_with_accels)]
+        return result
+
+    def joined(self, dwell: Floats, turn: Floats, move: Floats) -> Floats:
+        """Return values in the order of the outputs.
+
+        Args:
+            dwell: (s, 6, ...).
+            turn: (t, 6, ...): turns whose accelerometers are not used are left out.
+            move: (m, 6, ...), angles, then velocities: likewise.
+        """
+        parts = (
+            (dwell, self.dwell),
+            (turn[:, :3], self.turn),
+            (move[:, :3], self.move),
+            (turn[list(self.turns_with_accels), 3:], self.turn_accels),
+            (move[list(self.moves_with_accels), 3:], self.velocity),
+        )
+        return np.concatenate([part.reshape(at.size, *dwell.shape[2:]) for part, at in parts])

@@ -1,0 +1,309 @@
+"""Find the most informative plan for a given time on a table: D-optimal attitudes, turns, dwells.
+
+The determinant of the information on the 24 parameters is maximised: it does not depend on their
+units. Attitudes are exchanged one at a time for the candidate of the largest gain, until none
+gains (Fedorov 1972, chapter 3). The number of attitudes and of turns per axis is found by trial,
+and the remaining time goes to the dwells.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+
+import numpy as np
+
+from ..common.errors import ImuCalibError, InputError
+from ..common.rotations import rotation
+from ..common.stream import Floats
+from ..common.units import DEG, counted
+from ..model.model_parameters import PARAMETERS
+from ..model.sensors import SensorModel
+from ..session.plan import BODY_AXES, COMPASS, Plan, Position, RateTest
+from ..session.table import Table
+from .equations import Equations
+from .forecast import state_at
+from .information import log_determinant
+from .predict import expected
+from .schedule import duration
+from .setup import Setup
+
+_SENSORS = len(PARAMETERS)
+_SLANTS = (0.0, 45.0)
+"""Angles by which candidates are rotated from cube-aligned attitudes, deg: halfway to the next one
+is the strongest mixture of two axes."""
+_TRIAL_DWELL = 60.0
+"""s: dwell while attitudes are compared; the final dwells follow."""
+_SHORTEST_DWELL = 20.0
+"""s: shorter dwells lose more time to motions than they gain in information; a choice."""
+_LONGEST = 24 * 3600.0
+"""s: a longer session is taken for a typing error."""
+_SWEEPS = 20
+"""Most rounds of exchanges. A cap."""
+_GAINED = 1e-9
+"""Least gain in the logarithm of the determinant that counts: smaller ones are rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Attitude:
+    """A candidate as a plan's file writes it: where X, Y, Z point, then turned about one of them.
+
+    Attributes:
+        letters: Compass letters of X, Y and Z.
+        about: 'X', 'Y' or 'Z'.
+        by: Angle about it, deg.
+        matrix: (3, 3) R_nb.
+    """
+
+    letters: str
+    about: str
+    by: float
+    matrix: Floats
+
+    def text(self) -> str:
+        """Return it as YAML."""
+        axes = f'axes: [{", ".join(self.letters)}]'
+        return (
+            axes if not self.by else f'{axes}, turned: {{about: {self.about}, by: {self.by:g} deg}}'
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """The best plan found.
+
+    Attributes:
+        plan: The plan, for the joint estimate.
+        attitudes: Attitudes of its positions, as written in its file.
+        information: Logarithm of the determinant of the information on the 24 parameters.
+        seconds: Time on the table, s.
+    """
+
+    plan: Plan
+    attitudes: tuple[Attitude, ...]
+    information: float
+    seconds: float
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return (
+            f'<Optimum: {counted(len(self.plan.positions), "position")} in '
+            f'{self.seconds / 60:.1f} min>'
+        )
+
+    def text(self, name: str) -> str:
+        """Return the text of the plan's file, under a name."""
+        test = next(p.rate_test for p in self.plan.positions if p.rate_test is not None)
+        rates = ', '.join(f'{rate / DEG:g} deg/s' for rate in test.rates)
+        count, minutes = len(self.plan.positions), self.seconds / 60
+        lines = [
+            f'name: {json.dumps(name)}',
+            f'title: {count} attitudes chosen to tell most in {minutes:.1f} min, any azimuth',
+            'source: D-optimal exchange, Fedorov 1972; docs/optimised_plan.md',
+            'method: joint',
+            f'dwell: {self.plan.positions[0].dwell:g} s',
+            'rate_test:',
+            f'  rates: [{rates}]',
+            f'  turns: {test.turns}',
+            'positions:',
+        ]
+        for position, attitude in zip(self.plan.positions, self.attitudes, strict=True):
+            turning = ', rate_test: true' if position.rate_test is not None else ''
+            lines.append(f'  - {{id: {position.id}, {attitude.text()}{turning}}}')
+        return '\n'.join([*lines, ''])
+
+
+def candidates(table: Table) -> list[Attitude]:
+    """List attitudes within a table's reach: cube-aligned ones, and those slanted by 45 deg."""
+    found: list[Attitude] = []
+    for letters in permutations('ENUWSD', 3):
+        matrix = np.array([COMPASS[letter] for letter in letters]).T
+        if abs(np.linalg.det(matrix) - 1) > 1e-9:
+            continue
+        for by, about in product(_SLANTS, 'XYZ'):
+            if not by and about != 'X':
+                continue
+            turned = matrix @ rotation(BODY_AXES[about], by * DEG)
+            if any(np.allclose(turned, other.matrix) for other in found):
+                continue
+            try:
+                table.angles(turned)
+            except InputError:
+                continue
+            found.append(Attitude(''.join(letters), about, by, turned))
+    return found
+
+
+def optimise(
+    setup: Setup,
+    truth: SensorModel,
+    seconds: float,
+    rate: float,
+    *,
+    sizes: Sequence[int] = (6, 8, 10, 12, 16),
+    turns: Sequence[int] = (1, 2, 4, 6, 8, 12, 16, 20),
+    show: Callable[[int, int], None] = lambda _done, _total: None,
+) -> Optimum:
+    """Find the most informative plan for a given time.
+
+    Args:
+        setup: Table, IMU and site; of its plan only names are used.
+        truth: Assumed sensors.
+        seconds: Time on the table, s.
+        rate: Fastest rate of turning, rad/s.
+        sizes: Numbers of positions to try.
+        turns: Whole turns in each sense to try.
+        show: Called with the number of trials done and their total.
+
+    Raises:
+        InputError: The table reaches too few attitudes, or the time is too short for any.
+    """
+    if not 0 < seconds <= _LONGEST:
+        raise InputError(
+            f'{seconds / 60:g} minutes: expected more than 0 and no more than {_LONGEST / 60:g}.'
+        )
+    table = setup.table
+    if table is None:
+        raise InputError('A plan is optimised for a table: there is none.')
+    highest = min(joint.max_rate for joint in table.joints)
+    if not 0 < rate <= highest:
+        raise InputError(
+            f'Turns at {rate / DEG:g} deg/s: expected more than 0 and no more than the '
+            f'{highest / DEG:g} deg/s of the slowest joint of table {table.name}.'
+        )
+    choices = candidates(table)
+    missing = [
+        name for axis, name in enumerate(BODY_AXES) if not any(_is_up(c, axis) for c in choices)
+    ]
+    if missing:
+        raise InputError(
+            f'Table {table.name} brings {" and ".join(missing)} of the unit never up: an optimised '
+            'plan turns each of X, Y and Z about the vertical. Plan nineteen_position turns each '
+            'axis while level.'
+        )
+    blocks, prior = _blocks(setup, truth, choices)
+    best: Optimum | None = None
+    for k, size in enumerate(sizes):
+        chosen = [choices[c] for c in _exchange(blocks, prior, choices, size)]
+        for m, count in enumerate(turns):
+            found = _timed(setup, truth, chosen, RateTest((rate, -rate), count), seconds)
+            if found is not None and (best is None or found.information > best.information):
+                best = found
+            show(k * len(turns) + m + 1, len(sizes) * len(turns))
+    if best is None:
+        raise InputError(
+            f'{seconds / 60:g} minutes on table {table.name} are too short for a calibration.'
+        )
+    return best
+
+
+def _blocks(setup: Setup, truth: SensorModel, choices: list[Attitude]) -> tuple[Floats, Floats]:
+    """Return the information of a dwell at each candidate (c, n, n), and that of turns and priors.
+
+    The turns are those about X, Y and Z that every plan makes.
+    """
+    positions = [Position(str(k), choice.matrix, _TRIAL_DWELL) for k, choice in enumerate(choices)]
+    test = RateTest((30 * DEG, -30 * DEG), 1)
+    for axis in range(3):
+        k = next(k for k, c in enumerate(choices) if _is_up(c, axis))
+        positions[k] = replace(positions[k], rate_test=test)
+    plan = replace(setup.plan, positions=tuple(positions), by_hand=False)
+    # The order in which the table visits them is not known yet.
+    evidence = replace(expected(replace(setup, plan=plan), truth), moves=())
+    equations = Equations(evidence)
+    state = state_at(equations, truth)
+    jacobian, variances = equations.jacobian(state), equations.own_variances
+    rows = jacobian / np.sqrt(variances)[:, None]
+    each, turned = (
+        rows[equations.layout.dwell],
+        np.delete(rows, equations.layout.dwell.ravel(), axis=0),
+    )
+    prior = equations.prior_rows(state)[:, :-1]
+    rest = turned.T @ turned + prior.T @ prior
+    return np.einsum('cri,crj->cij', each, each), rest
+
+
+def _is_up(attitude: Attitude, axis: int) -> bool:
+    return bool(attitude.matrix[2, axis] > 1 - 1e-9)
+
+
+def _exchange(blocks: Floats, prior: Floats, choices: list[Attitude], size: int) -> list[int]:
+    """Exchange attitudes until none gains; X, Y and Z up are among them, for the turns."""
+    upright = [next(k for k, c in enumerate(choices) if _is_up(c, axis)) for axis in range(3)]
+    # Any start is sufficient: the candidates in order, spread over the list.
+    spread = np.linspace(0, len(choices) - 1, size - len(upright)).astype(int)
+    chosen = [*upright, *spread.tolist()]
+    for _ in range(_SWEEPS):
+        changed = False
+        for place in range(len(chosen)):
+            others = prior + blocks[[c for k, c in enumerate(chosen) if k != place]].sum(axis=0)
+            axis = place if place < len(upright) else None
+            value = [
+                log_determinant(others + blocks[k], _SENSORS)
+                if axis is None or _is_up(choices[k], axis)
+                else -np.inf
+                for k in range(len(choices))
+            ]
+            gain = int(np.argmax(value))
+            if value[gain] > value[chosen[place]] + _GAINED:
+                chosen[place], changed = gain, True
+        if not changed:
+            break
+    return chosen
+
+
+def _timed(
+    setup: Setup, truth: SensorModel, attitudes: list[Attitude], test: RateTest, seconds: float
+) -> Optimum | None:
+    """Distribute the remaining time to the dwells and evaluate the plan."""
+    table = setup.table
+    assert table is not None
+    ordered = [attitudes[k] for k in _order(attitudes)]
+    tested: set[int] = set()
+    positions = []
+    for k, attitude in enumerate(ordered):
+        axis = int(np.argmax(attitude.matrix[2]))
+        turning = attitude.matrix[2, axis] > 1 - 1e-9 and axis not in tested
+        if turning:
+            tested.add(axis)
+        positions.append(Position(str(k + 1), attitude.matrix, 1.0, test if turning else None))
+    plan = replace(setup.plan, positions=tuple(positions), method='joint', by_hand=False)
+    try:
+        overhead = duration(plan.steps(table), table) - len(positions)
+    except InputError:
+        return None
+    dwell = (seconds - overhead) / len(positions)
+    if dwell < _SHORTEST_DWELL:
+        return None
+    # Whole seconds, for a readable file.
+    positions = [replace(p, dwell=float(int(dwell))) for p in positions]
+    plan = replace(plan, positions=tuple(positions))
+    try:
+        value = log_information(replace(setup, plan=plan), truth)
+    except ImuCalibError:
+        return None
+    return Optimum(plan, tuple(ordered), value, duration(plan.steps(table), table))
+
+
+def log_information(setup: Setup, truth: SensorModel) -> float:
+    """Return the logarithm of the determinant of a plan's information on the 24 parameters."""
+    equations = Equations(expected(setup, truth))
+    rows = equations.whitened(state_at(equations, truth))[0]
+    return log_determinant(rows.T @ rows, _SENSORS)
+
+
+def _order(attitudes: list[Attitude]) -> list[int]:
+    """Order the attitudes so that each is near the one before; groups of one axis up stay whole."""
+    remaining, order = set(range(1, len(attitudes))), [0]
+    while remaining:
+        here = attitudes[order[-1]].matrix
+        order.append(
+            max(
+                remaining,
+                key=lambda k: (round(float(np.trace(here.T @ attitudes[k].matrix)), 6), -k),
+            )
+        )
+        remaining.remove(order[-1])
+    return order

@@ -1,0 +1,418 @@
+"""Outputs of a session predicted from a state, and their derivatives.
+
+One state vector holds the parameters of the sensors, then the nuisance parameters (`Nuisance`), the
+lever arms of turns and the coefficients by which parameters change.
+
+Sources: Cao 2022, eqs. (1)-(2), and Luo 2018, section 6.2, for the outputs of the channels;
+docs/mathematics.md, 'Joint estimate', for the contents of the state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property, wraps
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.rotations import GENERATORS
+from ..common.stream import Floats
+from ..model.model_parameters import PARAMETERS, Parameter
+from ..model.sensors import SensorModel
+from ..model.session_terms import Change
+from .evidence import Evidence
+from .headings import mean_over_turn
+from .layout import OutputLayout
+from .modulation import columns, rates
+from .observation_output_noise import encoder_rate_errors
+from .surroundings import Surroundings
+
+
+class Nuisance(IntEnum):
+    """Entries of the state after the sensors and before the arms, in this order."""
+
+    AZIMUTH = 0
+    TILT_X = 1
+    TILT_Y = 2
+    CLOCK = 3
+
+
+_Inputs = tuple[Surroundings, Floats, Floats, Floats, Floats]
+Value = TypeVar('Value')
+
+
+def cached_by_state(method: Callable[[Any, Floats], Value]) -> Callable[[Any, Floats], Value]:
+    """Cache results at each state (n,) that do not depend on the weights."""
+
+    @wraps(method)
+    def remembered(session: Any, state: Floats) -> Value:
+        found: Value = session.remembered(method.__name__, state, method)
+        return found
+
+    return remembered
+
+
+@dataclass(frozen=True, eq=False)
+class SessionModel:
+    """Predicts the outputs of a session.
+
+    The order of its outputs is that of `layout`. Methods named `..._derivatives` return derivatives
+    of `predict`, and those named `..._effects` what errors of a given size change in it.
+
+    Attributes:
+        evidence: The session, in the time of its table (`timebase`).
+        parameters: Of the sensors, in the order of the state, at its beginning.
+        changes: Coefficients by which parameters change during the session: the end of the state.
+        shape: Time constant of a warm-up or instant of a step, as a fraction of the session.
+    """
+
+    evidence: Evidence
+    parameters: tuple[Parameter, ...] = PARAMETERS
+    changes: tuple[Change, ...] = ()
+    shape: float = 1.0
+
+    @property
+    def sensors(self) -> int:
+        """Number of parameters of the sensors."""
+        return len(self.parameters)
+
+    @property
+    def layout(self) -> OutputLayout:
+        """Indices of the outputs of dwells, turns and moves."""
+        return self.evidence.layout
+
+    @property
+    def size(self) -> int:
+        """Length of the state."""
+        return self.sensors + self.nuisances + len(self.changes)
+
+    @property
+    def nuisances(self) -> int:
+        """Number of entries of the state with priors: `Nuisance`, then the lever arms of turns."""
+        return len(Nuisance) + len(self.evidence.arms)
+
+    @property
+    def nuisance_slice(self) -> slice:
+        """Slice of the nuisances in the state."""
+        return slice(self.sensors, self.sensors + self.nuisances)
+
+    @property
+    def arm_slice(self) -> slice:
+        """Slice of the lever arms of turns in the state."""
+        return slice(self.sensors + len(Nuisance), self.sensors + self.nuisances)
+
+    @property
+    def clock_index(self) -> int:
+        """Index of the rate between the clocks in the state."""
+        return self.sensors + Nuisance.CLOCK
+
+    @property
+    def change_slice(self) -> slice:
+        """Slice of the coefficients of the session's terms in the state."""
+        start = self.sensors + self.nuisances
+        return slice(start, start + len(self.changes))
+
+    @cached_property
+    def outputs(self) -> Floats:
+        """Measured outputs, (m,) rad/s, m/s^2, rad and m/s: zero for the misclosures of moves."""
+        turned = np.array([t.statistics.mean for t in self.evidence.turns]).reshape(-1, 6)
+        moved = np.zeros((len(self.evidence.used_moves), 6))
+        return self.layout.joined(self.evidence.outputs(), turned, moved)
+
+    def nominal(self) -> Floats:
+        """Return the state (n,) of ideal sensors on the table as it is described."""
+        return np.zeros(self.sensors + self.nuisances + len(self.changes))
+
+    @cached_by_state
+    def model(self, state: Floats) -> SensorModel:
+        """Return the sensors of a state (n,), in the mean over the session."""
+        return SensorModel().with_values(self.parameters, state[: self.sensors])
+
+    @cached_by_state
+    def surroundings(self, state: Floats) -> Surroundings:
+        """Return Earth rate and gravity in the frame of the attitudes, by a state (n,).
+
+        A given azimuth is already in the attitudes: the state holds its correction. Holds by hand
+        have each a heading and a tilt, none in common: both are scatter.
+        """
+        if self.evidence.plan.by_hand:
+            return Surroundings.vertical(self.evidence.site)
+        azimuth, tilt_x, tilt_y = state[self.sensors : self.clock_index]
+        return Surroundings.at(self.evidence.site, azimuth, tilt_x, tilt_y)
+
+    def earth(self, state: Floats) -> Floats:
+        """Return the Earth rate in the frame of each dwell's attitude, (s, 3) rad/s."""
+        return np.tile(self.surroundings(state).rate, (len(self.evidence.segments), 1))
+
+    def remembered(
+        self, what: Hashable, state: Floats, worked_out: Callable[[Any, Floats], Value]
+    ) -> Value:
+        """Return the cached result for a state (n,), or compute it from these and it."""
+        key = (what, state.tobytes(), self.shape)
+        # Most requests are for the last state.
+        for known, parameters, changes, value in reversed(self.evidence.state_cache):
+            if known == key and parameters is self.parameters and changes is self.changes:
+                return cast(Value, value)
+        found = worked_out(self, state)
+        self.evidence.state_cache.append((key, self.parameters, self.changes, found))
+        return found
+
+    @cached_by_state
+    def _inputs(self, state: Floats) -> _Inputs:
+        """Return the surroundings, rates and forces at rest (s, 3), those of the turns (t, 8, 3).
+
+        Turns are evaluated at eight headings: the mean of linear responses is the part along the
+        axis.
+        """
+        around, earth = self.surroundings(state), self.earth(state)
+        ups, rates, _ = self.evidence.turn_inputs
+        attitudes, headings = self.evidence.dwell_attitudes, self.evidence.headings
+        turning_force = headings @ around.force
+        turning_force[self.evidence.arms.turns] += self._pulled(state)[:, None]
+        return (
+            around,
+            np.einsum('si,sij->sj', earth, attitudes),
+            around.force @ attitudes,
+            headings @ around.rate + (ups * rates[:, None])[:, None],
+            turning_force,
+        )
+
+    def _pulled(self, state: Floats) -> Floats:
+        """Return the specific force by lever arms in turns, (f, 3) m/s^2, body axes."""
+        return np.asarray(self.evidence.arms.slopes @ state[self.arm_slice])
+
+    def predict(self, state: Floats) -> Floats:
+        """Return the outputs predicted from a state, (m,)."""
+        predicted = self._predicted(state)
+        if not state[self.change_slice].any():
+            return predicted
+        return np.asarray(
+            predicted + self.jacobian(state)[:, self.change_slice] @ state[self.change_slice]
+        )
+
+    @cached_by_state
+    def _predicted(self, state: Floats) -> Floats:
+        """Return the outputs predicted from the session's mean parameters, (m,)."""
+        around, model = self.surroundings(state), self.model(state)
+        at_rest, turned = self.predicted_by_segment(state)
+        in_moves = self.evidence.used_moves.misclosures(model, self.earth(state), around.force)
+        if state[self.clock_index]:
+            in_moves = in_moves + self._clock_derivatives(state) * state[self.clock_index]
+        predicted = self.layout.joined(at_rest, turned, in_moves)
+        predicted[self._divided] /= 1 + state[self.clock_index]
+        return predicted
+
+    def predicted_by_segment(self, state: Floats) -> tuple[Floats, Floats]:
+        """Return the predicted outputs of dwells (s, 6) and turns (t, 6) by the table's clock."""
+        _, rate, force, turning, turning_force = self._inputs(state)
+        model = self.model(state)
+        at_rest = np.hstack(model.predict(rate, force))
+        return at_rest, mean_over_turn(
+            np.concatenate(model.predict(turning, turning_force), axis=-1)
+        )
+
+    @cached_by_state
+    def jacobian(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict`, (m, n).
+
+        Those by the table are taken at the mean parameters, whose changes are parts in 1e5.
+        """
+        return self._derivatives(state)
+
+    def _derivatives(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict` by the whole state, (m, n)."""
+        around, _, _, turning, turning_force = self._inputs(state)
+        model, n = self.model(state), self.sensors
+        at_rest, turned, in_moves = (
+            np.zeros((count, 6, self.size))
+            for count in (self.layout.dwells, self.layout.turns, self.layout.moves)
+        )
+        arms, by_force = self.evidence.arms, model.slopes(turning, turning_force)[..., 3:]
+        turned[arms.turns, :, self.arm_slice] = mean_over_turn(by_force)[arms.turns] @ arms.slopes
+        in_moves[:, :, self.clock_index] = self._clock_derivatives(state)
+        result = self.layout.joined(at_rest, turned, in_moves)
+        faster, divided = 1 + state[self.clock_index], self._divided
+        result[divided] /= faster
+        world = np.vstack([around.rate_slopes, around.force_slopes])
+        result[:, n : n + 3] = self.world_derivatives(state) @ world
+        result[:, :n] = self.parameter_derivatives(state, self.parameters)
+        answered = self.layout.joined(
+            *self.predicted_by_segment(state), np.zeros_like(in_moves[:, :, 0])
+        )
+        result[divided, self.clock_index] = -answered[divided] / faster**2
+        result[:, self.change_slice] = self.columns(self.changes, result)
+        return result
+
+    def parameter_derivatives(self, state: Floats, parameters: tuple[Parameter, ...]) -> Floats:
+        """Return the derivatives of `predict` by p parameters, (m, p).
+
+        Args:
+            state: (n,) of sensors and table.
+            parameters: Of the sensors, in the state or not.
+        """
+        _, rate, force, turning, turning_force = self._inputs(state)
+        model = self.model(state)
+        at_rest = model.derivatives(rate, force, parameters)
+        turned = mean_over_turn(model.derivatives(turning, turning_force, parameters))
+        in_moves = self.evidence.used_moves.parameter_derivatives(model, parameters)
+        result = self.layout.joined(at_rest, turned, in_moves)
+        result[self._divided] /= 1 + state[self.clock_index]
+        return result
+
+    @cached_property
+    def _divided(self) -> NDArray[np.intp]:
+        """Which outputs are counts over seconds of the stamping clock.
+
+        Where motions do not compare the clocks these seconds are used unchanged, but for turns,
+        which are timed by the table's clock.
+        """
+        if not self.evidence.units.per_interval:
+            return np.zeros(0, dtype=np.intp)
+        if self.evidence.clocks_compared:
+            return np.setdiff1d(np.arange(len(self.layout)), self.layout.moving)
+        return self.layout.turn[self.evidence.turn_inputs[2]].ravel()
+
+    @cached_by_state
+    def _clock_derivatives(self, state: Floats) -> Floats:
+        """Return the derivatives of the moves by the rate between the clocks, (m, 6)."""
+        counted = self.evidence.units.per_interval
+        if counted and not self.evidence.clocks_compared:
+            return np.zeros((len(self.evidence.used_moves), 6))
+        force = self.surroundings(state).force
+        return self.evidence.used_moves.clock_derivatives(self.model(state), force, counted=counted)
+
+    def columns(self, changes: Sequence[Change], derivatives: Floats) -> Floats:
+        """Return the derivatives by coefficients of a session's terms, on or off, (m, k).
+
+        Args:
+            changes: The k coefficients.
+            derivatives: (m, n) by the parameters of the sensors, as `jacobian` begins.
+        """
+        return columns(self.evidence, changes, derivatives, self.parameters, self.shape)
+
+    def slopes(self, state: Floats) -> Floats:
+        """Return the slopes of outputs within their segment, (m,) per s, by changing parameters."""
+        jacobian, known = self.jacobian(state), (self.parameters, self.shape)
+        found = columns(self.evidence, self.changes, jacobian, *known, rates)
+        return np.asarray(found @ state[self.change_slice])
+
+    @cached_by_state
+    def world_derivatives(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict` by Earth rate and gravity.
+
+        Returns:
+            (m, 6), both in the frame of the attitudes.
+        """
+        _, rate, force, turning, turning_force = self._inputs(state)
+        model, moves = self.model(state), self.evidence.used_moves
+        to_body = np.transpose(self.evidence.dwell_attitudes, (0, 2, 1))
+        at_rest = model.slopes(rate, force) @ _for_rates_and_forces(to_body)
+        turned = mean_over_turn(
+            model.slopes(turning, turning_force) @ _for_rates_and_forces(self.evidence.headings)
+        )
+        in_moves = np.concatenate([moves.rate_derivatives(), moves.force_derivatives()], axis=2)
+        result = self.layout.joined(at_rest, turned, in_moves)
+        result[self._divided] /= 1 + state[self.clock_index]
+        return result
+
+    def mount_derivatives(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict` by rotations of the unit in its mount.
+
+        Returns:
+            (m, 3) per rad about the body axes.
+        """
+        every = len(self.evidence.segments), len(self.evidence.turns)
+        # Attitudes lean opposite to the rotation of the unit.
+        at_rest, turned = (np.broadcast_to(-np.eye(3), (count, 3, 3)) for count in every)
+        return self.attitude_error_effects(state, at_rest, turned)
+
+    def table_error_effects(self, state: Floats) -> Floats:
+        """Return the effect of the table's stated errors on the outputs, (m, e): one deviation."""
+        at_rest, turning = self.evidence.table_attitude_errors
+        if not at_rest.shape[2]:
+            return np.zeros((len(self.layout), 0))
+        assert self.evidence.table is not None
+        # Trials with other errors of the table share the results of the session.
+        what = 'table', self.evidence.table.errors
+        return self.remembered(
+            what, state, lambda me, there: me.attitude_error_effects(there, at_rest, turning)
+        )
+
+    def attitude_error_effects(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
+        """Return the effect of e errors of attitudes on the outputs, (m, e).
+
+        Args:
+            state: (n,) of sensors and table.
+            at_rest: (s, 3, e) rotations of the static dwells about the body axes, rad.
+            turned: (t, 3, e) of the turns.
+        """
+        s, by_each = len(at_rest), self._rotation_derivatives(state)
+        in_moves = self.evidence.used_moves.attitude_error_effects(self.model(state), at_rest)
+        return self.layout.joined(by_each[:s] @ at_rest, by_each[s:] @ turned, in_moves)
+
+    def encoder_rate_effects(self, state: Floats) -> Floats:
+        """Return the effect of one deviation of the encoder's rate in each turn, (m, t)."""
+        walk = self.evidence.walk
+        return self._rate_error_effects(
+            state, np.array([t.rate_std(walk) for t in self.evidence.turns])
+        )
+
+    def whole_way_effects(self, state: Floats) -> Floats:
+        """Return the effect of positioning errors on rates by whole motions, (m, w) per rad.
+
+        Either end of a motion has an error, and the next may begin with the error of this one's
+        end.
+        """
+        relative, some = self.evidence.whole_ways
+        return self._rate_error_effects(state, relative)[:, some]
+
+    def _rate_error_effects(self, state: Floats, relative: Floats) -> Floats:
+        evidence, response = self.evidence, self.model(state).gyro.response
+        result = np.zeros((len(self.layout), len(evidence.turns)))
+        turning, pulled = evidence.turn_inputs[1], self._pulled(state)
+        for turns, rows, seen in encoder_rate_errors(evidence, relative, turning, response, pulled):
+            result[rows, turns[:, None]] = seen
+        return result
+
+    def latitude_derivatives(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict` by the latitude, (m,) per rad."""
+        by_rate = self.world_derivatives(state)[:, :3]
+        return np.asarray(by_rate @ self.surroundings(state).rate_by_latitude)
+
+    @cached_by_state
+    def positioning_error_effects(self, state: Floats) -> tuple[Floats, Floats]:
+        """Return the effect of positioning errors on the outputs: (m, errors), per rad.
+
+        Those of joints, then those of each stop.
+        """
+        both = self.evidence.positioning_attitude_errors
+        at_rest, turning = (
+            np.concatenate(parts, axis=2)
+            for parts in zip(*((one.at_rest, one.turning) for one in both), strict=True)
+        )
+        effects = self.attitude_error_effects(state, at_rest, turning)
+        joints, stops = np.split(effects, [both[0].at_rest.shape[2]], axis=1)
+        return np.hstack([joints, self.whole_way_effects(state)]), stops
+
+    @cached_by_state
+    def _rotation_derivatives(self, state: Floats) -> Floats:
+        """Return the derivatives by rotations about the body axes, (s + t, 6, 3); without moves."""
+        _, rate, force, turning, turning_force = self._inputs(state)
+        seen = [
+            np.vstack([at_rest, mean_over_turn(turned)])
+            for at_rest, turned in ((rate, turning), (force, turning_force))
+        ]
+        # The input crossed with a rotation of the axes.
+        crossed = [np.tensordot(one, GENERATORS, axes=1) for one in seen]
+        slopes = self.model(state).slopes(*seen)
+        return np.asarray(slopes @ np.concatenate(crossed, axis=1))
+
+
+def _for_rates_and_forces(rotations: Floats) -> Floats:
+    """Return rotations (..., 3, 3) of rates and forces alike: (..., 6, 6)."""
+    result = np.zeros((*rotations.shape[:-2], 6, 6))
+    result[..., :3, :3] = result[..., 3:, 3:] = rotations
+    return result

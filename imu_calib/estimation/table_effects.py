@@ -1,0 +1,304 @@
+"""Errors of a table that enter the outputs of all units on it.
+
+Units on one table go through the same attitudes, with the same errors: the positioning error of
+each stop, the uncertainty of its axes, zeros and encoders, the noise of its encoders, and the
+latitude of the site. Each of these is one unknown of deviation one, for any number of units;
+azimuth and tilts are in the state of each unit, and are the same.
+
+Source: docs/mathematics.md, 'Several units on one table'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.budget import Source
+from ..common.stream import Floats
+from ..segmentation.segments import Segment, Turn
+from ..session.table_errors import TableErrors
+from .equations import Equations
+from .evidence import Evidence
+from .outputs import PositioningErrors, axes_of, stops_of
+from .session_model import Nuisance
+
+TABLE_STATE = (Nuisance.AZIMUTH, Nuisance.TILT_X, Nuisance.TILT_Y)
+"""Entries of each unit's state that belong to the table."""
+
+SHARED = frozenset(
+    {
+        Source.POSITIONING_STATED,
+        Source.POSITIONING_FOUND,
+        Source.STOPS,
+        Source.TABLE,
+        Source.LATITUDE,
+        Source.ENCODER_RATE,
+        Source.ENCODER_NOISE,
+    }
+)
+"""Sources whose errors are the same for all units on a table."""
+
+_COLUMN_SOURCES = (
+    Source.POSITIONING_STATED,
+    Source.POSITIONING_STATED,
+    Source.TABLE,
+    Source.LATITUDE,
+    Source.ENCODER_RATE,
+    Source.STOPS,
+    Source.ENCODER_NOISE,
+)
+"""Source of each array of columns that `CommonTable._unit_columns` returns, in its order.
+
+Positioning errors of joints are two: of stopped joints, and at the ends of whole motions.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class CommonErrors:
+    """The errors that enter the outputs of all units.
+
+    Attributes:
+        sources: Source of each of the k errors, in units of its prior standard deviation.
+        names: Name of each, for messages; empty for one that is not determined separately.
+        sizes: (k,) prior standard deviation of each error with a name, rad; 0 for the others.
+        columns: For each unit the (m, k) changes of its outputs by one standard deviation.
+    """
+
+    sources: tuple[Source, ...]
+    names: tuple[str, ...]
+    sizes: Floats
+    columns: tuple[Floats, ...]
+
+
+@dataclass(frozen=True)
+class CommonSizes:
+    """Assumed sizes of the errors of a table.
+
+    Attributes:
+        errors: Of its axes, zeros and encoders.
+        positioning: Positioning errors of joints and stops beyond its description.
+    """
+
+    errors: TableErrors
+    positioning: PositioningErrors
+
+    @classmethod
+    def of_one_unit(cls, unit: Equations) -> CommonSizes:
+        """Return the estimates of one unit by itself."""
+        table = unit.evidence.table
+        return cls(TableErrors() if table is None else table.errors, unit.positioning)
+
+
+class CommonTable:
+    """The table of several units: which stops, turns and errors are common."""
+
+    def __init__(self, units: Sequence[Equations], sizes: CommonSizes) -> None:
+        self._units = units
+        evidences = [unit.evidence for unit in units]
+        self._rests = _numbered_by_time([_times(e, e.segments) for e in evidences])
+        self._turns = _numbered_by_time([_times(e, e.turns) for e in evidences])
+        self.stated = max(e.positioning for e in evidences)
+        self.positioning = sizes.positioning
+        self._joints = _of_joints(evidences)
+        self._table_attitude_errors = [
+            e.with_table_errors(sizes.errors).table_attitude_errors
+            if e.table
+            else (np.zeros(0), np.zeros(0))
+            for e in evidences
+        ]
+
+    @property
+    def stated_share(self) -> float:
+        """Share of the variance of positioning errors that the table's description states."""
+        whole = self.stated**2 + self.positioning.joints**2
+        return self.stated**2 / whole if whole else 1.0
+
+    def of(self, states: Sequence[Floats]) -> CommonErrors:
+        """Return the common errors, their effects linearised at the states (n,) of the units."""
+        joints = float(np.hypot(self.stated, self.positioning.joints))
+        found = [
+            self._unit_columns(k, unit, state, joints)
+            for k, (unit, state) in enumerate(zip(self._units, states, strict=True))
+        ]
+        sources = [s for s, part in zip(_COLUMN_SOURCES, found[0], strict=True) for _ in part.T]
+        columns = [np.hstack(parts) for parts in found]
+        # Only the errors of joints have a name and a size.
+        named = len(self._joints.names)
+        names = [*self._joints.names, *[''] * (len(sources) - named)]
+        sizes = np.where(np.arange(len(sources)) < named, joints, 0.0)
+        # Errors that no unit observes are left out.
+        seen = np.any([part.any(axis=0) for part in columns], axis=0)
+        kept = np.flatnonzero(seen)
+        return CommonErrors(
+            tuple(sources[k] for k in kept),
+            tuple(names[k] for k in kept),
+            sizes[kept],
+            tuple(part[:, kept] for part in columns),
+        )
+
+    def _unit_columns(self, k: int, unit: Equations, state: Floats, joints: float) -> list[Floats]:
+        """Return the effect of each kind of error on the outputs of a unit, (m, e) each."""
+        evidence = unit.evidence
+        assert evidence.table is not None
+        stopping = unit.attitude_error_effects(state, *self._joints.attitude_errors[k])
+        table = unit.attitude_error_effects(state, *self._table_attitude_errors[k])
+        latitude = unit.latitude_derivatives(state)[:, None] * evidence.site.latitude_std
+        rates = _summed(unit.encoder_rate_effects(state), self._turns[k], _count(self._turns))
+        by_way = [n for n, t in zip(self._turns[k], evidence.turns, strict=True) if t.whole_way]
+        ways = _summed(
+            unit.whole_way_effects(state), np.array(by_way, dtype=np.intp), _count(self._turns)
+        )
+        # About the axes of the table's mounting, which all units have in common.
+        inward = evidence.table.mount.T
+        rests, turned = self._rests[k], self._turns[k]
+        count = _count(self._rests)
+        same = np.full(len(evidence.segments), self.positioning.stops)
+        stops = _blocks(rests, count, same, inward)
+        reading = np.array([s.attitude_error for s in evidence.segments])
+        noise = _blocks(rests, count, reading, inward)
+        up_errors = np.array([t.up_error for t in evidence.turns])
+        turning = _blocks(turned, _count(self._turns), up_errors, inward)
+        only_dwells = np.zeros((len(evidence.turns), 3, stops.shape[2]))
+        of_dwells = unit.attitude_error_effects(state, noise, only_dwells)
+        of_turns = unit.attitude_error_effects(
+            state, np.zeros((len(evidence.segments), 3, turning.shape[2])), turning
+        )
+        return [
+            stopping * joints,
+            ways * joints,
+            table,
+            latitude,
+            rates,
+            unit.attitude_error_effects(state, stops, only_dwells),
+            np.hstack([of_dwells, of_turns]),
+        ]
+
+
+def shares_a_table(equations: Equations) -> bool:
+    """Return whether all parts of a session have joint angles of a table."""
+    evidence = equations.evidence
+    if evidence.table is None or evidence.plan.by_hand or evidence.free:
+        return False
+    parts: list[Segment | Turn] = [*evidence.segments, *evidence.turns]
+    return all(part.angles is not None for part in parts)
+
+
+def dwell_counts(units: Sequence[Equations]) -> tuple[list[int], int]:
+    """Return the number of the table's dwells that each unit saw, and their total."""
+    evidences = [unit.evidence for unit in units]
+    dwells = _numbered_by_time([_times(e, e.segments) for e in evidences])
+    return [len(np.unique(mine)) for mine in dwells], _count(dwells)
+
+
+@dataclass(frozen=True, eq=False)
+class _Joints:
+    """Stops of joints: (s, 3, e) and (t, 3, e) rotations of each unit, and their names."""
+
+    attitude_errors: list[tuple[Floats, Floats]]
+    names: tuple[str, ...]
+
+
+def _of_joints(evidences: Sequence[Evidence]) -> _Joints:
+    """Return the effect of positioning errors of joints, one error for all units at each stop."""
+    parts: list[Segment | Turn] = []
+    owners: list[tuple[int, int]] = []
+    times: list[Floats] = []
+    for unit, evidence in enumerate(evidences):
+        mine: list[Segment | Turn] = [*evidence.segments, *evidence.turns]
+        parts += mine
+        owners += [(unit, k) for k in range(len(mine))]
+        times.append(_times(evidence, mine)[:, 0])
+    order = np.argsort(np.concatenate(times), kind='stable').tolist()
+    table = evidences[0].table
+    assert table is not None
+    angles = np.array([part.angles for part in parts])
+    counts = [len(e.segments) + len(e.turns) for e in evidences]
+    columns: list[list[Floats]] = [[] for _ in evidences]
+    names = []
+    for joint in range(angles.shape[1]):
+        about = [
+            axes_of(e.table, joint, _angles(e), e.turns) for e in evidences if e.table is not None
+        ]
+        for stop in stops_of(joint, angles[:, joint], parts, order):
+            rows = [np.zeros((count, 3)) for count in counts]
+            for k in stop:
+                unit, own = owners[k]
+                rows[unit][own] = about[unit][own]
+            for unit, column in enumerate(rows):
+                columns[unit].append(column)
+            names.append(f'{table.joints[joint].name} at {parts[stop[0]].position}')
+    attitude_errors = []
+    for unit, evidence in enumerate(evidences):
+        whole = np.stack(columns[unit], axis=2)
+        attitude_errors.append((whole[: len(evidence.segments)], whole[len(evidence.segments) :]))
+    return _Joints(attitude_errors, tuple(names))
+
+
+def _angles(evidence: Evidence) -> Floats:
+    """Return the joint angles of dwells, then of turns, (s + t, joints) rad."""
+    parts: list[Segment | Turn] = [*evidence.segments, *evidence.turns]
+    return np.array([part.angles for part in parts]).reshape(len(parts), -1)
+
+
+def _times(evidence: Evidence, parts: Sequence[Segment | Turn]) -> Floats:
+    """Return start and end by the table's clock, (k, 2) s."""
+    clock = evidence.clock
+    stamps = np.array([[part.start, part.end] for part in parts], dtype=np.float64).reshape(-1, 2)
+    since = (stamps - clock.epoch) * 1e-9
+    return np.asarray(stamps * 1e-9 - clock.offset - clock.rate * since)
+
+
+def _numbered_by_time(times: Sequence[Floats]) -> list[NDArray[np.intp]]:
+    """Number dwells, or turns, of several units: those at the same time have one number.
+
+    Between two dwells, and between two turns, the table moves: different ones are apart in time.
+
+    Args:
+        times: For each unit (k, 2) start and end of each dwell or turn by the table's clock, s.
+
+    Returns:
+        For each unit the numbers, (k,), from 0 in the order of time.
+    """
+    found = [np.zeros(len(of), dtype=np.intp) for of in times]
+    owners = [(unit, k) for unit, of in enumerate(times) for k in range(len(of))]
+    owners.sort(key=lambda owner: times[owner[0]][owner[1], 0])
+    number, end, shortest = -1, -np.inf, 0.0
+    for unit, k in owners:
+        begin, own_end = times[unit][k]
+        # Half of the shorter one: clocks differ by some samples, dwells are tens of seconds long.
+        if begin > end - min(own_end - begin, shortest) / 2:
+            number, end, shortest = number + 1, own_end, own_end - begin
+        end, shortest = max(end, own_end), min(shortest, own_end - begin)
+        found[unit][k] = number
+    return found
+
+
+def _count(numbers: Sequence[NDArray[np.intp]]) -> int:
+    """Return how many different dwells, or turns, `_numbered_by_time` found."""
+    return 1 + max((int(of.max(initial=-1)) for of in numbers), default=-1)
+
+
+def _blocks(numbers: NDArray[np.intp], count: int, sizes: Floats, axes: Floats) -> Floats:
+    """Return the effect of `count` common rotations on k attitudes, (k, 3, 3 count).
+
+    Args:
+        numbers: (k,) common rotation of each attitude.
+        count: Number of common rotations, each about three axes.
+        sizes: (k,) size of a rotation, rad.
+        axes: (3, 3) its axes in body axes, as columns.
+    """
+    result = np.zeros((len(numbers), 3, 3 * count))
+    for k, number in enumerate(numbers.tolist()):
+        result[k, :, 3 * number : 3 * number + 3] = sizes[k] * axes
+    return result
+
+
+def _summed(columns: Floats, numbers: NDArray[np.intp], count: int) -> Floats:
+    """Return columns (m, t) summed by their numbers, (m, count)."""
+    result = np.zeros((len(columns), count))
+    for k, number in enumerate(numbers.tolist()):
+        result[:, number] += columns[:, k]
+    return result

@@ -1,0 +1,384 @@
+"""Matters for attention: sentences with numbers for each, and the first cases."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+from urllib.parse import quote
+
+import numpy as np
+
+from ..model.model_parameters import PARAMETERS
+from ..reports.charts import tag
+from ..reports.reports_html import bullets, paragraph, table
+from ..session.specification import COVERAGE
+from .formats import PLACE_OF, amount, count, day, unit_of
+from .page_contents import Flag, Fleet, Unit
+from .results import Outlier, Signal
+from .sentences import listed, percent, quantity, stand_sentence, step_sentence
+
+MOST = 12
+"""Number of cases written out; the table of units has all. A judgement: six matters fit on two
+sheets."""
+
+Cases = Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Issue:
+    """A matter that needs attention.
+
+    Attributes:
+        title: Its title.
+        kind: Its class, by severity.
+        sentences: With their numbers.
+        headings: Of the cases.
+        cases: Cells as HTML, the most urgent first.
+        flag: Selects its units in the table of units; None for other cases.
+    """
+
+    title: str
+    kind: str
+    sentences: Sequence[str]
+    headings: Sequence[str] = ()
+    cases: Cases = ()
+    flag: Flag | None = None
+
+    def html(self) -> str:
+        """Return it with its first cases as HTML."""
+        parts = [tag('h3', escape(self.title)), *(paragraph(s) for s in self.sentences)]
+        if self.cases:
+            parts.append(table(self.headings, self.cases[:MOST], 'plain cases stacked'))
+        rest = len(self.cases) - MOST
+        if rest > 0:
+            words = f'{count(rest, "more is", "more are")} not written out here.'
+            parts.append(paragraph(words, 'note'))
+        if self.flag is not None:
+            words = f'Show {count(len(self.cases), "unit")} in the table'
+            shown = tag('button', words, type='button', class_='show', data_flag=self.flag.name)
+            parts.append(tag('p', shown, class_='screen'))
+        return tag('section', ''.join(parts), class_=f'matter {self.kind}')
+
+
+def issues(fleet: Fleet) -> list[Issue]:
+    """Return all matters, the worst first."""
+    found = (
+        *_stands(fleet),
+        *_outside(fleet),
+        *_due(fleet),
+        *_failed(fleet),
+        *_control(fleet),
+        *_steps(fleet),
+        *_drifts(fleet),
+        *_outliers(fleet),
+    )
+    return list(found)
+
+
+def dated(date: np.datetime64) -> str:
+    """Return a date that is not broken across lines."""
+    return tag('span', day(date), class_='day')
+
+
+def link(unit: Unit) -> str:
+    """Return a unit's name as a link that opens it."""
+    return tag(
+        'a',
+        escape(unit.name),
+        href=f'#unit={quote(unit.imu, safe="")}/{quote(unit.serial, safe="")}',
+    )
+
+
+def _stands(fleet: Fleet) -> Iterator[Issue]:
+    shifts = fleet.history.stands.shifts
+    if shifts:
+        sentences = [stand_sentence(shift) for shift in shifts]
+        sentences.append(
+            'Check levelling, zeros and alignment before the next unit is calibrated there; what '
+            'is stated of units below is corrected for the shift.'
+        )
+        yield Issue('Stands that are off', 'fail', sentences)
+
+
+def _outside(fleet: Fleet) -> Iterator[Issue]:
+    units = fleet.flagged(Flag.OUTSIDE)
+    if not units:
+        return
+    cells = [[link(u), _newest(u), escape(_outside_of(u))] for u in units]
+    yield Issue(
+        'Outside the specification',
+        'fail',
+        [
+            f'{count(len(units), "unit is", "units are")} outside the specification at the newest '
+            f'session, by more than {COVERAGE:g} standard deviations. Do not use them as they are; '
+            'repeat the calibration, then repair or reject.'
+        ],
+        ['unit', 'newest session', 'outside'],
+        cells,
+        Flag.OUTSIDE,
+    )
+
+
+def _outside_of(unit: Unit) -> str:
+    history = unit.history
+    if history is None or not history.outside:
+        return 'the verdict of its calibration'
+    words = []
+    for name in history.outside:
+        k = PLACE_OF[name]
+        value, limit = (quantity(float(x[k]), name) for x in (history.values[-1], history.limit))
+        words.append(f'{name} {value} (limit {limit})')
+    return listed(words, 2)
+
+
+def _newest(unit: Unit) -> str:
+    return dated(unit.history.date[-1]) if unit.history is not None else ''
+
+
+def _due(fleet: Fleet) -> Iterator[Issue]:
+    late, soon = fleet.flagged(Flag.OVERDUE), fleet.flagged(Flag.DUE)
+    if not late and not soon:
+        return
+    inside = fleet.history.rules.inside
+    for units, flag in ((late, Flag.OVERDUE), (soon, Flag.DUE)):
+        if not units:
+            continue
+        ordered = _by(units, lambda u: float(_date_of(u).astype(np.int64)))
+        cells = [
+            [
+                link(u),
+                _newest(u),
+                dated(_date_of(u)),
+                escape(u.history.forecast.parameter) if u.history is not None else '',
+            ]
+            for u in ordered
+        ]
+        what = _overdue(ordered, inside) if flag is Flag.OVERDUE else _soon(ordered, fleet.ahead)
+        title = 'Overdue for recalibration' if flag is Flag.OVERDUE else 'Due for recalibration'
+        headings = ['unit', 'newest session', 'due', 'because of']
+        yield Issue(title, flag.value.kind, [what], headings, cells, flag)
+
+
+def _overdue(units: Sequence[Unit], inside: float) -> str:
+    """Return a sentence on units by their due dates, which have passed."""
+    words = count(len(units), 'unit was', 'units were')
+    return (
+        f'{words} to be recalibrated {_when(units)}: from then on the forecast gives less than '
+        f'{percent(inside)} probability that all parameters are inside the specification. '
+        'Calibrate before further use.'
+    )
+
+
+def _soon(units: Sequence[Unit], ahead: float) -> str:
+    """Return a sentence on units by their due dates, which come soon."""
+    words = count(len(units), 'unit is', 'units are')
+    return f'{words} to be recalibrated within {ahead:g} days, {_when(units)}.'
+
+
+def _when(units: Sequence[Unit]) -> str:
+    first, last = day(_date_of(units[0])), day(_date_of(units[-1]))
+    return f'on {first}' if first == last else f'from {first} to {last}'
+
+
+def _date_of(unit: Unit) -> np.datetime64:
+    none = np.datetime64('NaT', 's')
+    return none if unit.history is None else unit.history.forecast.recalibrate.astype('M8[s]')
+
+
+def _by(units: Sequence[Unit], key: Callable[[Unit], float]) -> list[Unit]:
+    return sorted(units, key=key)
+
+
+def _failed(fleet: Fleet) -> Iterator[Issue]:
+    rows, units = fleet.recordings, fleet.flagged(Flag.FAILED)
+    number = int(np.count_nonzero(~rows.calibrated))
+    if not number:
+        return
+    alone = [k for k in np.flatnonzero(~rows.calibrated).tolist() if not rows.serial[k]]
+    last = [(unit.failed[-1], unit) for unit in units]
+    shown = sorted([*last, *((k, None) for k in alone)], key=lambda one: _age(rows.date, one))
+    cells = [
+        [
+            link(unit) if unit is not None else 'not known',
+            dated(rows.date[k]),
+            escape(rows.stand[k]),
+            escape(rows.recording[k]),
+            escape(rows.error[k]),
+        ]
+        for k, unit in shown
+    ]
+    total = len(rows.key)
+    sentences = [
+        f'{number} of {count(total, "recording")} gave no calibration '
+        f'({100 * number / total:.2g} %).'
+    ]
+    if units:
+        sentences.append(
+            f'Of {count(len(units), "unit")} it is the newest recording: until it is repeated, '
+            'an older calibration is in use or none.'
+        )
+    if alone:
+        sentences.append(f'{count(len(alone), "failed recording")} did not say of which unit.')
+    headings = ['unit', 'date', 'stand', 'recording', 'why']
+    kind = 'fail' if units else 'plain'
+    yield Issue('Failed recordings', kind, sentences, headings, cells)
+
+
+def _age(dates: np.ndarray, one: tuple[int, object]) -> float:
+    """Return a key that sorts the newest first, and cases without a date last."""
+    date = dates[one[0]]
+    return np.inf if np.isnat(date) else -float(date.astype('M8[s]').astype(np.int64))
+
+
+def _control(fleet: Fleet) -> Iterator[Issue]:
+    units = fleet.flagged(Flag.CONTROL)
+    if not units:
+        return
+    signals = {u.serial + '\0' + u.imu: _signals(u) for u in units}
+    ordered = _by(units, lambda u: -max(map(_excess, signals[u.serial + '\0' + u.imu])))
+    cells = [
+        [link(u), _newest(u), escape('; '.join(_signal(s) for s in _signals(u)[:3]))]
+        for u in ordered
+    ]
+    rate = fleet.history.rules.false_alarm
+    tested = sum(unit.history is not None for unit in fleet.units)
+    yield Issue(
+        'Out of control',
+        'fail',
+        [
+            f'{count(len(units), "unit leaves", "units leave")} a control chart at the newest '
+            f'session; of {count(tested, "unit")} in control some {rate * tested:.2g} would on '
+            'each kind of chart. Repeat the session; if it repeats, the unit has changed.'
+        ],
+        ['unit', 'newest session', 'chart'],
+        cells,
+        Flag.CONTROL,
+    )
+
+
+def _signals(unit: Unit) -> list[Signal]:
+    """Return the signals of charts at the newest session, the largest excess first."""
+    if unit.history is None:
+        return []
+    newest = len(unit.history.key) - 1
+    mine = [s for s in unit.history.charts.signals if s.index == newest]
+    return sorted(mine, key=_excess, reverse=True)
+
+
+def _excess(signal: Signal) -> float:
+    return abs(signal.value) / signal.limit if signal.limit > 0 else np.inf
+
+
+def _signal(signal: Signal) -> str:
+    what = ' '.join(w for w in (signal.chart.value, signal.parameter) if w)
+    return f'{what}: {signal.value:.3g}, limit {signal.limit:.3g}'.replace('-', '\u2212')
+
+
+def _steps(fleet: Fleet) -> Iterator[Issue]:
+    units = fleet.flagged(Flag.STEP)
+    if not units:
+        return
+    cells = []
+    for unit in units:
+        history = unit.history
+        assert history is not None
+        newest = [s for s in history.steps if s.index == len(history.key) - 1]
+        cells.append([link(unit), escape(' '.join(step_sentence(step) for step in newest))])
+    yield Issue(
+        'Steps',
+        'marginal',
+        [
+            f'{count(len(units), "unit has", "units have")} changed between the last two sessions '
+            'by more than trend and scatter explain.'
+        ],
+        ['unit', 'what'],
+        cells,
+        Flag.STEP,
+    )
+
+
+def _drifts(fleet: Fleet) -> Iterator[Issue]:
+    units = fleet.flagged(Flag.DRIFTS)
+    if not units:
+        return
+
+    def leaving(unit: Unit) -> np.datetime64:
+        history = unit.history
+        assert history is not None
+        known = history.forecast.leaves[~np.isnat(history.forecast.leaves)]
+        return known.min().astype('M8[s]') if len(known) else np.datetime64('9999-01-01', 's')
+
+    ordered = _by(units, lambda u: float(leaving(u).astype(np.int64)))
+    going = [u for u in ordered if leaving(u) < np.datetime64('9999-01-01', 's')]
+    cells = [
+        [link(u), escape(_slopes(u)), dated(leaving(u)) if u in going else 'not foreseen']
+        for u in ordered
+    ]
+    rules = fleet.history.rules
+    tested = sum(unit.history is not None for unit in fleet.units)
+    yield Issue(
+        'Drifting units',
+        'marginal',
+        [
+            f'{count(len(units), "unit drifts", "units drift")} significantly; of '
+            f'{count(tested, "unit")} without a trend some {rules.false_alarm * tested:.2g} would. '
+            f'{count(len(going), "unit leaves", "units leave")} the specification within '
+            f'{rules.horizon:g} years if the trend goes on.'
+        ],
+        ['unit', 'trend per month', 'leaves the specification'],
+        cells,
+        Flag.DRIFTS,
+    )
+
+
+def _slopes(unit: Unit) -> str:
+    assert unit.history is not None
+    trend = unit.history.trend
+    order = np.argsort(-np.abs(trend.slope / np.maximum(trend.std, 1e-300)))
+    chosen = [k for k in order if trend.significant[k]]
+    words = []
+    for k in chosen:
+        shown = amount(PARAMETERS[k], float(trend.slope[k]), float(trend.std[k]))
+        words.append(f'{PARAMETERS[k].name} {shown} {unit_of(PARAMETERS[k])}')
+    return listed(words, 2)
+
+
+def _outliers(fleet: Fleet) -> Iterator[Issue]:
+    populations = fleet.history.populations.values()
+    found = [(p.imu, o) for p in populations for o in p.outliers]
+    lots = [(p.imu, lot) for p in populations for lot in p.lots]
+    if not found and not lots:
+        return
+    unit_of_name = {(u.imu, u.serial): u for u in fleet.units}
+    worst = sorted(found, key=lambda one: -abs(one[1].score))
+    seen: dict[tuple[str, str], Outlier] = {}
+    for imu, outlier in worst:
+        seen.setdefault((imu, outlier.serial), outlier)
+    cells = []
+    for name, outlier in seen.items():
+        value = f'{outlier.parameter} {quantity(outlier.value, outlier.parameter)}'
+        score = f'{outlier.score:.1f}'.replace('-', '\u2212')
+        named = link(unit_of_name[name]) if name in unit_of_name else escape(' '.join(name))
+        cells.append([named, escape(value), score])
+    sentences = []
+    if seen:
+        sentences.append(
+            f'{count(len(seen), "unit is", "units are")} unlike the others of the type.'
+        )
+    for imu, lot in lots:
+        shift = quantity(lot.shift, lot.parameter, sign=True)
+        sentences.append(
+            f'{imu}, lot {lot.lot} ({count(lot.units, "unit")}): {lot.parameter} differs from the '
+            f'other lots by {shift} (chance {lot.chance:.2g}).'
+        )
+    headings = ['unit', 'value', 'distance, robust std']
+    flag = Flag.OUTLIER if seen else None
+    yield Issue('Unlike the others of their type', 'plain', sentences, headings, cells, flag)
+
+
+def remarks(fleet: Fleet) -> str:
+    """Return further remarks on the whole catalogue."""
+    shown = {stand_sentence(shift) for shift in fleet.history.stands.shifts}
+    rest = bullets([sentence for sentence in fleet.history.findings if sentence not in shown])
+    return tag('h3', 'On the catalogue') + rest if rest else ''

@@ -1,0 +1,385 @@
+"""Unit or stand: compare stands by units that were on several, and name those with a shift.
+
+Effects of stands in all parameters are explained by as few shifts as possible (forward selection,
+common causes before single parameters, the probability of each multiplied by the number of shifts
+that were tried); docs/history.md, 'Unit or stand?'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..common.stream import Floats
+from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from .crossed import Effects, crossed, reproducibility
+from .patterns import PATTERNS, Pattern
+from .results import Rules, Stands, StandShift
+from .sentences import listed
+from .trends import quantile
+
+_MOST = 20
+"""Largest number of named shifts: with more, all stands differ from each other."""
+_RANK = 1e-9
+"""Ratio of an eigenvalue of a covariance to the largest, below which it is rounding."""
+_DISTINCT = 1e-6
+"""Independent share of a stand's column below which the other columns determine it."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Stands linked by common units: their sessions, and the effects in each parameter.
+
+    `correlation` (24, 24) is that of the sessions' residuals, and so of the effects of a stand.
+    """
+
+    stands: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    effects: list[Effects]
+    correlation: Floats
+
+
+def judge_stands(
+    units: NDArray[np.int64],
+    names: Sequence[str],
+    trends: Floats,
+    values: Floats,
+    variance: Floats,
+    rules: Rules,
+) -> Stands:
+    """Compare stands.
+
+    Args:
+        units: (n,) index of each session's unit.
+        names: (n) its stand; empty if unknown: such a session does not count.
+        trends: (n, k) columns for the trends of the types.
+        values: (n, 24) SI units.
+        variance: (n, 24) of sessions.
+        rules: Rules of the evaluation.
+    """
+    known = np.array([bool(name) for name in names], dtype=bool)
+    every = sorted({name for name in names if name})
+    of = np.array([every.index(name) if name else -1 for name in names], dtype=np.int64)
+    groups = linked(units[known], of[known], len(every))
+    effect, std = (np.full((len(every), len(PARAMETERS)), np.nan) for _ in range(2))
+    spread = np.full(len(PARAMETERS), np.nan)
+    found: list[StandShift] = []
+    findings: list[str] = []
+    judged = [g for g in groups if len(g) > 1]
+    for mine in judged:
+        rows = np.flatnonzero(np.isin(of, mine))
+        group = _group(np.array(mine), rows, units, of, trends, values, variance)
+        for p, one in enumerate(group.effects):
+            effect[mine, p] = one.effect
+            std[mine, p] = np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
+        if len(mine) == max(map(len, judged)):
+            spread = np.array([reproducibility(one) for one in group.effects])
+        found += _shifts(group, every, units, of, rules, len(judged))
+        if not all(one.comparable for one in group.effects if one.freedom):
+            findings.append(
+                f'Stands {listed([every[k] for k in mine])}: they were used one after the other, '
+                'and the offset of a stand cannot be separated from the drift of the units. Bring '
+                'units back to a stand on which they were.'
+            )
+    findings += _apart([[every[k] for k in g] for g in groups], int(np.sum(~known)), len(names))
+    return Stands(
+        names=tuple(every),
+        sessions=np.bincount(of[known], minlength=len(every)),
+        units=np.array([len(np.unique(units[of == k])) for k in range(len(every))], dtype=np.int64),
+        groups=tuple(tuple(every[k] for k in g) for g in groups),
+        effect=effect,
+        std=std,
+        reproducibility=spread,
+        shifts=tuple(found),
+        findings=tuple(findings),
+    )
+
+
+def linked(units: NDArray[np.int64], stands: NDArray[np.int64], count: int) -> list[list[int]]:
+    """Return the stands linked by units, directly or indirectly, largest group first."""
+    if not count:
+        return []
+    number, total = np.unique(units, return_inverse=True)[1], len(np.unique(units))
+    size = total + count
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(len(units)), (number, total + stands)), shape=(size, size)
+    )
+    labels = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][total:]
+    groups = [np.flatnonzero(labels == one).tolist() for one in np.unique(labels)]
+    return sorted(groups, key=lambda g: (-len(g), g))
+
+
+def _group(
+    mine: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    units: NDArray[np.int64],
+    of: NDArray[np.int64],
+    trends: Floats,
+    values: Floats,
+    variance: Floats,
+) -> _Group:
+    own = np.searchsorted(mine, of[rows])
+    columns = trends[rows]
+    columns = columns[:, np.ptp(columns, axis=0) > 0]
+    columns = columns / np.maximum(np.std(columns, axis=0), np.finfo(float).tiny)
+    effects = [
+        crossed(units[rows], own, columns, values[rows, p], variance[rows, p])
+        for p in range(len(PARAMETERS))
+    ]
+    residuals = np.column_stack([one.residuals for one in effects])
+    return _Group(mine, rows, effects, _correlation(residuals))
+
+
+def _covariance(correlation: Floats, effects: Sequence[Effects]) -> Floats:
+    """Return the covariance (k s, k s) of the effects of s stands on k parameters."""
+    roots = [_root(one.covariance) for one in effects]
+    return np.block(
+        [
+            [correlation[i, j] * (one @ other + other @ one) / 2 for j, other in enumerate(roots)]
+            for i, one in enumerate(roots)
+        ]
+    )
+
+
+def _root(covariance: Floats) -> Floats:
+    """Return the symmetric root of a covariance."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def _white(covariance: Floats) -> Floats:
+    """Return the matrix that makes the covariance one, without directions that have none."""
+    values, vectors = np.linalg.eigh(covariance)
+    good = values > _RANK * max(float(values[-1]), 0.0)
+    return np.asarray((vectors[:, good] / np.sqrt(values[good])).T)
+
+
+def _correlation(residuals: Floats) -> Floats:
+    """Return the correlations of the columns of (n, 24) residuals; NaN counts as zero."""
+    known = np.nan_to_num(residuals)
+    matrix = known.T @ known
+    scale = np.sqrt(np.diag(matrix))
+    scale = np.where(scale > 0, scale, 1.0)
+    found = matrix / np.outer(scale, scale)
+    np.fill_diagonal(found, 1.0)
+    return np.asarray(found)
+
+
+class _Block:
+    """Patterns that share parameters, in a group of s stands, as one least-squares problem.
+
+    Shifts are found and sized with equal weights of the parameters, which have the same unit, and
+    with the estimated covariance of the sum: so each t is Student's with all degrees of freedom,
+    however parameters correlate and however few sessions there are. Weights from an estimated
+    covariance would need corrections for its errors (Rao 1967). They only tell which of the shifts
+    that are found explains the effects best.
+
+    Attributes:
+        patterns: The patterns.
+        freedom: Degrees of freedom.
+    """
+
+    def __init__(self, block: Sequence[Pattern], group: _Group) -> None:
+        self.patterns = list(block)
+        parameters = sorted({p for pattern in block for p in pattern.parameters})
+        k, s = len(parameters), len(group.stands)
+        effects = [group.effects[p] for p in parameters]
+        self.freedom = min(one.freedom for one in effects)
+        effect = np.concatenate([one.effect for one in effects])
+        shift = np.eye(s) - 1 / s
+        # Columns (pattern, stand), each on all effects (parameter, stand).
+        columns = np.hstack([np.kron(p.of[parameters][:, None], shift) for p in block])
+        correlation = group.correlation[np.ix_(parameters, parameters)]
+        stands = _white(np.sum([one.covariance for one in effects], axis=0))
+        equal: Floats = np.asarray(np.kron(np.eye(k), stands), dtype=np.float64)
+        self._columns = equal @ columns
+        self._effect = equal @ effect
+        self._covariance = equal @ _covariance(correlation, effects) @ equal.T
+        # Correlations as weights: drawn towards zero by the share of k parameters in their freedom.
+        correlation = correlation + k / (k + self.freedom) * (np.eye(k) - correlation)
+        weighed = _white(_covariance(correlation, effects))
+        weighed *= np.sqrt(max(self.freedom - (k - 1), 1) / self.freedom)
+        self._weighed = weighed @ columns, weighed @ effect
+        self._stands = s
+        self._chosen: list[int] = []
+
+    def t(self) -> Floats:
+        """Return absolute t (patterns, s) of each shift beyond the selected ones."""
+        columns, own = self._beyond(self._columns)
+        weights = np.divide(columns, own, out=np.zeros_like(columns), where=own > 0)
+        variance = np.sum(weights * (self._covariance @ weights), axis=0)
+        known = variance > _RANK * variance.max()
+        std = np.sqrt(np.where(known, variance, np.inf))
+        return np.asarray(np.abs(weights.T @ self._effect) / std).reshape(-1, self._stands)
+
+    def square(self) -> Floats:
+        """Return by how much each shift (patterns, s) reduces the weighed square of the effects."""
+        columns, effect = self._weighed
+        columns, own = self._beyond(columns)
+        found = np.divide((columns.T @ effect) ** 2, own, out=np.zeros_like(own), where=own > 0)
+        return np.asarray(found.reshape(-1, self._stands))
+
+    def _beyond(self, columns: Floats) -> tuple[Floats, Floats]:
+        """Return columns less the selected ones, and their squares; zero if these determine it."""
+        basis = np.linalg.qr(columns[:, self._chosen])[0]
+        rest = columns - basis @ (basis.T @ columns)
+        own = np.sum(rest**2, axis=0)
+        return rest, np.where(own > _DISTINCT * np.sum(columns**2, axis=0), own, 0.0)
+
+    def choose(self, pattern: int, stand: int) -> None:
+        """Select a shift."""
+        self._chosen.append(pattern * self._stands + stand)
+
+    def sizes(self) -> tuple[Floats, Floats]:
+        """Return the joint sizes of the selected shifts, and their standard deviations."""
+        weights = np.linalg.pinv(self._columns[:, self._chosen])
+        return weights @ self._effect, np.sqrt(np.diag(weights @ self._covariance @ weights.T))
+
+    def places(self) -> list[tuple[int, int]]:
+        """Return pattern and stand of the selected shifts."""
+        return [divmod(column, self._stands) for column in self._chosen]
+
+
+def _blocks(group: _Group) -> list[_Block]:
+    """Return the blocks of a group: a common cause with its parameters, and single parameters."""
+    left = [p for p in PATTERNS if all(group.effects[k].comparable for k in p.parameters)]
+    blocks = []
+    for common in [pattern for pattern in left if len(pattern.parameters) > 1]:
+        mine = [p for p in left if set(p.parameters) <= set(common.parameters)]
+        blocks.append(_Block(mine, group))
+        left = [p for p in left if p not in mine]
+    return [*blocks, *(_Block([pattern], group) for pattern in left)]
+
+
+def _shifts(
+    group: _Group,
+    every: Sequence[str],
+    units: NDArray[np.int64],
+    of: NDArray[np.int64],
+    rules: Rules,
+    groups: int,
+) -> Iterator[StandShift]:
+    """Yield the shifts of stands in a group, block by block."""
+    blocks = _blocks(group)
+    tests = groups * len(group.stands) * sum(len(block.patterns) for block in blocks)
+    alternatives: dict[tuple[str, int], NDArray[np.bool_]] = {}
+    while blocks and len(alternatives) < _MOST:
+        found = [_next_shift(block, tests, rules.false_alarm) for block in blocks]
+        most = max(range(len(found)), key=lambda b: found[b][0])
+        t, i, k, near = found[most]
+        if not t:
+            break
+        alternatives[blocks[most].patterns[i].name, k] = near
+        blocks[most].choose(i, k)
+    for block in blocks:
+        if not block.places():
+            continue
+        for (i, k), size, std in zip(block.places(), *block.sizes(), strict=True):
+            pattern = block.patterns[i]
+            shift = k, float(size), float(std), alternatives[pattern.name, k]
+            yield _shift(group, pattern, block.freedom, shift, every, units, of, tests, rules)
+
+
+def _next_shift(
+    block: _Block, tests: int, false_alarm: float
+) -> tuple[float, int, int, NDArray[np.bool_]]:
+    """Return the most likely further shift of a block among those that are significant.
+
+    Each is tested by itself, its probability times the number of tests (Bonferroni): so the
+    probability that any is found where there is none is at most the rate of false alarms. A common
+    cause goes before single parameters, unless one of these has better odds: a shift of all by one
+    size is an accident otherwise.
+
+    Returns:
+        Absolute t, 0 if none is significant, pattern and stand, and which other stands (s,) may be
+        meant.
+    """
+    t, square = block.t(), block.square()
+    found = 2 * scipy.special.stdtr(float(block.freedom), -t) * tests < false_alarm
+    # Odds of two shifts with equal prior probabilities: exp of half of the difference of squares.
+    margin = 2 * np.log(false_alarm)
+    alike = found & (square > np.max(square, where=found, initial=0.0) + margin)
+    common = np.array([len(pattern.parameters) > 1 for pattern in block.patterns])
+    first = alike & common[:, None]
+    which = first if first.any() else found
+    i, k = divmod(int(np.argmax(np.where(which, square, -1.0))), t.shape[1])
+    near = square[i] > square[i, k] + margin
+    return float(t[i, k]) if found[i, k] else 0.0, i, k, near & (np.arange(t.shape[1]) != k)
+
+
+def _shift(
+    group: _Group,
+    pattern: Pattern,
+    freedom: int,
+    found: tuple[int, float, float, NDArray[np.bool_]],
+    every: Sequence[str],
+    units: NDArray[np.int64],
+    of: NDArray[np.int64],
+    tests: int,
+    rules: Rules,
+) -> StandShift:
+    """Return one shift of one stand: its index in the group, size, deviation, and alternatives."""
+    k, size, std, near = found
+    names = [every[q] for q in group.stands]
+    doubtful = [name for name, also in zip(names, near, strict=True) if also]
+    reach = float(quantile(np.array(float(freedom)), 1 - (1 - rules.confidence) / tests)) * std
+    chance = 2 * float(scipy.special.stdtr(float(freedom), -abs(size) / std)) * tests
+    return StandShift(
+        stand=names[k],
+        others=tuple(doubtful or [name for name in names if name != names[k]]),
+        identified=not doubtful,
+        what=pattern.name,
+        parameters=tuple(PARAMETER_NAMES[p] for p in pattern.parameters),
+        unit=pattern.unit,
+        shift=float(size),
+        std=float(std),
+        low=float(size - reach),
+        high=float(size + reach),
+        chance=min(1.0, chance),
+        units=_shared(units[group.rows], of[group.rows], int(group.stands[k])),
+    )
+
+
+def _shared(units: NDArray[np.int64], of: NDArray[np.int64], stand: int) -> int:
+    """Return the number of units that were on a stand and on another."""
+    return len(np.intersect1d(units[of == stand], units[of != stand]))
+
+
+def corrections(stands: Stands, names: Sequence[str]) -> Floats:
+    """Return the correction of each session (n, 24), SI units: the shift of its stand."""
+    by_name = {pattern.name: pattern.of for pattern in PATTERNS}
+    found = np.zeros((len(names), len(PARAMETERS)))
+    of = np.array(names)
+    for one in stands.shifts:
+        found[of == one.stand] += one.shift * by_name[one.what]
+    return found
+
+
+def _apart(groups: list[list[str]], unknown: int, sessions: int) -> list[str]:
+    """Return sentences on stands that cannot be compared, with reasons."""
+    if not sessions:
+        return []
+    if unknown == sessions:
+        return ['No session says on which stand it was: offsets of stands are attributed to units.']
+    found = []
+    if unknown:
+        found.append(
+            f'{unknown} of {sessions} sessions do not say on which stand they were: they are not '
+            'used to compare stands.'
+        )
+    if len(groups) == 1 and len(groups[0]) == 1:
+        found.append(
+            f'All sessions were on one stand, {groups[0][0]}: its offset cannot be separated from '
+            'the errors of the units. Calibrate some of them on another.'
+        )
+    if len(groups) > 1:
+        parts = '; '.join(listed(group) for group in groups)
+        found.append(
+            f'No unit links these stands: {parts}. The offset of a stand cannot be separated from '
+            'the errors of its units: calibrate some units on both sides.'
+        )
+    return found

@@ -1,0 +1,221 @@
+"""Offsets of the fields in a message: found by reading one message, then checked for all others.
+
+CDR (OMG formal/02-06-51) aligns a number to its own size, counted from the byte after the 4-byte
+encapsulation header. Two messages of a type whose strings and sequence lengths agree therefore
+have every field at the same offset, and a run of them is a matrix of bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..common.instants import NS
+from .messages import CdrError
+
+if TYPE_CHECKING:
+    from ..common.stream import Floats, Stamps
+    from .messages import Bytes, Messages
+
+ENCAPSULATION = 4
+"""Bytes of the header that states the byte order (RTPS 2.5, section 10.2)."""
+ORDERS = {b'\x00\x00': '>', b'\x00\x01': '<'}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Offsets of the fields in messages of one shape.
+
+    Attributes:
+        order: '<' or '>', the byte order.
+        size: Bytes of the whole message.
+        fixed: Offsets and contents of the bytes that define the shape.
+        stamp: Offset of the header's stamp.
+        columns: Offset and number of the float64 of each column.
+        names: The strings of the message, in order.
+    """
+
+    order: str
+    size: int
+    fixed: tuple[tuple[int, bytes], ...]
+    stamp: int
+    columns: dict[str, tuple[int, int]]
+    names: tuple[str, ...]
+
+    @cached_property
+    def head(self) -> int:
+        """Bytes up to the end of the last fixed one or of the stamp."""
+        return max(self.stamp + 8, *(start + len(content) for start, content in self.fixed))
+
+    def fits(self, payload: bytes) -> bool:
+        """Return whether one message has this layout."""
+        return len(payload) == self.size and all(
+            payload.startswith(content, start) for start, content in self.fixed
+        )
+
+    def holds(self, rows: Bytes) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Return which messages have this layout.
+
+        Args:
+            rows: (n, head) first bytes of messages of the right size.
+
+        Returns:
+            (n,) true where all fixed bytes agree.
+        """
+        same = np.ones(len(rows), np.bool_)
+        for start, kind, value in self._words:
+            same &= np.ndarray((len(rows),), kind, rows, start, (self.head,)) == value
+        return same
+
+    @cached_property
+    def _words(self) -> list[tuple[int, str, np.unsignedinteger[Any]]]:
+        """The fixed bytes as integers, which compare far faster than bytes."""
+        words = []
+        for start, content in self.fixed:
+            width = next(w for w in (8, 4, 2, 1) if w <= len(content))
+            # The last word may overlap the one before.
+            for at in {*range(0, len(content) - width, width), len(content) - width}:
+                kind = f'<u{width}'
+                words.append((start + at, kind, np.frombuffer(content, kind, 1, at)[0]))
+        return words
+
+    def stamps(self, rows: Bytes) -> Stamps:
+        """Return the (n,) header stamps in ns, of the same bytes as `holds`."""
+        shape, strides = (len(rows),), (self.head,)
+        sec = np.ndarray(shape, f'{self.order}i4', rows, self.stamp, strides)
+        nanosec = np.ndarray(shape, f'{self.order}u4', rows, self.stamp + 4, strides)
+        stamp: Stamps = sec.astype(np.int64) * NS + nanosec
+        return stamp
+
+    def stamp_of(self, payload: bytes) -> Stamps:
+        """Return the header stamp of one message, (1,) ns."""
+        sec, nanosec = struct.unpack_from(f'{self.order}iI', payload, self.stamp)
+        return np.array([sec * NS + nanosec], np.int64)
+
+    def row_of(self, payload: bytes, name: str) -> Floats:
+        """Return the numbers of a column of one message, (1, k)."""
+        offset, width = self.columns[name]
+        return np.array([struct.unpack_from(f'{self.order}{width}d', payload, offset)])
+
+    def column(self, messages: Messages, name: str) -> Floats:
+        """Return the (n, k) numbers of a column, in new memory."""
+        offset, width = self.columns[name]
+        stored = messages.gather(offset, 8 * width).view(f'{self.order}f8')
+        return stored.astype(np.float64, copy=False)
+
+
+class LayoutReader:
+    """Read one message from its first byte to its last and record the offsets.
+
+    Raises:
+        CdrError: From every method, if the message is too short or contradicts its type.
+    """
+
+    def __init__(self, payload: bytes) -> None:
+        order = ORDERS.get(payload[:2])
+        if len(payload) < ENCAPSULATION or order is None:
+            raise CdrError(
+                f'encapsulation header {payload[:ENCAPSULATION].hex(" ") or "missing"}, '
+                'expected 00 00 or 00 01 (plain CDR)'
+            )
+        self.order = order
+        self._payload = payload
+        self._position = ENCAPSULATION
+        self._fixed: list[tuple[int, int]] = [(0, 2)]
+        self._stamp = 0
+        self._columns: dict[str, tuple[int, int]] = {}
+        self._names: list[str] = []
+
+    def _take(self, alignment: int, size: int) -> int:
+        start = self._position + (ENCAPSULATION - self._position) % alignment
+        if start + size > len(self._payload):
+            raise CdrError(
+                f'{len(self._payload)} bytes, but a field of {size} bytes starts at {start}'
+            )
+        self._position = start + size
+        return start
+
+    def _keep(self, start: int, end: int) -> None:
+        if self._fixed and self._fixed[-1][1] == start:
+            start = self._fixed.pop()[0]
+        self._fixed.append((start, end))
+
+    def number(self, code: str) -> Any:
+        """Read one number that may differ between messages."""
+        size = struct.calcsize(code)
+        return struct.unpack_from(self.order + code, self._payload, self._take(size, size))[0]
+
+    def stamp(self) -> int:
+        """Read a builtin_interfaces/Time, in ns."""
+        self._stamp = self._position
+        return int(self.number('i')) * NS + int(self.number('I'))
+
+    def count(self) -> int:
+        """Read the length of a sequence; it belongs to the layout."""
+        start = self._take(4, 4)
+        self._keep(start, self._position)
+        return int(struct.unpack_from(f'{self.order}I', self._payload, start)[0])
+
+    def string(self) -> str:
+        """Read a string; it belongs to the layout."""
+        length = self.count()
+        start = self._take(1, length)
+        self._keep(start, self._position)
+        content = self._payload[start : self._position]
+        if length and content[-1]:
+            raise CdrError('a string does not end with a zero byte')
+        try:
+            text = content[:-1].decode()
+        except UnicodeDecodeError:
+            raise CdrError(f'a string is not UTF-8: {content[:40]!r}') from None
+        self._names.append(text)
+        return text
+
+    def strings(self) -> tuple[str, ...]:
+        """Read a sequence of strings; it belongs to the layout."""
+        return tuple(self.string() for _ in range(self.count()))
+
+    def column(self, name: str, width: int) -> None:
+        """Skip float64 numbers that form the column `name`."""
+        start = self._take(8, 8 * width) if width else self._position
+        self._columns[name] = (start, width)
+
+    def sequence(self, name: str) -> int:
+        """Skip a float64 sequence that forms the column `name`; return its length."""
+        width = self.count()
+        self.column(name, width)
+        return width
+
+    def floats(self) -> tuple[float, ...]:
+        """Read a float64 sequence."""
+        width = self.count()
+        start = self._take(8, 8 * width) if width else self._position
+        values: tuple[float, ...] = struct.unpack_from(
+            f'{self.order}{width}d', self._payload, start
+        )
+        return values
+
+    def finish(self) -> Layout:
+        """Return the layout; the message must end here, except for padding.
+
+        Middlewares pad a message up to 4 or 8 bytes; more than that is another type.
+        """
+        rest = len(self._payload) - self._position
+        if rest >= 8:
+            raise CdrError(f'{len(self._payload)} bytes, {rest} more than the fields take')
+        return self.layout()
+
+    def layout(self) -> Layout:
+        """Return the layout of the part read so far."""
+        return Layout(
+            order=self.order,
+            size=len(self._payload),
+            fixed=tuple((a, self._payload[a:b]) for a, b in self._fixed),
+            stamp=self._stamp,
+            columns=self._columns,
+            names=tuple(self._names),
+        )

@@ -1,0 +1,242 @@
+"""The two compressions of recordings, imported on demand."""
+
+from __future__ import annotations
+
+import importlib
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from ..common.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from .remote import AnyPath
+
+_ZSTD_MODULES = ('compression.zstd', 'backports.zstd', 'zstandard')
+"""Python's own from 3.14 on, the same for earlier ones, and what Ubuntu 24.04 has."""
+_BLOCK = 1 << 20
+"""Bytes of a file read at once."""
+_FED = 1 << 11
+"""Bytes of a file unpacked at once, to 64 MiB at most: a block of zstd has 4 bytes or more and
+unpacks to 128 KiB or less (RFC 8878, 3.1.1.2)."""
+_PIECES = {'zstd': 1 << 15, 'lz4': 1 << 17}
+"""Bytes of a block of known size that are unpacked at once: few enough to remain in the processor's
+cache until they are copied, and enough that the interpreter, needed once per piece, costs
+little. The packages for zstd make no copy of their own up to 32 KiB; that for lz4 copies the rest
+of its input with each piece."""
+
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+
+
+class CodecError(Exception):
+    """Corrupt compressed data; the caller adds which."""
+
+
+def unpack(data: bytes | memoryview, compression: str, most: int) -> bytes:
+    """Unpack one compressed block.
+
+    Args:
+        data: The block.
+        compression: '', 'lz4' or 'zstd', as named in mcap chunks.
+        most: Bytes that it may unpack to; what holds more is refused without unpacking the rest.
+
+    Returns:
+        The content.
+
+    Raises:
+        CodecError: The data are corrupt, or unpack to more.
+        InputError: The compression is unknown, or its package is not installed.
+    """
+    if compression == '':
+        return bytes(data)
+    module = _module(compression)
+    beyond = CodecError(f'it unpacks to more than {most} bytes')
+    content: bytes
+    try:
+        if module.__name__ == 'zstandard':
+            # This package applies its limit to frames that do not state their size.
+            if module.frame_content_size(data) > most:
+                raise beyond
+            content = module.ZstdDecompressor().decompress(data, max_output_size=most)
+            return content
+        frame = _decompressor(module)
+        content = frame.decompress(data, most + 1)
+    except _errors() as error:
+        raise CodecError(str(error)) from None
+    if len(content) > most:
+        raise beyond
+    if not frame.eof:
+        raise CodecError('the frame is cut off')
+    return content
+
+
+def unpacked_into(memory: memoryview, data: bytes | memoryview, compression: str) -> bool:
+    """Unpack one compressed block into memory of its stated size.
+
+    Unpacking it at once allocates fresh memory several times, which the system clears page by page:
+    four times as long as unpacking alone.
+
+    Args:
+        memory: (size,) bytes.
+        data: The block.
+        compression: 'lz4' or 'zstd'.
+
+    Returns:
+        Whether it is one valid frame of that size; `unpack` handles all other cases.
+    """
+    module = _module(compression)
+    try:
+        if module.__name__ == 'zstandard':
+            return _read_into(memory, data, module)
+        return _moved_into(memory, data, _decompressor(module), _PIECES[compression])
+    except _errors():
+        return False
+
+
+def _read_into(memory: memoryview, data: bytes | memoryview, module: Any) -> bool:
+    """Let zstandard unpack into memory."""
+    stated = module.get_frame_parameters(data)
+    # A frame that states its size is unpacked there without another copy. This reader does not
+    # notice a missing checksum at the end.
+    if stated.content_size != len(memory) or stated.has_checksum:
+        return False
+    with module.ZstdDecompressor().stream_reader(data, read_across_frames=True) as frames:
+        return frames.readinto(memory) == len(memory) and not frames.read(1)
+
+
+def _moved_into(memory: memoryview, data: bytes | memoryview, frame: Any, most: int) -> bool:
+    """Unpack a frame piece by piece, and copy each into memory."""
+    used = 0
+    while used < len(memory):
+        piece = frame.decompress(data, min(most, len(memory) - used))
+        memory[used : used + len(piece)] = piece
+        used += len(piece)
+        data = b''
+        if not piece:
+            return False
+    # The end marker of a frame may still follow.
+    beyond = b'' if frame.eof else frame.decompress(b'', 1)
+    return bool(frame.eof) and not beyond and not frame.unused_data
+
+
+def compressor(compression: str) -> Callable[[bytes], bytes]:
+    """Return the function that packs one block.
+
+    Args:
+        compression: '', 'lz4' or 'zstd', as named in mcap chunks.
+
+    Raises:
+        InputError: The compression is unknown, or its package is not installed.
+    """
+    if compression == '':
+        return bytes
+    module = _module(compression)
+    own = module.__name__ == 'zstandard'
+    pack: Callable[[bytes], bytes] = module.ZstdCompressor().compress if own else module.compress
+    return pack
+
+
+def unpack_file(source: AnyPath, target: Path) -> str:
+    """Unpack a zstd file piece by piece, as far as possible.
+
+    Args:
+        source: Compressed file.
+        target: File to write.
+
+    Returns:
+        The error before the end of the source; empty without.
+
+    Raises:
+        InputError: No package for zstd is installed.
+        OSError: A file cannot be read or written.
+    """
+    stream = _FrameStream(_module('zstd'))
+    with source.open('rb') as packed, target.open('wb') as content:
+        try:
+            while block := packed.read(_BLOCK):
+                for start in range(0, len(block), _FED):
+                    content.writelines(stream.feed(block[start : start + _FED]))
+        except _errors() as error:
+            return str(error)
+    return '' if stream.at_boundary else 'the compressed data ends in the middle of a frame'
+
+
+class _FrameStream:
+    """Decompress a sequence of zstd frames with any of the packages."""
+
+    def __init__(self, module: Any) -> None:
+        self._module = module
+        self._frame: Any = None
+        self._stated: int | None = None
+        self._used = 0
+        self.at_boundary = True
+
+    def feed(self, block: bytes) -> Iterator[bytes]:
+        """Yield the unpacked content of the next bytes of the file."""
+        while block:
+            if self._frame is None:
+                self._frame = _decompressor(self._module)
+                self._stated, self._used = _stated_size(self._module, block), 0
+            piece = self._frame.decompress(block)
+            self._used += len(piece)
+            if self._stated is not None and self._used > self._stated:
+                raise CodecError(f'a frame unpacks to more than the {self._stated} bytes it states')
+            yield piece
+            self.at_boundary = bool(self._frame.eof)
+            block = self._frame.unused_data if self.at_boundary else b''
+            if self.at_boundary:
+                self._frame = None
+
+
+def _decompressor(module: Any) -> Any:
+    """Return an object that unpacks one frame."""
+    if module.__name__ == 'lz4.frame':
+        return module.LZ4FrameDecompressor()
+    frame = module.ZstdDecompressor()
+    return frame.decompressobj() if module.__name__ == 'zstandard' else frame
+
+
+def _stated_size(module: Any, start: bytes) -> int | None:
+    """Return the bytes that a zstd frame unpacks to; None if its start does not state them."""
+    try:
+        if module.__name__ == 'zstandard':
+            size: int = module.frame_content_size(start)
+            return None if size < 0 else size
+        stated: int | None = module.get_frame_info(start).decompressed_size
+        return stated
+    except _errors():
+        return None
+
+
+@cache
+def _errors() -> tuple[type[Exception], ...]:
+    """Return the exceptions for corrupt data, of the packages too."""
+    packages = [_optional(name) for name in _ZSTD_MODULES]
+    own = [package.ZstdError for package in packages if package is not None]
+    return (CodecError, RuntimeError, ValueError, EOFError, MemoryError, OverflowError, *own)
+
+
+@cache
+def _optional(name: str) -> Any:
+    """Import a package; None if it is missing, for which Python would search again each time."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        return None
+
+
+def _module(compression: str) -> Any:
+    """Return the package for a compression."""
+    if compression not in _PIECES:
+        raise InputError(f'Unknown compression {compression!r}: expected none, lz4 or zstd.')
+    for name in _ZSTD_MODULES if compression == 'zstd' else ('lz4.frame',):
+        module = _optional(name)
+        if module is not None:
+            return module
+    package = 'zstandard' if compression == 'zstd' else 'lz4'
+    raise InputError(
+        f'This recording is compressed with {compression}, and no Python package for it is '
+        f'installed: install python3-{package} (apt) or {package} (pip).'
+    )

@@ -1,0 +1,347 @@
+"""Read mcap storage files, a few chunks at a time."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass, replace
+from functools import partial
+from operator import itemgetter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .ahead import ReadAhead
+from .codec import CodecError, unpack, unpacked_into
+from .log_order import LogOrder, time_order
+from .mcap_chunk import LONGEST_HEAD, TOGETHER, Chunk, ChunkGroup, chunk_at, grouped
+from .mcap_places import Part, Placed, located, log_at, times_at
+from .mcap_records import RECORD_HEAD, Op, RecordError, walk
+from .mcap_scan import scan
+from .messages import Messages
+from .metadata import custom_data_of
+from .storage import Cache, Losses, Memory, MessageBatch, Topic, first_and_last
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from .messages import Bytes, Indices
+
+    _Stored = tuple[ChunkGroup, memoryview, list[dict[int, Indices]]]
+    _Content = tuple[Bytes, list[Part]]
+    from .mcap_scan import ByteFile
+    from .remote import AnyPath
+
+
+@dataclass(frozen=True, eq=False)
+class Unpacked:
+    """Chunks in memory: their bytes, and the offsets of the messages of each channel."""
+
+    buffer: Bytes
+    channels: dict[int, Placed]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of memory."""
+        return int(self.buffer.nbytes + sum(2 * p.size.nbytes for p in self.channels.values()))
+
+    def batch(self, channels: frozenset[int], position: int) -> MessageBatch | None:
+        """Return the messages of some channels, in the order of the file; None without any."""
+        placed = [p for i, p in self.channels.items() if i in channels]
+        if not placed:
+            return None
+        offset, size = placed[0].offset, placed[0].size
+        if len(placed) > 1:
+            offset = np.concatenate([p.offset for p in placed])
+            size = np.concatenate([p.size for p in placed])
+            order = np.argsort(offset)
+            offset, size = offset[order], size[order]
+        log_ns = min(p.log_ns for p in placed)
+        times = partial(times_at, self.buffer, offset)
+        messages, log = Messages(self.buffer, offset, size), log_at(self.buffer, offset)
+        return MessageBatch(messages, log, log_ns, position, times)
+
+
+class McapStorage:
+    """One mcap file.
+
+    Args:
+        path: The file.
+        losses: Receives sentences on unreadable data.
+
+    Raises:
+        RecordingError: This is not an mcap file.
+        OSError: The file cannot be read.
+    """
+
+    def __init__(self, path: AnyPath, losses: Losses) -> None:
+        self.path = path
+        self.size = path.stat().st_size
+        self._losses = losses
+        self._memory = Memory()
+        found = scan(path, losses)
+        self._catalogue = found.catalogue
+        self._chunks = found.chunks
+        self._learn_channels()
+        self.start_ns, self.end_ns = first_and_last(
+            [(c.start_ns, c.end_ns) for c in self._chunks if c.counts != {}]
+        )
+
+    @property
+    def topics(self) -> Mapping[str, Topic]:
+        """Topics by name."""
+        counts = self._counts()
+        topics: dict[str, Topic] = {}
+        for channel in self._catalogue.channels.values():
+            before = topics.get(channel.topic)
+            count = counts.get(channel.id, 0) if counts is not None else None
+            topic = Topic(channel.topic, channel.type, count, channel.encoding, channel.described)
+            topic = replace(topic, channels=((channel.id, topic),))
+            topics[channel.topic] = before.merged(topic) if before else topic
+        return topics
+
+    @property
+    def metadata(self) -> Sequence[tuple[str, Mapping[str, str]]]:
+        """The metadata records: name and content."""
+        return self._catalogue.records
+
+    def attachments(self) -> Iterator[bytes]:
+        """Read the attachment records, one after the other; a cut one is a loss."""
+        for start, length in self._catalogue.attachments_at:
+            with self.path.open('rb', buffering=0) as file:
+                content = _read(file, start, length)[RECORD_HEAD:]
+            if len(content) == length - RECORD_HEAD:
+                yield bytes(content)
+            else:
+                self._losses.add(f'{self.path.name}: an attachment is cut off.')
+
+    @property
+    def custom_data(self) -> Mapping[str, str]:
+        """Contents of the metadata records, and the custom data in rosbag2's own record."""
+        merged: dict[str, str] = {}
+        for name, pairs in self._catalogue.metadata.items():
+            own = name == 'rosbag2'
+            merged.update(custom_data_of(pairs.get('serialized_metadata', '')) if own else pairs)
+        return merged
+
+    def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[MessageBatch]]:
+        """Start reading: one iterator per topic, all independent of each other."""
+        channels = {
+            topic: frozenset(c.id for c in self._catalogue.channels.values() if c.topic == topic)
+            for topic in topics
+        }
+        wanted = [ids for ids in channels.values() if ids]
+        read = [c for c in self._chunks if any(c.may_hold(ids) for ids in wanted)]
+        orders = [_time_order(read, ids) for ids in wanted]
+        in_file = any(order is None for order in orders)
+        shuffled = not in_file and any((o[1:] < o[:-1]).any() for o in orders if o is not None)
+        if shuffled:
+            self._losses.add_order(self.path.name)
+            read = sorted(read, key=lambda chunk: chunk.start_ns)
+        together = grouped(read)
+        ahead = ReadAhead(together, self._fetch, self._with_content)
+
+        def batch(
+            ids: frozenset[int], group: ChunkGroup, bound: int | None
+        ) -> tuple[MessageBatch, int | None] | None:
+            users = sum(group.may_hold(others) for others in wanted)
+            load = partial(self._located, ahead, group)
+            found = cache.get((self.path, group.start), load, users).batch(ids, group.end)
+            return None if found is None else (found, bound)
+
+        state = partial(self._losses.add_order, self.path.name)
+        batches: dict[str, Iterator[MessageBatch]] = {}
+        for topic, ids in channels.items():
+            mine = [group for group in together if ids and group.may_hold(ids)]
+            found = filter(None, map(partial(batch, ids), mine, _bounds(mine)))
+            # Not generators, whose frames would keep a batch, and its memory, until the next one.
+            batches[topic] = map(itemgetter(0), found) if in_file else LogOrder(found, state)
+        return batches
+
+    def _counts(self) -> dict[int, int] | None:
+        if self._catalogue.counts is not None:
+            return self._catalogue.counts
+        counts: dict[int, int] = {}
+        for chunk in self._chunks:
+            if chunk.counts is None:
+                return None
+            for channel, count in chunk.counts.items():
+                counts[channel] = counts.get(channel, 0) + count
+        return counts
+
+    def _learn_channels(self) -> None:
+        """Search for channels in chunks with messages of unknown channels.
+
+        A file without a summary describes its channels within the chunks alone.
+        """
+        known = self._catalogue.channels
+        complete = bool(known) and self._catalogue.counts is not None
+        for chunk in self._chunks:
+            if complete if chunk.counts is None else known.keys() >= chunk.counts.keys():
+                continue
+            with self.path.open('rb', buffering=0) as file:
+                buffer = self._unpack(chunk, _read(file, chunk.data, chunk.stored))
+            if buffer is not None:
+                self._learn(buffer)
+
+    def _learn(self, buffer: Bytes) -> None:
+        offsets, _ = walk(buffer)
+        ops = buffer[offsets]
+        for offset in offsets[(ops == Op.SCHEMA) | (ops == Op.CHANNEL)].tolist():
+            op, length = struct.unpack_from('<BQ', buffer.data, offset)
+            start = offset + RECORD_HEAD
+            try:
+                self._catalogue.add(op, buffer[start : start + length].tobytes())
+            except RecordError as error:
+                self._losses.add(f'{self.path.name}: {error}.')
+
+    def _fetch(self, group: ChunkGroup) -> _Stored:
+        """Read the stored bytes of chunks into memory."""
+        first, size = group.start, group.reach - group.start
+        memory = None if group.compression else self._memory.allocate(size)
+        with self.path.open('rb', buffering=0) as file:
+            content = _read(file, first, size, memory)
+            tables = [_tables(chunk, content, first, file) for chunk in group.chunks]
+        chunks = [_with_checksum(chunk, content[chunk.start - first :]) for chunk in group.chunks]
+        return ChunkGroup(tuple(chunks)), content, tables
+
+    def _with_content(self, fetched: _Stored) -> _Content:
+        """Unpack the bytes of chunks."""
+        group, content, tables = fetched
+        buffer, size = np.frombuffer(content, np.uint8), group.size
+        together = bool(group.compression) and size <= TOGETHER
+        if together:
+            buffer = self._memory.allocate(size)
+        parts: list[Part] = []
+        for chunk, table in zip(group.chunks, tables, strict=True):
+            start = chunk.data - group.start
+            stored, memory = content[start : start + chunk.stored], None
+            if together:
+                start = parts[-1].end if parts else 0
+                memory = buffer.data[start : start + (chunk.size or 0)]
+            unpacked = self._unpack(chunk, stored, memory)
+            if unpacked is None:
+                continue
+            if group.compression and not together:
+                buffer, start = unpacked, 0
+            parts.append(Part(f'{self.path.name}: {chunk}', start, start + len(unpacked), table))
+        return buffer, parts
+
+    def _located(self, ahead: ReadAhead[_Stored, _Content], group: ChunkGroup) -> Unpacked:
+        """Find the messages of chunks while the thread continues to unpack."""
+        buffer, parts = ahead.load(group)
+        return Unpacked(buffer, located(parts, buffer, self._losses.add))
+
+    def _unpack(
+        self, chunk: Chunk, stored: memoryview, memory: memoryview | None = None
+    ) -> Bytes | None:
+        """Return the unpacked bytes of a chunk, in given memory of its stated size if any.
+
+        None, and a stated loss, if they are corrupt.
+        """
+        if chunk.cut or len(stored) < chunk.stored:
+            return self._unpack_cut(chunk, stored)
+        try:
+            content = _unpacked(chunk, stored, memory)
+        except CodecError as error:
+            self._lose(chunk, f'does not unpack ({chunk.compression}: {error})')
+            return None
+        if chunk.size != len(content):
+            self._lose(chunk, f'unpacks to {len(content)} bytes instead of {chunk.size}')
+            return None
+        if chunk.crc is None:
+            self._lose(chunk, 'is not where the summary says')
+            return None
+        if chunk.crc and zlib.crc32(content) != chunk.crc:
+            self._lose(chunk, 'is corrupt (its CRC does not match)')
+            return None
+        return np.frombuffer(content, np.uint8)
+
+    def _unpack_cut(self, chunk: Chunk, stored: memoryview) -> Bytes | None:
+        if chunk.compression:
+            self._lose(chunk, 'is cut off by the end of the file')
+            return None
+        buffer = np.frombuffer(stored, np.uint8)
+        _, end = walk(buffer)
+        self._losses.add(
+            f'{self.path.name}: {chunk} is cut off by the end of the file; of its {chunk.size} '
+            f'bytes the first {end} are used.'
+        )
+        return buffer[:end]
+
+    def _lose(self, chunk: Chunk, why: str) -> None:
+        topics = {i: c.topic for i, c in self._catalogue.channels.items()}
+        counts = chunk.counts or {}
+        held = ', '.join(f'{n} of {topics.get(i, f"channel {i}")}' for i, n in counts.items())
+        what = f'its messages ({held})' if held else 'its messages'
+        self._losses.add(f'{self.path.name}: {chunk} {why}; {what} are left out.')
+
+
+def _time_order(chunks: Sequence[Chunk], channels: frozenset[int]) -> Indices | None:
+    """Return the order of the chunks that may hold messages of some channels, as `time_order`."""
+    times = [(c.start_ns, c.end_ns) for c in chunks if c.may_hold(channels)]
+    starts, ends = np.array(times, np.int64).reshape(-1, 2).T
+    return time_order(starts, ends)
+
+
+def _bounds(groups: Sequence[ChunkGroup]) -> list[int | None]:
+    """Return the least log time in the groups after each; None after the last."""
+    bounds: list[int | None] = [None]
+    for group in groups[:0:-1]:
+        first = min(chunk.start_ns for chunk in group.chunks)
+        bounds.append(first if bounds[-1] is None else min(bounds[-1], first))
+    return bounds[::-1]
+
+
+def _unpacked(chunk: Chunk, stored: memoryview, memory: memoryview | None) -> bytes | memoryview:
+    """Unpack a chunk, into memory if its size fits."""
+    if not chunk.compression:
+        return stored
+    if memory is not None and unpacked_into(memory, stored, chunk.compression):
+        return memory
+    content = unpack(stored, chunk.compression, chunk.size or 0)
+    if memory is None or len(memory) != len(content):
+        return content
+    memory[:] = content
+    return memory
+
+
+def _read(file: ByteFile, position: int, size: int, memory: Bytes | None = None) -> memoryview:
+    """Read bytes of a file, fewer at its end; into (size,) bytes of memory if given."""
+    file.seek(position)
+    if memory is None:
+        return memoryview(file.read(size))
+    content = memory.data
+    return content[: file.readinto(content)]
+
+
+def _with_checksum(chunk: Chunk, record: memoryview) -> Chunk:
+    """Add the CRC in a chunk's own record; none if that is not the head of this chunk."""
+    if chunk.crc is not None:
+        return chunk
+    try:
+        found, _ = chunk_at(chunk.start, bytes(record[RECORD_HEAD : RECORD_HEAD + LONGEST_HEAD]))
+    except (struct.error, UnicodeDecodeError):
+        return chunk
+    same = replace(chunk, index=None, counts=None, crc=found.crc) == found
+    return replace(chunk, crc=found.crc) if same else chunk
+
+
+def _tables(chunk: Chunk, content: memoryview, first: int, file: ByteFile) -> dict[int, Indices]:
+    """Return the message index of a chunk, (n, 2) log times and offsets by channel.
+
+    Args:
+        chunk: The chunk.
+        content: Bytes of the file.
+        first: Offset of the first of these bytes.
+        file: For reading other parts.
+    """
+    tables = {}
+    for channel, (position, count) in (chunk.index or {}).items():
+        start, size = position - first, 16 * count
+        inside = position + size <= chunk.reach
+        stored = content[start : start + size] if inside else _read(file, position, size)
+        table = np.frombuffer(stored[: len(stored) // 16 * 16], '<i8').reshape(-1, 2)
+        if len(table):
+            tables[channel] = table
+    return tables

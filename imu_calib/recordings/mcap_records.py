@@ -1,0 +1,276 @@
+"""Read and build the records of the mcap format as bytes.
+
+Format: mcap.dev/spec, version 0. A record is an opcode byte, a length of 8 bytes, and content.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from enum import IntEnum
+from functools import cache
+
+import numpy as np
+
+from .messages import Bytes, Indices
+from .storage import Described
+
+MAGIC = b'\x89MCAP0\r\n'
+RECORD_HEAD = 9
+"""Bytes of opcode and length before each record (MCAP specification)."""
+MESSAGE_HEAD = 22
+"""Bytes before the data of a Message: channel, sequence, log time, publish time."""
+FOOTER_SIZE = RECORD_HEAD + 20 + len(MAGIC)
+"""Bytes from the Footer to the end of a file: two offsets and a checksum, then the magic."""
+
+
+class Op(IntEnum):
+    """Opcodes."""
+
+    HEADER = 0x01
+    FOOTER = 0x02
+    SCHEMA = 0x03
+    CHANNEL = 0x04
+    MESSAGE = 0x05
+    CHUNK = 0x06
+    MESSAGE_INDEX = 0x07
+    CHUNK_INDEX = 0x08
+    ATTACHMENT = 0x09
+    ATTACHMENT_INDEX = 0x0A
+    STATISTICS = 0x0B
+    METADATA = 0x0C
+    METADATA_INDEX = 0x0D
+    SUMMARY_OFFSET = 0x0E
+    DATA_END = 0x0F
+
+
+class RecordError(Exception):
+    """A record contradicts the format."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel: one publisher's view of a topic."""
+
+    id: int
+    topic: str
+    type: str
+    encoding: str
+    described: Described = field(default_factory=Described)
+
+
+@dataclass(frozen=True)
+class ChunkIndex:
+    """The summary's entry on a chunk.
+
+    Attributes:
+        times: Earliest and latest log time, ns.
+        start: Offset of the chunk record.
+        length: Of the record, its head included.
+        index: Offset of the message index of each channel.
+        index_bytes: Bytes of all message indexes, which follow the chunk.
+        compression: '', 'lz4' or 'zstd'.
+        sizes: Bytes of the messages, stored and unpacked.
+    """
+
+    times: tuple[int, int]
+    start: int
+    length: int
+    index: dict[int, int]
+    index_bytes: int
+    compression: str
+    sizes: tuple[int, int]
+
+
+@dataclass
+class Catalogue:
+    """Records on the file as a whole.
+
+    Attributes:
+        schemas: Message type, language and text of the definition by schema id.
+        channels: Channels by id.
+        records: The metadata records: name and content.
+        counts: Messages by channel id, from the statistics; None without.
+        chunks: Contents of the chunk index.
+        metadata_at: Offset and length of the metadata records, from their index.
+        totals: Numbers of metadata records and of chunks, from the statistics; None without.
+        attachments_at: Offset and length of the attachments' records.
+        attachments: Their number, from the statistics.
+    """
+
+    schemas: dict[int, tuple[str, str, str]] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    records: list[tuple[str, dict[str, str]]] = field(default_factory=list)
+    counts: dict[int, int] | None = None
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    metadata_at: list[tuple[int, int]] = field(default_factory=list)
+    totals: tuple[int, int] | None = None
+    attachments_at: list[tuple[int, int]] = field(default_factory=list)
+    attachments: int = 0
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Contents of the metadata records by their names."""
+        merged: dict[str, dict[str, str]] = {}
+        for name, pairs in self.records:
+            merged.setdefault(name, {}).update(pairs)
+        return merged
+
+    def add(self, op: int, content: bytes) -> None:
+        """Store a record, if it is of a relevant kind.
+
+        Raises:
+            RecordError: It contradicts the format.
+        """
+        try:
+            self._add(op, Fields(content))
+        except (struct.error, ValueError) as error:
+            raise RecordError(f'record with opcode {op}: {error}') from None
+
+    def _add(self, op: int, fields: Fields) -> None:
+        if op == Op.SCHEMA:
+            key = fields.number('H')
+            name, language, text = fields.string(), fields.string(), fields.block()
+            self.schemas[key] = name, language, text.decode(errors='surrogateescape')
+        elif op == Op.CHANNEL:
+            key, schema = fields.numbers('HH')
+            topic, encoding = fields.string(), fields.string()
+            pairs = fields.strings()
+            profiles = pairs.get('offered_qos_profiles', '')
+            name, language, text_ = self.schemas.get(schema, ('', '', ''))
+            described = Described(text_, language, profiles, tuple(pairs.items()))
+            self.channels[key] = Channel(key, topic, name, encoding, described)
+        elif op == Op.METADATA:
+            found_ = fields.string(), fields.strings()
+            # A walk may begin anew over records that the summary led to.
+            if found_ not in self.records:
+                self.records.append(found_)
+        elif op == Op.CHUNK_INDEX:
+            first, last, start, length = fields.numbers('QQQQ')
+            index = dict(struct.iter_unpack('<HQ', fields.block()))
+            index_bytes, compression = fields.number('Q'), fields.string()
+            stored, size = fields.numbers('QQ')
+            found = (first, last), start, length, index, index_bytes, compression, (stored, size)
+            self.chunks.append(ChunkIndex(*found))
+        elif op == Op.METADATA_INDEX:
+            start, length = fields.numbers('QQ')
+            self.metadata_at.append((start, length))
+        elif op == Op.ATTACHMENT_INDEX:
+            start, length = fields.numbers('QQ')
+            self.attachments_at.append((start, length))
+        elif op == Op.STATISTICS:
+            fields.skip(14)
+            self.attachments, metadata, chunks = fields.numbers('III')
+            self.totals = metadata, chunks
+            fields.skip(16)
+            self.counts = dict(struct.iter_unpack('<HQ', fields.block()))
+
+
+@cache
+def _form(codes: str) -> struct.Struct:
+    return struct.Struct(f'<{codes}')
+
+
+class Fields:
+    """Read the fields of one record in sequence."""
+
+    def __init__(self, content: bytes, position: int = 0) -> None:
+        self._content = content
+        self.position = position
+
+    def numbers(self, codes: str) -> tuple[int, ...]:
+        """Read little-endian numbers."""
+        form = _form(codes)
+        found = form.unpack_from(self._content, self.position)
+        self.position += form.size
+        return found
+
+    def number(self, code: str) -> int:
+        """Read one little-endian number."""
+        return self.numbers(code)[0]
+
+    def skip(self, size: int) -> None:
+        """Skip bytes."""
+        self.position += size
+
+    def block(self) -> bytes:
+        """Read bytes after their 4-byte length."""
+        size = self.number('I')
+        if self.position + size > len(self._content):
+            raise struct.error(f'a field of {size} bytes reaches beyond the record')
+        self.position += size
+        return self._content[self.position - size : self.position]
+
+    def string(self) -> str:
+        """Read a string."""
+        return self.block().decode()
+
+    def strings(self) -> dict[str, str]:
+        """Read a map of strings."""
+        inner = Fields(self.block())
+        pairs = {}
+        while inner.position < len(inner._content):
+            key = inner.string()
+            pairs[key] = inner.string()
+        return pairs
+
+
+def record(op: Op, content: bytes) -> bytes:
+    """Build a record."""
+    return struct.pack('<BQ', op, len(content)) + content
+
+
+def string(text: str) -> bytes:
+    """Build a string field."""
+    encoded = text.encode()
+    return struct.pack('<I', len(encoded)) + encoded
+
+
+def strings(pairs: dict[str, str]) -> bytes:
+    """Build a map of strings."""
+    content = b''.join(string(key) + string(value) for key, value in pairs.items())
+    return struct.pack('<I', len(content)) + content
+
+
+def walk(buffer: Bytes, start: int = 0) -> tuple[Indices, int]:
+    """Find consecutive records in a buffer.
+
+    Args:
+        buffer: (bytes,) records.
+        start: Offset of the first.
+
+    Returns:
+        (n,) offsets of the whole records, and the offset where the last of them ends.
+    """
+    whole = buffer.data
+    end = len(buffer)
+    parts: list[Indices] = []
+    single: list[int] = []
+    position, previous, streak = start, -1, 0
+    while position + RECORD_HEAD <= end:
+        op, length = struct.unpack_from('<BQ', whole, position)
+        if op == 0 or length > end - position - RECORD_HEAD:
+            break
+        streak = streak + 1 if length == previous else 0
+        previous = length
+        if streak < 8:
+            single.append(position)
+            position += RECORD_HEAD + length
+            continue
+        run = _run(buffer, position, length)
+        parts += [np.array(single, np.int64), run]
+        single = []
+        position = int(run[-1]) + RECORD_HEAD + length
+    parts.append(np.array(single, np.int64))
+    return np.concatenate(parts), position
+
+
+def _run(buffer: Bytes, position: int, length: int) -> Indices:
+    """Return the offsets of the records of equal length from a position on; at least one."""
+    stride = RECORD_HEAD + length
+    possible = (len(buffer) - position) // stride
+    lengths = np.ndarray((possible,), '<u8', buffer, position + 1, (stride,))
+    ops = np.ndarray((possible,), np.uint8, buffer, position, (stride,))
+    other = np.flatnonzero((lengths != length) | (ops == 0))
+    count = int(other[0]) if len(other) else possible
+    return position + stride * np.arange(count)

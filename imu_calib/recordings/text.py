@@ -1,0 +1,293 @@
+"""Tables of numbers in text files: columns by the names of a heading or by their places."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import re
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..common.errors import InputError
+from ..common.files import read_bytes
+from ..common.other_formats import CONVERTIBLE, other_format
+from ..common.stream import Floats
+from ..common.units import counted
+from .remote import AnyPath
+
+_COMMENTS = ('#', '%', '//')
+_DELIMITERS = (';', '\t', ',')
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_CONTROLS = re.compile(rb'[\x00-\x08\x0e-\x1f]')
+"""Bytes that no text has, in any code page of one byte per character."""
+_LABEL = re.compile(r'(?:(?<=[\s,;])|^)([^\W\d][\w.]*)\s*[:=]\s*(?=[-+.\d])')
+"""Name before a number in its field, as 'ax: 0.1' and 'ax=0.1' for a plotter of serial lines."""
+_LABELLED = 0.9
+"""Least share of lines with the same labels: others are broken lines. A judgement."""
+_SENSOR = re.compile(r'(?:^|[,;\s])"?((?:gyr|acc)[a-z]*)"?(?=[,;\s]+"?[-+.\d])', re.IGNORECASE)
+"""Name of a sensor as a field of a row, before a number."""
+_OF_SENSOR = 0.05
+"""Share of the lines that name each sensor. A judgement: a log of a phone has ten of them."""
+_LOOKED_AT = 100
+"""Number of lines, spread over the file, that determine how many fields a row has: lines above a
+table and broken lines are few in comparison."""
+
+
+@dataclass(frozen=True, eq=False)
+class Text:
+    """A table of numbers in a file.
+
+    Attributes:
+        path: The file.
+        names: Of the columns, as in the heading; without a heading their places from '1' on.
+        values: (n, k); NaN if a field is not a number.
+        broken: Number of lines with too few fields or no number; they are skipped.
+    """
+
+    path: AnyPath
+    names: tuple[str, ...]
+    values: Floats
+    broken: int
+
+    def column(self, name: str, option: str) -> Floats:
+        """Return a column by its name in the heading, or by its place, counted from 1.
+
+        Raises:
+            InputError: There is none; the text names the option and the available columns.
+        """
+        if name in self.names:
+            return self.values[:, self.names.index(name)]
+        if name.isdigit() and 0 < int(name) <= len(self.names):
+            return self.values[:, int(name) - 1]
+        raise InputError(
+            f'{option}: {self.path} has no column {name!r}; it has: {", ".join(self.names)}.'
+        )
+
+
+def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
+    """Read a table of numbers: CSV, or columns separated by tabs, semicolons or blanks.
+
+    Empty lines, lines that begin with #, % or //, and a logger's text above the table are skipped.
+    The last line above the rows is the heading, also behind a #, if it has a name for each column.
+    If commas do not separate fields, a comma is a decimal point.
+
+    Args:
+        path: The file.
+        delimiter: Between fields; None detects it.
+
+    Raises:
+        InputError: It cannot be read, or holds no numbers.
+    """
+    return _table(path, _written(path), delimiter)
+
+
+def read_sensors(path: AnyPath, delimiter: str | None = None) -> tuple[Text, Text | None]:
+    """Read a table of numbers, or two whose rows alternate and say which sensor they are of.
+
+    A label begins with gyr or acc (GYR, gyroscope; ACC, ACCE, accelerometer), in any letters.
+
+    Args:
+        path: The file.
+        delimiter: As for `read_text`.
+
+    Returns:
+        The table, or that of the gyros, and that of the accelerometers; None without labels.
+
+    Raises:
+        InputError: As for `read_text`.
+    """
+    written = _written(path)
+    found = _by_label(written)
+    if found is None:
+        return _table(path, written, delimiter), None
+    gyros, accels = (_table(path, rows, delimiter) for rows in found)
+    return gyros, accels
+
+
+def _by_label(written: Sequence[str]) -> tuple[list[str], list[str]] | None:
+    """Return the lines of gyros and those of accelerometers, each with the lines above the table.
+
+    The label becomes a field that is no number.
+    """
+    labels = [_SENSOR.search(row) for row in written]
+    usual = [
+        Counter(match[1] for match in labels if match and match[1].lower().startswith(kind))
+        for kind in ('gyr', 'acc')
+    ]
+    if any(sum(count.values()) <= _OF_SENSOR * len(written) for count in usual):
+        return None
+    head = written[: next(k for k, match in enumerate(labels) if match)]
+    names = [count.most_common(1)[0][0] for count in usual]
+    gyros, accels = (
+        [
+            f'{row[: match.start(1)]}nan{row[match.end(1) :]}'
+            for row, match in zip(written, labels, strict=True)
+            if match and match[1] == name
+        ]
+        for name in names
+    )
+    return [*head, *gyros], [*head, *accels]
+
+
+def _written(path: AnyPath) -> list[str]:
+    """Return the lines of a file that are not empty."""
+    return [row for row in _decoded(path).splitlines() if row.strip()]
+
+
+def _table(path: AnyPath, written: Sequence[str], delimiter: str | None) -> Text:
+    """Read a table from the lines of a file; as `read_text`."""
+    lines = [row for row in written if not row.startswith(_COMMENTS)]
+    if not lines:
+        raise _no_table(path, 'holds no lines, expected a table of numbers.')
+    if delimiter is not None and len(delimiter) != 1:
+        raise InputError(f'`delimiter`: found {delimiter!r}, expected one character.')
+    labels, lines = _without_labels(lines)
+    sample = lines[len(lines) // 2]
+    between = _delimiter(sample) if delimiter is None else delimiter
+    count = _usual_count(lines, between)
+    first = next((k for k, row in enumerate(lines) if _is_row(row, between, count)), None)
+    if first is None:
+        raise _no_table(
+            path,
+            f'no row of numbers found; a line of it is {sample[:60]!r}. Expected numbers '
+            'with commas, semicolons, tabs or blanks between them, or what `delimiter` names.',
+        )
+    names, above = _heading(lines[:first], between), first
+    if len(labels) == count:
+        names = labels
+    elif names:
+        above -= 1
+    elif comment := _heading(written[: written.index(lines[first])], between):
+        # Text behind a # is a heading only if it has a distinct name for each column.
+        names = comment if len(comment) == len(set(comment)) == count else []
+    if len(set(names)) < len(names):
+        twice = sorted({n for n in names if names.count(n) > 1})
+        raise InputError(f'{path}: its heading has {", ".join(twice)} more than once.')
+    rows = lines[first:]
+    if between != ',':
+        rows = [row.replace(',', '.') for row in rows]
+    values, broken = _numbers(rows, between, len(names) or count)
+    if not len(values) or 0 < len(names) < count:
+        raise InputError(
+            f'{path}: its heading has {counted(len(names), "name")}, its rows have '
+            f'{counted(count, "field")}: which name belongs to which field is not known. Give each '
+            'column a name; where commas separate the fields, write decimal points.'
+        )
+    return Text(path, tuple(names or map(str, range(1, count + 1))), values, above + broken)
+
+
+def _without_labels(lines: list[str]) -> tuple[list[str], list[str]]:
+    """Return the labels that stand before the numbers of every row, and the lines without them.
+
+    Rows with other labels hold other values: they are not of one table.
+    """
+    some = lines[:: max(1, len(lines) // _LOOKED_AT)]
+    labels, rows = Counter(tuple(_LABEL.findall(row)) for row in some).most_common(1)[0]
+    if not labels or rows < _LABELLED * len(some):
+        return [], lines
+    return list(labels), [
+        _LABEL.sub('', row) if tuple(_LABEL.findall(row)) == labels else '' for row in lines
+    ]
+
+
+def _decoded(path: AnyPath) -> str:
+    """Return the text of a file."""
+    data = read_bytes(path)
+    try:
+        return data.decode('utf-16' if data.startswith(_UTF_16) else 'utf-8-sig')
+    except UnicodeDecodeError:
+        if _CONTROLS.search(data):
+            raise _no_table(path, 'is not a text file, expected a table of numbers.') from None
+        # A heading with degrees or micro of a Windows program in western Europe; of another
+        # code page names alone are misread, and the numbers are those of ASCII.
+        return data.decode('cp1252', 'replace')
+
+
+def _no_table(path: AnyPath, sentence: str) -> InputError:
+    """Return the error of a file without a table: by its ending what it is, else a sentence."""
+    known = None if path.suffix.lower() in CONVERTIBLE else other_format(path)
+    return InputError(known or f'{path}: {sentence}')
+
+
+def _heading(above: Sequence[str], delimiter: str | None) -> list[str]:
+    """Return the names in the last line above the rows; empty if it is not a heading."""
+    names = _fields(above[-1].lstrip('#%/ '), delimiter) if above else []
+    while names and not names[-1]:
+        names.pop()
+    if len(names) < 2 or any(_is_number(field, delimiter) for field in names):
+        return []
+    return names
+
+
+def _delimiter(line: str) -> str | None:
+    """Return the delimiter of the fields in a line; None for blanks."""
+    present = [d for d in _DELIMITERS if d in line]
+    for found in (*present, None):
+        if all(_is_number(field, found) for field in _fields(line, found) if field):
+            return found
+    return present[0] if present else None
+
+
+def _usual_count(lines: Sequence[str], delimiter: str | None) -> int:
+    """Return the usual number of fields in lines, without an empty last one."""
+    some = lines[:: max(1, len(lines) // _LOOKED_AT)]
+    counts = Counter(len(_fields(line.rstrip().rstrip(delimiter), delimiter)) for line in some)
+    return counts.most_common(1)[0][0]
+
+
+def _is_row(line: str, delimiter: str | None, count: int) -> bool:
+    fields = _fields(line, delimiter)
+    return len(fields) >= count and any(_is_number(field, delimiter) for field in fields)
+
+
+def _fields(line: str, delimiter: str | None) -> list[str]:
+    if delimiter is None:
+        return line.split()
+    try:
+        return [field.strip() for field in next(csv.reader([line], delimiter=delimiter), [])]
+    except csv.Error:
+        # A field of more than 128 KiB, which is no number and no name.
+        return []
+
+
+def _is_number(field: str, delimiter: str | None) -> bool:
+    try:
+        float(field if delimiter == ',' else field.replace(',', '.'))
+    except ValueError:
+        return False
+    return True
+
+
+def _numbers(lines: Sequence[str], delimiter: str | None, count: int) -> tuple[Floats, int]:
+    """Return the rows, and the number of other lines.
+
+    Intact tables are converted at once; in others each field is checked.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('error')
+            values = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None)
+    except (ValueError, UserWarning):
+        values = np.empty((0, 0))
+    if values.shape[1:] == (count,):
+        return values, 0
+    rows, broken = [], 0
+    for line in lines:
+        fields = _fields(line, delimiter)
+        row = [_number(field) for field in fields[:count]]
+        if len(row) < count or np.isnan(row).all():
+            broken += 1
+        else:
+            rows.append(row)
+    return np.array(rows, dtype=np.float64).reshape(-1, count), broken
+
+
+def _number(field: str) -> float:
+    try:
+        return float(field)
+    except ValueError:
+        return float('nan')

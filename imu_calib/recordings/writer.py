@@ -1,0 +1,331 @@
+"""Write recordings readable by rosbag2, rosbags and this suite, and resume unfinished ones."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..common.files import user_path
+from . import metadata
+from .codec import compressor
+from .definitions import definition
+from .files import Scratch, find_files, open_storage
+from .mcap_records import MAGIC
+from .mcap_writer import McapWriter
+from .storage import Cache, Losses, RecordingError, Storage, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from typing import Any
+
+    from ..common.stream import Stamps
+    from .messages import Messages
+    from .rosbag2 import Recording
+    from .storage import Times
+
+CHUNK_BYTES = 1 << 20
+"""Bytes in a chunk: enough for good compression, and the most that a crash may lose."""
+CHUNK_NS = 5_000_000_000
+"""Longest time in a chunk, ns: the delay after which slow topics are on the disk."""
+_RECORD, _OF_ROSBAG2 = 'imu_calib', 'rosbag2'
+"""Names of the metadata records that are written anew."""
+_SHORTEST = len(MAGIC)
+
+
+class RecordingWriter:
+    """A recording being written: a folder with mcap files and metadata.yaml.
+
+    Messages are held until a chunk is full, until it spans five seconds of log time, or until
+    `flush`; then they survive a kill of the program.
+
+    Args:
+        path: Folder to create.
+        custom_data: Entries for the metadata, for instance plan and IMU.
+        compression: '', 'lz4' or 'zstd', applied chunk by chunk.
+        chunk_bytes: Size at which a chunk is closed.
+        resume: Add another file to an existing recording, whose files stay unchanged.
+        progress: Called now and then with the share of it, 0 to 1, whose messages are counted.
+
+    Raises:
+        InputError: The folder exists already or cannot be made, the compression is unknown, or the
+            recording to resume cannot be read.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        custom_data: Mapping[str, str] | None = None,
+        compression: str = '',
+        chunk_bytes: int = CHUNK_BYTES,
+        *,
+        resume: bool = False,
+        progress: Callable[[float], None] = lambda _: None,
+    ) -> None:
+        self.path = user_path(path)
+        self._custom_data = dict(custom_data or {})
+        self._former: list[_Former] = []
+        self._topics: dict[str, tuple[int, str]] = {}
+        self._profiles: dict[str, list[dict[str, Any]]] = {}
+        self._encodings: dict[str, str] = {}
+        self._copies: dict[tuple[object, ...], tuple[int, Topic]] = {}
+        self._open = True
+        pack = compressor(compression)
+        if resume:
+            self._former = _former_files(self.path, progress)
+        elif self.path.exists():
+            raise RecordingError(f'{self.path} exists already; recordings are not overwritten.')
+        with _in_words(self.path):
+            self.path.mkdir(parents=True, exist_ok=resume)
+            self._name = _free_name(self.path)
+            self._file = McapWriter(
+                self.path / self._name, compression, pack, chunk_bytes, CHUNK_NS
+            )
+            # Until `close`, the metadata would omit the new file.
+            (self.path / metadata.NAME).unlink(missing_ok=True)
+        if self._custom_data:
+            # Written at the start, so that it exists even if the program is killed.
+            self._file.add_metadata(_RECORD, self._custom_data)
+
+    def __enter__(self) -> RecordingWriter:
+        """Return the writer; leaving the block closes it, also after an error."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the recording."""
+        self.close()
+
+    def add_topic(self, topic: str, type_name: str, *, transient_local: bool = False) -> None:
+        """Describe a topic before its first message; `write` does so otherwise.
+
+        Args:
+            topic: Full name of the topic.
+            type_name: Message type, for instance sensor_msgs/msg/Imu.
+            transient_local: The topic is latched: late subscribers get its last message.
+
+        Raises:
+            InputError: The topic already has another type, or the type is not known.
+        """
+        if topic in self._topics:
+            if self._topics[topic][1] != type_name:
+                raise RecordingError(
+                    f'{self.path}: topic {topic} is recorded as {self._topics[topic][1]}, '
+                    f'not as {type_name}.'
+                )
+            return
+        profile = metadata.qos_profile(transient_local=transient_local)
+        text = definition(type_name)
+        channel = self._file.add_channel(topic, type_name, text, metadata.dump([profile]))
+        self._topics[topic] = channel, type_name
+        self._profiles[topic] = [profile]
+
+    def copy_topic(self, topic: Topic) -> None:
+        """Describe a topic with another recorder's description of each channel, of any type.
+
+        Args:
+            topic: As read from a recording.
+        """
+        for _, one in topic.channels or ((0, topic),):
+            self._copied(one)
+
+    def copy(self, topic: Topic, messages: Messages, times: Times) -> None:
+        """Append messages of another recording, each to its own channel.
+
+        Args:
+            topic: As read from a recording.
+            messages: Serialised messages.
+            times: Theirs.
+
+        Raises:
+            InputError: The disk is full.
+        """
+        for number, one in topic.channels or ((0, topic),):
+            mine, when = messages, times
+            if len(topic.channels) > 1 and times.channel is not None:
+                rows = times.channel == number
+                mine, when = messages.select(rows), times.select(rows)
+            if len(mine):
+                with _in_words(self.path):
+                    channel = self._copied(one)
+                    self._file.write(channel, mine, when.log, when.publish, when.sequence)
+
+    def copy_records(self, recording: Recording) -> None:
+        """Copy what a recording contains besides messages: metadata records and attachments."""
+        with _in_words(self.path):
+            for name, pairs in recording.metadata:
+                if name not in (_RECORD, _OF_ROSBAG2):
+                    self._file.add_metadata(name, dict(pairs))
+            for content in recording.attachments():
+                self._file.add_attachment(content)
+
+    def _copied(self, one: Topic) -> int:
+        """Return the id of the channel with the description of one in another recording."""
+        known = one.described
+        key = one.name, one.type, one.encoding, known, known.metadata
+        if key not in self._copies:
+            profiles = metadata.offered_profiles(known.profiles)
+            sound = known.profiles if profiles else metadata.dump([])
+            stated = None if known.metadata is None else dict(known.metadata)
+            if stated is not None and 'offered_qos_profiles' in stated:
+                stated['offered_qos_profiles'] = sound
+            channel = self._file.add_channel(
+                one.name,
+                one.type,
+                known.definition,
+                sound,
+                language=known.language,
+                encoding=one.encoding,
+                metadata=stated,
+            )
+            self._copies[key] = channel, one
+            self._topics.setdefault(one.name, (channel, one.type))
+            self._encodings.setdefault(one.name, one.encoding)
+            self._profiles.setdefault(one.name, []).extend(profiles)
+        return self._copies[key][0]
+
+    def write(
+        self,
+        topic: str,
+        type_name: str,
+        messages: Messages,
+        log_time: Stamps,
+        publish_time: Stamps | None = None,
+    ) -> None:
+        """Append messages of one topic.
+
+        Args:
+            topic: Full name of the topic.
+            type_name: Message type, for instance sensor_msgs/msg/Imu.
+            messages: Serialised messages.
+            log_time: (n,) time of each arrival, ns.
+            publish_time: (n,) time of each publication, ns; None: that of the arrival.
+
+        Raises:
+            InputError: The topic already has another type, the type is not known, or the disk is
+                full.
+        """
+        self.add_topic(topic, type_name)
+        times = np.asarray(log_time, np.int64)
+        if times.shape != (len(messages),) or (times < 0).any():
+            raise ValueError(f'{len(messages)} messages need as many log times, none negative.')
+        with _in_words(self.path):
+            self._file.write(self._topics[topic][0], messages, times, publish_time)
+
+    def add_custom_data(self, pairs: Mapping[str, str]) -> None:
+        """Add entries to the metadata, for instance a result."""
+        self._custom_data.update(pairs)
+        with _in_words(self.path):
+            self._file.add_metadata(_RECORD, dict(pairs))
+
+    def flush(self) -> None:
+        """Write all data so far to the operating system, so that it survives a killed program."""
+        with _in_words(self.path):
+            self._file.flush()
+
+    @property
+    def held(self) -> int:
+        """Bytes in memory alone."""
+        return self._file.held
+
+    def close(self) -> None:
+        """Finish the file and write metadata.yaml."""
+        if not self._open:
+            return
+        with _in_words(self.path):
+            self._finish()
+        self._open = False
+
+    def _finish(self) -> None:
+        self._file.flush()
+        counts = {
+            name: Topic(name, kind, self._file.counts[channel], self._encodings.get(name, 'cdr'))
+            for name, (channel, kind) in self._topics.items()
+        }
+        own = sum(self._file.counts.values())
+        for channel, one in self._copies.values():
+            if channel != self._topics[one.name][0]:
+                other = replace(one, count=self._file.counts[channel])
+                counts[one.name] = counts[one.name].merged(other)
+        span = (self._file.start_ns, self._file.end_ns) if own else (0, 0)
+        files = [former.span for former in self._former]
+        files.append(metadata.FileSpan(self._name, *span, own))
+        for topic in (topic for former in self._former for topic in former.topics):
+            counts[topic.name] = counts[topic.name].merged(topic) if topic.name in counts else topic
+            self._profiles.setdefault(topic.name, [metadata.qos_profile()])
+        content = metadata.information(
+            files, [counts[name] for name in sorted(counts)], self._profiles, self._custom_data
+        )
+        self._file.add_metadata(_OF_ROSBAG2, {'serialized_metadata': metadata.dump(content)})
+        self._file.close()
+        metadata.write_metadata(self.path, content)
+
+
+@dataclass(frozen=True)
+class _Former:
+    """A file of the recording that is resumed."""
+
+    span: metadata.FileSpan
+    topics: tuple[Topic, ...]
+
+
+def _former_files(path: Path, progress: Callable[[float], None]) -> list[_Former]:
+    """Count the messages of a recording's files, the damaged ones too."""
+    losses, scratch = Losses(), Scratch()
+    try:
+        found = find_files(path, losses)
+        # A file cut off within its first bytes is empty and not recognised by its format.
+        begun = [path for path in found.paths if path.stat().st_size >= _SHORTEST]
+        sizes = [p.stat().st_size for p in begun]
+        counted = []
+        for k, file in enumerate(begun):
+            part = partial(_report_part, progress, sum(sizes[:k]), sizes[k], sum(sizes))
+            counted.append(_counted(open_storage(file, scratch, losses), part))
+        return counted
+    except OSError as error:
+        raise RecordingError(f'{path} cannot be read: {error.strerror or error}.') from None
+    finally:
+        scratch.remove()
+
+
+def _report_part(
+    progress: Callable[[float], None], before: int, size: int, total: int, share: float
+) -> None:
+    """Report the share of all files from that of one, given bytes before it, in it, and in all."""
+    progress((before + size * share) / total)
+
+
+def _counted(storage: Storage, progress: Callable[[float], None]) -> _Former:
+    names = frozenset(storage.topics)
+    topics: list[Topic] = []
+    starts = []
+    for name, cursor in storage.cursors(names, Cache(CHUNK_BYTES)).items():
+        count = 0
+        for batch in cursor:
+            count += len(batch.messages)
+            progress((len(topics) + batch.position / storage.size) / len(names))
+            starts.append(batch.log_ns)
+        topics.append(Topic(name, storage.topics[name].type, count))
+    start = min(starts, default=0) if storage.start_ns is None else storage.start_ns
+    end = max(starts, default=0) if storage.end_ns is None else storage.end_ns
+    held = sum(topic.count or 0 for topic in topics)
+    return _Former(metadata.FileSpan(storage.path.name, start, end, held), tuple(topics))
+
+
+def _free_name(path: Path) -> str:
+    """Return the name of the recording's next file."""
+    number = 0
+    while (path / f'{path.name}_{number}.mcap').exists():
+        number += 1
+    return f'{path.name}_{number}.mcap'
+
+
+@contextmanager
+def _in_words(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(f'{path}: cannot be written ({error.strerror or error}).') from None

@@ -1,1 +1,0 @@
-"""The page on a catalogue: matters for attention, the types, and every unit."""

@@ -1,0 +1,241 @@
+"""A recording's own entries, by which it can be calibrated without any other file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..common.errors import InputError, NotStated
+from ..common.files import read_text
+from ..common.share import named_file
+from ..common.stream import Floats
+from ..common.units import DEG
+from ..model.earth import MEASURED, NORMAL_GRAVITY, Site
+from .imu import ImuSpec, imu_text
+from .table import Table
+
+if TYPE_CHECKING:
+    from .plan import Plan
+
+SERIAL_NUMBER = 'imu_calib.serial_number'
+"""Key of a recording's own entries: the unit's serial number."""
+
+LEFT_OUT = 'imu_calib.left_out'
+"""Key of the units that were left out of a session of several: their names, with commas."""
+
+COMPENSATED = 'imu_calib.compensated'
+"""Key of the calibration file by which a recording was compensated."""
+
+TABLE = 'imu_calib.table'
+"""Key of the text of the table's file; empty if there is none."""
+
+_INTERPOLATED = 'imu_calib.accel_interpolated_from_hz'
+_IMU = 'imu_calib.session.imu'
+_LATITUDE = 'imu_calib.latitude_deg'
+
+
+def describe(
+    plan: str | Path | Plan,
+    imu: str | Path | ImuSpec,
+    table: str | Path | Table | None,
+    site: Site,
+    serial_number: str = '',
+) -> dict[str, str]:
+    """Return a recording's own entries: full texts of the files, and the site.
+
+    A value has no text, and whoever reads the recording must be given it.
+
+    Args:
+        plan: Name or file of the plan, or a value.
+        imu: Likewise.
+        table: Likewise; None if the unit is held by hand.
+        site: Site of the recording.
+        serial_number: Of the unit; empty if not stated.
+
+    Raises:
+        InputError: One of the files does not exist.
+    """
+    texts = {
+        f'imu_calib.{kind}': read_text(named_file(f'{kind}s', name))
+        for kind, name in (('plan', plan), ('imu', imu), ('table', table))
+        if isinstance(name, str | Path)
+    }
+    if isinstance(table, Table):
+        # Otherwise the usual table would be assumed.
+        texts[TABLE] = ''
+    unit = {SERIAL_NUMBER: serial_number} if serial_number else {}
+    described = {
+        **unit,
+        **texts,
+        _LATITUDE: repr(site.latitude / DEG),
+        'imu_calib.latitude_std_deg': repr(site.latitude_std / DEG),
+        'imu_calib.calibration.gravity': repr(site.gravity),
+        'imu_calib.gravity_source': site.gravity_source,
+        'imu_calib.gravity_std': repr(site.gravity_std),
+    }
+    if site.height is not None:
+        described['imu_calib.height'] = repr(site.height)
+    return described
+
+
+def shared_description(description: Mapping[str, str]) -> dict[str, str]:
+    """Return the own entries that are common to several units."""
+    return {k: v for k, v in description.items() if k not in {_IMU, SERIAL_NUMBER}}
+
+
+def unit_description(topic: str, imu: str, serial_number: str) -> dict[str, str]:
+    """Return a recording's own entries on one of several units.
+
+    Raises:
+        InputError: There is no such file.
+    """
+    text = read_text(named_file('imus', imu))
+    return {imu_key(topic): text, serial_key(topic): serial_number}
+
+
+def described_imu(data: Mapping[str, str], topic: str) -> str | None:
+    """Return the YAML text of the IMU of a topic; None if the recording has none.
+
+    A stream computed from another has a separate description.
+    """
+    return data.get(imu_key(topic), data.get(_IMU))
+
+
+def imu_key(topic: str) -> str:
+    """Return the key of the own entry that describes the numbers of one topic."""
+    return f'{_IMU}:{topic}'
+
+
+def serial_key(topic: str) -> str:
+    """Return the key of the own entry with the serial number of one topic's unit."""
+    return f'{SERIAL_NUMBER}:{topic}'
+
+
+def interpolation_description(topic: str, rate: float) -> dict[str, str]:
+    """Return the own entry for accelerometers interpolated between their samples.
+
+    Args:
+        topic: The samples.
+        rate: Original rate of the accelerometers, Hz.
+    """
+    return {f'{_INTERPOLATED}:{topic}': f'{rate:.6g}'}
+
+
+def interpolated_from(data: Mapping[str, str], topic: str) -> float | None:
+    """Return the original rate of interpolated accelerometers, Hz; None if not interpolated."""
+    try:
+        rate = float(data.get(f'{_INTERPOLATED}:{topic}', 'nan'))
+    except ValueError:
+        return None
+    return rate if 0 < rate < np.inf else None
+
+
+def mount_description(topic: str, mount: Floats) -> dict[str, str]:
+    """Return the own entry for the rotation of a topic's unit on the fixture.
+
+    Args:
+        topic: Its samples.
+        mount: (3, 3) columns are its body axes in those that the table's description mounts.
+    """
+    return {_mount_key(topic): json.dumps(mount.tolist())}
+
+
+def described_mount(data: Mapping[str, str], topic: str, where: str) -> Floats:
+    """Return the rotation of a topic's unit, (3, 3); that of the table if not stated.
+
+    Raises:
+        InputError: The entry is invalid.
+    """
+    if (text := data.get(_mount_key(topic))) is None:
+        return np.eye(3)
+    try:
+        mount = np.array(json.loads(text), dtype=np.float64)
+    except (ValueError, TypeError):
+        mount = np.zeros(0)
+    if mount.shape != (3, 3) or not np.allclose(mount.T @ mount, np.eye(3), atol=1e-9):
+        raise InputError(f'{where}: what it says of the mounting of {topic} is broken.')
+    return mount
+
+
+def _mount_key(topic: str) -> str:
+    return f'imu_calib.mount:{topic}'
+
+
+def stream_description(
+    data: Mapping[str, str], topic: str, imu: ImuSpec, *, raw_is_kept: bool
+) -> dict[str, str]:
+    """Return own entries with those of a computed Imu stream.
+
+    Args:
+        data: Entries of the recording that it was computed from.
+        topic: The new stream.
+        imu: Its description.
+        raw_is_kept: Whether the recording also contains the stream described in `data`.
+    """
+    kept = {key: text for key, text in data.items() if raw_is_kept or not key.startswith(_IMU)}
+    return {**kept, imu_key(topic): imu_text(imu)}
+
+
+def compensated_key(topic: str) -> str:
+    """Return the key of the own entry with the calibration by which a topic was computed."""
+    return f'{COMPENSATED}:{topic}'
+
+
+def compensated_already(data: Mapping[str, str], topic: str) -> list[str]:
+    """Return a sentence on samples that are no raw ones; none on others.
+
+    Args:
+        data: The recording's entries.
+        topic: The samples.
+    """
+    if (by := data.get(compensated_key(topic))) is None:
+        return []
+    return [
+        f'The samples of {topic} were compensated by {by}: a calibration made of the raw ones does '
+        'not apply to them, and one made of them not to the raw ones.'
+    ]
+
+
+def states_site(data: Mapping[str, str]) -> bool:
+    """Return whether a recording states its site."""
+    return _LATITUDE in data
+
+
+def described_site(data: Mapping[str, str], where: str) -> Site:
+    """Return the site stated in a recording.
+
+    Args:
+        data: The recording's entries, as `describe` makes them.
+        where: The recording, for messages.
+
+    Raises:
+        InputError: There is none, or it is invalid.
+    """
+    if not states_site(data):
+        raise NotStated(
+            f'{where} does not say where it was taken: give `latitude` in degrees, negative in the '
+            'south. Gravity follows from it, which scales the accelerometers, and the Earth rate. '
+            'For a unit in the hand a tenth of a degree is enough, or `gravity` with the measured '
+            'value in m/s^2 instead.'
+        )
+    try:
+        latitude = float(data[_LATITUDE]) * DEG
+        gravity = float(data['imu_calib.calibration.gravity'])
+        stated = data.get('imu_calib.gravity_std')
+        std = None if stated is None else float(stated)
+        height = float(data['imu_calib.height']) if 'imu_calib.height' in data else None
+        doubt = data.get('imu_calib.latitude_std_deg')
+        latitude_std = None if doubt is None else float(doubt) * DEG
+    except (KeyError, ValueError):
+        raise InputError(f'{where}: what it says of its site is broken; give `latitude`.') from None
+    source = data.get('imu_calib.gravity_source', MEASURED)
+    if std is None and source == NORMAL_GRAVITY:
+        # Recordings from before heights were recorded: as normal gravity without a height.
+        std = Site.at(latitude, height).gravity_std
+    site = Site.at(latitude, height, gravity, gravity_std=std, latitude_std=latitude_std)
+    return replace(site, gravity_source=source)

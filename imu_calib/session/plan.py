@@ -1,0 +1,314 @@
+"""Plans: the positions, rates and dwells of a session, read from YAML and checked whole."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..common.arguments import checked
+from ..common.config import Section
+from ..common.errors import InputError
+from ..common.rotations import rotation
+from ..common.stream import Floats, Mode
+from ..common.units import DEG, Dimension, counted, parse
+from .table import TURN, Table
+
+COMPASS = {
+    'E': (1.0, 0.0, 0.0),
+    'N': (0.0, 1.0, 0.0),
+    'U': (0.0, 0.0, 1.0),
+    'W': (-1.0, 0.0, 0.0),
+    'S': (0.0, -1.0, 0.0),
+    'D': (0.0, 0.0, -1.0),
+}
+METHOD_NAMES = (
+    'free_positions',
+    'joint',
+    'joint_33',
+    'n_positions',
+    'off_axis_four',
+    'rate_24',
+    'six_position',
+    'skewed',
+    'static_six',
+    'twelve_position',
+)
+"""The names of `methods.METHODS`, which imports plans: a test compares."""
+
+BODY_AXES = {'X': np.array([1.0, 0, 0]), 'Y': np.array([0, 1.0, 0]), 'Z': np.array([0, 0, 1.0])}
+
+
+@dataclass(frozen=True, eq=False)
+class RateTest:
+    """Turns about the vertical at a position, before its dwell.
+
+    Attributes:
+        rates: Signed rates about up, rad/s, in order; empty when the turn is made by hand.
+        turns: Whole turns at each rate.
+    """
+
+    rates: tuple[float, ...]
+    turns: int
+
+
+@dataclass(frozen=True, eq=False)
+class Position:
+    """One attitude of the plan.
+
+    Attributes:
+        id: Name, unique within the plan.
+        attitude: (3, 3) R_nb, columns are the body axes in east, north, up of the table's azimuth.
+        dwell: Duration of the dwell, s; 0 for turns alone.
+        rate_test: Turns made here before the dwell.
+    """
+
+    id: str
+    attitude: Floats
+    dwell: float
+    rate_test: RateTest | None = None
+
+    @property
+    def up(self) -> Floats:
+        """Up in body axes, (3,)."""
+        return np.asarray(self.attitude[2])
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One setpoint of the plan on a given table.
+
+    Attributes:
+        index: From 0.
+        position: Id of the plan's position.
+        mode: POSITION or RATE.
+        angles: (k,) joint angles, rad.
+        rates: (k,) joint rates, rad/s.
+        turns: Whole turns of a RATE step.
+        dwell: Duration of the dwell afterwards, s.
+    """
+
+    index: int
+    position: str
+    mode: Mode
+    angles: Floats
+    rates: Floats
+    turns: int
+    dwell: float
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A calibration session: positions in order, each with its dwell and its rate test.
+
+    Attributes:
+        name: Name of the plan.
+        title: One line for a person.
+        source: Document and section.
+        method: Default method of the plan.
+        positions: In the order of the run.
+        by_hand: Turned by hand: the angle of a turn is known, its rate is not.
+    """
+
+    name: str
+    title: str
+    source: str
+    method: str
+    positions: tuple[Position, ...]
+    by_hand: bool = False
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f'<Plan {self.name}: {counted(len(self.positions), "position")}>'
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether the plan is known: `UNPLANNED` has no positions."""
+        return bool(self.positions)
+
+    def position(self, name: str) -> Position:
+        """Return a position by its id.
+
+        Raises:
+            KeyError: The plan has no such position.
+        """
+        for position in self.positions:
+            if position.id == name:
+                return position
+        raise KeyError(name)
+
+    def steps(self, table: Table, start: Floats | None = None) -> tuple[Step, ...]:
+        """Return the setpoints of the plan on a table in order, each checked against the limits.
+
+        A rate test ends where it began: the joint returns to the same azimuth, modulo a turn.
+
+        Args:
+            table: The table that runs it.
+            start: (k,) present joint angles, rad; zeros if not given.
+
+        Raises:
+            InputError: Names position, joint, value and limit.
+        """
+        steps: list[Step] = []
+        angles = np.zeros(len(table.joints)) if start is None else start
+        still = np.zeros(len(table.joints))
+
+        def add(position: Position, mode: Mode, rates: Floats, turns: int, dwell: float) -> None:
+            step = Step(len(steps), position.id, mode, angles.copy(), rates, turns, dwell)
+            where = f'plan {self.name}, position {position.id}'
+            table.check(step.angles, step.rates, where)
+            steps.append(step)
+
+        for position in self.positions:
+            try:
+                angles = table.angles(position.attitude, angles)
+            except InputError as error:
+                raise InputError(f'plan {self.name}, position {position.id}: {error}') from None
+            if position.rate_test is not None:
+                joint = self._turning_joint(table, position, angles)
+                sense = self._sense(table, joint, angles)
+                add(position, Mode.POSITION, still, 0, 0.0)
+                for rate in position.rate_test.rates:
+                    self._check_run_up(table, joint, rate, position.id)
+                    rates = still.copy()
+                    rates[joint] = sense * rate
+                    add(position, Mode.RATE, rates, position.rate_test.turns, 0.0)
+                    travel = math.copysign(TURN * (position.rate_test.turns + 1), rates[joint])
+                    angles[joint] += travel
+                angles = table.angles(position.attitude, angles)
+            add(position, Mode.POSITION, still, 0, position.dwell)
+        return tuple(steps)
+
+    def _check_run_up(self, table: Table, joint: int, rate: float, position: str) -> None:
+        """Refuse a rate that the table cannot reach and leave within the extra turn."""
+        needed = rate**2 / table.joints[joint].max_acceleration
+        if needed > TURN:
+            raise InputError(
+                f'plan {self.name}, position {position}: to {rate / DEG:g} deg/s and back joint '
+                f'{table.joints[joint].name} of table {table.name} needs {needed / DEG:.0f} deg, '
+                'but only one turn is available for it.'
+            )
+
+    def _turning_joint(self, table: Table, position: Position, angles: Floats) -> int:
+        joint = table.vertical_joint(angles)
+        if joint is None:
+            raise InputError(
+                f'plan {self.name}, position {position.id}: the rate test needs a vertical axis, '
+                f'table {table.name} has none in this attitude.'
+            )
+        if not table.joints[joint].continuous:
+            raise InputError(
+                f'plan {self.name}, position {position.id}: the rate test turns joint '
+                f'{table.joints[joint].name}, which table {table.name} limits to '
+                f'{table.joints[joint].lower / DEG:g} to {table.joints[joint].upper / DEG:g} deg.'
+            )
+        return joint
+
+    def _sense(self, table: Table, joint: int, angles: Floats) -> float:
+        up = table.attitude(angles).T @ np.array([0.0, 0.0, 1.0])
+        return math.copysign(1.0, float(table.joint_axis(joint, angles) @ up))
+
+
+UNPLANNED = Plan('', 'whatever the table did', '', 'joint', ())
+"""Plan of a session that followed none, or an unknown one: attitudes are known from the joint
+states, and dwells and turns are named by them."""
+
+
+_DAY = 86400.0
+"""s."""
+_LONGEST = 30 * _DAY
+"""s of all dwells: longer than any session; that of hours in place of seconds is beyond it."""
+
+
+@checked
+def load_plan(name: str | Path) -> Plan:
+    """Read a plan's YAML file, shipped (by name) or the user's (by path).
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+    """
+    return read_plan(Section.named('plans', name))
+
+
+def read_plan(section: Section) -> Plan:
+    """Read a plan from its YAML mapping.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+    """
+    by_hand = section.flag('by_hand', default=False)
+    rate_test = _read_rate_test(section, by_hand=by_hand)
+    dwell = section.quantity('dwell', Dimension.TIME, above=0)
+    positions = tuple(_read_position(s, dwell, rate_test) for s in section.sections('positions'))
+    names = [p.id for p in positions]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise InputError(f'{section.key("positions")}: two positions have the id {twice[0]!r}.')
+    standing = sum(position.dwell for position in positions)
+    if standing > _LONGEST:
+        raise InputError(
+            f'{section.where}: its dwells last {standing / _DAY:.4g} days in all, expected at most '
+            f'{_LONGEST / _DAY:g}: is their unit right?'
+        )
+    plan = Plan(
+        section.text('name'),
+        section.text('title'),
+        section.text('source'),
+        section.choice('method', {name: name for name in METHOD_NAMES}),
+        positions,
+        by_hand,
+    )
+    section.finish()
+    return plan
+
+
+def _read_rate_test(section: Section, *, by_hand: bool) -> RateTest | None:
+    if not section.has('rate_test'):
+        return None
+    test = section.section('rate_test')
+    turns = test.whole('turns', 1, default=1)
+    rates: tuple[float, ...] = ()
+    if not by_hand:
+        key = test.key('rates')
+        rates = tuple(parse(r, Dimension.RATE, key) for r in test.items('rates'))
+        if any(rate == 0 for rate in rates):
+            raise InputError(f'{key}: a rate of zero turns nothing.')
+    test.finish()
+    return RateTest(rates, turns)
+
+
+def _read_position(section: Section, dwell: float, rate_test: RateTest | None) -> Position:
+    name = section.text('id')
+    turns = section.flag('rate_test', default=False)
+    own_dwell = section.quantity('dwell', Dimension.TIME, dwell, least=0)
+    if own_dwell == 0 and not turns:
+        raise InputError(
+            f'{section.key("dwell")}: found {section.raw("dwell")}, expected above 0, as no turns '
+            'are made here.'
+        )
+    if turns and rate_test is None:
+        raise InputError(
+            f'{section.key("rate_test")}: asks for turns, but the plan has no rate_test.'
+        )
+    attitude = _read_attitude(section)
+    section.finish()
+    return Position(name, attitude, own_dwell, rate_test if turns else None)
+
+
+def _read_attitude(section: Section) -> Floats:
+    """Read the directions of the body axes X, Y, Z, and a further rotation about one of them."""
+    letters = section.items('axes')
+    where = section.key('axes')
+    if len(letters) != 3 or not all(isinstance(c, str) and c in COMPASS for c in letters):
+        raise InputError(f'{where}: found {letters}, expected three of E, N, U, W, S, D.')
+    attitude = np.array([COMPASS[letter] for letter in letters]).T
+    if abs(np.linalg.det(attitude) - 1) > 1e-9:
+        raise InputError(f'{where}: X, Y, Z along {letters} do not form a right-handed frame.')
+    if section.has('turned'):
+        turned = section.section('turned')
+        axis = turned.choice('about', BODY_AXES)
+        attitude = attitude @ rotation(axis, turned.quantity('by', Dimension.ANGLE))
+        turned.finish()
+    return attitude

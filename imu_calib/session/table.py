@@ -1,0 +1,458 @@
+"""Kinematics of a turntable: joint angles to attitude and back, and its limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from ..common.arguments import checked
+from ..common.config import Section, numbers_of
+from ..common.errors import InputError
+from ..common.rotations import angle_about, rotation
+from ..common.stream import Floats
+from ..common.units import DEG, PPM, Dimension, counted
+from .table_errors import (
+    FINEST,
+    LEVELLED,
+    JointPoses,
+    TableErrors,
+    assumption,
+    attitude_errors,
+    counting,
+    read_error_sizes,
+)
+
+TURN = 2 * math.pi
+"""rad."""
+_UP = np.array([0.0, 0.0, 1.0])
+"""Up, in east, north, up."""
+_REACH_TOLERANCE = 1e-6
+"""rad: rounding of rotation matrices in plans."""
+FARTHEST = 1e6 * TURN
+"""rad: larger encoder angles are refused, of continuous joints too. Beyond, two neighbouring
+doubles are further apart than 1e-9 rad, the rounding of `Table.check`."""
+_PARALLEL = 1e-7
+"""rad between two axes that count as one: the other joint's angle then has the rounding of
+matrices, 1e-16, over this."""
+_NO_AMPLITUDE = 1e-12
+"""Of an equation a cos x + b sin x = c: below, x has no effect but rounding."""
+_WORST_CLOCK = 1e-3
+"""Ten times the largest error of plain quartz: a larger number is in another unit."""
+_LETTERS = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One axis of the table.
+
+    Attributes:
+        name: As in joint states and setpoints.
+        axis: Unit vector in the frame of the joint before it.
+        zero: Angle to add to the encoder's, rad.
+        lower: Lowest encoder angle, rad; -inf for a continuous joint.
+        upper: Highest encoder angle, rad; inf for a continuous joint.
+        max_rate: rad/s.
+        max_acceleration: rad/s^2.
+    """
+
+    name: str
+    axis: tuple[float, float, float]
+    zero: float = 0.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    max_rate: float = math.inf
+    max_acceleration: float = math.inf
+
+    @property
+    def continuous(self) -> bool:
+        """Whether the joint turns without end."""
+        return math.isinf(self.lower) and math.isinf(self.upper)
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A turntable: joints from the base outwards, and the mount of the unit on the last.
+
+    Attributes:
+        name: Name of the table.
+        joints: From the base to the unit.
+        mount: (3, 3) columns are the body axes in the frame of the last joint.
+        azimuth: Heading of the table's zero against north about up, rad; None when unknown.
+        positioning: Standard deviation of the positioning error, which the encoder does not show,
+            rad.
+        clock: Standard deviation of the rate of its clock, relative; 0 when not stated.
+        errors: Unknown errors of its axes, zeros and encoders.
+        level: Standard deviation of its tilt about either level axis, rad.
+        assumed: Keys missing in its file: usual values are assumed.
+        raised: Keys with stated values below `FINEST`, which replaces them.
+        described: The table as described in its file, if a session contradicts that
+            (`as_the_best`); else None.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    mount: Floats = field(default_factory=lambda: np.eye(3))
+    azimuth: float | None = None
+    positioning: float = 0.0
+    clock: float = 0.0
+    errors: TableErrors = field(default_factory=TableErrors)
+    level: float = LEVELLED
+    assumed: tuple[str, ...] = ()
+    raised: tuple[str, ...] = ()
+    described: Table | None = None
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f'<Table {self.name}: {counted(len(self.joints), "joint")}>'
+
+    @property
+    def assumption(self) -> str:
+        """Sentences on the assumptions about its errors; empty without."""
+        return assumption(self.name, self.assumed, self.raised)
+
+    @property
+    def not_stated(self) -> tuple[str, ...]:
+        """Keys of errors whose sizes differ from, or are missing in, its file."""
+        return (*self.assumed, *self.raised)
+
+    @property
+    def understated_errors(self) -> tuple[str, ...]:
+        """Keys of errors with stated values below `FINEST`."""
+        sizes = {f.name: getattr(self.errors, f.name) for f in fields(TableErrors)}
+        count = counting(len(self.joints))
+        return tuple(
+            key
+            for key, size in {'positioning': self.positioning, **sizes}.items()
+            if key in count and size < FINEST
+        )
+
+    def as_the_best(self) -> Table:
+        """Return the table with stated values below `FINEST` raised to it."""
+        found = dict.fromkeys(self.understated_errors, FINEST)
+        positioning = found.pop('positioning', self.positioning)
+        return replace(
+            self,
+            positioning=positioning,
+            errors=replace(self.errors, **found),
+            raised=(*self.raised, *self.understated_errors),
+            described=self,
+        )
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Joint names in order."""
+        return tuple(joint.name for joint in self.joints)
+
+    def check_limited(self, needs: str) -> None:
+        """Refuse joints without limits of rate and acceleration; `needs` says what needs them.
+
+        Raises:
+            InputError: Names table, joint and limits.
+        """
+        for joint in self.joints:
+            if not (math.isfinite(joint.max_rate) and math.isfinite(joint.max_acceleration)):
+                raise InputError(
+                    f'Table {self.name}, joint {joint.name}: {needs} max_rate and max_acceleration.'
+                )
+
+    def attitude(self, angles: Floats) -> Floats:
+        """Return R_nb: columns are the body axes in east, north, up of the table's own azimuth.
+
+        An unknown azimuth counts as zero: north is then the direction of the table's zero.
+
+        Args:
+            angles: (..., k) encoder angles, rad.
+
+        Returns:
+            (..., 3, 3)
+        """
+        result = np.broadcast_to(rotation(_UP, self.azimuth or 0.0), (*angles.shape[:-1], 3, 3))
+        for k, joint in enumerate(self.joints):
+            result = result @ rotation(np.array(joint.axis), angles[..., k] + joint.zero)
+        return np.asarray(result @ self.mount)
+
+    def attitude_errors(self, angles: Floats) -> Floats:
+        """Return the rotation of attitudes by the table's unknown errors.
+
+        Args:
+            angles: (n, k) encoder angles, rad.
+
+        Returns:
+            (n, 3, e) rotations about the body axes by one standard deviation of each error, rad.
+        """
+        poses: list[JointPoses] = []
+        body = np.broadcast_to(self.mount, (len(angles), 3, 3))
+        for k in reversed(range(len(self.joints))):
+            joint, read = self.joints[k], angles[:, k]
+            turned = rotation(np.array(joint.axis), read + joint.zero)
+            poses.append(JointPoses(np.array(joint.axis), read, turned, body))
+            body = turned @ body
+        return attitude_errors(poses[::-1], self.errors)
+
+    def joint_axis(self, index: int, angles: Floats) -> Floats:
+        """Return the axis about which a joint turns, in the body frame.
+
+        Args:
+            index: The joint.
+            angles: (..., k) encoder angles of all joints, rad.
+
+        Returns:
+            (..., 3) unit vectors.
+        """
+        axis = np.broadcast_to(np.array(self.joints[index].axis), (*angles.shape[:-1], 3))
+        for k in range(index + 1, len(self.joints)):
+            turned = rotation(np.array(self.joints[k].axis), angles[..., k] + self.joints[k].zero)
+            axis = np.einsum('...ji,...j->...i', turned, axis)
+        return np.asarray(axis @ self.mount)
+
+    def vertical_joint(self, angles: Floats) -> int | None:
+        """Return the first joint whose axis is vertical at these angles, None if none is."""
+        up = self.attitude(angles).T @ _UP
+        for k in range(len(self.joints)):
+            if abs(self.joint_axis(k, angles) @ up) > 1 - 1e-9:
+                return k
+        return None
+
+    def angles(self, attitude: Floats, near: Floats | None = None) -> Floats:
+        """Return the encoder angles that bring the unit into an attitude.
+
+        Of the solutions within the limits the one with the least travel from `near` is taken.
+
+        Args:
+            attitude: (3, 3) R_nb wanted.
+            near: (k,) angles to come from, rad; zeros if not given.
+
+        Returns:
+            (k,) rad.
+
+        Raises:
+            InputError: The table cannot reach it; states the smallest difference.
+        """
+        start = np.zeros(len(self.joints)) if near is None else near
+        base = rotation(_UP, self.azimuth or 0.0)
+        target = base.T @ attitude @ self.mount.T
+        axes = [np.array(joint.axis) for joint in self.joints]
+        zeros = np.array([joint.zero for joint in self.joints])
+        best: Floats | None = None
+        closest = math.inf
+        for solution in _inverse(axes, target):
+            reached = np.eye(3)
+            for axis, angle in zip(axes, solution, strict=True):
+                reached = reached @ rotation(axis, angle)
+            miss = float(np.linalg.norm(reached - target)) / math.sqrt(2)
+            closest = min(closest, miss)
+            if miss > _REACH_TOLERANCE:
+                continue
+            candidate = self._within_limits(solution - zeros, start)
+            if candidate is not None and (
+                best is None or _travel(candidate, start) < _travel(best, start) - 1e-9
+            ):
+                best = candidate
+        if best is None:
+            if closest > _REACH_TOLERANCE:
+                joints = ', '.join(self.names)
+                few = len(self.joints) < 3
+                advice = ' Only three joints reach any attitude.' if few else ''
+                raise InputError(
+                    f'Table {self.name} (joints: {joints}) cannot reach the attitude: its '
+                    f'closest is {closest / DEG:.3g} deg away.{advice}'
+                )
+            raise InputError(f'The attitude lies outside the joint limits of table {self.name}.')
+        return best
+
+    def _within_limits(self, angles: Floats, near: Floats) -> Floats | None:
+        """Shift angles by whole turns: near the present angles, and within the limits."""
+        result = np.empty_like(angles)
+        for k, joint in enumerate(self.joints):
+            angle = angles[k] + TURN * round((near[k] - angles[k]) / TURN)
+            options = [angle, angle - TURN, angle + TURN, angles[k] % TURN, angles[k] % TURN - TURN]
+            inside = [a for a in options if joint.lower - 1e-9 <= a <= joint.upper + 1e-9]
+            if not inside:
+                return None
+            result[k] = _nearest(inside, float(near[k]))
+        return result
+
+    def check(self, angles: Floats, rates: Floats, where: str) -> None:
+        """Refuse angles or rates beyond the table's limits.
+
+        Args:
+            angles: (k,) encoder angles, rad.
+            rates: (k,) joint rates, rad/s.
+            where: Name of the position, for the message.
+
+        Raises:
+            InputError: Names joint, value and limit.
+        """
+        for joint, angle, rate in zip(self.joints, angles, rates, strict=True):
+            lower, upper = max(joint.lower, -FARTHEST), min(joint.upper, FARTHEST)
+            if not (lower - 1e-9 <= angle <= upper + 1e-9):
+                raise InputError(
+                    f'{where}: joint {joint.name} at {angle / DEG:g} deg, table {self.name} '
+                    f'allows {lower / DEG:g} to {upper / DEG:g} deg.'
+                )
+            if not abs(rate) <= joint.max_rate * (1 + 1e-9):
+                raise InputError(
+                    f'{where}: joint {joint.name} at {rate / DEG:g} deg/s, table {self.name} '
+                    f'allows {joint.max_rate / DEG:g} deg/s.'
+                )
+
+
+def _nearest(options: list[float], near: float) -> float:
+    """Return the option with the least travel; at equal travel the one that unwinds the cable."""
+    return min(options, key=lambda a: (round(abs(a - near), 9), round(abs(a), 9), -a))
+
+
+def _travel(angles: Floats, near: Floats) -> float:
+    return float(np.abs(angles - near).sum())
+
+
+def _inverse(axes: list[Floats], target: Floats) -> list[Floats]:
+    """List joint angles that may reach a rotation; the caller checks them.
+
+    Three joints: the middle angle follows from the angle between the outer axes, a1.(R2 a3) =
+    a1.(G a3), with two solutions; then each neighbour from the remaining rotation.
+    """
+    if len(axes) == 1:
+        return [np.array([angle_about(axes[0], target)])]
+    if len(axes) == 2:
+        first = _angle_between(axes[0], axes[1], target @ axes[1])
+        rest = rotation(axes[0], first).T @ target
+        return [np.array([first, angle_about(axes[1], rest)])]
+    first_axis, middle, last = axes
+    cosine = first_axis @ last - (first_axis @ middle) * (middle @ last)
+    sine = first_axis @ np.cross(middle, last)
+    wanted = first_axis @ target @ last - (first_axis @ middle) * (middle @ last)
+    amplitude = math.hypot(cosine, sine)
+    phase = math.atan2(sine, cosine)
+    spread = (
+        math.acos(float(np.clip(wanted / amplitude, -1, 1))) if amplitude > _NO_AMPLITUDE else 0.0
+    )
+    solutions = []
+    for second in (phase + spread, phase - spread):
+        turned = rotation(middle, second) @ last
+        if np.linalg.norm(np.cross(first_axis, turned)) < _PARALLEL:
+            # Outer and inner axis coincide: the inner stays at zero, the outer makes the rotation.
+            first = angle_about(first_axis, target @ rotation(middle, second).T)
+            solutions.append(np.array([first, second, 0.0]))
+            continue
+        first = _angle_between(first_axis, turned, target @ last)
+        rest = (rotation(first_axis, first) @ rotation(middle, second)).T @ target
+        solutions.append(np.array([first, second, angle_about(last, rest)]))
+    return solutions
+
+
+def _angle_between(axis: Floats, start: Floats, end: Floats) -> float:
+    """Return the angle about an axis from one vector to another."""
+    along_start, along_end = start - axis * (axis @ start), end - axis * (axis @ end)
+    return math.atan2(
+        float(axis @ np.cross(along_start, along_end)), float(along_start @ along_end)
+    )
+
+
+@checked
+def load_table(name: str | Path) -> Table:
+    """Read a table's YAML file, shipped (by name) or the user's (by path).
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+    """
+    return read_table(Section.named('tables', name))
+
+
+def read_table(section: Section) -> Table:
+    """Read a table from its YAML mapping.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+    """
+    joints = tuple(_read_joint(s) for s in section.sections('joints'))
+    if len({joint.name for joint in joints}) != len(joints):
+        raise InputError(f'{section.key("joints")}: two joints have the same name.')
+    if len(joints) > 3:
+        raise InputError(f'{section.key("joints")}: found {len(joints)} joints, expected 1 to 3.')
+    azimuth = None
+    if section.has('azimuth') and section.raw('azimuth') != 'unknown':
+        azimuth = section.quantity('azimuth', Dimension.ANGLE)
+    clock = section.quantity('clock', Dimension.RATIO, 0.0, least=0)
+    if clock > _WORST_CLOCK:
+        raise InputError(
+            f'{section.key("clock")}: found {clock / PPM:g} ppm, expected at most '
+            f'{_WORST_CLOCK / PPM:g} ppm.'
+        )
+    errors = read_error_sizes(section, len(joints))
+    sizes = errors.sizes
+    table = Table(
+        section.text('name'),
+        joints,
+        read_mount(section),
+        azimuth,
+        sizes['positioning'],
+        clock,
+        TableErrors(**{f.name: sizes[f.name] for f in fields(TableErrors)}),
+        sizes['level'],
+        errors.assumed,
+        errors.raised,
+    )
+    section.finish()
+    return table
+
+
+def _read_joint(section: Section) -> Joint:
+    limits = (-math.inf, math.inf)
+    if section.has('limits') and section.raw('limits') != 'continuous':
+        pair = section.section('limits')
+        limits = (pair.quantity('lower', Dimension.ANGLE), pair.quantity('upper', Dimension.ANGLE))
+        pair.finish()
+        if limits[0] >= limits[1]:
+            raise InputError(f'{section.key("limits")}: lower is not below upper.')
+    joint = Joint(
+        section.text('name'),
+        _read_axis(section.raw('axis'), section.key('axis')),
+        section.quantity('zero', Dimension.ANGLE, 0.0),
+        *limits,
+        section.quantity('max_rate', Dimension.RATE, above=0),
+        section.quantity('max_acceleration', Dimension.ANGULAR_ACCELERATION, above=0),
+    )
+    section.finish()
+    return joint
+
+
+def _read_axis(value: object, where: str) -> tuple[float, float, float]:
+    if isinstance(value, str) and value.removeprefix('-') in _LETTERS:
+        sign = -1.0 if value.startswith('-') else 1.0
+        x, y, z = (sign * c if c else 0.0 for c in _LETTERS[value.removeprefix('-')])
+        return x, y, z
+    components = numbers_of(value)
+    if components is not None and components.shape == (3,):
+        norm = math.hypot(*components)
+        if 0 < norm < math.inf:
+            x, y, z = (float(c) / norm for c in components)
+            return x, y, z
+    raise InputError(f'{where}: found {value!r}, expected x, y, z, -x, -y, -z or three numbers.')
+
+
+def read_mount(section: Section) -> Floats:
+    """Read the body axes on the last joint: three axes, or yaw, pitch and roll."""
+    if not section.has('mount'):
+        return np.eye(3)
+    if isinstance(section.raw('mount'), list):
+        axes = section.items('mount')
+        columns = [_read_axis(a, f'{section.key("mount")}[{i}]') for i, a in enumerate(axes)]
+        mount = np.array(columns).T
+        if mount.shape != (3, 3) or not np.allclose(mount.T @ mount, np.eye(3), atol=1e-9):
+            raise InputError(f'{section.key("mount")}: expected three perpendicular axes.')
+        if np.linalg.det(mount) < 0:
+            raise InputError(f'{section.key("mount")}: the three axes are left-handed.')
+        return mount
+    angles = section.section('mount')
+    mount = np.eye(3)
+    for name, letter in (('yaw', 'z'), ('pitch', 'y'), ('roll', 'x')):
+        mount = mount @ rotation(
+            np.array(_LETTERS[letter]), angles.quantity(name, Dimension.ANGLE, 0.0)
+        )
+    angles.finish()
+    return mount

@@ -1,0 +1,311 @@
+"""Map the device's clock to the host's time: a line of rate one, restarted where necessary."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...common.errors import InputError
+from ...common.instants import NS
+from ...common.stream import Stamps
+from .delays import Delays, Drift
+from .fields import DeviceTime, FrameCounter
+from .host_clock import HostClock
+from .steps import Indices, Stepper
+
+_SETTLING = NS // 2
+"""ns of samples after which the offset is fixed at the least delay: thirty bunches of a USB adapter
+(16 ms)."""
+_LONGEST_SETTLING = 2 * NS
+"""The same by the host's time, for slow samples."""
+_CATCH_UP = NS // 10
+"""ns after which a busy host has read all waiting data, which it reads faster than it arrived. A
+judgement."""
+_LONG_CATCH_UP = NS
+"""The same without other evidence of lost time: a late read is then more probable."""
+_READS = 3
+"""Late reads required: a single one proves nothing."""
+_PART_OF_A_TURN = 8
+"""A delay shows turns of a counter if it is whole turns within an eighth: for a turn of 128 ms
+16 ms, the time for which a USB adapter holds bytes back (latency timer of FTDI's)."""
+_LOST = "Frames are missing, whole turns of the counter: the host's clock shows that time passed."
+_NOT_LOST = 'Frames that were counted as missing were only late.'
+_SET = "The host's clock was set, not the device's; stamps follow it."
+_JUMPED = "The device's clock jumped against the host's."
+_MISSING = "Samples are missing: the host's clock shows that time passed without them."
+_EARLY = "Samples arrived before they can have been made: the host's clock was set."
+_UNCLEAR = (
+    'Frames are missing, or a clock was set: the counter does not show by how much. Stamps restart '
+    'from the time of arrival.'
+)
+_HOST_STEP = 10.0 * NS
+"""ns: least delay of arrivals that shows a suspended host. A judgement: no driver holds bytes back
+for so long."""
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A contradiction within the device's data, or with the host.
+
+    Attributes:
+        elapsed: Its time, ns after the first sample.
+        seconds: Jump of the device's clock, or of the host's, s; None if unknown.
+        reason: What happened, in words.
+    """
+
+    elapsed: int
+    seconds: float | None
+    reason: str
+
+
+@dataclass
+class _Late:
+    """A run of late samples: start, ns, the least delay, ns, and number of reads."""
+
+    since: int
+    least: int
+    reads: int
+
+
+class DeviceClock:
+    """Map samples to the host's time: stamp = offset + elapsed + set_by.
+
+    `elapsed` runs at the rate of the device's clock, or, without one, of its frame counter times
+    the nominal period, or else of the number of samples; lost samples then show as drift. The
+    offset is the least delay between clock and arrival in the first moments, and stays. A clock
+    that jumps is corrected by the counter, or by the arrival if the counter does not determine it.
+
+    If arrivals are also given by a steady clock, the host's clock is compared with it: `set_by` is
+    the sum of its steps since the first sample, and stamps follow each step from the first sample
+    that arrived after it, as all other stamps of the host do. They go back where the host's clock
+    does, and where samples prove to be placed too late. A slewed clock is not set: the device then
+    drifts against it, which is reported, not corrected.
+
+    Without a steady clock, and for all that it does not explain, samples are compared with the
+    recent least delay:
+
+    - A delay that is smaller by more than the tolerance is impossible, so a clock was set. From
+      that sample on the least delay is restored.
+    - A delay that is larger, in every sample for a while, shows missing samples or a clock that was
+      set. With a counter and no clock, whole turns of the counter are inserted and counted after a
+      tenth of a second, and stamps are exact again: for a gap of any length, if a turn is longer
+      than twice the tolerance. A delay that is not whole turns within an eighth of one is
+      undecided: after a second the line restarts at the least delay, as it does without a counter.
+    - If clock and counter agree, no sample is missing, and only the host's clock can have been
+      set: with a steady clock the tolerance is ten seconds (a host that was suspended).
+
+    A restarted line is as exact as the least delay at its start: within a bunch of a USB adapter,
+    16 ms, at most. Each of these events is a `Jump`.
+
+    Args:
+        time: The device's clock, None without one.
+        counter: The frame counter, None without one.
+        period: Nominal sample period, s; None if unknown.
+        tolerance: Largest contradiction between arrivals and device, s; None if the host's clock
+            is too coarse to judge.
+        live: Whether arrivals show the time; those of a file do not.
+
+    Attributes:
+        offset: Host stamp of elapsed 0, ns; None until it is settled.
+        jumps: Number of jumps and restarts of the clock.
+        last_jump: The last of them.
+        set_by: (n,) sum of the steps of the host's clock, ns, for the samples fed last.
+
+    Raises:
+        InputError: Neither a clock nor a nominal period is known.
+    """
+
+    def __init__(
+        self,
+        time: DeviceTime | None,
+        counter: FrameCounter | None,
+        period: float | None,
+        *,
+        tolerance: float | None = 0.05,
+        live: bool = True,
+    ) -> None:
+        if time is None and period is None:
+            raise InputError(
+                'The frames carry no device time: to stamp them, the sample rate must be known.'
+            )
+        self._time = time
+        self._counter = counter
+        self._tolerance = None if tolerance is None else tolerance * NS
+        self._live = live
+        self._stepper = Stepper(time, counter, None if period is None else period * NS, live=live)
+        self._elapsed = 0.0
+        self._arrival = 0
+        self._first_arrival: int | None = None
+        self._late: _Late | None = None
+        self._line = Delays()
+        self._host = HostClock()
+        self.set_by: Stamps = np.empty(0, np.int64)
+        self.offset: int | None = None
+        self.jumps = 0
+        self.last_jump: Jump | None = None
+
+    @property
+    def period(self) -> float | None:
+        """Sample period by the device's clock once it is settled, else nominal, ns."""
+        return self._stepper.period
+
+    @property
+    def unseen(self) -> int:
+        """Frames lost in whole turns of the counter, which its steps do not show."""
+        return self._stepper.unseen
+
+    @property
+    def drift(self) -> Drift | None:
+        """Drift of the device against the host; None until it is known."""
+        return self._line.drift() if self._live else None
+
+    @property
+    def drift_counts(self) -> bool:
+        """Whether the host's clock is accurate enough to attribute a drift to the device."""
+        return self._live and self._tolerance is not None
+
+    @property
+    def ahead(self) -> float | None:
+        """By how much the newest stamps are ahead of their arrival, s; None while not settled."""
+        if self.offset is None or self._line.recent is None or not self._live:
+            return None
+        return (self.offset - self._host.first - self._line.recent) / NS
+
+    def feed(
+        self,
+        time: Indices | None,
+        counter: Indices | None,
+        arrival: Stamps,
+        steady: Stamps | None = None,
+    ) -> Stamps:
+        """Take samples; return their sampling times.
+
+        Args:
+            time: (n,) device time in units of `DeviceTime.unit`, as sent; None without one.
+            counter: (n,) frame counter as sent; None without one.
+            arrival: (n,) host time of each sample's arrival, ns; in order except where the host's
+                clock was set back.
+            steady: (n,) the same by the monotonic clock, ns, in order; None without one.
+
+        Returns:
+            (n,) elapsed, ns after the first sample. It increases except as the class describes.
+        """
+        if len(arrival) == 0:
+            self.set_by = np.empty(0, np.int64)
+            return self.set_by
+        settings: list[tuple[int, int]] = []
+        self.set_by = np.zeros(len(arrival), np.int64)
+        if steady is not None:
+            self.set_by, settings = self._host.feed(arrival, steady)
+            arrival = steady
+        begins = self._first_arrival is None
+        if self._first_arrival is None:
+            self._first_arrival = self._arrival = int(arrival[0])
+        past = np.diff(arrival, prepend=self._arrival).clip(min=0).astype(np.float64)
+        steps = self._stepper.feed(time, counter, past, begins=begins)
+        exact = self._elapsed + np.cumsum(steps.nanoseconds)
+        elapsed = np.rint(exact).astype(np.int64)
+        uncorrected = int(elapsed[-1])
+        for finding in steps.findings:
+            if finding.by_arrival:
+                self._place_by_arrival(elapsed, finding.index, arrival)
+            self._note(int(elapsed[finding.index]), finding.seconds, finding.reason)
+        known = self._compare(elapsed, arrival, steady is not None)
+        self._line.add(elapsed[:known], arrival[:known])
+        for index, by in settings:
+            self._note(int(elapsed[index]), by / NS, "The host's clock was set; stamps follow it.")
+        # The fraction of a nanosecond is kept: a thousand roundings a second would add up.
+        self._elapsed = float(exact[-1]) + int(elapsed[-1]) - uncorrected
+        self._arrival = int(arrival[-1])
+        long = arrival[-1] - self._first_arrival >= _LONGEST_SETTLING
+        if elapsed[-1] >= _SETTLING or long:
+            self.settle()
+        return elapsed
+
+    def settle(self) -> None:
+        """Fix the offset, if it is not fixed yet and a sample has come."""
+        if self.offset is None and self._line.lowest is not None:
+            self.offset = self._line.lowest + self._host.first
+            self._stepper.settled = True
+
+    def _place_by_arrival(self, elapsed: Stamps, index: int, arrival: Stamps) -> None:
+        """Shift all from an index on so that it has the usual delay."""
+        usual = self._line.recent
+        if usual is None or not self._live:
+            return
+        shift = int((arrival[index:] - elapsed[index:]).min()) - usual
+        before = int(elapsed[index - 1]) if index else int(self._elapsed)
+        elapsed[index:] += max(shift, before + 1 - int(elapsed[index]))
+
+    def _compare(self, elapsed: Stamps, arrival: Stamps, steady: bool) -> int:
+        """Compare samples with their arrival, and correct contradictions.
+
+        Returns:
+            The number of samples that are not late for an undecided reason.
+        """
+        usual = self._line.recent
+        if not self._live or self._tolerance is None or usual is None:
+            return len(arrival)
+        agreed = self._time is not None and self._counter is not None
+        tolerance = _HOST_STEP if agreed and steady else self._tolerance
+        begin = 0
+        while (early := arrival[begin:] - elapsed[begin:] < usual - tolerance).any():
+            begin += int(early.argmax())
+            self._correct(elapsed, begin, int((arrival - elapsed)[begin:].min()) - usual)
+            begin += 1
+        return self._compare_late(elapsed, arrival, usual, tolerance)
+
+    def _compare_late(self, elapsed: Stamps, arrival: Stamps, usual: int, tolerance: float) -> int:
+        """Find delays that grow and stay; return the number of samples that are not late."""
+        in_time = np.flatnonzero(arrival - elapsed - usual <= tolerance)
+        begin = int(in_time[-1]) + 1 if len(in_time) else 0
+        if begin:
+            self._late = None
+        if begin == len(arrival):
+            return begin
+        if self._late is None:
+            self._late = _Late(int(arrival[begin]), np.iinfo(np.int64).max, 0)
+        self._late.least = min(self._late.least, int((arrival - elapsed)[begin:].min()))
+        self._late.reads += len(np.unique(arrival[begin:]))
+        growth = self._late.least - usual
+        certain = growth > _HOST_STEP or self._turns(growth) > 0
+        patience = _CATCH_UP if certain else _LONG_CATCH_UP
+        if arrival[-1] - self._late.since < patience or self._late.reads < _READS:
+            return begin
+        self._correct(elapsed, begin, growth)
+        self._late = None
+        return len(arrival)
+
+    def _turns(self, shift: float) -> int:
+        """Return the number of whole turns of the counter in a delay, ns; 0 if it is none."""
+        if self._time is not None or self._counter is None or self.period is None:
+            return 0
+        turn = self._counter.turn * self.period
+        turns = round(shift / turn)
+        return turns if abs(shift - turns * turn) <= turn / _PART_OF_A_TURN else 0
+
+    def _correct(self, elapsed: Stamps, index: int, shift: int) -> None:
+        """Shift all from an index on, by whole turns of the counter if these explain it."""
+        turns = self._turns(shift)
+        counted = 0 if self._counter is None else round(turns * self._counter.turn)
+        if turns and self.period is not None and self.unseen + counted >= 0:
+            self._stepper.unseen += counted
+            shift = round(counted * self.period)
+            reason = _LOST if turns > 0 else _NOT_LOST
+        else:
+            reason = self._contradiction(shift)
+        elapsed[index:] += shift
+        self._note(int(elapsed[index]), -shift / NS, reason)
+
+    def _contradiction(self, shift: int) -> str:
+        """Return the meaning of a delay, negative if early, in words."""
+        if self._time is not None:
+            return _SET if self._counter is not None else _JUMPED
+        if self._counter is not None:
+            return _UNCLEAR
+        return _MISSING if shift > 0 else _EARLY
+
+    def _note(self, elapsed: int, seconds: float | None, reason: str) -> None:
+        self.jumps += 1
+        self.last_jump = Jump(elapsed, seconds, reason)

@@ -1,0 +1,333 @@
+"""The format of a device's frames, as its YAML describes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...common.config import Section
+from ...common.errors import InputError
+from ...common.units import Dimension
+from .checks import FrameCheck, read_algorithm, read_number_order, read_order
+from .checksum import Checksums, checksums, fits
+from .commands import NOTHING, Commands, read_commands
+from .fields import Channel, DeviceTime, Fault, FrameCounter, Number
+from .messages import Message, read_message
+from .numbers import numbers, whole_list
+
+TYPES = {
+    **{f'{kind}{8 * size}': (kind, size) for kind in 'ui' for size in (1, 2, 3, 4, 8)},
+    'f32': ('f', 4),
+    'f64': ('f', 8),
+    'fp16.32': ('q', 6),
+}
+"""Kind and bytes of the numbers of a frame, by their names in its file."""
+TICKS_NS = {'ns': 1.0, 'us': 1e3, 'ms': 1e6, 's': 1e9}
+"""ns per unit of a device's time."""
+LONGEST = 4096
+"""Bytes of a frame: more is taken for a typing error."""
+_BITS_OF_A_BYTE = 10
+"""On a serial line as pyserial opens it, 8N1: a start bit, eight of data, no parity, a stop bit."""
+BAUD = (50, 100_000_000)
+"""The lowest rate in POSIX, and more than any UART supports."""
+_MOST_FAULTS = 62
+"""Bits of a 64-bit mask without its sign, less one as a reserve."""
+COUNTLESS = 2**62
+"""Above any frame counter; differences modulo this fit 64 bits."""
+
+
+@dataclass(frozen=True)
+class FrameFormat:
+    """Frames of one length, each with one sample of all channels.
+
+    Attributes:
+        name: Of the device or of its output format.
+        length: Bytes of a frame.
+        constant: Offsets and values of the bytes that are equal in every frame; the first of
+            them are the sync bytes at the frame's beginning.
+        gyro: Channels x, y, z.
+        accel: Channels x, y, z.
+        skew: The skewed gyro, None without one.
+        temperature: In degrees Celsius, None without one.
+        counter: None without one.
+        time: None without one.
+        faults: Conditions in the status fields.
+        check: Checksum; None without one.
+        others: Other messages between the frames.
+        baud: Of the device's serial port, bit/s; None if the file does not state it.
+        commands: Sent to it when the port opens and closes.
+    """
+
+    name: str
+    length: int
+    constant: tuple[tuple[int, int], ...]
+    gyro: tuple[Channel, ...]
+    accel: tuple[Channel, ...]
+    skew: Channel | None
+    temperature: Channel | None
+    counter: FrameCounter | None
+    time: DeviceTime | None
+    faults: tuple[Fault, ...]
+    check: FrameCheck | None
+    others: tuple[Message, ...] = ()
+    baud: int | None = None
+    commands: Commands = NOTHING
+
+    def checksums(self) -> Checksums | None:
+        """Return the calculator of the frames' checksum."""
+        check = self.check
+        if check is None:
+            return None
+        return checksums(check.algorithm, check.end - check.first, check.padding)
+
+    def bits_per_second(self, sample_rate: float) -> float:
+        """Return the rate that frames at a rate in Hz require of a serial port, bit/s."""
+        return sample_rate * self.length * _BITS_OF_A_BYTE
+
+
+def load_format(name: str | Path) -> FrameFormat:
+    """Read a device's YAML file, shipped (by name) or the user's (by path).
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+    """
+    return read_format(Section.named('devices', name))
+
+
+def read_format(section: Section) -> FrameFormat:
+    """Read a format from its YAML mapping.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+    """
+    length = section.whole('length', 2, LONGEST)
+    order = read_order(section, None)
+    frame = _Frame(length, order)
+    constant = _constant(section, length)
+    fields = section.section('fields')
+    result = FrameFormat(
+        name=section.text('name'),
+        length=length,
+        constant=constant,
+        gyro=frame.triad(fields, 'gyro'),
+        accel=frame.triad(fields, 'accelerometer'),
+        skew=frame.channel(fields, 'skew'),
+        temperature=frame.channel(fields, 'temperature'),
+        counter=frame.counter(fields),
+        time=frame.time(fields),
+        faults=frame.faults(fields),
+        check=_check(section, frame, len(constant)),
+        others=_others(section, order),
+        baud=section.whole('baud', *BAUD) if section.has('baud') else None,
+        commands=read_commands(section),
+    )
+    fields.finish()
+    section.finish()
+    frame.refuse_overlap(result)
+    return result
+
+
+class _Frame:
+    """Read the fields of a frame of a known length."""
+
+    def __init__(self, length: int, order: str) -> None:
+        self.length = length
+        self.order = order
+        self.placed: list[tuple[str, Number]] = []
+
+    def number(self, section: Section, offset: int | None = None) -> Number:
+        """Read type, offset, byte_order and bits of a field."""
+        kind, size = section.choice('type', TYPES)
+        if offset is None:
+            offset = section.whole('offset', 0, self.length - 1)
+        if offset + size > self.length:
+            raise InputError(
+                f'{section.key("offset")}: found {offset}, but {size} bytes from there reach '
+                f"beyond the frame's length of {self.length}."
+            )
+        order = read_number_order(section, self.order, size)
+        number = Number(kind, size, offset, order, _bits(section, kind, size))
+        self.placed.append((section.where, number))
+        return number
+
+    def triad(self, fields: Section, name: str) -> tuple[Channel, ...]:
+        """Read three channels of one type."""
+        section = fields.section(name)
+        offsets = whole_list(section, 'offset', 0, self.length - 1)
+        scales = numbers(section, 'scale')
+        if len(offsets) != 3 or len(scales) not in {1, 3}:
+            raise InputError(
+                f'{section.where}: found {len(offsets)} offsets and {len(scales)} scales, '
+                'expected offset: [x, y, z], and one scale or three.'
+            )
+        scales = scales * 3 if len(scales) == 1 else scales
+        channels = tuple(
+            Channel(self.number(section, offset), scale)
+            for offset, scale in zip(offsets, scales, strict=True)
+        )
+        section.finish()
+        return channels
+
+    def channel(self, fields: Section, name: str) -> Channel | None:
+        """Read one channel, if present."""
+        if not fields.has(name):
+            return None
+        section = fields.section(name)
+        (scale,) = numbers(section, 'scale', 1)
+        channel = Channel(self.number(section), scale, section.number('zero', 0.0))
+        section.finish()
+        return channel
+
+    def counter(self, fields: Section) -> FrameCounter | None:
+        """Read the frame counter, if present."""
+        if not fields.has('counter'):
+            return None
+        section = fields.section('counter')
+        number = self.number(section)
+        if number.modulus is None:
+            raise InputError(f'{section.key("type")}: a counter is a whole number, u8 to i64.')
+        highest = min(number.modulus, COUNTLESS)
+        modulus = section.whole('modulus', 2, highest, highest)
+        step = section.whole('step', 1, modulus - 1, 1)
+        section.finish()
+        return FrameCounter(number, modulus, step)
+
+    def time(self, fields: Section) -> DeviceTime | None:
+        """Read the device's clock, if present."""
+        if not fields.has('time'):
+            return None
+        section = fields.section('time')
+        number = self.number(section)
+        if section.has('unit') == section.has('ticks'):
+            raise InputError(
+                f"{section.where}: found {'both' if section.has('unit') else 'neither'} of 'unit' "
+                f"and 'ticks', expected unit: {'|'.join(TICKS_NS)}, or ticks: 10 kHz."
+            )
+        if section.has('unit'):
+            tick = section.choice('unit', TICKS_NS)
+        else:
+            tick = 1e9 / section.quantity('ticks', Dimension.FREQUENCY, above=0)
+        modulus, shorter = number.modulus, []
+        if section.has('modulus'):
+            highest = modulus or 2**62
+            listed = isinstance(section.raw('modulus'), list)
+            found = (
+                whole_list(section, 'modulus', 2, highest)
+                if listed
+                else [section.whole('modulus', 2, highest)]
+            )
+            *shorter, modulus = sorted(found)
+        section.finish()
+        return DeviceTime(number, tick, modulus, tuple(shorter))
+
+    def faults(self, fields: Section) -> tuple[Fault, ...]:
+        """Read the status fields: a mapping, or a list of them."""
+        if not fields.has('status'):
+            return ()
+        listed = isinstance(fields.raw('status'), list)
+        sections = fields.sections('status') if listed else [fields.section('status')]
+        faults: list[Fault] = []
+        for section in sections:
+            number = self.number(section)
+            if number.kind != 'u':
+                raise InputError(f'{section.key("type")}: a status is unsigned, u8 to u64.')
+            for entry in section.sections('faults'):
+                faults.append(_fault(entry, number))
+                entry.finish()
+            section.finish()
+        if len(faults) > _MOST_FAULTS:
+            raise InputError(
+                f'{fields.key("status")}: found {len(faults)} faults, at most {_MOST_FAULTS}.'
+            )
+        return tuple(faults)
+
+    def refuse_overlap(self, result: FrameFormat) -> None:
+        """Refuse fields that overlap sync bytes or the checksum."""
+        taken = {offset: 'constant bytes' for offset, _ in result.constant}
+        check = result.check
+        if check is not None:
+            taken |= dict.fromkeys(range(check.number.offset, check.number.end), 'the checksum')
+        for where, number in self.placed:
+            for offset in range(number.offset, number.end):
+                if offset in taken:
+                    raise InputError(
+                        f'{where}: byte {offset} of the frame is part of {taken[offset]}.'
+                    )
+
+
+def _fault(section: Section, number: Number) -> Fault:
+    if section.has('bit') == section.has('mask'):
+        raise InputError(f"{section.where}: expected one of 'bit' and 'mask'.")
+    highest = (number.modulus or 1).bit_length() - 2
+    if section.has('bit'):
+        mask = 1 << section.whole('bit', 0, highest)
+    else:
+        mask = section.whole('mask', 1, (1 << (highest + 1)) - 1)
+    when_set = section.choice('when', {'set': True, 'clear': False}, 'set')
+    is_error = section.choice('level', {'warn': False, 'error': True}, 'error')
+    return Fault(number, mask, when_set, section.text('says'), is_error)
+
+
+def _constant(section: Section, length: int) -> tuple[tuple[int, int], ...]:
+    sync = whole_list(section, 'sync', 0, 255)
+    constant = dict(enumerate(sync))
+    if section.has('constant'):
+        for entry in section.sections('constant'):
+            first = entry.whole('offset', len(sync), length - 1)
+            constant |= {first + k: b for k, b in enumerate(whole_list(entry, 'bytes', 0, 255))}
+            entry.finish()
+    if max(constant) >= length:
+        raise InputError(f'{section.where}: constant bytes reach beyond the length of {length}.')
+    return tuple(sorted(constant.items()))
+
+
+def _check(section: Section, frame: _Frame, constants: int) -> FrameCheck | None:
+    if section.raw('checksum') == 'none':
+        if constants < 2:
+            raise InputError(
+                f'{section.key("checksum")}: without a checksum a frame needs two constant bytes '
+                'at least, else anything is taken for a frame.'
+            )
+        return None
+    check = section.section('checksum')
+    algorithm = read_algorithm(check, frame.order)
+    offset = check.whole('offset', 0, frame.length - algorithm.width // 8)
+    order = read_order(check, frame.order)
+    number = Number('u', algorithm.width // 8, offset, order)
+    covered = [0, offset - 1]
+    if check.has('covers'):
+        covered = whole_list(check, 'covers', 0, frame.length - 1)
+    if len(covered) != 2 or covered[0] > covered[1]:
+        raise InputError(
+            f'{check.key("covers")}: found {covered}, expected the offsets of the first and the '
+            'last byte that are covered.'
+        )
+    if covered[0] < number.end and covered[1] >= number.offset:
+        raise InputError(f'{check.key("covers")}: the checksum cannot cover itself.')
+    if not fits(algorithm, covered[1] + 1 - covered[0]):
+        raise InputError(
+            f'{check.key("covers")}: {covered[1] + 1 - covered[0]} bytes are not a whole number of '
+            'words, of which the checksum is the sum.'
+        )
+    padding = check.whole('padding', 0, 64, 0)
+    check.finish()
+    return FrameCheck(algorithm, number, covered[0], covered[1] + 1, padding)
+
+
+def _others(section: Section, order: str) -> tuple[Message, ...]:
+    if not section.has('others'):
+        return ()
+    return tuple(read_message(entry, order) for entry in section.sections('others'))
+
+
+def _bits(section: Section, kind: str, size: int) -> tuple[int, int] | None:
+    if not section.has('bits'):
+        return None
+    bits = whole_list(section, 'bits', 0, 8 * size - 1)
+    if len(bits) != 2 or bits[0] > bits[1] or kind != 'u':
+        raise InputError(
+            f'{section.key("bits")}: found {bits}, expected the first and the last bit of an '
+            'unsigned field; bit 0 is the lowest.'
+        )
+    count = bits[1] - bits[0] + 1
+    return None if count == 8 * size else (bits[0], count)

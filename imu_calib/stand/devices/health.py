@@ -1,0 +1,340 @@
+"""State of a device, its line and its clock: a level, a sentence, the figures."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from enum import IntEnum
+
+import numpy as np
+
+from ...common.instants import NS
+from ...common.stream import Stamps
+from ...session.imu import ImuSpec
+from .clock import DeviceClock
+from .decoder import Counts, Samples
+from .format import FrameFormat
+from .gravity import Gravity
+from .source import SourceState
+
+_KEPT = 10.0
+"""s for which an event is reported. A choice: long enough to be read."""
+_RATE_SPAN = 2.0
+"""s: a rate counted over it is accurate to one sample in it."""
+_RATE_TOLERANCE = 0.02
+"""Relative: quartz keeps 1e-4, RC oscillators 1e-2."""
+_DRIFT_TOLERANCE = 500.0
+"""ppm: five times a poor quartz."""
+_STRANGE = 20
+"""Bytes, in frames, that contain a frame if the device is the described one."""
+
+_GREETING = 0.5
+"""s: longest output of a device before its frames. A judgement: 5 kB at 115200 bit/s, ten times the
+output of a boot loader."""
+
+_PATIENCE = 0.25
+"""s: a longer gap is not a delay of the host."""
+
+
+class Severity(IntEnum):
+    """Levels as in diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+@dataclass(frozen=True)
+class PartStatus:
+    """Status of one part."""
+
+    part: str
+    severity: Severity
+    text: str
+    figures: dict[str, str] = field(default_factory=dict)
+
+
+class Health:
+    """Monitor the data of a device. Host times are in ns, steady times in s.
+
+    Args:
+        frames: The format of its frames.
+        nominal: Sample rate, Hz; None if unknown.
+        gap_timeout: Longest time without a frame, s.
+        caution: Problem of the port although it is open, a sentence; empty without.
+        imu: Description of its numbers; None if not stated.
+    """
+
+    def __init__(
+        self,
+        frames: FrameFormat,
+        nominal: float | None,
+        gap_timeout: float,
+        caution: str = '',
+        imu: ImuSpec | None = None,
+    ) -> None:
+        self._format = frames
+        self._caution = caution
+        self._gravity = Gravity(imu)
+        self._misfit = ''
+        self._nominal = nominal
+        self._gap_timeout = gap_timeout
+        self._bytes = 0
+        self._first_bytes: float | None = None
+        self._last_bytes: float | None = None
+        self._received_at: int | None = None
+        self._received_steady = 0.0
+        self._last_seen = datetime.min
+        self._begun: int | None = None
+        self._seen = Counts()
+        self._events: dict[str, tuple[str, float]] = {}
+        self._rate: float | None = None
+        self._rate_from: tuple[int, int] | None = None
+        self._last_elapsed: int | None = None
+        self._gap: float | None = None
+        self._jumps = 0
+        self._faults: Counter[str] = Counter()
+        self._faults_new: set[str] = set()
+
+    def take(
+        self, samples: Samples, elapsed: Stamps, received: int, now: int, steady: float
+    ) -> None:
+        """Take received data.
+
+        Args:
+            samples: n samples, possibly none.
+            elapsed: (n,) ns after the first sample.
+            received: Bytes that contained them.
+            now: Host time.
+            steady: Monotonic time of the host, which is never simulated.
+        """
+        self._bytes += received
+        if received:
+            self._last_bytes = steady
+            if self._first_bytes is None:
+                self._first_bytes = steady
+        if len(samples) == 0:
+            return
+        self._misfit = self._gravity.take(samples.accel, elapsed)
+        self._received_at, self._received_steady = now, steady
+        # For a person, whose clock is not that of a simulation.
+        self._last_seen = datetime.now()
+        self._collect_faults(samples)
+        self._measure_rate(elapsed, now)
+        before = elapsed[0] if self._last_elapsed is None else self._last_elapsed
+        self._last_elapsed = int(elapsed[-1])
+        longest = float(np.diff(elapsed, prepend=before).max()) / NS
+        if longest > self._gap_timeout:
+            self._gap = longest
+
+    def _collect_faults(self, samples: Samples) -> None:
+        if not samples.faults.any():
+            return
+        for bit, fault in enumerate(self._format.faults):
+            count = int((samples.faults >> bit & 1).sum())
+            if count:
+                self._faults[fault.words] += count
+                self._faults_new.add(fault.words)
+
+    def _measure_rate(self, elapsed: Stamps, now: int) -> None:
+        """Measure the sample rate by the device's clock, or the host's without one."""
+        time = int(elapsed[-1]) if self._format.time is not None else now
+        if self._rate_from is None or time < self._rate_from[0]:
+            self._rate_from = time, 0
+            return
+        begin, count = self._rate_from
+        count += len(elapsed)
+        self._rate_from = begin, count
+        if time - begin >= _RATE_SPAN * NS:
+            self._rate = count * NS / (time - begin)
+            self._rate_from = time, 0
+
+    @property
+    def has_frames(self) -> bool:
+        """Whether a frame has come."""
+        return self._received_at is not None
+
+    @property
+    def judged(self) -> bool:
+        """Whether the accelerometers have been checked against gravity."""
+        return self._gravity.judged
+
+    def silent(self, now: int, steady: float) -> bool:
+        """Return whether no frame has come for too long.
+
+        Simulated time may leap by seconds while a busy machine reads the line: the steady clock
+        must agree. Missing frames are then reported when the next frame comes.
+        """
+        if self._received_at is None:
+            return False
+        passed = steady - self._received_steady
+        if now < self._received_at:
+            # The host's clock was set back.
+            return passed > self._gap_timeout
+        late = now - self._received_at > self._gap_timeout * NS
+        return late and passed > min(self._gap_timeout, _PATIENCE)
+
+    def statuses(
+        self, state: SourceState, counts: Counts, clock: DeviceClock, now: int, steady: float
+    ) -> list[PartStatus]:
+        """Return the present statuses."""
+        if self._begun is None and (state.open or state.ended):
+            self._begun = now
+        if self._last_bytes is None:
+            self._last_bytes = steady
+        self._note_events(counts, steady)
+        return [
+            self._port(state),
+            self._what_comes(state, steady),
+            self._stream(state, counts, clock, now, steady),
+            self._clock(clock, steady),
+            *self._status(steady),
+        ]
+
+    def _port(self, state: SourceState) -> PartStatus:
+        figures = {'bytes': str(self._bytes)}
+        if not (state.open or state.ended):
+            severity = Severity.ERROR if state.tried else Severity.WARN
+            return PartStatus('port', severity, state.text, figures)
+        if self._caution:
+            return PartStatus('port', Severity.WARN, f'{state.text} {self._caution}', figures)
+        return PartStatus('port', Severity.OK, state.text, figures)
+
+    def _note_events(self, counts: Counts, steady: float) -> None:
+        seen, self._seen = self._seen, replace(counts)
+        happened = {
+            'lost': (counts.lost > seen.lost, 'Frames are lost on the way.'),
+            'bad': (counts.later_bad > seen.later_bad, 'Frames are damaged on the way.'),
+            'skipped': (
+                counts.later_skipped > seen.later_skipped,
+                'Bytes are received that belong to no frame.',
+            ),
+            'repeated': (counts.repeated > seen.repeated, 'Frames come twice.'),
+            'unusable': (
+                counts.unusable > seen.unusable,
+                'Frames are received with channels that are not numbers.',
+            ),
+        }
+        for name, (new, text) in happened.items():
+            if new:
+                self._events[name] = text, steady
+        if self._gap is not None:
+            self._events['gap'] = f'Frames are missing for {self._gap:.3g} s.', steady
+            self._gap = None
+        self._events = {k: v for k, v in self._events.items() if steady - v[1] < _KEPT}
+
+    def _stream(
+        self, state: SourceState, counts: Counts, clock: DeviceClock, now: int, steady: float
+    ) -> PartStatus:
+        figures = {
+            'rate': 'unknown' if self._rate is None else f'{self._rate:.2f} Hz',
+            'nominal rate': 'unknown' if self._nominal is None else f'{self._nominal:g} Hz',
+            'frames': str(counts.frames),
+            'lost frames': str(counts.lost + clock.unseen),
+            'bad frames': str(counts.bad),
+            'repeated frames': str(counts.repeated),
+            'unusable frames': str(counts.unusable),
+            'counter restarts': str(counts.restarts),
+            'bytes skipped': str(counts.skipped),
+        }
+        if self._format.others:
+            figures['other messages'] = str(counts.others)
+        return PartStatus('stream', *self._stream_sentence(state, now, steady), figures)
+
+    def _stream_sentence(self, state: SourceState, now: int, steady: float) -> tuple[Severity, str]:
+        if self._received_at is None:
+            return self._before_the_first(now)
+        if self.silent(now, steady) and not state.ended:
+            return Severity.ERROR, (
+                f'No frame has come since {self._last_seen:%H:%M:%S}. Look at cable, power and '
+                'baud rate of the device.'
+            )
+        order = ('gap', 'bad', 'skipped', 'unusable', 'lost', 'repeated')
+        texts = [self._events[name][0] for name in order if name in self._events]
+        if texts:
+            return Severity.WARN, ' '.join(texts)
+        rate, nominal = self._rate, self._nominal
+        if rate and nominal and abs(rate / nominal - 1) > _RATE_TOLERANCE:
+            return Severity.WARN, 'The sample rate is not the nominal one.'
+        return Severity.OK, 'Frames come in.'
+
+    def _before_the_first(self, now: int) -> tuple[Severity, str]:
+        # A port that does not open yet reports that itself.
+        begun = now if self._begun is None else self._begun
+        late = (now - begun) / NS - self._gap_timeout
+        if self._bytes and late > _GREETING:
+            return Severity.ERROR, 'Bytes are received, but no frame yet.'
+        if not self._bytes and late > 0:
+            return Severity.ERROR, (
+                'No frame has come since the start. Is the device on, connected, and set to send '
+                'by itself?'
+            )
+        return Severity.WARN, 'The first frame has not come yet.'
+
+    def _what_comes(self, state: SourceState, steady: float) -> PartStatus:
+        """Return whether the data agrees with the files of device and IMU."""
+        if self._received_at is None and (what := self._strange(state, steady)):
+            return PartStatus(
+                'format',
+                Severity.ERROR,
+                f'{what} no frame of the format {self._format.name}: this is another device, it is '
+                "configured differently, or the baud rate is wrong. Check the device's file, and "
+                'at its top how the device is to be set up.',
+            )
+        if self._misfit:
+            return PartStatus('format', Severity.ERROR, self._misfit)
+        return PartStatus(
+            'format', Severity.OK, f'Frames of the format {self._format.name} are read.'
+        )
+
+    def _strange(self, state: SourceState, steady: float) -> str:
+        """Return a sentence on data without frames; empty if frames may still come."""
+        first, last = self._first_bytes, self._last_bytes
+        enough = self._bytes >= _STRANGE * self._format.length
+        if first is not None and enough and steady - first >= _GREETING:
+            return 'Bytes are received, but'
+        # The last bytes read may still be waiting.
+        if state.ended and last is not None and steady - last >= _GREETING:
+            return f'{state.text} It holds'
+        return ''
+
+    def _clock(self, clock: DeviceClock, steady: float) -> PartStatus:
+        drift = clock.drift
+        figures = {'jumps': str(clock.jumps)}
+        if clock.offset is not None:
+            figures['stamp of the first sample'] = f'{clock.offset / NS:.6f} s'
+        if clock.ahead is not None:
+            figures['stamps ahead of arrival'] = f'{clock.ahead:.6f} s'
+        if drift is not None:
+            figures['drift'] = f'{drift.ppm:.1f} ppm +- {drift.std:.1f} ppm'
+        last = clock.last_jump
+        if clock.jumps > self._jumps:
+            self._jumps = clock.jumps
+            self._events['jump'] = '', steady
+        if last is not None:
+            by = '' if last.seconds is None else f' By {last.seconds:.3g} s.'
+            when = f' {last.elapsed / NS:.3f} s after the first sample.'
+            severity = Severity.ERROR if 'jump' in self._events else Severity.WARN
+            return PartStatus('clock', severity, f'{last.reason}{by}{when}', figures)
+        certain = 0.0 if drift is None else abs(drift.ppm) - 3 * drift.std
+        if certain > _DRIFT_TOLERANCE and clock.drift_counts:
+            text = "The device's count of time or samples drifts against the host's clock."
+            return PartStatus('clock', Severity.WARN, text, figures)
+        settled = clock.offset is not None
+        text = 'Stamps follow the device.' if settled else 'The offset of the clock is not known.'
+        return PartStatus('clock', Severity.OK, text, figures)
+
+    def _status(self, steady: float) -> list[PartStatus]:
+        if not self._format.faults:
+            return []
+        for words in self._faults_new:
+            self._events[f'fault {words}'] = words, steady
+        self._faults_new.clear()
+        now = {text for name, (text, _) in self._events.items() if name.startswith('fault ')}
+        figures = {words: f'{count} frames' for words, count in self._faults.items()}
+        if now:
+            text = f'The device reports: {", ".join(sorted(now))}.'
+            grave = any(fault.error and fault.words in now for fault in self._format.faults)
+            return [PartStatus('status', Severity.ERROR if grave else Severity.WARN, text, figures)]
+        return [PartStatus('status', Severity.OK, 'The device reports no fault.', figures)]

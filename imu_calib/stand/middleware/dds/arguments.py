@@ -1,0 +1,184 @@
+"""--ros-args: parameters, parameter files, remap rules and log levels."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from ....common.errors import InputError
+from .names import Remap, check_node_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+_TAKES_VALUE = {
+    '-p': 'parameter',
+    '--param': 'parameter',
+    '--params-file': 'file',
+    '-r': 'remap',
+    '--remap': 'remap',
+    '--log-level': 'level',
+}
+# Accepted for launch files; they have no effect on DDS.
+_SWITCHES = re.compile(r'--(enable|disable)-(rosout-logs|stdout-logs|external-lib-logs)')
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as ROS reads it: 1e-3 is a number."""
+
+
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float',
+    re.compile(r'[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$'),
+    list('-+0123456789.'),
+)
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """The arguments between --ros-args and its end.
+
+    Attributes:
+        parameters: (pattern of nodes, name, value), later ones win.
+        remaps: Rules in their order, the first match wins.
+        levels: (logger, level), the empty logger for all.
+        others: The arguments that are not ROS's.
+    """
+
+    parameters: tuple[tuple[str, str, Any], ...] = ()
+    remaps: tuple[Remap, ...] = ()
+    levels: tuple[tuple[str, str], ...] = ()
+    others: tuple[str, ...] = ()
+
+    def special(self, key: str, node: str) -> str | None:
+        """Return the target of a rule for __node or __ns, None without one."""
+        for rule in self.remaps:
+            if rule.source == key and rule.node in {'', node}:
+                return rule.target
+        return None
+
+    def parameters_of(self, full_name: str) -> dict[str, Any]:
+        """Return the parameters for a node."""
+        return {n: v for pattern, n, v in self.parameters if _fits(pattern, full_name)}
+
+
+def parse(args: Sequence[str]) -> Arguments:
+    """Parse a command line.
+
+    Args:
+        args: All arguments; those outside of --ros-args ... -- are ignored.
+
+    Raises:
+        InputError: An argument inside cannot be understood.
+    """
+    parameters: list[tuple[str, str, Any]] = []
+    remaps: list[Remap] = []
+    levels: list[tuple[str, str]] = []
+    others: list[str] = []
+    for kind, text in _split(args):
+        if kind == 'parameter':
+            parameters.append(_parameter(text))
+        elif kind == 'file':
+            parameters += _file(Path(text))
+        elif kind == 'remap':
+            remaps.append(_remap(text))
+        elif kind == 'level':
+            logger, _, level = text.rpartition(':=')
+            levels.append((logger, level))
+        else:
+            others.append(text)
+    return Arguments(tuple(parameters), tuple(remaps), tuple(levels), tuple(others))
+
+
+def load(text: str) -> Any:
+    """Return the value of a parameter as YAML."""
+    return yaml.load(text, _Loader)
+
+
+def _split(args: Sequence[str]) -> Iterator[tuple[str, str]]:
+    words = iter(args)
+    inside = False
+    for word in words:
+        if word == '--ros-args':
+            inside = True
+        elif not inside:
+            yield 'other', word
+        elif word == '--':
+            inside = False
+        elif word in _TAKES_VALUE:
+            value = next(words, None)
+            if value is None:
+                raise InputError(f'--ros-args: {word} lacks its value.')
+            yield _TAKES_VALUE[word], value
+        elif not _SWITCHES.fullmatch(word):
+            known = ', '.join(_TAKES_VALUE)
+            raise InputError(f'--ros-args: {word!r} is not understood, expected one of {known}.')
+
+
+def _assignment(text: str, option: str) -> tuple[str, str, str]:
+    left, sign, right = text.partition(':=')
+    node, _, name = left.rpartition(':')
+    if not sign or not name or (option == '-r' and not right):
+        raise InputError(f'--ros-args: {option} {text!r}, expected name:=value.')
+    return node and check_node_name(node), name, right
+
+
+def _parameter(text: str) -> tuple[str, str, Any]:
+    node, name, value = _assignment(text, '-p')
+    try:
+        return node or '/**', name, load(value)
+    except yaml.YAMLError as error:
+        raise InputError(f'--ros-args: -p {text!r} is not YAML: {error}') from error
+
+
+def _remap(text: str) -> Remap:
+    return Remap(*_assignment(text, '-r'))
+
+
+def _file(path: Path) -> list[tuple[str, str, Any]]:
+    try:
+        content = load(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise InputError(f'{path}: {error.strerror}.') from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f'{path}: not YAML: {error}') from error
+    found = list(_nodes(path, '', content))
+    if not found and content:
+        raise InputError(f'{path}: holds no node with the key ros__parameters.')
+    return found
+
+
+def _nodes(path: Path, prefix: str, content: Any) -> Iterator[tuple[str, str, Any]]:
+    """Yield the parameters of every node in a file."""
+    if not isinstance(content, dict):
+        raise InputError(f'{path}: {prefix or "the file"} is not a mapping of nodes.')
+    for key, value in content.items():
+        if key == 'ros__parameters':
+            if not isinstance(value, dict):
+                raise InputError(f'{path}: {prefix}: ros__parameters is not a mapping.')
+            for name, leaf in _leaves('', value):
+                yield prefix, name, leaf
+        else:
+            joined = f'{prefix}/{str(key).lstrip("/")}' if prefix else str(key)
+            yield from _nodes(path, joined, value)
+
+
+def _leaves(prefix: str, content: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    for key, value in content.items():
+        name = f'{prefix}.{key}' if prefix else str(key)
+        if isinstance(value, dict):
+            yield from _leaves(name, value)
+        else:
+            yield name, value
+
+
+def _fits(pattern: str, full_name: str) -> bool:
+    """Return whether a pattern with * (one part) and ** (any) matches a node."""
+    absolute = pattern if pattern.startswith('/') else f'/{pattern}'
+    parts = {'**': '(/[^/]+)*', '*': '/[^/]+'}
+    expression = ''.join(parts.get(p) or f'/{re.escape(p)}' for p in absolute.split('/')[1:])
+    return re.fullmatch(expression, full_name) is not None

@@ -1,0 +1,344 @@
+"""Topics, readers and writers of the cyclonedds wheel on ROS 2's wire, for serialised messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from ctypes import CFUNCTYPE, c_bool, c_int32, c_int64, c_size_t, c_ssize_t, c_void_p
+from functools import cache
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+
+from ....common.errors import ImuCalibError
+from .codec import deserialize_message, serialize_message
+from .interfaces import interface, type_hash
+from .messages import Message
+from .participant import Participant, TransportError, delete
+from .qos import QoSIncompatibleInfo, QoSProfile, to_dds
+from .type_data import describe
+
+_ANY = 3 | 12 | 112
+"""State mask: samples read or not, of new or known writers, alive or not."""
+
+# DDS numbers of the policies in profiles, and rclpy's numbers for them.
+_POLICIES = {2: 2, 11: 16, 13: 32}
+_BULK = 4096
+"""Messages taken per call."""
+
+
+@cache
+def idl_type(name: str, prefix: str = '') -> Any:
+    """Return the wheel's type of a message, with ROS 2's name on the wire.
+
+    Args:
+        name: Full name, for instance sensor_msgs/msg/Imu.
+        prefix: 'service' puts the id of a request in front.
+    """
+    from cyclonedds.idl import annotations, make_idl_struct, types
+
+    package, kind, short = name.split('/')
+    fields: dict[str, Any] = {}
+    if prefix:
+        fields = {'client_guid': types.uint64, 'sequence_number': types.int64}
+    fields.update((f'{n}_', _idl_field(*desc)) for n, desc in interface(name).fields)
+    struct = make_idl_struct(f'{short}_', f'{package}.{kind}.dds_.{short}_', fields)
+    return annotations.final(struct)
+
+
+@cache
+def topic_type(name: str, prefix: str = '') -> Any:
+    """Return the wheel's type of a topic, with its description; see `idl_type`."""
+    found = idl_type(name, prefix)
+    describe(found, f'{name} {prefix} {type_hash(name)}')
+    return found
+
+
+def _idl_field(kind: int, details: Any) -> Any:
+    """Return the wheel's type of a field described by rosbags."""
+    from cyclonedds.idl import types
+
+    if kind == Nodetype.NAME:
+        return idl_type(details)
+    inner, size = details
+    if kind == Nodetype.BASE:
+        if inner == 'string':
+            return types.bounded_str[size] if size else str
+        return bool if inner == 'bool' else getattr(types, inner)
+    one = _idl_field(*inner)
+    if kind == Nodetype.ARRAY:
+        return types.array[one, size]
+    return types.sequence[one, size] if size else types.sequence[one]
+
+
+class Endpoint:
+    """A reader or a writer of one DDS topic."""
+
+    def __init__(
+        self,
+        participant: Participant,
+        topic: str,
+        type_name: str,
+        qos: QoSProfile,
+        user_data: str = '',
+        prefix: str = '',
+    ) -> None:
+        self.participant = participant
+        self.name = topic
+        self.topic = participant.topic(topic, topic_type(type_name, prefix))
+        self._qos = to_dds(qos, f'{user_data}typehash={type_hash(type_name)};')
+        self.entity: Any = None
+
+    @property
+    def gid(self) -> bytes:
+        """The 16 bytes that identify this endpoint."""
+        return bytes(self.entity.get_guid().bytes)
+
+    def delete(self) -> None:
+        """Leave the topic."""
+        delete(self.entity)
+
+
+class Writer(Endpoint):
+    """Sends serialised messages."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        from cyclonedds._clayer import ddspy_write
+        from cyclonedds.internal import DDS
+        from cyclonedds.pub import DataWriter
+
+        super().__init__(*args, **options)
+        library = DDS._dll_handle
+        # Messages then wait for a flush, and many are sent in one packet. The wheel's profiles lack
+        # this setting; a writer keeps its value from creation.
+        library.dds_write_set_batch(c_bool(True))
+        try:
+            self.entity = DataWriter(self.participant.entity, self.topic, qos=self._qos)
+        finally:
+            library.dds_write_set_batch(c_bool(False))
+        self._write = ddspy_write
+        self._flush = library.dds_write_flush
+
+    def write(self, payload: bytes) -> None:
+        """Send one message, its encapsulation header included.
+
+        Raises:
+            ImuCalibError: The middleware refuses it.
+        """
+        self.write_all([payload])
+
+    def write_message(self, message: Message) -> None:
+        """Send a message; errors as of `write`."""
+        self.write(serialize_message(message))
+
+    def write_all(self, payloads: Iterable[bytes]) -> None:
+        """Send messages, as many per packet as fit: each packet costs both ends a call.
+
+        Raises:
+            ImuCalibError: The middleware refuses one; those before it are sent.
+        """
+        try:
+            for payload in payloads:
+                self._put(payload)
+        finally:
+            self._flush(self.entity._ref)
+
+    def _put(self, payload: bytes) -> None:
+        code = self._write(self.entity._ref, payload + bytes(-len(payload) % 4))
+        if code < 0:
+            gone = '' if self.participant.ok() else ': the context is shut down'
+            raise ImuCalibError(f'{self.name}: Cyclone DDS refuses to send ({code}){gone}.')
+
+    def acknowledged(self, timeout_ns: int) -> bool:
+        """Wait until every reliable reader has everything; return whether that is so."""
+        # The wheel's own wait_for_acks raises an error at the timeout.
+        code = int(self.entity._wait_for_acks(self.entity._ref, timeout_ns))
+        return code == 0
+
+    def matched(self) -> int:
+        """Return the number of matching readers."""
+        return len(self.entity.get_matched_subscriptions())
+
+    def user_data_of_readers(self) -> list[bytes]:
+        """Return the user data of all matching readers."""
+        found = map(
+            self.entity.get_matched_subscription_data, self.entity.get_matched_subscriptions()
+        )
+        return [data for data in map(_user_data, found) if data is not None]
+
+    def incompatible(self) -> QoSIncompatibleInfo | None:
+        """Return mismatches since the last call, None without any."""
+        return _incompatible(self.entity.get_offered_incompatible_qos_status())
+
+
+class Reader(Endpoint):
+    """Receives serialised messages."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        from cyclonedds._clayer import ddspy_take
+        from cyclonedds.core import ReadCondition
+        from cyclonedds.sub import DataReader
+
+        super().__init__(*args, **options)
+        self.entity = DataReader(self.participant.entity, self.topic, qos=self._qos)
+        self.condition = ReadCondition(self.entity, _ANY)
+        self._take = ddspy_take
+
+    def drain(self, most: int | None = None) -> list[bytes]:
+        """Return all arrived messages, or at most `most` of the oldest.
+
+        Raises:
+            ImuCalibError: The middleware cannot read.
+        """
+        payloads: list[bytes] = []
+        while most is None or len(payloads) < most:
+            room = _BULK if most is None else min(_BULK, most - len(payloads))
+            taken = self._taken(room)
+            # A sample without data reports that a writer has left.
+            payloads += [payload for payload, info in taken if info.valid_data]
+            if len(taken) < room:
+                break
+        return payloads
+
+    def take(self, most: int, message_type: type[Message]) -> Iterator[Message]:
+        """Yield at most `most` of the oldest messages."""
+        return (deserialize_message(payload, message_type) for payload in self.drain(most))
+
+    def drain_sources(self, most: int = _BULK) -> list[tuple[bytes, bytes]]:
+        """Return the oldest arrived messages, each with the number of its writer, 8 bytes.
+
+        Raises:
+            ImuCalibError: The middleware cannot read.
+        """
+        return [
+            (payload, info.publication_handle.to_bytes(8, 'little'))
+            for payload, info in self._taken(min(most, _BULK))
+            if info.valid_data
+        ]
+
+    def user_data_of(self, source: bytes) -> bytes | None:
+        """Return the user data of a writer, None if it does not match (any more).
+
+        Args:
+            source: Its number, of `drain_sources`.
+        """
+        handle = int.from_bytes(source, 'little')
+        return _user_data(self.entity.get_matched_publication_data(handle))
+
+    def _taken(self, room: int) -> list[Any]:
+        taken = self._take(self.entity._ref, _ANY, room)
+        if isinstance(taken, int):
+            raise ImuCalibError(f'{self.name}: Cyclone DDS cannot take ({taken}).')
+        return list(taken)
+
+    def matched(self) -> int:
+        """Return the number of matching writers."""
+        return len(self.entity.get_matched_publications())
+
+    def incompatible(self) -> QoSIncompatibleInfo | None:
+        """Return mismatches since the last call, None without any."""
+        return _incompatible(self.entity.get_requested_incompatible_qos_status())
+
+    def delete(self) -> None:
+        """Leave the topic."""
+        delete(self.condition)
+        super().delete()
+
+
+class WaitSet:
+    """Waits until any reader has messages, and returns which.
+
+    The wheel's own reports only that some have: asking each reader costs more than most messages.
+
+    Args:
+        participant: Participant of the readers.
+        readers: To wait for.
+    """
+
+    def __init__(self, participant: Participant, readers: Sequence[Reader]) -> None:
+        from cyclonedds import core
+
+        attach, self._call = _waiting()
+        self._entity = core.WaitSet(participant.entity)
+        # An empty wait set does not wait; this one always holds a condition that is never met.
+        self._never = core.GuardCondition(participant.entity)
+        self._found = (c_ssize_t * (len(readers) + 1))()
+        conditions = [*(reader.condition for reader in readers), self._never]
+        for k, condition in enumerate(conditions):
+            _check(attach(self._entity._ref, condition._ref, k))
+
+    def wait(self, nanoseconds: int) -> list[int]:
+        """Return which readers have messages, as ascending indices.
+
+        Raises:
+            TransportError: The wait set or a reader has been deleted.
+        """
+        found = self._found
+        count = self._call(self._entity._ref, found, len(found), nanoseconds)
+        return sorted(found[: _check(count)])
+
+    def delete(self) -> None:
+        """Delete the wait set."""
+        delete(self._entity)
+        delete(self._never)
+
+
+@cache
+def _waiting() -> tuple[Any, Any]:
+    """Return dds_waitset_attach and dds_waitset_wait; those of the wheel keep their own types."""
+    from cyclonedds.internal import DDS
+
+    library, code, entity = DDS._dll_handle, c_int32, c_int32
+    attach = CFUNCTYPE(code, entity, entity, c_ssize_t)
+    wait = CFUNCTYPE(code, entity, c_void_p, c_size_t, c_int64)
+    return attach(('dds_waitset_attach', library)), wait(('dds_waitset_wait', library))
+
+
+def _check(code: int) -> int:
+    if code < 0:
+        raise TransportError(f'Cyclone DDS returns {code} while waiting for messages.')
+    return code
+
+
+def _user_data(endpoint: Any) -> bytes | None:
+    """Return the user data of a description of an endpoint, None if there is none of it."""
+    from cyclonedds.qos import Policy
+
+    if endpoint is None:
+        return None
+    return endpoint.qos[Policy.Userdata].data if Policy.Userdata in endpoint.qos else b''
+
+
+def _incompatible(status: Any) -> QoSIncompatibleInfo | None:
+    if status.total_count_change <= 0:
+        return None
+    kind = _POLICIES.get(status.last_policy_id, 0)
+    return QoSIncompatibleInfo(status.total_count, status.total_count_change, kind)
+
+
+class WireParticipant(Participant):
+    """A participant that makes its endpoints."""
+
+    def reader(
+        self, topic: str, type_name: str, qos: QoSProfile, user_data: str = '', prefix: str = ''
+    ) -> Reader:
+        """Create a reader of a DDS topic."""
+        return Reader(self, topic, type_name, qos, user_data, prefix)
+
+    def writer(
+        self, topic: str, type_name: str, qos: QoSProfile, user_data: str = '', prefix: str = ''
+    ) -> Writer:
+        """Create a writer of a DDS topic."""
+        return Writer(self, topic, type_name, qos, user_data, prefix)
+
+    def wait_set(self, readers: Sequence[Reader]) -> WaitSet:
+        """Create what waits for messages of readers.
+
+        Raises:
+            TransportError: A reader was deleted.
+        """
+        from cyclonedds.core import DDSException
+
+        try:
+            return WaitSet(self, readers)
+        except DDSException as error:
+            raise TransportError(str(error)) from error

@@ -1,0 +1,1 @@
+"""ROOM stand.nodes"""

@@ -1,0 +1,398 @@
+"""calibrator_node: records a journal and publishes the 24 parameters as they are determined."""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ...common.errors import InputError
+from ...common.files import user_path
+from ...recordings.kinds import Kind
+from ...reports.remaining import reading_sentence
+from .. import middleware as ros
+from ..middleware import messages
+from . import qos
+from .declared import declare
+from .diagnostics import Diagnostics, Level
+from .entry import entry_point
+from .live import SessionPhase
+from .parameters import StatedUnit, declared_units
+from .session_factory import SessionFactory
+from .session_reports import IMU_TIMEOUT, journal_sentence, session_sentence
+from .sessions import Sessions
+from .topics import Subscriptions, topics_of_table, topics_of_unit
+from .turntable_state import TurntableStateIntake
+from .unit_results import UnitResults
+from .units_progress import progress_of_all
+
+_TICK = 0.02
+"""s: twenty samples at 1 kHz; a queue of the middleware holds many times that. The fixed cost of a
+round is paid for every unit: for eight units at 1 kHz 14 % of a core, and 43 % with rounds of
+5 ms."""
+_SECOND = 1.0
+"""s between checks of what changes slowly: publishers, disk, report texts."""
+_LAST_TAKE = 1.0
+"""s to process pending data when the node is stopped. A judgement: a person waits no longer after
+Ctrl-C, and a launcher kills the process five seconds later, before which the journal must close."""
+_GROWTH = 1.5
+"""Growth of the data between two reviews in step with a simulation. A choice: ten reviews of a
+session, each of which the person sees."""
+_NEAR_THE_END = 20.0
+"""s left of a plan below which its table may wait for a review. A choice: it is on its way home."""
+_GLANCE = 0.25
+"""s between two reviews of a session in the hand: a person who holds still waits for the result."""
+
+
+class CalibratorNode(ros.Node):
+    """Feeds the same `Calibrator` as `imu-calib calibrate`, and publishes its results.
+
+    Each of several units on one table has a session and a namespace; topics without a namespace
+    concern all units.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('calibrator_node')
+        self._units, description = declared_units(self)
+        # Plan, table and site are common to all units.
+        self._setup = self._units[0].setup
+        self._several = bool(self._units[0].name)
+        table, plan = self._setup.table, self._setup.plan
+        self._steps = len(plan.positions if table is None else plan.steps(table))
+        output = declare(
+            self,
+            'output',
+            'calibration.yaml',
+            'file that takes the result; of several units the folder, which gets SERIAL.yaml',
+        )
+        self._output = user_path(output)
+        journal = user_path(
+            declare(self, 'journal', 'journal', 'folder of the recording; resumed if unfinished')
+        )
+        self._imu_timeout = declare(
+            self,
+            'imu_timeout',
+            IMU_TIMEOUT,
+            'longest silence of the IMU against the table, s',
+            lower=0.01,
+        )
+        steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
+        stand = f'{len(self._units)} units' if self._several else self._setup.imu.id
+        self._diagnostics = Diagnostics(self, stand)
+        self._results = [
+            UnitResults(self, unit.setup, unit.name, self._file_of(unit), self._diagnostics)
+            for unit in self._units
+        ]
+        self._common = self._open_common_topics() if self._several else None
+        self._of_table = Subscriptions(self, topics_of_table(self._setup))
+        self._of_units = [
+            Subscriptions(self, topics_of_unit(unit.setup, unit.name, unit.topic))
+            for unit in self._units
+        ]
+        self._latest = 0
+        self._turntable = TurntableStateIntake(self, plan, self._steps, self._diagnostics)
+        if self._setup.table is not None:
+            self.create_subscription(
+                messages.TurntableState, 'turntable/state', self._on_state, qos.latched(), raw=True
+            )
+        self.create_service(ros.Trigger, '~/solve', self._on_solve)
+        self.create_service(ros.Trigger, '~/reset', self._on_reset)
+        self.create_service(ros.Trigger, '~/save', self._on_save)
+        state = None if table is None else self._turntable.topic
+        self._told_at = -math.inf
+        self._factory = SessionFactory(self._units, description, journal, state, self._tell_read)
+        self._sessions = self._new_sessions()
+        self.create_timer(_TICK, self._on_tick, clock=steady)
+        self.create_timer(_SECOND, self._on_second, clock=steady)
+        if self._setup.table is None:
+            # A person reads the advice while holding still.
+            self.create_timer(_GLANCE, self._on_glance, clock=steady)
+
+    def stop(self) -> list[Any]:
+        """Close the journal so that the next start can resume it."""
+        end = time.monotonic() + _LAST_TAKE
+        while self._take_all() and time.monotonic() < end:
+            # A round takes a limited number of messages from each topic.
+            pass
+        self._sessions.close()
+        self._publish_progress()
+        publishers = [p for results in self._results for p in (results.progress, results.result)]
+        return publishers if self._common is None else [*publishers, *self._common]
+
+    def _file_of(self, unit: StatedUnit) -> Path:
+        """Return the file of a unit's result."""
+        if not self._several:
+            return self._output
+        # As bringup.launch.py expects it.
+        return self._output / f'{unit.setup.serial_number}.yaml'
+
+    def _open_common_topics(self) -> tuple[Any, Any]:
+        """Open the topics without a namespace, and the services that exclude a unit."""
+        try:
+            self._output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f'Parameter output: {self._output}: {error.strerror}.') from None
+        for place, unit in enumerate(self._units):
+            self.create_service(
+                ros.Trigger, f'~/leave_out/{unit.name}', partial(self._on_leave_out, place)
+            )
+        latched = qos.latched(len(self._units))
+        return (
+            self.create_publisher(
+                messages.CalibrationProgress, 'calibration/progress', qos.latched()
+            ),
+            self.create_publisher(messages.ImuCalibration, 'calibration', latched),
+        )
+
+    def _new_sessions(self) -> Sessions:
+        """Begin a session, or resume the one in the journal."""
+        of_units = [subscriptions.topics for subscriptions in self._of_units]
+        sessions = self._factory.begin(self._of_table.topics, of_units)
+        self._reviewed = 0
+        for subscriptions, results in zip(self._of_units, self._results, strict=True):
+            subscriptions.begin()
+            results.begin()
+        held = sessions.held
+        path = sessions.journal.path
+        resumed = f'The session is resumed from {path}, which holds {held} messages.'
+        if held:
+            self._diagnostics.report('journal', Level.WARN, resumed)
+        elif sessions.journal.losses:
+            self._diagnostics.report('journal', Level.WARN, ' '.join(sessions.journal.losses))
+        else:
+            self._diagnostics.report('journal', Level.OK, journal_sentence(path))
+        return sessions
+
+    def _tell_read(self, share: float) -> None:
+        """Tell now and then how much of a journal is read: until then the node does not answer."""
+        now = time.monotonic()
+        if now - self._told_at > _SECOND:
+            self._told_at = now
+            self._diagnostics.report('journal', Level.OK, reading_sentence(share))
+            self._diagnostics.publish()
+
+    def _on_tick(self) -> None:
+        self._take_all()
+        for place in self._sessions.poll():
+            self._publish(place)
+
+    def _read_clock(self) -> int:
+        """Return the time of the recording, ns; 0 before the first /clock of a simulated time."""
+        now = int(self.get_clock().now().nanoseconds)
+        if now < self._latest:
+            back = (self._latest - now) * 1e-9
+            self._diagnostics.report(
+                'time',
+                Level.WARN,
+                f'The clock jumped back by {back:.3g} s: messages are recorded with the time '
+                'before the jump until it is reached again.',
+            )
+        elif now == 0:
+            self._diagnostics.report(
+                'time',
+                Level.WARN,
+                'There is no message on /clock yet: until there is one, all data are ignored.',
+            )
+        else:
+            self._diagnostics.report('time', Level.OK, 'The clock runs.')
+        self._latest = max(now, self._latest)
+        return self._latest
+
+    def _take_all(self) -> bool:
+        """Take a limited number of new messages per topic; return whether there were any."""
+        now = self._read_clock()
+        if now == 0:
+            # A log time before the clock starts would make the recording decades long.
+            return False
+        self._turntable.record(self._sessions, now)
+        came = False
+        for kind, payloads in self._of_table.take():
+            self._sessions.take_common(kind, payloads, now)
+            came = True
+        for place, subscriptions in enumerate(self._of_units):
+            came = self._take_of(place, subscriptions, now) or came
+        return came
+
+    def _take_of(self, place: int, subscriptions: Subscriptions, now: int) -> bool:
+        """Take new messages of a unit; return whether there were any."""
+        session, came = self._sessions.all[place], False
+        for kind, payloads in subscriptions.take():
+            came = True
+            # Samples of a second device cannot be distinguished from those of the first.
+            two = kind is Kind.IMU and not session.is_over and subscriptions.two_devices
+            if two and session.backwards(kind, payloads):
+                self._two_publishers(place)
+            elif not session.is_over:
+                session.take(kind, payloads, now)
+        return came
+
+    def _on_glance(self) -> None:
+        for session in self._sessions.all:
+            session.solve()
+
+    def _on_second(self) -> None:
+        """Check publishers and journal, and begin a round of reviews."""
+        for subscriptions in (self._of_table, *self._of_units):
+            for topic in subscriptions.subscribe_anew():
+                self._diagnostics.report(
+                    'quality of service',
+                    Level.WARN,
+                    f'{topic} is published best effort: messages can be lost on the way.',
+                )
+        for place, subscriptions in enumerate(self._of_units):
+            if subscriptions.two_devices_persist() and not self._sessions.all[place].is_over:
+                self._two_publishers(place)
+        self._turntable.check_publishers(time.monotonic())
+        self._sessions.flush()
+        if self._review_is_due():
+            self._sessions.solve()
+        self._report()
+        self._publish_progress()
+
+    def _review_is_due(self) -> bool:
+        """Return whether it is time for a review; the solver itself pauses between two.
+
+        In step with a simulation a review holds everything up. There is one whenever the data has
+        grown by half, and whenever the table may wait for one: at the end of its plan.
+        """
+        if not ros.in_step() or not self._turntable.seconds_left > _NEAR_THE_END:
+            return True
+        held = self._sessions.held
+        due = held > _GROWTH * self._reviewed
+        if due:
+            self._reviewed = held
+        return due
+
+    def _two_publishers(self, place: int) -> None:
+        session = self._sessions.all[place]
+        topic = session.intakes[Kind.IMU].topic
+        session.fail(f'Two publishers on {topic}: stop one of them, then call ~/reset.')
+        self._publish(place)
+
+    def _on_state(self, payload: bytes) -> None:
+        state = ros.deserialize_message(payload, messages.TurntableState)
+        self._turntable.keep(payload)
+        self._take_all()
+        if self._turntable.take(state, self._sessions, time.monotonic()):
+            for place in range(len(self._units)):
+                self._publish(place)
+
+    def _publish(self, place: int) -> None:
+        """Publish a unit's calibration if it changed, and its progress."""
+        last = self._results[place].publish(self._sessions.all[place])
+        if last is not None and self._common is not None:
+            _, results = self._common
+            results.publish(last)
+        self._report()
+        self._publish_progress()
+
+    def _publish_progress(self) -> None:
+        sessions = self._sessions
+        each = [
+            results.publish_progress(session, self._steps, self._turntable.seconds_left)
+            for results, session in zip(self._results, sessions.all, strict=True)
+        ]
+        if self._common is not None:
+            progress, _ = self._common
+            progress.publish(progress_of_all(sessions, each, self._imu_timeout, self._output))
+
+    def _report(self) -> None:
+        for place, results in enumerate(self._results):
+            if place in self._sessions.left_out:
+                results.report_part(
+                    'calibration', Level.WARN, 'The unit is left out of this session.'
+                )
+            else:
+                results.report(self._sessions.all[place], self._imu_timeout)
+
+    def _on_solve(self, _: Any, response: Any) -> Any:
+        """End the session with the data received so far."""
+        sessions = self._sessions
+        first = sessions.all[0]
+        response.success = not sessions.is_over
+        response.message = self._sentence()
+        review = first.review
+        if self._setup.table is None and review is not None and review.result is None:
+            # In the hand another hold is always possible.
+            response.success, response.message = False, review.refusal
+        if response.success:
+            sessions.end()
+            topic = self.resolve_topic_name('calibration')
+            response.message = (
+                f'The calibration is being computed; it will be published on {topic}.'
+            )
+        return response
+
+    def _sentence(self) -> str:
+        """Return a sentence on the progress of the session or its fault."""
+        sentences = [session_sentence(session) for session in self._sessions.all]
+        if not self._several:
+            return sentences[0]
+        names = [unit.setup.serial_number for unit in self._units]
+        return ' '.join(f'{name}: {words}' for name, words in zip(names, sentences, strict=True))
+
+    def _on_leave_out(self, place: int, _: Any, response: Any) -> Any:
+        """Continue without a unit, for instance a silent one that delays the others."""
+        sessions, serial = self._sessions, self._units[place].setup.serial_number
+        alone = sessions.open == [sessions.all[place]]
+        if place in sessions.left_out:
+            response.success, response.message = False, f'{serial} is left out already.'
+        elif sessions.is_over:
+            # Its recording is closed.
+            response.success = False
+            response.message = f'The session is over: {serial} is not left out.'
+        elif alone or sessions.all[place].phase is SessionPhase.FINISHED:
+            what = 'is the last unit' if alone else 'has its result'
+            response.success, response.message = False, f'{serial} {what}: it is not left out.'
+        else:
+            sessions.leave_out(place)
+            response.success = True
+            response.message = f'{serial} is left out; the session goes on with the others.'
+            self._publish(place)
+        return response
+
+    def _on_reset(self, _: Any, response: Any) -> Any:
+        """Begin a new session with a new journal, unless the table is in the middle of one."""
+        before, turntable = self._sessions, self._turntable
+        if turntable.runs and not before.is_over and self.count_publishers(turntable.topic):
+            response.success = False
+            response.message = (
+                'The table runs its plan, and a new session would lack the steps before. Abort '
+                'the plan at turntable_node, call ~/reset, and start it anew.'
+            )
+            return response
+        try:
+            self._sessions = self._new_sessions()
+        except InputError as error:
+            # The running session continues.
+            response.success, response.message = False, str(error)
+        else:
+            before.close()
+            response.success = True
+            response.message = f'A new session is written to {self._sessions.journal.path}.'
+            if turntable.paused:
+                response.message += (
+                    ' The plan is paused, and resuming it would run the rest alone: abort it to '
+                    'run all steps.'
+                )
+        self._publish_progress()
+        return response
+
+    def _on_save(self, _: Any, response: Any) -> Any:
+        """Write the parameters determined so far."""
+        problems = [
+            f'{unit.setup.serial_number}: {problem}' if self._several else problem
+            for unit, results, session in zip(
+                self._units, self._results, self._sessions.all, strict=True
+            )
+            if (problem := results.save(session))
+        ]
+        response.success = not problems
+        response.message = ' '.join(problems) or f'{self._output} is written.'
+        return response
+
+
+if __name__ == '__main__':
+    raise SystemExit(entry_point(CalibratorNode))

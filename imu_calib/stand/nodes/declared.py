@@ -1,0 +1,54 @@
+"""Declare, describe and check parameters of a node in one call."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from ...common.errors import InputError
+from ..middleware import FloatingPointRange, IntegerRange, Node, ParameterDescriptor
+
+
+def declare(
+    node: Node,
+    name: str,
+    default: Any,
+    description: str,
+    *,
+    lower: float | None = None,
+    upper: float | None = None,
+    read_only: bool = True,
+) -> Any:
+    """Declare a parameter and return its value.
+
+    Args:
+        node: Declares the parameter.
+        name: Of the parameter.
+        default: Value if none is given; its type is the parameter's.
+        description: One line with the unit, as `ros2 param describe` shows it.
+        lower: Smallest accepted value, None for no limit.
+        upper: Largest accepted value, None for no limit.
+        read_only: Whether it cannot change after the start.
+
+    Raises:
+        InputError: The given value has another type or lies outside the range.
+    """
+    described = ParameterDescriptor(description=description, read_only=read_only)
+    ranged = lower is not None or upper is not None
+    if ranged and isinstance(default, float):
+        low, high = -math.inf if lower is None else lower, math.inf if upper is None else upper
+        described.floating_point_range = [
+            FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)
+        ]
+    elif ranged:
+        low, high = -(2**62) if lower is None else lower, 2**62 if upper is None else upper
+        described.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    try:
+        value = node.declare_parameter(name, default, described).value
+    except Exception as error:
+        # The two runtimes raise the same error for a wrong type, different ones for a wrong range.
+        raise InputError(f'Parameter {name}: {error}') from error
+    if ranged and not math.isfinite(value):
+        # A time that never ends is no watchdog, and NaN is within the range for rclpy.
+        raise InputError(f'Parameter {name}: found {value}, expected a finite number.')
+    return value

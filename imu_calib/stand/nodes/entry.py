@@ -1,0 +1,41 @@
+"""Start and end of every node's program."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from ...common.errors import ImuCalibError
+from ...common.lifetime import end_with_parent
+from .programs import run
+
+_M_ARENA_MAX = -8
+"""Constant of mallopt(3), glibc's malloc.h."""
+
+
+def entry_point(node: Callable[[], Any]) -> int:
+    """Run a node until a signal ends it; return the exit code.
+
+    An error of the user is reported in a sentence: code 2 for wrong usage or unreadable input.
+    """
+    share_one_heap()
+    end_with_parent()
+    try:
+        run(node, ends=True)
+    except ImuCalibError as error:
+        print(f'{getattr(node, "__name__", "node")}: {error}', file=sys.stderr)  # noqa: T201
+        return error.exit_code
+    return 0
+
+
+def share_one_heap() -> None:
+    """Let future threads allocate from one heap.
+
+    glibc gives each thread a heap, and threads cannot use each other's free memory: calibrator_node
+    grew by 1.2 MB with each session (`benchmarks/soak.py`). Other C libraries have no such setting.
+    """
+    with suppress(AttributeError, OSError):
+        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)

@@ -1,0 +1,327 @@
+"""A session that is recorded and solved while it runs; independent of the middleware."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import IntEnum
+
+# Loaded here, because loading at the first solution would make a table wait.
+import scipy.linalg
+import scipy.special  # noqa: F401
+
+from ...calibration.calibration import Calibration
+from ...calibration.calibrator_results import Review
+from ...calibration.guidance import Guidance, Stage
+from ...calibration.hand import HandReview
+from ...common.errors import ImuCalibError
+from ...common.stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
+from ...estimation.setup import Setup
+from ...model.model_parameters import Parameter
+from ...recordings.kinds import Kind
+from ...recordings.messages import Malformed, Messages
+from .calibrator_feed import CalibratorFeed
+from .former_session import FormerSession
+from .intake import TopicIntake
+from .shared import JournalPart, SolverPart
+
+_LATE = 500_000_000
+"""ns by which the last samples may be older than the table's last message: half a second of
+delay."""
+_PATIENCE = 2.0
+"""s to wait for data older than the table's last message; later data is lost."""
+
+
+class SessionPhase(IntEnum):
+    """As in imu_calib_msgs/CalibrationProgress."""
+
+    WAITING = 0
+    COLLECTING = 1
+    DETERMINED = 2
+    FINISHED = 3
+    FAILED = 4
+
+
+class LiveSession:
+    """Records messages in the journal, feeds the calibrator, and solves in a separate thread.
+
+    The final result equals that of `imu-calib calibrate` on the journal, bit for bit: the same
+    calibrator receives the same messages, and a snapshot of it is solved.
+
+    Attributes:
+        setup: What is calibrated, and how.
+        journal: Its part of the recording.
+        intakes: The topics by content.
+        phase: Progress of the session.
+        failure: Why it failed, else empty.
+        notes: Messages for the user in addition to the calibration's findings.
+        review: Result of the last solution; None before the first.
+        calibration: The result so far; None while it is not determined.
+        worked_until: Stamp up to which the last review reaches, ns: of the joints, of the IMU
+            without a table.
+        frame_id: The IMU's frame.
+        steps_seen: Steps of the plan that have been commanded: up to the last one seen.
+
+    Args:
+        setup: What is calibrated, and how.
+        journal: Its part of the recording.
+        topics: Full topic names by content; a skewed gyro is expected if its topic is among them.
+        solver: Solves the session.
+        solved: The set-up used to solve: without the plan for a unit whose axes differ from the
+            plan's.
+
+    Raises:
+        InputError: The method cannot solve the plan.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        journal: JournalPart,
+        topics: dict[Kind, str],
+        solver: SolverPart,
+        solved: Setup,
+    ) -> None:
+        self.setup = setup
+        self.journal = journal
+        self._solved = solved
+        now = time.monotonic()
+        self.intakes = {k: TopicIntake(k, topic, Malformed(), now) for k, topic in topics.items()}
+        self.phase = SessionPhase.WAITING
+        self.failure = ''
+        self.notes: list[str] = []
+        self.review: Review | None = None
+        self.calibration: Calibration | None = None
+        self.worked_until = 0
+        self.frame_id = ''
+        self.steps_seen = 0
+        self._feed = CalibratorFeed(solved, topics)
+        self._solver = solver
+        self._ending = False
+        self._done_at: int | None = None
+        self._done_received_at = 0.0
+        self._former: FormerSession | None = None
+
+    @property
+    def trouble(self) -> str:
+        """The present fault of the journal, else empty."""
+        return self.journal.trouble
+
+    @property
+    def without_skew(self) -> bool:
+        """Whether the session continues without a skewed gyro."""
+        return self._feed.without_skew
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no more messages are accepted."""
+        return self.phase in {SessionPhase.FINISHED, SessionPhase.FAILED}
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters that the session's method estimates."""
+        return self._solved.parameters
+
+    @property
+    def guidance(self) -> Guidance | None:
+        """The next action for a person with the unit in hand; None on a table."""
+        return self.review.guidance if isinstance(self.review, HandReview) else None
+
+    @property
+    def _leader(self) -> TopicIntake:
+        """The topic that determines the progress of the session."""
+        return self.intakes[Kind.JOINTS if Kind.JOINTS in self.intakes else Kind.IMU]
+
+    @property
+    def _closed(self) -> bool:
+        """Whether no more data is accepted: the recording must hold the data of the result only."""
+        return self.is_over or self._solver.concludes
+
+    def take(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
+        """Take serialised messages of a topic.
+
+        Args:
+            kind: Content of the topic.
+            payloads: At least one message.
+            now: Host time, ns.
+        """
+        if self._closed:
+            return
+        intake = self.intakes[kind]
+        if kind is Kind.SKEW and self.without_skew:
+            # The recording must hold the data of the result only.
+            return
+        if kind is Kind.SETPOINTS:
+            sound = [p for p in payloads if self._of_the_plan(p)]
+            intake.ignored += len(payloads) - len(sound)
+            if not sound:
+                return
+            payloads = sound
+        messages = Messages.join(payloads)
+        blocks = list(kind.decode(messages, intake.malformed))
+        if self._former is not None and (why := self._former.adjust_to_journal(intake, blocks)):
+            self.fail(why, finished=False)
+            return
+        self.journal.write(intake.topic, kind.type_name, messages, now)
+        intake.received_at = time.monotonic()
+        for block in blocks:
+            if isinstance(block, ImuBlock) and len(block):
+                self._name_the_gap(int(block.stamp[0]))
+                self.frame_id = block.frame_id
+            self._take_in(kind, block)
+
+    def feed_former(self, kind: Kind, block: Block) -> None:
+        """Take a block from the session before a crash."""
+        self._take_in(kind, block)
+
+    def end_of_journal(self, losses: Sequence[str]) -> None:
+        """Record that the old journal has been read, and which parts could not be."""
+        self.notes += losses
+        self._former = FormerSession(self.journal.path, self.intakes)
+
+    def record(self, topic: str, type_name: str, payload: bytes, now: int) -> None:
+        """Record a message that calibration does not use."""
+        if not self._closed:
+            self.journal.write(topic, type_name, Messages.join([payload]), now)
+
+    def backwards(self, kind: Kind, payloads: Sequence[bytes]) -> bool:
+        """Return whether messages are older than earlier ones, thus from a second publisher."""
+        newest = self.intakes[kind].newest
+        blocks = kind.decode(Messages.join(payloads), Malformed())
+        return newest is not None and any(
+            bool((block.stamp <= newest).any()) for block in blocks if isinstance(block, ImuBlock)
+        )
+
+    def flush(self) -> None:
+        """Secure the received data, and retry what a full disk refused."""
+        if not self.is_over and not self.journal.flush():
+            self.fail(f'{self.trouble} The buffer in memory is full, too.')
+
+    def table_done(self, stamp: int) -> None:
+        """Record that the table completed its plan, at a stamp in ns."""
+        if self._done_at is None:
+            self._done_at, self._done_received_at = stamp, time.monotonic()
+
+    def table_running(self) -> None:
+        """Record that the table runs."""
+        self._done_at = None
+
+    def end(self) -> None:
+        """Solve the received data for the final result."""
+        if not self.is_over:
+            self._ending = True
+            if self._feed.calibrator is None:
+                self._fail_if(self._feed.begin(with_skew=self.intakes[Kind.SKEW].count > 0))
+            self.solve()
+
+    def solve(self) -> None:
+        """Begin to solve the received data, unless a solution is running."""
+        calibrator = self._feed.calibrator
+        if not (self._solver.busy or self.is_over or calibrator is None):
+            until = self._leader.newest or 0
+            self._solver.begin(calibrator, until, final=self._ending)
+
+    def poll(self) -> bool:
+        """Check for results of the solver and for the end; return whether there is news."""
+        if self._done_at is not None and not self._ending and self._all_here(self._done_at):
+            self.end()
+        solved = self._solver.poll()
+        if solved is None or self.is_over:
+            return False
+        try:
+            self.review = solved.future.result()
+        except ImuCalibError as error:
+            self.fail(str(error))
+            return True
+        self.worked_until = solved.until
+        self._conclude(self.review, final=solved.final)
+        return True
+
+    def fail(self, reason: str, *, finished: bool = True) -> None:
+        """End the session without a result.
+
+        Args:
+            reason: Why.
+            finished: Whether the journal is kept for inspection only; else it can be resumed.
+        """
+        self.phase = SessionPhase.FAILED
+        self.failure = reason
+        self.calibration = None
+        self.journal.close(finished=finished)
+
+    def close(self) -> None:
+        """Close the journal so that it can be resumed."""
+        self._solver.close()
+        if not self.is_over:
+            self.journal.close(finished=False)
+
+    def _all_here(self, done_at: int) -> bool:
+        """Return whether all data up to the table's last message has been received."""
+        awaited = {Kind.IMU: _LATE, Kind.JOINTS: 0}
+        if Kind.SKEW in self.intakes and not self.without_skew:
+            awaited[Kind.SKEW] = _LATE
+        newest = [(self.intakes[kind].newest, late) for kind, late in awaited.items()]
+        if all(stamp is not None and stamp >= done_at - late for stamp, late in newest):
+            return True
+        return time.monotonic() - self._done_received_at > _PATIENCE
+
+    def _conclude(self, review: Review, *, final: bool) -> None:
+        """Take the result of a solution."""
+        result = review.result
+        if final:
+            self._finish(review)
+        elif self._ending:
+            # This solution began before the last data came.
+            self.solve()
+        elif result is not None and not self.trouble:
+            self.phase = SessionPhase.DETERMINED
+            self.calibration = self._with_notes(result.calibration)
+            if self.guidance is not None and self.guidance.stage is Stage.ENOUGH:
+                self.end()
+        elif self.intakes[Kind.IMU].count:
+            self.phase = SessionPhase.COLLECTING
+            self.calibration = None
+
+    def _finish(self, review: Review) -> None:
+        if review.result is None:
+            self.fail(review.refusal)
+        elif self.journal.close(finished=True):
+            self.phase = SessionPhase.FINISHED
+            self.calibration = self._with_notes(review.result.calibration)
+        else:
+            self.fail(f'The session cannot be saved: {self.trouble}')
+
+    def _with_notes(self, calibration: Calibration) -> Calibration:
+        provenance = {'recording': self.journal.path.name, **calibration.provenance}
+        findings = (*calibration.findings, *self.notes)
+        return replace(calibration, provenance=provenance, findings=findings)
+
+    def _take_in(self, kind: Kind, block: Block) -> None:
+        if isinstance(block, SetpointBlock):
+            # A held table does not approach a step.
+            name = self.setup.plan.name
+            steps = [s.step for s in block.setpoints if s.plan == name and s.mode is not Mode.HOLD]
+            self.steps_seen = max([self.steps_seen, *(step + 1 for step in steps)])
+        strange = isinstance(block, JointBlock) and not self._of_the_table(block)
+        self.intakes[kind].note(block, strange=strange)
+        self._fail_if(self._feed.feed(block, self.intakes))
+
+    def _fail_if(self, reason: str) -> None:
+        if reason:
+            self.fail(reason)
+
+    def _of_the_plan(self, payload: bytes) -> bool:
+        """Return whether a setpoint belongs to the plan; those of other plans are foreign."""
+        blocks = Kind.SETPOINTS.decode(Messages.join([payload]), Malformed())
+        named = {s.plan for b in blocks if isinstance(b, SetpointBlock) for s in b.setpoints}
+        return not named or self.setup.plan.name in named
+
+    def _of_the_table(self, block: JointBlock) -> bool:
+        """Return whether joint states are the table's: other joints may share its topic."""
+        table = self.setup.table
+        return table is None or block.of(table.names) is not None
+
+    def _name_the_gap(self, first: int) -> None:
+        if self._former is not None and (words := self._former.gap(first)):
+            self.notes.append(words)

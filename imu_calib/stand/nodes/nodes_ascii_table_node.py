@@ -1,0 +1,124 @@
+"""ascii_table_node: driver of a turntable with an ASCII line protocol; see docs/tables.md."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ...recordings.cdr_codec import encode_joints
+from ...session.table import load_table
+from ..middleware import Clock, ClockType, Node, messages, publish_all
+from ..table_driver import Follower
+from ..table_guard import Guard
+from ..table_line import Line, tcp_address
+from . import qos
+from .ascii_table_node import Control
+from .commands import Commands
+from .declared import declare
+from .diagnostics import Diagnostics, Level
+from .entry import entry_point
+
+_PERIOD = 0.005
+"""s: half the period of a table that answers at 100 Hz, so that no answer waits for the next
+poll."""
+_REPORT_PERIOD = 0.25
+"""s: diagnostics are published at most four times a second."""
+_PATIENCE = 3.0
+"""s to wait for the answer to STOP when the node ends: several times that of a slow line; a
+choice."""
+
+
+class AsciiTableNode(Node):
+    """Follows turntable/setpoint and publishes turntable/joint_states.
+
+    A thread communicates with the controller. Publishing waits for slow subscribers; no setpoint is
+    read during that time, and the thread stops the table.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('ascii_table_node')
+        table = load_table(declare(self, 'table', 'three_axis', 'Name or file of the table.'))
+        port = declare(self, 'port', '', 'Serial port or socket://host:port of the controller.')
+        tcp_address(port)  # Refuses what cannot be.
+        baud = declare(self, 'baud', 115200, 'Baud rate of a serial port, bit/s.', lower=50)
+        reply = declare(
+            self, 'reply_timeout', 0.2, 'Longest wait for a reply, s.', lower=0.01, upper=0.4
+        )
+        rate = declare(
+            self, 'joint_state_rate', 50.0, 'How often the axes are read, Hz.', lower=5.0, upper=1e3
+        )
+        timeout = declare(
+            self,
+            'setpoint_timeout',
+            0.5,
+            'The table stops when no setpoint has come for so long, s.',
+            lower=0.1,
+            upper=2.0,
+        )
+        age = declare(
+            self, 'setpoint_age', 0.5, "Greatest age of a setpoint's stamp, s.", lower=0.01
+        )
+        self._port = port
+        self._control = Control(
+            lambda: Line(port, baud, reply),
+            Follower(table, timeout, age),
+            table.names,
+            self._now,
+            1 / rate,
+            Guard(),
+        )
+        self._diagnostics = Diagnostics(self, table.name)
+        self._joints = self.create_publisher(
+            messages.JointState,
+            'turntable/joint_states',
+            qos.stream(),
+            qos_overriding_options=qos.overridable(),
+        )
+        self._commands = Commands(self, timeout)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_PERIOD, self._work, clock=steady)
+        self.create_timer(_REPORT_PERIOD, self._report, clock=steady)
+        self._control.start()
+
+    def stop(self) -> Sequence[Any]:
+        """Stop the table; nothing is published afterwards that must be delivered."""
+        if not self._control.stop(_PATIENCE):
+            self.get_logger().fatal(
+                f'The controller on {self._port} does not answer the last stop; '
+                'its own watchdog must stop the table.'
+            )
+        return []
+
+    def destroy_node(self) -> None:
+        """Stop the table too if the context ended before the node: then `stop` is not called."""
+        # A node that a wrong parameter ended as it began has no control.
+        if hasattr(self, '_control'):
+            self._control.stop(_PATIENCE)
+        super().destroy_node()
+
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _work(self) -> None:
+        self._commands.dispatch(self._control.command)
+        block = self._control.take()
+        if block is not None:
+            publish_all(self._joints, encode_joints(block).payloads())
+
+    def _report(self) -> None:
+        """Report the controller, and whose setpoints it follows."""
+        self._commands.report(self._diagnostics)
+        status = self._control.status
+        self._diagnostics.report(
+            'controller',
+            Level.OK if status.open else Level.ERROR,
+            status.text,
+            port=self._port,
+            bad_replies=str(status.bad),
+            line_breaks=str(status.breaks),
+        )
+        self._diagnostics.report_fault('setpoints', status.refusal, 'No setpoint is refused.')
+
+
+if __name__ == '__main__':
+    raise SystemExit(entry_point(AsciiTableNode))

@@ -1,0 +1,140 @@
+"""Declare the set-up of a session as parameters of a node."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from ...common.errors import InputError
+from ...common.stream import Floats
+from ...common.units import DEG
+from ...estimation.setup import Setup
+from ...model.earth import Site
+from ...model.session_terms import split_terms
+from ...model.terms import AUTO_TERMS, asks_for_search, named_terms
+from ...session.imu import load_imu
+from ...session.metadata import describe, shared_description
+from ...session.plan import UNPLANNED, load_plan
+from ...session.table import load_table
+from ...session.units_file import load_units, remaining
+from ..middleware import Node
+from .declared import declare
+
+
+@dataclass(frozen=True, eq=False)
+class StatedUnit:
+    """A unit whose samples a node receives.
+
+    Attributes:
+        setup: What is calibrated, and how.
+        name: Of its namespace; empty for a single unit.
+        imu: Name or file of its type.
+        topic: Topic of its samples; empty: imu/pulses in its namespace.
+        mount: (3, 3) rotation of its axes against those of the plan; None if they are equal.
+    """
+
+    setup: Setup
+    name: str
+    imu: str
+    topic: str = ''
+    mount: Floats | None = None
+
+    @property
+    def solved(self) -> Setup:
+        """The set-up used to solve its session.
+
+        A unit whose axes differ from the plan's is solved without the plan, from the attitudes of
+        the joint states.
+        """
+        return self.setup if self.mount is None else replace(self.setup, plan=UNPLANNED)
+
+
+def declared_units(node: Node) -> tuple[tuple[StatedUnit, ...], dict[str, str]]:
+    """Declare and read the set-up of a session with one unit or several.
+
+    Returns:
+        The units without the excluded ones, and recording entries that describe what they share; of
+        a single unit, the unit too.
+
+    Raises:
+        InputError: As `declared_setup`; the units' file is broken, or leaves no unit.
+    """
+    setup, description = declared_setup(node)
+    file = declare(node, 'units', '', 'file of the units where several are mounted; empty: one')
+    without = declare(node, 'without', '', 'serial numbers of units to be left out, commas between')
+    if not file:
+        return (StatedUnit(setup, '', str(node.get_parameter('imu').value)),), description
+    if setup.table is None:
+        raise InputError(f'Parameter units: plan {setup.plan.name} is for one unit in the hand.')
+    units = tuple(
+        StatedUnit(
+            setup.of_unit(unit, load_imu(unit.imu)),
+            unit.name,
+            unit.imu,
+            unit.named_topic,
+            unit.mount if unit.turned else None,
+        )
+        for unit in remaining(load_units(file), without)
+    )
+    return units, shared_description(description)
+
+
+def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
+    """Declare and read the set-up of a session.
+
+    Returns:
+        The set-up, and recording entries that describe it.
+
+    Raises:
+        InputError: A file is missing or broken, or the latitude is not stated.
+    """
+    plan = declare(node, 'plan', 'twelve_position', 'name or file of the plan that is run')
+    imu = declare(node, 'imu', 'fog_medium', 'name or file of the IMU')
+    table = declare(node, 'table', 'three_axis', 'name or file of the turntable')
+    latitude = declare(node, 'latitude', math.nan, 'deg, negative in the south; required')
+    latitude_std = declare(node, 'latitude_std', math.nan, 'deg; nan: 0.01')
+    height = declare(node, 'height', math.nan, 'm above the ellipsoid; nan: not known')
+    height_std = declare(node, 'height_std', math.nan, 'm; nan: 0 where a height is stated')
+    gravity = declare(
+        node, 'gravity', math.nan, 'local gravity as measured, m/s^2; nan: normal gravity'
+    )
+    gravity_std = declare(
+        node, 'gravity_std', math.nan, 'm/s^2; nan: 0 if measured, 30e-5 if normal'
+    )
+    azimuth = declare(
+        node, 'azimuth', math.nan, "heading of the table's zero, deg; nan: as the table says"
+    )
+    method = declare(node, 'method', '', 'the estimator; empty: joint where it applies')
+    wanted = declare(
+        node,
+        'terms',
+        AUTO_TERMS,
+        'terms that the joint estimate adds; auto: those that are significant',
+    )
+    named, changes = split_terms(wanted)
+    terms, find_terms = named_terms(named), asks_for_search(wanted)
+    serial = declare(node, 'serial_number', '', 'of the unit; empty: not stated')
+    if math.isnan(latitude):
+        raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')
+    site = Site.at(
+        latitude * DEG,
+        _stated(height),
+        _stated(gravity),
+        height_std=_stated(height_std),
+        gravity_std=_stated(gravity_std),
+        latitude_std=None if math.isnan(latitude_std) else latitude_std * DEG,
+    )
+    laid_out, described = load_plan(plan), None
+    if not laid_out.by_hand:
+        described = load_table(table)
+        if not math.isnan(azimuth):
+            described = replace(described, azimuth=azimuth * DEG)
+    setup = Setup(
+        load_imu(imu), laid_out, described, site, method or None, serial, terms, changes, find_terms
+    )
+    return setup, describe(plan, imu, None if laid_out.by_hand else table, site, serial)
+
+
+def _stated(value: float) -> float | None:
+    """Return a parameter, or None if it is not stated."""
+    return None if math.isnan(value) else value

@@ -1,0 +1,228 @@
+"""The action ~/run_calibration of turntable_node: from start to calibration, with cancelling."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from ...common.errors import InputError
+from ..middleware import GoalServer, Node, actions, messages
+from ..middleware.goals import GoalStatus
+from ..rules import Phase
+from ..sequencer import Sequencer
+from ..table_watch import SETS_OUT
+from . import qos
+from .state_texts import state_sentence
+
+_FEEDBACK_PERIOD = 0.5
+"""s between two equal feedbacks: the period of turntable/state."""
+_RESULT_TIMEOUT = 600.0
+"""s for the calibrator to solve a session; equal to the plan's wait for requested repeats."""
+_STOP_TIMEOUT = 10.0
+"""s that a cancelled goal waits for the table to stop: braking from 90 deg/s at 10 deg/s^2 takes
+9 s."""
+_FINAL = frozenset({messages.ImuCalibration.VALID, messages.ImuCalibration.INCOMPLETE})
+
+
+class RunAction:
+    """Runs the plan for a client of the action.
+
+    A goal ends with the calibrator's final result; it is aborted by anything that stops the plan
+    except a requested pause.
+
+    Args:
+        node: turntable_node.
+        sequencer: Runs the plan.
+        start: Starts the plan, and returns the effect as text.
+        hold: Sends the sequencer's setpoint at once.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        sequencer: Sequencer,
+        start: Callable[[], str],
+        hold: Callable[[], None],
+    ) -> None:
+        self._node, self._sequencer = node, sequencer
+        self._start, self._hold = start, hold
+        self._goal: Any = None
+        self._calibrations: dict[str, Any] = {}
+        self._progress: Any = None
+        self._since = self._sent_at = 0.0
+        self._cancelled_at = 0
+        self._sent: tuple[Any, ...] = ()
+        self._refused = ''
+        node.create_subscription(
+            messages.ImuCalibration, 'calibration', self._on_calibration, qos.results()
+        )
+        self._server = GoalServer(
+            node,
+            actions.RunCalibration,
+            '~/run_calibration',
+            accept=self._accept,
+            begin=self._begin,
+            cancel=self._on_cancel,
+        )
+
+    def take_progress(self, progress: Any) -> None:
+        """Take the calibrator's progress."""
+        self._progress = progress
+
+    def update(self, now: float) -> None:
+        """Publish feedback, and end the goal when the plan has ended.
+
+        Args:
+            now: Steady time, s.
+        """
+        if self._goal is None:
+            return
+        if self._refused:
+            self._end(GoalStatus.ABORTED, self._refused)
+        elif self._goal.is_cancel_requested:
+            self._finish_cancel(now)
+        else:
+            self._follow(now)
+
+    def end(self, reason: str) -> bool:
+        """End the running goal because the node ends; return whether there was one."""
+        if self._goal is None:
+            return False
+        self._end(GoalStatus.ABORTED, reason)
+        return True
+
+    def _on_calibration(self, message: Any) -> None:
+        self._calibrations[message.serial_number] = message
+
+    def _accept(self, goal: Any) -> bool:  # noqa: ARG002
+        """Reject a second goal: the first one continues."""
+        if self._goal is not None:
+            self._node.get_logger().warning(
+                'A second goal for run_calibration is rejected: the first one is still running. '
+                'Cancel it first.'
+            )
+        return self._goal is None
+
+    def _begin(self, goal: Any) -> None:
+        """Start; a refusal is sent as a result, because a rejection carries no text."""
+        self._goal, self._since, self._refused = goal, math.nan, ''
+        self._calibrations.clear()
+        try:
+            self._check_plan(goal.request.plan)
+            sequencer = self._sequencer
+            if sequencer.state().phase is Phase.PAUSED and not goal.request.resume:
+                if sequencer.obstacle:
+                    raise InputError(sequencer.obstacle)
+                sequencer.abort('Restarted.')
+            self._start()
+        except InputError as error:
+            self._refused = str(error)
+
+    def _check_plan(self, plan: str) -> None:
+        own = self._sequencer.plan.name
+        if plan not in {'', own}:
+            raise InputError(
+                f'The goal names the plan {plan}, this table runs {own}: start turntable_node and '
+                f'calibrator_node with the parameter plan:={plan}.'
+            )
+
+    def _on_cancel(self, goal: Any) -> bool:
+        """Stop the table at once; the goal ends when it stands."""
+        if goal is not self._goal:
+            return False
+        self._since = math.nan
+        at = self._sequencer.feedback
+        self._cancelled_at = 0 if at is None else at.stamp
+        # Refuse if the plan does not run: there is nothing to stop.
+        with suppress(InputError):
+            self._sequencer.abort('Cancelled by the client of run_calibration.')
+        self._hold()
+        return True
+
+    def _finish_cancel(self, now: float) -> None:
+        self._since = now if math.isnan(self._since) else self._since
+        at = self._sequencer.feedback
+        # Standstill before the stop is no evidence: the table may just have begun to move.
+        stands = at is None or (at.still and at.stamp - self._cancelled_at >= SETS_OUT * 1e9)
+        if stands or now - self._since > _STOP_TIMEOUT:
+            where = 'stands' if stands else 'does not stand yet'
+            self._end(GoalStatus.CANCELED, f'Cancelled; the table {where}.')
+
+    def _follow(self, now: float) -> None:
+        """Publish feedback; end the goal if the plan has stopped or is done."""
+        state = self._sequencer.state()
+        self._send_feedback(now, state)
+        if state.phase is Phase.DONE:
+            self._await_result(now)
+            return
+        self._since = math.nan
+        waits = state.phase is Phase.IDLE and not state.waits_for
+        if state.phase is Phase.ABORTED or state.fault or waits:
+            self._end(GoalStatus.ABORTED, state.reason or 'The plan was not started.')
+
+    def _await_result(self, now: float) -> None:
+        """Wait for the calibrator's final result once the plan is done."""
+        self._since = now if math.isnan(self._since) else self._since
+        progress = self._progress
+        if not self._sequencer.rules.supervised:
+            self._end(GoalStatus.SUCCEEDED, 'The plan is done; no calibrator was asked for.')
+        elif progress is not None and progress.state == progress.FAILED:
+            self._end(GoalStatus.ABORTED, progress.text)
+        elif progress is not None and progress.state == progress.FINISHED and self._has_result:
+            self._end(GoalStatus.SUCCEEDED, progress.text)
+        elif now - self._since > (self._goal.request.result_timeout or _RESULT_TIMEOUT):
+            waited = now - self._since
+            self._end(
+                GoalStatus.ABORTED, f'The plan is done; no result came within {waited:.0f} s.'
+            )
+
+    @property
+    def _has_result(self) -> bool:
+        """Whether every unit has a final result, and at least one a calibration."""
+        several = set() if self._progress is None else set(self._progress.serial_numbers)
+        return bool(self._found) and several <= set(self._calibrations)
+
+    @property
+    def _found(self) -> list[Any]:
+        """Return the available calibrations in the order of the units."""
+        order = [] if self._progress is None else list(self._progress.serial_numbers)
+        found = [c for c in self._calibrations.values() if c.status in _FINAL]
+        return sorted(
+            found, key=lambda c: order.index(c.serial_number) if c.serial_number in order else -1
+        )
+
+    def _send_feedback(self, now: float, state: Any) -> None:
+        """Publish the state of the plan if it changed, and periodically."""
+        summary = self._sequencer.summary
+        if summary == self._sent and now - self._sent_at < _FEEDBACK_PERIOD:
+            return
+        self._sent, self._sent_at = summary, now
+        feedback = actions.RunCalibration.Feedback(
+            step=state.step,
+            steps=state.steps,
+            position_id=state.position,
+            phase=int(state.phase),
+            text=state_sentence(state),
+            seconds_left=state.seconds_left,
+        )
+        if self._progress is not None:
+            feedback.parameter_names = self._progress.parameter_names
+            feedback.standard_deviations = self._progress.standard_deviations
+        self._goal.publish_feedback(feedback)
+
+    def _end(self, status: GoalStatus, message: str) -> None:
+        """End the goal with a status and the calibrations so far."""
+        goal, self._goal = self._goal, None
+        result = actions.RunCalibration.Result(message=message)
+        if self._progress is not None:
+            result.file, result.journal = self._progress.file, self._progress.journal
+        if status is GoalStatus.SUCCEEDED and self._has_result:
+            result.calibration = self._found[0]
+            if self._progress is not None and self._progress.serial_numbers:
+                result.calibrations = self._found
+        else:
+            result.calibration.status = messages.ImuCalibration.REFUSED
+            result.calibration.status_text = message
+        goal.end(status, result)

@@ -1,0 +1,221 @@
+"""Texts of a calibrator on its session: a sentence, progress, and /diagnostics."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+from ...calibration.calibrator_results import Review
+from ...common.instants import NS
+from ...common.units import significant
+from ...model.model_parameters import Parameter
+from ...recordings.kinds import Kind
+from ...reports.parameter_table import engineering
+from ..middleware import messages
+from .diagnostics import Diagnostics, Level, PartOfDiagnostics
+from .live import LiveSession, SessionPhase
+
+IMU_TIMEOUT = 0.5
+"""s: default of the longest silence of the IMU against the table, as that of imu_node."""
+_SILENCE_BY_HAND = 2.0
+"""s of silence after which a driver counts as gone, without a table as reference; a choice."""
+
+_APART = 60.0
+"""s between the newest stamps of IMU and table that show two different clocks. A judgement: no
+queue delays samples that long, even at twenty times real time."""
+
+
+def session_sentence(session: LiveSession) -> str:
+    """Return a sentence on the progress of a session or its fault."""
+    if session.failure or session.trouble:
+        return session.failure or session.trouble
+    known = 0 if session.review is None else int((session.review.std > 0).sum())
+    imu = session.intakes[Kind.IMU]
+    if session.guidance is not None and not session.is_over:
+        return session.guidance.text
+    words = {
+        SessionPhase.WAITING: f'Waiting for {imu.topic}.',
+        SessionPhase.COLLECTING: f'{known} of {len(session.parameters)} parameters are determined.',
+        SessionPhase.DETERMINED: f'{known} parameters are determined, and still improving.',
+        SessionPhase.FINISHED: f'{known} parameters are determined.',
+        SessionPhase.FAILED: session.failure,
+    }
+    return words[session.phase]
+
+
+def progress_message(session: LiveSession, steps: int, seconds_left: float, file: Path) -> Any:
+    """Return the progress of a session as a message.
+
+    Args:
+        session: The session.
+        steps: Number of steps of its plan, or of holds.
+        seconds_left: As the node that runs the plan states, s; else NaN.
+        file: File of the result.
+    """
+    review = session.review
+    stamp = messages.TimeMsg(sec=session.worked_until // NS, nanosec=session.worked_until % NS)
+    names = [parameter.name for parameter in session.parameters]
+    guidance = session.guidance
+    message = messages.CalibrationProgress(
+        plan=session.setup.plan.name,
+        step=session.steps_seen if guidance is None else guidance.holds,
+        steps=steps,
+        # A full disk stops the table: further data could not be recorded.
+        state=int(SessionPhase.FAILED if session.trouble else session.phase),
+        text=session_sentence(session),
+        parameter_names=names,
+        standard_deviations=([math.nan] * len(names) if review is None else review.std.tolist()),
+        seconds_left=seconds_left,
+        repeat_steps=[] if review is None else list(review.unsupported),
+        next_attitudes=[] if guidance is None else [c.words for c in guidance.candidates],
+        next_gains=[] if guidance is None else [float(c.gain) for c in guidance.candidates],
+        file=str(file.absolute()),
+        journal=str(session.journal.path.absolute()),
+    )
+    message.header.stamp = stamp
+    return message
+
+
+def report_session(
+    session: LiveSession,
+    diagnostics: Diagnostics | PartOfDiagnostics,
+    imu_timeout: float,
+    stand: Diagnostics | None = None,
+) -> None:
+    """Report the state of streams and calibration on /diagnostics.
+
+    Args:
+        session: The session.
+        diagnostics: Receives the report.
+        imu_timeout: Longest silence of the IMU against the table, s.
+        stand: Receives the report on shared topics; None for a single unit.
+    """
+    shared = stand or diagnostics
+    _report_imu(session, diagnostics, imu_timeout)
+    _report_joint_states(session, shared)
+    _report_skew(session, diagnostics)
+    level = Level.OK
+    if session.phase is SessionPhase.FAILED:
+        level = Level.ERROR
+    elif session.phase is SessionPhase.FINISHED and session.calibration is not None:
+        level = Level.WARN if session.calibration.findings else Level.OK
+    figures = {} if session.review is None else _std_figures(session.review)
+    text = session_sentence(session)
+    if session.guidance is not None and not session.is_over:
+        known = int((session.review.std > 0).sum()) if session.review is not None else 0
+        total = len(session.parameters)
+        text = f'{session.guidance.holds} holds, {known} of {total} parameters are determined.'
+    diagnostics.report('calibration', level, text, **figures)
+    if session.trouble:
+        shared.report('journal', Level.ERROR, session.trouble)
+    elif not session.is_over:
+        shared.report('journal', Level.OK, journal_sentence(session.journal.path))
+
+
+def is_fed(session: LiveSession, imu_timeout: float) -> bool:
+    """Return whether samples come, and keep up with the table.
+
+    Args:
+        session: The session; a table turns the unit.
+        imu_timeout: Longest silence of the IMU against the table, s.
+    """
+    imu, joints = session.intakes[Kind.IMU], session.intakes[Kind.JOINTS]
+    if imu.newest is None or joints.newest is None:
+        return imu.newest is not None
+    behind = (joints.newest - imu.newest) * 1e-9
+    return not (behind > imu_timeout and time.monotonic() - imu.received_at > imu_timeout)
+
+
+def _report_imu(
+    session: LiveSession, diagnostics: Diagnostics | PartOfDiagnostics, imu_timeout: float
+) -> None:
+    """Report whether samples are received, and at the time of the table."""
+    imu, joints = session.intakes[Kind.IMU], session.intakes.get(Kind.JOINTS)
+    figures = {'samples': str(imu.count), 'malformed': str(imu.malformed.count)}
+    level, text = Level.OK, f'{imu.topic} is received.'
+    if imu.newest is None:
+        level, text = Level.WARN, f'There is no message on {imu.topic} yet.'
+    elif joints is None and not session.is_over:
+        if time.monotonic() - imu.received_at > max(_SILENCE_BY_HAND, imu_timeout):
+            level, text = Level.ERROR, f'{imu.topic} is silent.'
+    elif joints is not None and joints.newest is not None and not session.is_over:
+        behind = (joints.newest - imu.newest) * 1e-9
+        figures['behind the table'] = f'{behind:.3f} s'
+        if not is_fed(session, imu_timeout):
+            level, text = Level.ERROR, f'{imu.topic} is silent, but the table is not.'
+        elif abs(behind) > _APART:
+            side = 'behind' if behind > 0 else 'ahead of'
+            level = Level.ERROR
+            text = (
+                f'{imu.topic} is stamped {abs(behind):.0f} s {side} {joints.topic}: they are of '
+                'two clocks, and no sample can be used. Synchronise the clocks, or stamp the '
+                'samples as they arrive.'
+            )
+    if imu.malformed.count:
+        level, text = Level.ERROR, f'{imu.topic}: {imu.malformed.reason}'
+    diagnostics.report('stream', level, text, **figures)
+
+
+def _report_joint_states(
+    session: LiveSession, diagnostics: Diagnostics | PartOfDiagnostics
+) -> None:
+    """Report whether joint states of the table, if there is one, are received."""
+    joints = session.intakes.get(Kind.JOINTS)
+    if joints is None:
+        return
+    level, text = Level.OK, f'{joints.topic} is received.'
+    if not joints.count:
+        level, text = Level.WARN, f'There is no message on {joints.topic} yet.'
+    if joints.malformed.count:
+        level, text = Level.ERROR, f'{joints.topic}: {joints.malformed.reason}'
+    figures = {
+        'samples': str(joints.count),
+        'of other joints': str(joints.ignored),
+        'malformed': str(joints.malformed.count),
+    }
+    if joints.ignored and not joints.count and session.setup.table is not None:
+        names = ', '.join(session.setup.table.names)
+        text = f'No message on {joints.topic} has all joints of the table ({names}) yet.'
+    diagnostics.report('joint states', level, text, **figures)
+
+
+def _report_skew(session: LiveSession, diagnostics: Diagnostics | PartOfDiagnostics) -> None:
+    """Report whether the skewed gyro, if the IMU's file names one, is received."""
+    skew = session.intakes.get(Kind.SKEW)
+    if skew is None:
+        return
+    level, text = Level.OK, f'{skew.topic} is received.'
+    if session.without_skew:
+        level = Level.WARN
+        text = (
+            f"There is no message on {skew.topic}, though the IMU's file has a skewed_gyro: the "
+            'session goes on without it.'
+        )
+    elif not skew.count:
+        level, text = Level.WARN, f'There is no message on {skew.topic} yet.'
+    if skew.malformed.count:
+        level, text = Level.ERROR, f'{skew.topic}: {skew.malformed.reason}'
+    diagnostics.report('skewed gyro', level, text, samples=str(skew.count))
+
+
+def journal_sentence(path: Path) -> str:
+    """Return a sentence on where a session is recorded."""
+    return f'The journal is written to {path}.'
+
+
+def _std_figures(review: Review) -> dict[str, str]:
+    """Return the standard deviation of each parameter, for /diagnostics."""
+    return {
+        f'std of {parameter.name}': _std_text(parameter, value)
+        for parameter, value in zip(review.parameters, review.std.tolist(), strict=True)
+    }
+
+
+def _std_text(parameter: Parameter, value: float) -> str:
+    """Return a standard deviation, SI, in the unit in which the parameter is shown."""
+    if math.isnan(value):
+        return 'not determined'
+    shown = engineering(parameter)
+    return f'{significant(value / shown.scale, 3)} {shown.unit}'.strip()

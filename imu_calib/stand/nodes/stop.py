@@ -1,0 +1,253 @@
+"""The emergency stop: received from every kind of publisher, kept across restarts."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Callable
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from ...common.errors import InputError
+from ...common.files import user_path
+from .. import middleware as ros
+from ..middleware import messages
+from ..middleware.running import domain_id
+from . import qos
+
+
+class StopRecord:
+    """A file that exists while a stop is pressed.
+
+    An unreadable file counts as pressed, and so does a folder in which a stop could not be saved: a
+    table whose stop cannot be saved must not start.
+
+    Args:
+        folder: Folder of the file; created if missing.
+        key: Of the stand, for instance domain and full name of the node that runs the plan.
+    """
+
+    def __init__(self, folder: Path, key: str) -> None:
+        self.path = folder / f'stop_{re.sub("[^A-Za-z0-9]+", "_", key).strip("_")}'
+        self._trouble = ''
+        self.pressed = self._is_pressed()
+
+    @property
+    def trouble(self) -> str:
+        """Why the stop cannot be saved, in a sentence; empty if it can."""
+        return self._trouble
+
+    def press(self, why: str) -> None:
+        """Save that the stop is pressed; if that fails, it stays pressed in this process."""
+        if self.pressed and not self._trouble:
+            return
+        self.pressed = True
+        when = datetime.now(timezone.utc).isoformat(timespec='seconds')
+        self._try(lambda: _write(self.path, f'pressed {when}: {why}\n'))
+
+    def release(self) -> None:
+        """Delete the saved stop.
+
+        Raises:
+            InputError: The file cannot be removed, or a stop could not be saved again.
+        """
+        self._try(self._remove)
+        if self._trouble:
+            raise InputError(self._trouble)
+        self.pressed = False
+
+    def _is_pressed(self) -> bool:
+        self._try(self._probe)
+        return bool(self._trouble) or self._exists()
+
+    def _exists(self) -> bool:
+        try:
+            self.path.lstat()
+        except FileNotFoundError:
+            return False
+        except OSError:
+            return True
+        return True
+
+    def _remove(self) -> None:
+        if self._exists():
+            self.path.unlink()
+        self._probe()
+        _sync(self.path.parent)
+
+    def _probe(self) -> None:
+        """Check that a file can be written here; a full or read-only disk raises OSError."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        probe = self.path.with_name(f'{self.path.name}.{os.getpid()}.probe')
+        try:
+            _write(probe, 'whether a stop can be kept here\n')
+        finally:
+            with contextlib.suppress(OSError):
+                probe.unlink()
+
+    def _try(self, work: Callable[[], None]) -> None:
+        """Write or remove the file; keep a sentence on why that failed."""
+        try:
+            work()
+        except OSError as error:
+            self._trouble = (
+                f'The emergency stop cannot be saved in {self.path.parent} '
+                f'({error.strerror or error}): the table stays stopped. Make that folder writable, '
+                'or give another one as parameter state_folder.'
+            )
+        else:
+            self._trouble = ''
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file so that it survives a power failure.
+
+    In place: it counts by being there, and half of it stops the table as the whole does, where a
+    draft beside it (`paths.write_whole`) would not.
+    """
+    with path.open('w', encoding='utf-8') as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    _sync(path.parent)
+
+
+def _sync(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def state_folder(given: str) -> Path:
+    """Return the folder of stops: as given, else the state folder of the XDG base directories.
+
+    Raises:
+        InputError: The home folder of the user is unknown.
+    """
+    base = os.environ.get('XDG_STATE_HOME', '')
+    try:
+        if given:
+            return user_path(given)
+        # The specification says that relative paths are ignored.
+        root = Path(base) if base.startswith('/') else user_path('~/.local/state')
+    except InputError:
+        raise InputError(
+            'Parameter state_folder: this user has no home folder in which a pressed stop could be '
+            'saved; give a folder without ~.'
+        ) from None
+    return root / 'imu_calib'
+
+
+class StopTopic:
+    """Subscribes to a std_msgs/Bool topic with any quality of service.
+
+    A reliable subscription does not match best-effort publishers, and a volatile one does not
+    receive earlier messages of a latched publisher. Therefore there is one subscription that
+    matches all, and one for each kind of publisher found; duplicate messages do no harm.
+
+    Attributes:
+        topic: Full name.
+    """
+
+    def __init__(self, node: Any, topic: str, callback: Callable[[bool], None]) -> None:
+        self._node = node
+        self._callback = callback
+        self._stopping = False
+        self.topic: str = node.resolve_topic_name(topic)
+        self._offered: set[tuple[Any, Any]] = set()
+        self._listen(qos.sensor_data())
+
+    def check(self) -> None:
+        """Subscribe with each newly offered quality of service."""
+        for publisher in self._node.get_publishers_info_by_topic(self.topic):
+            self._listen(qos.as_offered(publisher.qos_profile))
+
+    def _listen(self, profile: Any) -> None:
+        """Subscribe with a quality of service, once for each."""
+        kind = profile.reliability, profile.durability
+        if kind in self._offered:
+            return
+        self._offered.add(kind)
+        # A subscription that does not match a publisher is meant for another one.
+        events = ros.SubscriptionEventCallbacks(incompatible_qos=lambda _: None)
+        self._node.create_subscription(
+            messages.Bool, self.topic, self._receive, profile, event_callbacks=events
+        )
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether a present publisher sent stop and has not cancelled it since."""
+        return self._stopping and self._node.count_publishers(self.topic) > 0
+
+    def _receive(self, message: Any) -> None:
+        if message.data:
+            self._stopping = True
+        elif self._node.count_publishers(self.topic) < 2:
+            # With two publishers the sender is unknown.
+            self._stopping = False
+        self._callback(bool(message.data))
+
+
+class EmergencyStop:
+    """The emergency stop of a node: pressed by a message, released only by `release`.
+
+    Args:
+        node: Its domain and full name identify the stand.
+        folder: Folder of saved stops.
+        on_press: Called at every stop message, before the disk is written.
+    """
+
+    def __init__(self, node: Any, folder: Path, on_press: Callable[[], None]) -> None:
+        name = node.get_fully_qualified_name()
+        self._on_press = on_press
+        self._pressed = (
+            'The emergency stop is on. Release the emergency stop, then call '
+            f'{name}/release; nothing moves before the next {name}/start.'
+        )
+        self._released = f'The emergency stop is released; nothing moves before {name}/start.'
+        self._record = StopRecord(folder, f'domain {domain_id()} {name}')
+        self._topic = StopTopic(node, 'estop', self._receive)
+
+    @property
+    def obstacle(self) -> str:
+        """The answer to a start while the stop is pressed."""
+        return self._record.trouble or self._pressed
+
+    @property
+    def reason(self) -> str:
+        """Why nothing may move, and what to do; empty if the stop is not pressed."""
+        return self.obstacle if self._record.pressed else ''
+
+    @property
+    def record_path(self) -> str:
+        """The file of the saved stop."""
+        return str(self._record.path)
+
+    def check(self) -> None:
+        """Subscribe to new publishers of a stop."""
+        self._topic.check()
+
+    def release(self) -> str:
+        """Release the stop; return the effect as text.
+
+        Raises:
+            InputError: It is not pressed, a publisher still sends stop, or the file cannot be
+                deleted.
+        """
+        if not self._record.pressed:
+            raise InputError('The emergency stop is not pressed.')
+        if self._topic.is_stopping:
+            raise InputError(
+                f'A publisher on {self._topic.topic} still publishes stop: release it there first.'
+            )
+        self._record.release()
+        return self._released
+
+    def _receive(self, stop: bool) -> None:
+        if stop:
+            self._on_press()
+            self._record.press(f'heard on {self._topic.topic}')

@@ -1,0 +1,293 @@
+"""Compare the table with its command: one object per motion, fed with joint states."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ..common.stream import Mode
+from ..common.units import DEG
+from ..session.courses import distance_from_rest, travel_time
+from ..session.plan import Step
+from ..session.table import TURN, Joint, Table
+from .plan_steps import WINDOW, Feedback
+from .rules import Rules
+
+_LAG = 1.0
+"""Longest time from a setpoint to the first motion, s. A judgement: ten setpoints are sent in
+it."""
+
+_SLACK = 2.0
+"""Longest duration of a motion, relative to that at the table's limits. A judgement: ramps limited
+in jerk that just reach the largest acceleration take twice as long."""
+
+_PROGRESS = 0.1
+"""Share of the motion at the table's limits below which a joint counts as stalled. A judgement: far
+slower than any table, far more than the noise of an encoder."""
+
+_RATE_SPAN = 0.3
+"""s over which the rate of a turn is measured: jitter of two stamps must not matter."""
+
+_RATE_TOLERANCE = 0.1
+"""Of the commanded rate: tables keep 1e-3, one that slips or is blocked is far beyond.
+
+It must be exceeded twice in a row, to the same side: a joint state that a busy computer delays by
+35 ms makes one rate an eighth too low, and the next one too high.
+"""
+
+_RATE_ASTRAY = 0.5
+"""The same for a single time: a joint state would have to be late by half a span. A judgement."""
+
+_STRAY = 5.0
+"""Largest motion of a joint commanded to hold, in arrival tolerances. A judgement: a joint
+that has arrived is within one. At most `Rules.overshoot`."""
+
+SETS_OUT = 2 * WINDOW
+"""s after a stop in which joint states may show rest although a motion had just been commanded:
+`Feedback.still` covers half of it, the other half is the table's reaction time."""
+
+
+@dataclass
+class _JointMotion:
+    """Motion of one joint.
+
+    Attributes:
+        joint: The joint.
+        goal: Its angle at the end, rad.
+        sign: Sense of the motion, +1 or -1.
+        distance: Angle from the start to the goal, rad, without sign.
+        patience: Longest time without progress, s.
+        progress: Angle by which it has to come nearer in that time, rad.
+        best: Least angle to the goal so far, rad.
+        mark: Stamp, ns, and angle to the goal, rad, when it last made progress.
+    """
+
+    joint: Joint
+    goal: float
+    sign: float
+    distance: float
+    patience: float
+    progress: float
+    best: float
+    mark: tuple[int, float]
+
+
+class Watch:
+    """Monitor a motion to its end.
+
+    Attributes:
+        begin: Stamp of the joint state before the first setpoint, ns.
+        expected: Duration of the motion at the table's limits, s.
+    """
+
+    def __init__(self, table: Table, rules: Rules, step: Step, at: Feedback) -> None:
+        self._rules = rules
+        self.begin = at.stamp
+        self.expected = 0.0
+        self._unseen = 0.0
+        self._motions = []
+        self._turn: _TurnRate | None = None
+        for k, joint in enumerate(table.joints):
+            rate, goal = joint.max_rate, float(step.angles[k])
+            if step.mode is Mode.RATE and step.rates[k]:
+                rate = abs(float(step.rates[k]))
+                goal += math.copysign(TURN * (step.turns + 1), step.rates[k])
+            distance = abs(goal - at.angles[k])
+            self.expected = max(self.expected, travel_time(distance, rate, joint.max_acceleration))
+            patience = _LAG + rate / joint.max_acceleration
+            reached = distance_from_rest(patience, rate, joint.max_acceleration)
+            self._motions.append(
+                _JointMotion(
+                    joint,
+                    goal,
+                    math.copysign(1.0, goal - at.angles[k]),
+                    distance,
+                    patience,
+                    _PROGRESS * reached,
+                    distance,
+                    (at.stamp, distance),
+                )
+            )
+            if step.mode is Mode.RATE and step.rates[k]:
+                self._turn = _TurnRate(self._motions[-1], rate, step.turns)
+
+    @property
+    def turns_done(self) -> float:
+        """Turns at rate so far; 0 without a turn."""
+        return 0.0 if self._turn is None else self._turn.done
+
+    def check(self, now: Feedback) -> tuple[bool, str]:
+        """Return whether the table has arrived, and a sentence on any fault."""
+        arrived = now.still
+        for motion, angle in zip(self._motions, now.angles, strict=True):
+            fault = self._astray(motion, angle) or self._stalled(motion, angle, now.stamp)
+            if fault:
+                return False, fault
+            arrived &= abs(motion.goal - angle) <= self._rules.arrival
+        if self._turn is not None:
+            fault = self._turn.check(now.stamp)
+            if fault:
+                return False, fault
+        # Without joint states it is unknown whether the table is at rest; the longest gap is
+        # `Rules.feedback_timeout`.
+        self._unseen += max(0.0, now.gap - WINDOW)
+        elapsed = (now.stamp - self.begin) * 1e-9
+        if not arrived and elapsed - self._unseen > _SLACK * self.expected + 2 * _LAG:
+            return False, self._late(now, elapsed)
+        return arrived, ''
+
+    def _astray(self, motion: _JointMotion, angle: float) -> str:
+        """Return how the joint leaves its path; empty if it does not."""
+        joint, allowed = motion.joint, self._rules.overshoot
+        where = f'Joint {joint.name} is at {angle / DEG:.3f} deg'
+        if not joint.lower - allowed <= angle <= joint.upper + allowed:
+            return (
+                f'{where}, beyond its limits of {joint.lower / DEG:g} to {joint.upper / DEG:g} deg.'
+            )
+        remaining = (motion.goal - angle) * motion.sign
+        if motion.distance <= self._rules.arrival:
+            stray = min(_STRAY * self._rules.arrival, allowed)
+            return _strays(joint, angle, motion.goal) if abs(remaining) > stray else ''
+        if remaining < -allowed:
+            return f'{where}, it has passed its goal of {motion.goal / DEG:.3f} deg.'
+        if remaining > motion.best + allowed:
+            return f'{where} and moves away from its goal of {motion.goal / DEG:.3f} deg.'
+        motion.best = min(motion.best, remaining)
+        return ''
+
+    def _stalled(self, motion: _JointMotion, angle: float, stamp: int) -> str:
+        """Return how the joint makes no progress; empty if it does."""
+        remaining = abs(motion.goal - angle)
+        since, then = motion.mark
+        if remaining <= self._rules.arrival or then - remaining >= min(motion.progress, then / 2):
+            motion.mark = stamp, remaining
+        elif (stamp - since) * 1e-9 > motion.patience:
+            if remaining <= self._rules.overshoot:
+                return (
+                    f'Joint {motion.joint.name} stops at {angle / DEG:.4f} deg, '
+                    f'{remaining / DEG:.4f} deg off its goal '
+                    f'(tolerance {self._rules.arrival / DEG:g} deg).'
+                )
+            return (
+                f'Joint {motion.joint.name} stalls at {angle / DEG:.3f} deg moving to '
+                f'{motion.goal / DEG:.3f} deg: {(then - remaining) / DEG:.3f} deg in '
+                f'{(stamp - since) * 1e-9:.1f} s.'
+            )
+        return ''
+
+    def _late(self, now: Feedback, elapsed: float) -> str:
+        """Return which joint is off its goal after the longest time for the motion."""
+        off = [abs(w.goal - a) for w, a in zip(self._motions, now.angles, strict=True)]
+        k = off.index(max(off))
+        return (
+            f'Joint {self._motions[k].joint.name} is {off[k] / DEG:.4f} deg off its goal of '
+            f'{self._motions[k].goal / DEG:.3f} deg after {elapsed:.1f} s '
+            f'(tolerance {self._rules.arrival / DEG:g} deg); at its limits the table needs '
+            f'{self.expected:.1f} s.'
+        )
+
+
+class _TurnRate:
+    """Compare the rate of a turn with the commanded one.
+
+    The extra turn is for run-up and run-down, half of it at each end: in between the joint must be
+    at rate, whatever its acceleration.
+    """
+
+    def __init__(self, motion: _JointMotion, rate: float, turns: int) -> None:
+        self._motion = motion
+        self._rate = rate
+        self._turns = turns
+        self._mark: tuple[int, float] | None = None
+        self._off = 0.0
+
+    @property
+    def done(self) -> float:
+        turned = (self._motion.distance - self._motion.best - TURN / 2) / TURN
+        return min(max(turned, 0.0), float(self._turns))
+
+    def check(self, stamp: int) -> str:
+        if not 0 < self.done < self._turns:
+            return ''
+        if self._mark is None:
+            self._mark = stamp, self.done
+        since, then = self._mark
+        span = (stamp - since) * 1e-9
+        if span < _RATE_SPAN:
+            return ''
+        rate = (self.done - then) * TURN / span
+        self._mark = stamp, self.done
+        before, self._off = self._off, rate / self._rate - 1
+        slow = max(before, self._off) < -_RATE_TOLERANCE
+        fast = min(before, self._off) > _RATE_TOLERANCE
+        if not (slow or fast or abs(self._off) > _RATE_ASTRAY):
+            return ''
+        return (
+            f'Joint {self._motion.joint.name} turns at {rate / DEG:.4g} deg/s, '
+            f'commanded is {self._rate / DEG:g} deg/s.'
+        )
+
+
+class Standing:
+    """Monitor that a table comes to rest, and stays there.
+
+    Args:
+        table: The table that was commanded to hold.
+        rules: Tolerances.
+        at: The last joint state before the command, None if there is none.
+        commanded: Whether it was in a commanded motion until then: rest before that motion starts
+            does not count.
+
+    Attributes:
+        commanded: The same, until it has come to rest.
+    """
+
+    def __init__(
+        self, table: Table, rules: Rules, at: Feedback | None, *, commanded: bool = False
+    ) -> None:
+        self._table = table
+        self._rules = rules
+        self._begin = None if at is None else at.stamp
+        self.commanded = commanded
+        self._rest: tuple[float, ...] | None = None
+        stop = max(joint.max_rate / joint.max_acceleration for joint in table.joints)
+        self._allowed = _LAG + _SLACK * stop
+
+    @property
+    def rest(self) -> tuple[float, ...] | None:
+        """Rest position of the table, (k,) rad; None before it has come to rest."""
+        return self._rest
+
+    @property
+    def stray(self) -> float:
+        """Largest distance from the rest position, rad."""
+        return min(_STRAY * self._rules.arrival, self._rules.overshoot)
+
+    def keep(self, goal: tuple[float, ...]) -> None:
+        """Assume that the table is at rest at (k,) angles, rad."""
+        self._rest = goal
+
+    def check(self, now: Feedback) -> tuple[bool, str]:
+        """Return whether the table is at rest, and a sentence on any fault."""
+        if self._begin is None:
+            self._begin = now.stamp
+        if self._rest is not None:
+            stray = self.stray
+            for joint, angle, rest in zip(self._table.joints, now.angles, self._rest, strict=True):
+                if abs(angle - rest) > stray:
+                    return False, _strays(joint, angle, rest)
+            return True, ''
+        elapsed = (now.stamp - self._begin) * 1e-9
+        if now.still and (not self.commanded or elapsed >= SETS_OUT):
+            self._rest, self.commanded = now.angles, False
+            return True, ''
+        if elapsed > self._allowed:
+            return False, f'The table still moves {elapsed:.1f} s after the command to stand still.'
+        return False, ''
+
+
+def _strays(joint: Joint, angle: float, goal: float) -> str:
+    return (
+        f'Joint {joint.name} moves while it is to stand at {goal / DEG:.3f} deg: '
+        f'it is at {angle / DEG:.3f} deg.'
+    )

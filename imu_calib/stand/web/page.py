@@ -1,0 +1,329 @@
+"""The page: draws snapshots of a board with NiceGUI, and passes on its viewers' commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from nicegui import ui
+
+from ...session.imu import ImuSpec
+from ..rules import Phase
+from . import drawing
+from .connection import SCRIPT, notice
+from .guard import Token
+from .shape import Link, Solid
+from .snapshot import Outcome, Snapshot
+from .style import STYLE
+from .units import UnitRow
+
+_GLANCE = 0.5
+"""s between two checks of the state: reports change once or twice a second."""
+_MOTION = 0.1
+"""s between two poses of the table. A choice, as `_FPS`."""
+_LEAST_ANGLE = 1e-4
+"""rad: smaller differences of a pose give the same picture."""
+_KEY = (
+    '<div class="key"><span><i></i>standard deviation so far</span>'
+    '<span><i class="predicted"></i>what the plan reaches if biases drift by '
+    'the data sheet: with steadier ones the session ends below</span>'
+    '<span><i class="allowed"></i>half the limit of the specification, at the edge where that is '
+    'far off</span></div>'
+)
+_FPS = 10
+"""Pictures of the table per second: the rate of joint states."""
+_HEIGHT = 340
+"""px of the table's picture."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Content of a page, and target of its viewers' commands.
+
+    Attributes:
+        title: Of the page.
+        imus: Descriptions of the samples by the names of the units; for a single unit by an empty
+            name.
+        shape: The table; None if a hand holds the unit.
+        snapshot: Returns the present state of the unit with that name; empty: of all units.
+        units: Returns a line for each of several units; empty for a single one.
+        angles: Returns the present angles of the joints by name, rad.
+        command: Takes 'start', 'pause' or 'abort' of an authorised viewer.
+        token: Authorises viewers.
+        report: The report's file; it may not exist yet.
+    """
+
+    title: str
+    imus: Mapping[str, ImuSpec]
+    shape: Link | None
+    snapshot: Callable[[str], Snapshot]
+    units: Callable[[], Sequence[UnitRow]]
+    angles: Callable[[], dict[str, float]]
+    command: Callable[[str], None]
+    token: Token
+    report: Path
+
+
+@dataclass
+class _Part:
+    """A part of a page that is sent when it changes."""
+
+    element: Any
+    draw: Callable[[Snapshot], str]
+    sent: str = ''
+
+    def update(self, shown: Snapshot) -> None:
+        """Send what has changed."""
+        text = self.draw(shown)
+        if text != self.sent:
+            self.sent = text
+            self.element.set_content(text)
+
+
+def build(source: Source) -> None:
+    """Lay out the page for one viewer, and update it while it is open."""
+    ui.add_css(STYLE)
+    ui.add_body_html(f'<script>{SCRIPT}</script>')
+    # White text is on the first and the last: contrast 4.5 to 1 and more (WCAG 2.1, 1.4.3).
+    ui.colors(primary='#0b5394', negative='#b3261e')
+    page = _Page(source)
+    part = page.part
+    with ui.element('main').classes('stand'):
+        _head(source)
+        ui.html(notice(datetime.now()), sanitize=False).classes('wide notice').props('role=alert')
+        part(lambda s: drawing.banner(s, datetime.now()), 'wide')
+        control = _Control(source) if source.token.exists else None
+        with _card('Is anything wrong?', 'wide'):
+            part(drawing.troubles)
+        with _card('The report', 'wide report') as finished:
+            part(drawing.report)
+        if several := source.units():
+            with _card('The units', 'wide'):
+                _chooser(several, page.choose)
+                part(page.draw_units)
+        with ui.element('div').classes('column'):
+            with _card('The plan'):
+                part(drawing.plan)
+            with _card('The samples'):
+                part(page.draw_streams, of_unit=True)
+        with _card('The table' if source.shape else 'Noise: Allan deviation'):
+            scene = _Scene(source.shape) if source.shape else None
+            part(drawing.joints if source.shape else page.draw_noise)
+        with _card('How well the parameters are known', 'wide'):
+            part(drawing.parameters, of_unit=True)
+            ui.html(_KEY, sanitize=False)
+        if source.shape:
+            with _card('Noise: Allan deviation', 'wide'):
+                part(page.draw_noise, of_unit=True)
+        with ui.element('details').classes('card wide'):
+            with ui.element('summary').classes('title'):
+                ui.html('All that the nodes say', sanitize=False, tag='span')
+            part(drawing.diagnostics)
+
+    def refresh() -> None:
+        page.refresh()
+        shown = source.snapshot('')
+        finished.set_visibility(shown.outcome in {Outcome.DONE, Outcome.INCOMPLETE})
+        if control is not None:
+            control.update(shown)
+
+    refresh()
+    ui.timer(_GLANCE, refresh)
+    if scene is not None:
+        ui.timer(_MOTION, lambda: scene.update(source.angles()))
+
+
+class _Page:
+    """The changing parts of a viewer's page: of all units, and of the selected one."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._parts: list[_Part] = []
+        self._of_unit: list[_Part] = []
+        self._noise = _Noise()
+        self._chosen = ''
+
+    def part(
+        self, draw: Callable[[Snapshot], str], kind: str = '', *, of_unit: bool = False
+    ) -> None:
+        """Add a part, optionally of the selected unit."""
+        # `drawing` escapes all text: a node's text is not interpreted as markup.
+        element = ui.html('', sanitize=False).classes(kind)
+        (self._of_unit if of_unit else self._parts).append(_Part(element, draw))
+
+    def choose(self, name: str) -> None:
+        """Show another unit; all for an empty name."""
+        self._chosen = name
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Send what has changed."""
+        for parts, name in ((self._parts, ''), (self._of_unit, self._chosen)):
+            shown = self._source.snapshot(name)
+            for one in parts:
+                one.update(shown)
+
+    def draw_units(self, _: Snapshot) -> str:
+        """Return a line for each unit."""
+        return drawing.units(self._source.units(), self._chosen)
+
+    def draw_streams(self, shown: Snapshot) -> str:
+        """Return the results from the samples."""
+        return drawing.streams(shown, self._source.imus.get(self._chosen))
+
+    def draw_noise(self, shown: Snapshot) -> str:
+        """Return the noise of the dwells."""
+        return self._noise.draw(shown, self._chosen, self._source.imus.get(self._chosen))
+
+
+def _head(source: Source) -> None:
+    shown = source.snapshot('').expected
+    where = f' on table {shown.table}' if shown.table else ' in the hand'
+    with ui.element('header').classes('wide top'):
+        ui.html(escape(source.title), sanitize=False, tag='h1')
+        what = shown.imu if source.units() else f'IMU {shown.imu}'
+        ui.label(f'plan {shown.plan}{where}, {what}').classes('small')
+
+
+def _card(title: str, kind: str = '') -> Any:
+    card = ui.element('section').classes(f'card {kind}')
+    with card:
+        ui.label(title).classes('title')
+    return card
+
+
+def _chooser(rows: Sequence[UnitRow], choose: Callable[[str], None]) -> None:
+    """Let a viewer select the unit whose samples, parameters and noise are shown."""
+    names = {'': 'All units: the least known'}
+    names |= {row.name: row.serial_number for row in rows}
+    select = ui.select(names, value='', label='Unit', on_change=lambda e: choose(e.value))
+    select.props('dense outlined options-dense').classes('chooser')
+
+
+class _Noise:
+    """Draws the Allan deviation again only if it has grown, or for another unit."""
+
+    def __init__(self) -> None:
+        self._of: tuple[int, str] | None = None
+        self._drawn = ''
+
+    def draw(self, shown: Snapshot, unit: str, imu: ImuSpec | None) -> str:
+        """Return the drawing."""
+        revision = 0 if shown.streams is None else shown.streams.revision
+        if self._of != (revision, unit):
+            self._of, self._drawn = (revision, unit), drawing.noise(shown, imu)
+        return self._drawn
+
+
+class _Control:
+    """The buttons, for a viewer with the token."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._may = False
+        with _card('Control', 'wide control'):
+            with ui.element('div').classes('controls') as self._locked:
+                self._input = ui.input('Token').props('dense outlined type=password')
+                self._input.on('keydown.enter', self._unlock)
+                ui.button('Unlock', on_click=self._unlock).props('no-caps unelevated')
+                self._said = ui.label('The terminal that runs the stand shows it.')
+                self._said.classes('small').props('role=status')
+            with ui.element('div').classes('controls') as self._open:
+                self._start = self._button('Start', self._ask)
+                # Commands that stop the table are always offered: the page's state may be outdated.
+                self._button('Pause', lambda: self._command('pause'), 'warning')
+                self._button('Abort', lambda: self._command('abort'), 'negative')
+                self._answer = ui.label('').classes('small').props('role=status')
+        self._open.set_visibility(False)
+        with ui.dialog() as self._dialog, ui.card():
+            ui.label('The table will move. Is everybody clear of it?')
+            with ui.element('div').classes('controls'):
+                ui.button('Yes, move', on_click=self._start_confirmed).props('no-caps unelevated')
+                ui.button('No', on_click=self._dialog.close).props('no-caps flat')
+
+    def _button(self, text: str, action: Callable[[], None], colour: str = 'primary') -> ui.button:
+        button = ui.button(text, on_click=action, color=colour).props('no-caps unelevated')
+        # White text is illegible on yellow.
+        return button.props('text-color=black') if colour == 'warning' else button
+
+    def _unlock(self) -> None:
+        self._may = self._source.token.fits((self._input.value or '').strip())
+        self._input.set_value('')
+        self._locked.set_visibility(not self._may)
+        self._open.set_visibility(self._may)
+        self._said.set_text('' if self._may else 'That is not the token: nothing was sent.')
+
+    def _ask(self) -> None:
+        if self._may:
+            self._dialog.open()
+
+    def _start_confirmed(self) -> None:
+        self._dialog.close()
+        self._command('start')
+
+    def _command(self, name: str) -> None:
+        # A browser may send commands that its page does not show: authorisation is checked here.
+        if self._may:
+            self._source.command(name)
+
+    def update(self, shown: Snapshot) -> None:
+        """Offer the commands that are possible now."""
+        phase = None if shown.table is None else shown.table.phase
+        self._start.set_text('Resume' if phase is Phase.PAUSED else 'Start')
+        ready = phase is not None and not phase.at_a_step and not shown.silent
+        self._start.set_enabled(ready)
+        self._answer.set_text(shown.answer)
+
+
+class _Scene:
+    """The moving table."""
+
+    def __init__(self, base: Link) -> None:
+        self._moving: dict[str, tuple[Link, Any, float]] = {}
+        background = '#8d99a6'
+        with ui.scene(height=_HEIGHT, grid=False, background_color=background, fps=_FPS).classes(
+            'table-picture'
+        ) as self._scene:
+            self._hang(base)
+        self._scene.move_camera(x=1.0, y=-1.15, z=0.5, look_at_x=0, look_at_y=0, look_at_z=-0.12)
+
+    def _hang(self, link: Link) -> None:
+        with self._scene.group() as frame:
+            frame.move(*link.at).rotate_R(link.turned.tolist())
+            with self._scene.group() as body:
+                if link.joint:
+                    body.rotate_R(link.pose(0.0).tolist())
+                    self._moving[link.joint] = link, body, 0.0
+                for solid in link.solids:
+                    self._add_solid(solid)
+                for hung in link.links:
+                    self._hang(hung)
+
+    def _add_solid(self, solid: Solid) -> None:
+        turned = solid.turned
+        body: Any
+        if solid.kind == 'box':
+            width, depth, height = solid.size
+            body = self._scene.box(width, depth, height)
+        elif solid.kind == 'cylinder':
+            radius, length = solid.size
+            body = self._scene.cylinder(radius, radius, length, 40)
+            # Along y there, along z here.
+            turned = turned @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+        else:
+            body = self._scene.sphere(solid.size[0])
+        body.material(solid.colour).move(*solid.at).rotate_R(turned.tolist())
+
+    def update(self, angles: dict[str, float]) -> None:
+        """Turn the joints to their angles, rad."""
+        for name, angle in angles.items():
+            if name not in self._moving:
+                continue
+            link, body, before = self._moving[name]
+            if abs(angle - before) > _LEAST_ANGLE:
+                body.rotate_R(link.pose(angle).tolist())
+                self._moving[name] = link, body, angle
