@@ -35,7 +35,7 @@ os.environ.setdefault(
     '</General></Domain></CycloneDDS>',
 )
 
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock
 from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.recordings.decode import decode_imu

@@ -27,7 +27,7 @@ import numpy as np
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.errors import NotObservable
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, ImuBlock, Mode, Units
 from imu_calib.common.units import ARCSEC, DEG
 from imu_calib.estimation.setup import Setup

@@ -30,7 +30,7 @@ from bound import bound
 from sessions import SITE, paper_imu, stand, truth
 from test_joint import simulated
 
-from imu_calib.common.engine import run_all
+from imu_calib.common.parallel import run_all
 from imu_calib.common.stream import Floats
 from imu_calib.estimation import joint
 from imu_calib.estimation.closed_forms import twelve_position
@@ -55,7 +55,7 @@ def run(seed: int, *, drifting: bool) -> Floats:
     options = economical(replace(stand(azimuth=azimuth), bias_instability=drifting))
     spec = load_imu('fog_medium') if drifting else paper_imu()
     evidence = simulated(plan, options, seed, spec=spec)
-    closed, real = twelve_position.solve(evidence), model.vector()
+    closed, real = twelve_position.solve_twelve_position(evidence), model.vector()
     at_rest = {position.id: position.dwell + SETTLE for position in plan.positions}
     variants = []
     for moves in (True, False):

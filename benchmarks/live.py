@@ -34,7 +34,7 @@ os.environ.setdefault(
 )
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
 from imu_calib.common.units import DEG
 from imu_calib.model.earth import Site

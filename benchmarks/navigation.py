@@ -26,8 +26,8 @@ from strapdown import STEP, Start, navigate
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.compensate import Compensation
-from imu_calib.common.engine import run_all
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
+from imu_calib.common.parallel import run_all
 from imu_calib.common.stream import Floats, ImuBlock, Units
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity

@@ -23,7 +23,7 @@ from scipy.stats import chi2
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.errors import ImuCalibError, InputError
-from imu_calib.common.share import named_file, share_folder
+from imu_calib.common.files import named_file, share_folder
 from imu_calib.common.units import DEG
 from imu_calib.estimation import forecast
 from imu_calib.estimation.setup import Setup

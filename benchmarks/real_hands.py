@@ -31,8 +31,8 @@ import scipy
 from numpy.typing import NDArray
 
 from imu_calib.calibration.hand import HandCalibrator
-from imu_calib.common.engine import run_all
 from imu_calib.common.errors import NotObservable
+from imu_calib.common.parallel import run_all
 from imu_calib.common.stream import Floats, ImuBlock, Stamps, Units
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.estimation.setup import Setup

@@ -30,7 +30,7 @@ import numpy as np
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.processes import Processes, free_port, private_network
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.units import ARCSEC
 from imu_calib.session.plan import load_plan
 from imu_calib.simulation.options import StandOptions

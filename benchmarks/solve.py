@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
 from sessions import SITE, fed, gathered, quick_plan, stand
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.estimation import joint
 from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.setup import Setup

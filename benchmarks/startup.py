@@ -27,7 +27,7 @@ from pathlib import Path
 
 import yaml
 
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 
 NUMPY = [sys.executable, '-c', 'import numpy']
 COMMAND = [sys.executable, '-m', 'imu_calib.cli.main']

@@ -20,7 +20,7 @@ DOCS = ROOT / 'docs'
 project = 'imu_calib'
 author = 'The imu_calib developers'
 copyright = author  # noqa: A001
-version = release = import_module('imu_calib.common.version').version()
+version = release = import_module('imu_calib.common.files').version()
 
 # Where only the parser of pages is installed, as on the ROS build farm, notebooks are left out.
 NOTEBOOKS = find_spec('myst_nb') is not None

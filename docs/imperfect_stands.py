@@ -11,7 +11,7 @@ import yaml
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.config import Section
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Block, Floats, TemperatureBlock
 from imu_calib.common.units import ARCSEC, DEG
 from imu_calib.estimation.equations import GIVEN_AZIMUTH

@@ -28,8 +28,8 @@ import numpy as np
 
 import imu_calib
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.common.engine import run_all
 from imu_calib.common.errors import ImuCalibError
+from imu_calib.common.parallel import run_all
 from imu_calib.common.stream import Floats
 from imu_calib.model.alignment import free_of_frame
 from imu_calib.model.model_parameters import PARAMETER_NAMES, PARAMETERS

@@ -11,7 +11,7 @@ import numpy as np
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.units import DEG, DEG_H
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity

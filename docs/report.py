@@ -19,7 +19,7 @@ from playwright.sync_api import sync_playwright
 from imu_calib.api.simulate import serialised
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main as imu_calib
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Block, ImuBlock
 from imu_calib.common.units import DEG
 from imu_calib.model.earth import Site, normal_gravity

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.units import ARCSEC, DEG, DEG_H
 from imu_calib.estimation.closed_forms.skewed import RatePoints
 from imu_calib.model.earth import Site, normal_gravity

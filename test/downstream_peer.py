@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.units import DEG
 from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.session.imu import load_imu

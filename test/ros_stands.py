@@ -19,7 +19,7 @@ from test_interop import LOOK, SETUP, seen, without_ros
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.processes import free_port, private_network
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 
 PACKAGE = None if SETUP is None else SETUP.parent / 'imu_calib'
 LAUNCHABLE = PACKAGE is not None and (PACKAGE / 'lib/imu_calib/stand_node').is_file()

@@ -181,7 +181,7 @@ def test_parameters_are_a_data_frame_and_a_picture(result: imu_calib.Result) -> 
 def test_what_is_not_installed_is_asked_for(
     folder: Path, result: imu_calib.Result, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr('imu_calib.common.extras.find_spec', lambda _: None)
+    monkeypatch.setattr('imu_calib.common.files.find_spec', lambda _: None)
     with pytest.raises(InputError, match=r"needs pandas.*pip install 'imu_calib\[dataframe\]'"):
         result.calibration.to_dataframe()
     with pytest.raises(InputError, match=r"needs matplotlib.*pip install 'imu_calib\[plot\]'"):

@@ -27,7 +27,7 @@ from imu_calib.api.simulate import serialised
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.common.config import Section
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import (
     Block,
     Floats,

@@ -19,7 +19,7 @@ from imu_calib.calibration.verify import Verdict
 from imu_calib.cli.main import main
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError, NotObservable
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, ImuBlock
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.estimation.hand import FREE, in_frame_of_accelerometers

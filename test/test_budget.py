@@ -25,7 +25,7 @@ from imu_calib.cli.main import main
 from imu_calib.common.budget import Budget, BudgetLine, Share, Source, effective_freedom, total
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, Units
 from imu_calib.common.units import ARCSEC, DEG, DEG_H, MICRO_G, PPM
 from imu_calib.estimation.equations import GIVEN_AZIMUTH

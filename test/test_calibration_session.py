@@ -75,7 +75,7 @@ def one_session(seed: int) -> dict[str, tuple[Floats, ...]]:
     setup = Setup(paper_imu(), usual_plan(), load_table('three_axis'), SITE)
     calibrator = fed(blocks, setup)
     found = calibrator.snapshot().finish().calibration
-    closed = twelve_position.solve(gathered(calibrator))
+    closed = twelve_position.solve_twelve_position(gathered(calibrator))
     true = truth().model.vector()
     both = {
         found.provenance['method']: (found.values - true, found.covariance),

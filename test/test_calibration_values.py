@@ -20,8 +20,8 @@ from sessions import truth
 import imu_calib
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.budget import Budget, BudgetLine, Source
+from imu_calib.common.config import dump, load
 from imu_calib.common.errors import InputError
-from imu_calib.common.yaml_text import dump, load
 from imu_calib.reports.page import Contents, page
 
 FIELDS = CHECKOUT / 'config' / 'certificates' / 'example.yaml'

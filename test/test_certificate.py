@@ -29,7 +29,7 @@ from imu_calib.cli.main import main
 from imu_calib.common.budget import Budget
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.model.model_parameters import PARAMETERS
 from imu_calib.model.terms import TERMS
 from imu_calib.reports import printing

@@ -43,7 +43,7 @@ def leaning(evidence: Evidence, about_up: bool = False) -> Evidence:
 
 
 def test_twelve_positions_that_lean_are_put_upright() -> None:
-    solution = twelve_position.solve(leaning(evidence_of(model=TRUE)))
+    solution = twelve_position.solve_twelve_position(leaning(evidence_of(model=TRUE)))
     off = solution.model.vector() - TRUE.vector()
     # What two rounds leave is far below the lean times the errors of 1e-3.
     assert np.abs(off[:9]).max() < 1e-8
@@ -55,7 +55,9 @@ def test_twelve_positions_that_lean_are_put_upright() -> None:
 def test_a_position_that_is_measured_again_counts_once_in_the_mean(again: tuple[int, ...]) -> None:
     once = evidence_of(model=TRUE)
     repeated = tuple(once.segments[k] for k in again)
-    solution = twelve_position.solve(replace(once, segments=(*once.segments, *repeated)))
+    solution = twelve_position.solve_twelve_position(
+        replace(once, segments=(*once.segments, *repeated))
+    )
     off = solution.model.gyro.bias - TRUE.gyro.bias
     # The bias of a group whose shares did not add up to one would be off by a fifth of it.
     assert np.abs(off).max() < 1e-4 * DEG_H
@@ -64,7 +66,7 @@ def test_a_position_that_is_measured_again_counts_once_in_the_mean(again: tuple[
 @pytest.mark.parametrize('azimuth', [0.0, 0.4])
 def test_six_positions_take_the_earth_rate_at_their_azimuth(azimuth: float) -> None:
     evidence = evidence_of('six_position', TRUE, azimuth=azimuth, known=True)
-    solution = six_position.solve(evidence)
+    solution = six_position.solve_six_position(evidence)
     off = solution.model.vector() - TRUE.vector()
     assert np.abs(off[:9]).max() < 1e-9
     assert np.abs(off[9:12]).max() < 1e-6 * DEG_H
@@ -83,7 +85,7 @@ def test_in_the_hand_the_level_rate_stays_in_the_biases() -> None:
         for p in plan.positions
     )
     evidence = evidence_of(replace(plan, positions=held), TRUE)
-    solution = six_position.solve(evidence)
+    solution = six_position.solve_six_position(evidence)
     level = SITE.earth_rate * [1, 1, 0]
     seen = np.mean([level @ segment.attitude for segment in evidence.segments], axis=0)
     wanted = TRUE.gyro.bias + TRUE.gyro.response @ seen

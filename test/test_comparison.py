@@ -10,7 +10,7 @@ import pytest
 from sessions import at_one_rate, calibrate, quick_plan, session, stand, truth
 
 from imu_calib.cli.main import main
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.units import DEG, DEG_H
 from imu_calib.estimation.methods import closed_form_of, default_method
 from imu_calib.session.plan import load_plan

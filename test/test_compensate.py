@@ -16,7 +16,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.compensator import Compensator
 from imu_calib.calibration.thermal import combine
 from imu_calib.cli.main import main
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, Units
 from imu_calib.recordings.cdr_codec import encode_imu, encode_rates
 from imu_calib.recordings.kinds import Kind

@@ -91,7 +91,7 @@ def described(text=None, **changes):
 
 
 def load_path(name):
-    from imu_calib.common.share import named_file
+    from imu_calib.common.files import named_file
 
     return named_file('devices', name)
 

@@ -20,7 +20,7 @@ from test_turntable_node import TABLE as NIMBLE
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.errors import InputError
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.units import DEG
 from imu_calib.model.earth import LUOYANG, Site
 from imu_calib.session.imu import load_imu

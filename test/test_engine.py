@@ -20,9 +20,8 @@ from loopback import CHECKOUT, patience, until
 from test_montecarlo import study
 
 from imu_calib.cli.main import main
-from imu_calib.common.engine import run_all
 from imu_calib.common.errors import NotObservable
-from imu_calib.common.parallel import Engine
+from imu_calib.common.parallel import Engine, run_all
 from imu_calib.simulation.repetition import repeat
 
 
@@ -201,7 +200,7 @@ def in_group(group: int) -> list[str]:
 def test_nothing_but_a_scheduler_asks_for_dask(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr('imu_calib.common.extras.find_spec', lambda name: None)
+    monkeypatch.setattr('imu_calib.common.files.find_spec', lambda name: None)
     assert run_all(refused, [0, 2], jobs=1) == [0, 2]
     command = ['montecarlo', 'twelve_position', '--runs', '1', '--scheduler', 'tcp://127.0.0.1:1']
     assert main(command) == 2

@@ -17,9 +17,8 @@ from imu_calib.calibration.calibrator_results import Result
 from imu_calib.calibration.hand import HandCalibrator
 from imu_calib.cli.main import main
 from imu_calib.common.errors import ImuCalibError
-from imu_calib.common.instants import at
-from imu_calib.common.share import named_file, shipped
-from imu_calib.common.stream import Block, Floats, ImuBlock, Stamps, Units
+from imu_calib.common.files import named_file, shipped
+from imu_calib.common.stream import Block, Floats, ImuBlock, Stamps, Units, at
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.estimation.hand import in_frame_of_accelerometers
 from imu_calib.estimation.setup import Setup

@@ -120,7 +120,7 @@ def test_numbers_are_packed_as_exactly_as_they_are_shown() -> None:
     values = 3.0 + std * rng.normal(size=std.shape)
     values[[0, 7], 1], std[7, 1] = np.nan, np.nan
     values[:, 2] = 1e30 * rng.normal(size=200)
-    differences, steps = packed.differences(values, std)
+    differences, steps = packed.packed_differences(values, std)
     codes, scales = packed.deviations(std)
     text = packed.pack(
         {'value': differences, 'std': codes, 's': packed.short(values)}, {'a': '\u00b5'}
@@ -286,7 +286,7 @@ def test_wrong_usage_gets_a_sentence(
     assert "no row meets imu = 'none'. It has " in errors and ', fog_medium, mems' in errors
     assert not (tmp_path / 'page.html').exists()
     monkeypatch.setattr(
-        'imu_calib.common.extras.find_spec', lambda name: None if name == 'bokeh' else 1
+        'imu_calib.common.files.find_spec', lambda name: None if name == 'bokeh' else 1
     )
     with pytest.raises(InputError, match=r'needs bokeh.*imu_calib\[fleet\]'):
         imu_calib.fleet_report(catalogue, tmp_path / 'page.html')

@@ -45,7 +45,7 @@ from imu_calib.model.session_terms import session_term
 from imu_calib.model.terms import G_SENSITIVITY
 from imu_calib.session.plan import UNPLANNED, load_plan
 
-NAMES = [p.name for p in n_positions.ESTIMATES]
+NAMES = [p.name for p in n_positions.N_POSITIONS_ESTIMATES]
 
 FELT = replace(TRUE, g_sensitivity=1e-7 * np.arange(9.0).reshape(3, 3))
 
@@ -193,7 +193,7 @@ def test_turns_in_one_sense_at_one_rate_hide_behind_the_biases() -> None:
 def test_clocks_are_a_share_of_their_own() -> None:
     evidence = evidence_of(model=TRUE)
     clock = replace(evidence.clock, rate_std=1e-6)
-    found = twelve_position.solve(replace(evidence, clock=clock)).shares
+    found = twelve_position.solve_twelve_position(replace(evidence, clock=clock)).shares
     assert found is not None
     share = found[Source.CLOCK]
     # 1 ppm, beside what quartz may differ by, of K_g; biases know no clock.
@@ -224,7 +224,7 @@ def test_forces_are_fitted_by_weighted_normal_equations() -> None:
     ('parameters', 'lost'),
     [
         (PARAMETERS, 'K_az, E_axz, E_ayz'),
-        (n_positions.ESTIMATES, 'G_gxz, G_gyz, G_gzz, K_az, E_axz, E_ayz'),
+        (n_positions.N_POSITIONS_ESTIMATES, 'G_gxz, G_gyz, G_gzz, K_az, E_axz, E_ayz'),
     ],
 )
 def test_what_rests_on_forces_is_named(parameters: Any, lost: str) -> None:
@@ -242,16 +242,20 @@ def test_what_rests_on_forces_is_named(parameters: Any, lost: str) -> None:
 @pytest.mark.parametrize('azimuth', [0.0, 0.7])
 def test_n_positions_give_33_numbers(azimuth: float) -> None:
     evidence = evidence_of('twelve_position_33', FELT, azimuth=azimuth, known=True)
-    found = n_positions.solve(evidence)
-    off = found.model.values(n_positions.ESTIMATES) - FELT.values(n_positions.ESTIMATES)
+    found = n_positions.solve_n_positions(evidence)
+    off = found.model.values(n_positions.N_POSITIONS_ESTIMATES) - FELT.values(
+        n_positions.N_POSITIONS_ESTIMATES
+    )
     assert np.abs(off[:9]).max() < 1e-12
     assert np.abs(off[9:12]).max() < 1e-7 * DEG_H
     assert np.abs(off[12:24]).max() < 1e-11
     assert np.abs(off[24:]).max() < 1e-12
     twice = replace(evidence, segments=evidence.segments + evidence.segments[:1])
-    assert n_positions.solve(twice).condition == pytest.approx(found.condition, rel=1e-9)
+    assert n_positions.solve_n_positions(twice).condition == pytest.approx(
+        found.condition, rel=1e-9
+    )
     with pytest.raises(NotObservable, match=r'D_gx, D_gy, D_gz and the g-sensitivities'):
-        n_positions.solve(replace(evidence, azimuth=None))
+        n_positions.solve_n_positions(replace(evidence, azimuth=None))
 
 
 @pytest.mark.parametrize('azimuth', [0.0, 0.7])
@@ -259,7 +263,7 @@ def test_rates_and_24_positions_give_24_numbers(azimuth: float) -> None:
     plan = load_plan('rate_24')
     held = tuple(replace(p, dwell=p.dwell or 10.0) for p in plan.positions)
     evidence = evidence_of(replace(plan, positions=held), TRUE, azimuth=azimuth, known=True)
-    found = rate_24.solve(evidence)
+    found = rate_24.solve_rate_24(evidence)
     off = found.model.vector() - TRUE.vector()
     assert np.abs(off[:9]).max() < 1e-12
     assert np.abs(off[9:12]).max() < 1e-7 * DEG_H
@@ -273,7 +277,7 @@ def test_rates_and_24_positions_give_24_numbers(azimuth: float) -> None:
     dwells = np.array([p.dwell for p in evidence.plan.positions])
     assert noise == pytest.approx(GYRO_WALK * np.sqrt(np.sum(1 / dwells)) / len(dwells), rel=1e-3)
     with pytest.raises(NotObservable, match=r'`azimuth`\)\. D_gx, D_gy, D_gz cannot'):
-        rate_24.solve(replace(evidence, azimuth=None))
+        rate_24.solve_rate_24(replace(evidence, azimuth=None))
 
 
 def test_a_plan_without_turns_about_an_axis_is_refused() -> None:
@@ -291,7 +295,7 @@ def test_a_plan_without_turns_about_an_axis_is_refused() -> None:
         )
     few = replace(plan, positions=tuple(p for p in plan.positions if abs(p.up[2]) < 0.5))
     with pytest.raises(NotObservable, match=rf'The {len(few.positions)} positions of plan .*G_gxz'):
-        n_positions.check(few)
+        n_positions.check_positions(few)
 
 
 # Gyros alone
@@ -309,12 +313,12 @@ def off_axis(latitude: float) -> Site:
 def test_four_positions_are_differences_and_a_mean(latitude: float) -> None:
     site = off_axis(latitude)
     north, up = EARTH_RATE * np.cos(34 * DEG), EARTH_RATE * np.sin(latitude * DEG)
-    found = off_axis_four._weights(four(), site, 'here')
+    found = off_axis_four._off_axis_weights(four(), site, 'here')
     n, u = 1 / (2 * north), 1 / (4 * up)
     wanted = [[0, -n, n, 0], [n, 0, 0, -n], [u, -u, -u, u], [0.25] * 4]
     np.testing.assert_allclose(found, wanted, atol=1e-9 * n)
     # The first position twice: each half.
-    found = off_axis_four._weights(four()[[0, 0, 1, 2, 3]], site, 'here')
+    found = off_axis_four._off_axis_weights(four()[[0, 0, 1, 2, 3]], site, 'here')
     np.testing.assert_allclose(found[1], [n / 2, n / 2, 0, 0, -n], atol=1e-9 * n)
     np.testing.assert_allclose(found[3], [0.125, 0.125, 0.25, 0.25, 0.25])
     inputs = np.array([[0, 1, 1], [-1, 0, -1], [1, 0, -1], [0, -1, 1]]) * [north, north, abs(up)]
@@ -333,9 +337,9 @@ def test_four_positions_are_differences_and_a_mean(latitude: float) -> None:
 def test_an_input_of_half_a_degree_an_hour_is_the_least(
     good: float, bad: float, words: str
 ) -> None:
-    off_axis_four._weights(four(), off_axis(good), 'here')
+    off_axis_four._off_axis_weights(four(), off_axis(good), 'here')
     with pytest.raises(NotObservable, match=f'input is too small {words}'):
-        off_axis_four._weights(four(), off_axis(bad), 'here')
+        off_axis_four._off_axis_weights(four(), off_axis(bad), 'here')
 
 
 @pytest.mark.parametrize(
@@ -353,14 +357,14 @@ def test_a_position_that_is_missing_is_named(index: int, words: str, lost: str) 
         'cannot be determined.'
     )
     with pytest.raises(NotObservable, match=wanted):
-        off_axis_four._weights(np.delete(four(), index, axis=0), SITE, 'here')
+        off_axis_four._off_axis_weights(np.delete(four(), index, axis=0), SITE, 'here')
     # 8 degrees from where it should be are the most: their cosine is 0.990.
     about_z = [Rotation.from_rotvec([0, 0, off * DEG]).as_matrix() for off in (8.0, 8.2)]
     near, far = four(), four()
     near[index], far[index] = about_z[0] @ near[index], about_z[1] @ far[index]
-    off_axis_four._weights(near, SITE, 'here')
+    off_axis_four._off_axis_weights(near, SITE, 'here')
     with pytest.raises(NotObservable, match=f'with {words}'):
-        off_axis_four._weights(far, SITE, 'here')
+        off_axis_four._off_axis_weights(far, SITE, 'here')
 
 
 def test_z_must_be_up_twice_and_down_twice() -> None:
@@ -368,15 +372,15 @@ def test_z_must_be_up_twice_and_down_twice() -> None:
     wrong = four()
     wrong[0] = about_north @ wrong[0]
     with pytest.raises(NotObservable, match=r'twice in here, found \[-1\.0, -1\.0, -1\.0, 1\.0\]'):
-        off_axis_four._weights(wrong, SITE, 'here')
+        off_axis_four._off_axis_weights(wrong, SITE, 'here')
     leaning = four()
     # About where X or Y point: they stay, and Z leaves the vertical.
     lean = [Rotation.from_rotvec([0, off * DEG, 0]).as_matrix() for off in (8.0, 8.2)]
     near, far = leaning.copy(), leaning.copy()
     near[0], far[0] = lean[0] @ near[0], lean[1] @ far[0]
-    off_axis_four._weights(near, SITE, 'here')
+    off_axis_four._off_axis_weights(near, SITE, 'here')
     with pytest.raises(NotObservable, match='Z must be up twice'):
-        off_axis_four._weights(far, SITE, 'here')
+        off_axis_four._off_axis_weights(far, SITE, 'here')
 
 
 def alone(name: str, walk: float = 1e-9) -> Evidence:
@@ -400,7 +404,7 @@ def test_gyros_alone_give_twelve_numbers(name: str, module: Any) -> None:
 
 def test_static_six_is_least_squares_over_its_positions() -> None:
     evidence = alone('static_six')
-    found = static_six.solve(evidence)
+    found = static_six.solve_static_six(evidence)
     rates = np.array([s.attitude.T @ SITE.earth_rate for s in evidence.segments]) / EARTH_RATE
     design = np.column_stack([rates, np.ones(len(rates))])
     assert found.condition == pytest.approx(np.linalg.cond(design))
@@ -412,7 +416,7 @@ def test_static_six_is_least_squares_over_its_positions() -> None:
     assert noise[NAMES.index('D_gz'), NAMES.index('D_gz')] == pytest.approx(covariance[3, 3])
     # A position held twice counts as one.
     twice = replace(evidence, segments=(*evidence.segments, evidence.segments[0]))
-    assert static_six.solve(twice).condition == pytest.approx(found.condition)
+    assert static_six.solve_static_six(twice).condition == pytest.approx(found.condition)
 
 
 def test_a_response_known_to_a_tenth_is_the_least() -> None:
@@ -421,10 +425,10 @@ def test_a_response_known_to_a_tenth_is_the_least() -> None:
     tenth = 0.1 * np.sqrt(2) * SITE.north_rate * np.sqrt(dwell)
     of_z = 0.1 * SITE.north_rate / (np.sqrt(2) * SITE.up_rate)
     assert of_z == pytest.approx(0.1023, abs=1e-4)
-    weights = off_axis_four._weights(four(), SITE, 'here')
+    weights = off_axis_four._off_axis_weights(four(), SITE, 'here')
     static_six.gyros_only(alone('off_axis_four', tenth * 0.97), weights, 1.0)
     with pytest.raises(NotObservable) as refusal:
-        off_axis_four.solve(alone('off_axis_four', tenth * 1.03))
+        off_axis_four.solve_off_axis_four(alone('off_axis_four', tenth * 1.03))
     assert str(refusal.value) == (
         'The Earth turns too slowly for the noise of these gyros and these dwells: known no better '
         'than to a tenth are K_gx (0.1), K_gy (0.1), K_gz (0.11), E_gxy (0.1), E_gxz (0.11), '
@@ -444,7 +448,7 @@ def lost(name: str, *positions: str) -> Evidence:
 
 def test_an_axis_that_was_never_down_is_named() -> None:
     with pytest.raises(NotObservable) as refusal:
-        twelve_position.solve(lost('twelve_position', '3', '4'))
+        twelve_position.solve_twelve_position(lost('twelve_position', '3', '4'))
     assert str(refusal.value) == (
         'No position with X down was found (missing: 3, 4): K_ax and the responses of the '
         'accelerometers to X cannot be determined.'
@@ -452,7 +456,7 @@ def test_an_axis_that_was_never_down_is_named() -> None:
 
 
 def test_a_group_that_is_not_whole_is_left_out_of_the_biases() -> None:
-    found = twelve_position.solve(lost('twelve_position', '2', '11'))
+    found = twelve_position.solve_twelve_position(lost('twelve_position', '2', '11'))
     assert found.findings[0] == (
         'The gyro biases rest on 1 of 3 groups: in the group of X, Z vertical the Earth rate does '
         'not cancel (missing: 2, 11).'
@@ -462,7 +466,7 @@ def test_a_group_that_is_not_whole_is_left_out_of_the_biases() -> None:
     noise = found.shares[Source.NOISE].covariance[9, 9]  # type: ignore[index]
     assert np.sqrt(noise) == pytest.approx(GYRO_WALK / np.sqrt(4 * 120), rel=1e-3)
     with pytest.raises(NotObservable) as refusal:
-        twelve_position.solve(lost('twelve_position', '2', '6', '11'))
+        twelve_position.solve_twelve_position(lost('twelve_position', '2', '6', '11'))
     assert str(refusal.value) == (
         'In no group of four positions does the Earth rate cancel (missing: 2, 6, 11): D_gx, D_gy, '
         'D_gz cannot be determined without north.'
@@ -490,7 +494,7 @@ def test_three_thousandths_of_the_earth_rate_may_be_left(off: float, whole: bool
 def test_six_positions_need_north_and_positions() -> None:
     evidence = evidence_of('six_position', TRUE)
     with pytest.raises(NotObservable, match=r'^Six positions need north: .*D_gx, D_gy, D_gz'):
-        six_position.solve(evidence)
+        six_position.solve_six_position(evidence)
     empty = replace(evidence, segments=(), azimuth=0.0)
     with pytest.raises(NotObservable, match='No position of the plan was found'):
         six_position._bias_equation(empty)
@@ -506,7 +510,7 @@ def test_six_dwells_of_uneven_length_count_alike() -> None:
     np.testing.assert_allclose(equation.weights, np.full((6, 3), 1 / 6))
     mean = np.mean([s.attitude.T @ SITE.earth_rate for s in long], axis=0)
     np.testing.assert_allclose(equation.mean_input, mean, atol=1e-20)
-    found = six_position.solve(replace(evidence, segments=long))
+    found = six_position.solve_six_position(replace(evidence, segments=long))
     assert found.model.vector() == pytest.approx(TRUE.vector(), abs=1e-9)
 
 

@@ -29,7 +29,7 @@ from imu_calib.calibration.thermal import combine
 from imu_calib.calibration.verify import Verdict, verify
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import PPM
 from imu_calib.estimation import forecast, reach

@@ -22,7 +22,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.calibrator_results import Result
 from imu_calib.cli.main import main
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Block, Units
 from imu_calib.common.units import DEG
 from imu_calib.estimation import forecast

@@ -17,7 +17,7 @@ from jsonschema import Draft202012Validator
 import imu_calib
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.fleet.batch import CALIBRATED, Done, failed, limits_of
 from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.recordings import Job, Labels

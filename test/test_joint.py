@@ -184,7 +184,7 @@ def one_session(seed: int) -> tuple[Floats, ...]:
     at_rest = {position.id: DWELL + 1 for position in plan.positions}
     table = load_table('three_axis')
     floor = bound(plan, paper_imu(), truth().model, SITE, azimuth, at_rest, table)
-    closed = twelve_position.solve(evidence)
+    closed = twelve_position.solve_twelve_position(evidence)
     return errors(found), found.std, floor, errors(closed), closed.std
 
 
@@ -231,7 +231,7 @@ def six_on_a_tilted_table() -> Evidence:
 def test_six_positions_on_a_tilted_table_keep_their_biases() -> None:
     # docs/mathematics.md, 'Twelve positions': 0.05 deg costs six up to 530 micro-g.
     evidence = six_on_a_tilted_table()
-    found, closed = joint.solve(evidence), six_position.solve(evidence)
+    found, closed = joint.solve(evidence), six_position.solve_six_position(evidence)
     assert np.abs(errors(closed)[ACCEL_BIAS]).max() > 300 * MICRO_G
     assert np.abs(errors(found)[ACCEL_BIAS]).max() < 20 * MICRO_G
     assert np.abs(normalised(found)).max() < 4.5
@@ -261,7 +261,7 @@ def on_a_tilted_table(tilt: tuple[float, float], plan: str = 'twelve_position') 
 @pytest.mark.parametrize('tilt', [again((0.1, 0.0)), (0.07, -0.07)])
 def test_a_tilted_table_contradicts_no_latitude(tilt: tuple[float, float]) -> None:
     evidence = on_a_tilted_table((tilt[0] * DEG, tilt[1] * DEG))
-    found, closed = joint.solve(evidence), twelve_position.solve(evidence)
+    found, closed = joint.solve(evidence), twelve_position.solve_twelve_position(evidence)
     assert np.abs(normalised(found)).max() < 4.5
     # 1 - cos(0.1 deg) = 1.5 ppm in K_a, which the closed form cannot know: widened and said.
     assert np.abs(normalised(closed)).max() < 4.5
@@ -279,7 +279,7 @@ def test_a_tilted_table_contradicts_no_latitude(tilt: tuple[float, float]) -> No
 
 def test_a_closed_form_that_a_tilt_spoils_says_so() -> None:
     # The tilt about north shows in six positions, and goes whole into biases: 0.1 deg is 1.7 mg.
-    closed = six_position.solve(on_a_tilted_table((0.0, 0.1 * DEG), 'six_position'))
+    closed = six_position.solve_six_position(on_a_tilted_table((0.0, 0.1 * DEG), 'six_position'))
     assert np.abs(errors(closed)[ACCEL_BIAS]).max() > 1000 * MICRO_G
     assert np.abs(normalised(closed)).max() < 4.5
     assert any('which this closed form takes to be horizontal' in text for text in closed.findings)
@@ -305,7 +305,7 @@ def test_one_position_lost_costs_one_position() -> None:
     plan = at_one_rate(quick_plan('twelve_position', 60.0))
     whole = simulated(plan, stand(azimuth=0.5), 3)
     evidence = replace(whole, segments=whole.segments[:6] + whole.segments[7:])
-    found, closed = joint.solve(evidence), twelve_position.solve(evidence)
+    found, closed = joint.solve(evidence), twelve_position.solve_twelve_position(evidence)
     assert np.abs(normalised(found)).max() < 4.5
     # The closed form gives up the other three of the group.
     assert np.all(found.std[GYRO_BIAS] < 0.85 * closed.std[GYRO_BIAS])
@@ -321,7 +321,7 @@ def test_a_position_that_was_leaned_on_is_named_and_does_no_harm() -> None:
     segments = list(evidence.segments)
     segments[4] = replace(leaned, statistics=statistics)
     spoilt = replace(evidence, segments=tuple(segments))
-    found, closed = joint.solve(spoilt), twelve_position.solve(spoilt)
+    found, closed = joint.solve(spoilt), twelve_position.solve_twelve_position(spoilt)
     assert any('accelerometers at position 5' in finding for finding in found.findings)
     assert np.abs(normalised(found)).max() < 4.5
     assert np.linalg.norm(errors(found)[12:]) < 0.3 * np.linalg.norm(errors(closed)[12:])
@@ -335,7 +335,7 @@ def test_uneven_dwells_count_by_what_they_are_worth() -> None:
         positions=tuple(replace(p, dwell=d) for p, d in zip(plan.positions, dwells, strict=True)),
     )
     evidence = simulated(plan, stand(azimuth=0.5), 4)
-    found, closed = joint.solve(evidence), twelve_position.solve(evidence)
+    found, closed = joint.solve(evidence), twelve_position.solve_twelve_position(evidence)
     assert np.abs(normalised(found)).max() < 4.5
     assert np.all(found.std[GYRO_BIAS] < 0.6 * closed.std[GYRO_BIAS])
 

@@ -13,8 +13,8 @@ from loopback import CHECKOUT, environment
 from imu_calib.cli import dispatch, stand_session
 from imu_calib.cli.processes import free_port
 from imu_calib.common.errors import ImuCalibError
+from imu_calib.common.files import version
 from imu_calib.common.rotations import rotation
-from imu_calib.common.version import version
 from imu_calib.session.table import load_table
 
 try:

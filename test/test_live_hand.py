@@ -14,10 +14,10 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.guidance import Stage, direction
 from imu_calib.calibration.hand import HandCalibrator
-from imu_calib.cli.by_hand import reached, view
+from imu_calib.cli.by_hand import reached, view_hand
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import ARCMIN, DEG, PPM
 from imu_calib.estimation.hand import FREE
@@ -176,7 +176,7 @@ def progress(**changed):
 def test_a_person_sees_what_to_do_and_what_each_next_hold_gains():
     console = Console(width=100)
     with console.capture() as capture:
-        console.print(view(progress(), 'too few holds'))
+        console.print(view_hand(progress(), 'too few holds'))
     lines = capture.get().splitlines()
     assert 'Turn to Z down' in lines[0]
     assert lines[1].startswith('5 holds, scale factors open')

@@ -9,7 +9,7 @@ import numpy as np
 
 from imu_calib.calibration.compensator import Compensator
 from imu_calib.calibration.thermal import load_calibration
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock
 from imu_calib.recordings.cdr_codec import encode_imu, encode_rates, rates_payloads
 from imu_calib.recordings.decode import ImuDecoder

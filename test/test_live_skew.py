@@ -9,7 +9,7 @@ from sessions import SITE, Alone, ended, stand
 
 from imu_calib.api.calibrating import calibrate
 from imu_calib.calibration.calibration import Calibration
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock, SkewBlock
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup

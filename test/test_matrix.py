@@ -35,7 +35,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.exports_part import EXPORTS
 from imu_calib.cli.main import main
 from imu_calib.cli.several import HELD_UNIT as HELD
-from imu_calib.common.share import share_folder
+from imu_calib.common.files import share_folder
 from imu_calib.common.stream import Floats, Units
 from imu_calib.estimation import hand as free_positions
 from imu_calib.estimation.evidence import SMALLEST_VARIANCE

@@ -15,7 +15,7 @@ from imu_calib.calibration.calibrator_results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError, NotObservable
-from imu_calib.common.share import named_file, share_folder
+from imu_calib.common.files import named_file, share_folder
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG, DEG_H, STANDARD_GRAVITY
 from imu_calib.estimation.methods import METHODS, check_plan

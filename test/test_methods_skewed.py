@@ -13,7 +13,7 @@ from sessions import SITE, calibrate, stand
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.errors import NotObservable
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, ImuBlock, SkewBlock
 from imu_calib.common.units import DEG, DEG_H
 from imu_calib.estimation.closed_forms import skewed
@@ -89,7 +89,7 @@ def sixteen(model: SensorModel) -> Floats:
 
 
 def test_without_noise_the_sixteen_numbers_are_exact() -> None:
-    found = sixteen(skewed.solve(session(None)).model)
+    found = sixteen(skewed.solve_skewed(session(None)).model)
     assert found[:, :3] == pytest.approx(couplings()[:, :3], abs=1e-13)
     assert found[:, 3] == pytest.approx(couplings()[:, 3], abs=1e-14)
 
@@ -152,7 +152,7 @@ def test_what_estimated_weights_cost_is_what_they_are_off_the_true_ones() -> Non
 def test_stated_deviations_are_those_of_the_errors() -> None:
     ratios = []
     for seed in range(100):
-        solution = skewed.solve(session(np.random.default_rng(seed)))
+        solution = skewed.solve_skewed(session(np.random.default_rng(seed)))
         residuals = (sixteen(solution.model) - couplings()).T[:3, 3]
         ratios.append(residuals / solution.std[24:27])
     # 300 values: 4 %; the variances are estimates from 18 turns per rate.
@@ -177,10 +177,10 @@ def test_a_channel_that_errs_at_one_rate_is_named() -> None:
     assert turn.skewed is not None
     wrong = replace(turn.skewed, mean=turn.skewed.mean * (1 + 1e-4))
     turns = (*whole.turns[:k], replace(turn, skewed=wrong), *whole.turns[k + 1 :])
-    sentences = ' '.join(skewed.solve(replace(whole, turns=turns)).findings)
+    sentences = ' '.join(skewed.solve_skewed(replace(whole, turns=turns)).findings)
     assert 'contradict each other in turns at' in sentences
     assert '-100 deg/s' in sentences
-    clean = ' '.join(skewed.solve(whole).findings)
+    clean = ' '.join(skewed.solve_skewed(whole).findings)
     assert 'Parity of the four gyros over 30 turns' in clean
     assert 'contradict' not in clean
 
@@ -231,7 +231,7 @@ def test_without_the_skewed_stream_it_says_what_is_lost() -> None:
     bare = session(None)
     turns = tuple(replace(t, skewed=None) for t in bare.turns)
     with pytest.raises(NotObservable, match=r'imu/skew.*R_gsx, R_gsy, R_gsz, D_gs'):
-        skewed.solve(replace(bare, turns=turns))
+        skewed.solve_skewed(replace(bare, turns=turns))
 
 
 def test_a_plan_without_turns_about_z_is_refused_beforehand() -> None:

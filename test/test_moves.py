@@ -14,8 +14,8 @@ from sessions import SITE, at_one_rate, fed, gathered, paper_imu, quick_plan, se
 from test_other_world import MEDIUM, NAVIGATION, segmented, true_vector
 
 from imu_calib.calibration.calibration import Calibration
+from imu_calib.common.files import named_file
 from imu_calib.common.rotations import rotations_last
-from imu_calib.common.share import named_file
 from imu_calib.common.stream import Floats, ImuBlock
 from imu_calib.common.units import ARCSEC, DEG, PPM
 from imu_calib.estimation import joint

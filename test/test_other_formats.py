@@ -12,7 +12,7 @@ import imu_calib
 from imu_calib.cli.dispatch import COMMANDS, build_parser
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 
 FILES = {
     'log.ulg': (b'ULog\x01\x125\x01\x00 and so on', 'is a log of PX4.*ulog2csv.*imu-calib convert'),

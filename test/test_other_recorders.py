@@ -11,8 +11,7 @@ from test_convert import recording as recorded
 import imu_calib
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
-from imu_calib.common.files import read_text
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file, read_text
 from imu_calib.common.stream import ImuBlock
 from imu_calib.recordings.cdr_codec import encode_imu, encode_rates
 from imu_calib.recordings.mcap_writer import McapWriter

@@ -33,7 +33,7 @@ from sessions import gathered
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.common.config import Section
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Units
 from imu_calib.estimation import search
 from imu_calib.estimation.converge import NotConverged

@@ -80,7 +80,7 @@ from pathlib import Path
 import imu_calib
 from imu_calib.cli.row_files import write_rows
 from imu_calib.common.errors import InputError
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 
 folder, fields = Path(sys.argv[1]), sys.argv[2]
 calibration = imu_calib.Calibration.load(folder / 'calibration.yaml')

@@ -9,7 +9,7 @@ import pytest
 
 import imu_calib
 from imu_calib.common.errors import ImuCalibError, NotStated
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock
 from imu_calib.recordings.cdr_codec import RATES, encode_imu
 from imu_calib.recordings.writer import RecordingWriter

@@ -29,8 +29,8 @@ from imu_calib.calibration.calibrator import Calibrator
 from imu_calib.calibration.calibrator_results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
+from imu_calib.common.files import named_file
 from imu_calib.common.rotations import rotation
-from imu_calib.common.share import named_file
 from imu_calib.common.stream import Floats, ImuBlock, SetpointBlock
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup

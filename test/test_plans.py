@@ -15,7 +15,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator_results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.errors import NotObservable
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, Mode
 from imu_calib.common.units import ARCSEC, DEG, PPM
 from imu_calib.estimation import each_term, forecast

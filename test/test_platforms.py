@@ -9,7 +9,7 @@ from pathlib import Path
 import yaml
 from loopback import CHECKOUT
 
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 
 MODULES = ('fcntl', 'grp', 'pty', 'pwd', 'resource', 'termios', 'tty')
 FUNCTIONS = ('fork', 'getuid', 'pidfd_open', 'pread', 'pwrite', 'sched_getaffinity')

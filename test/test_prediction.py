@@ -13,7 +13,7 @@ import imu_calib
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.units import DEG, DEG_H, PPM
 from imu_calib.estimation import forecast, reach
 from imu_calib.estimation import predict as expected
@@ -255,7 +255,7 @@ def test_weights_that_are_estimates_cost_what_is_predicted() -> None:
                 for s, m in zip((turn.statistics, turn.skewed), seen, strict=True)
             )
             turns.append(replace(turn, statistics=three, skewed=fourth, each=each))
-        solved = skewed.solve(replace(session_, turns=tuple(turns)))
+        solved = skewed.solve_skewed(replace(session_, turns=tuple(turns)))
         wrong.append(solved.model.values(found.parameters) - unit.values(found.parameters))
     known = np.isfinite(found.std)
     square = np.square(wrong)[:, known].mean(axis=0)

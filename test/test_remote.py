@@ -271,7 +271,7 @@ def test_what_is_not_there_gets_a_sentence(
 def test_a_url_asks_for_the_library(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr('imu_calib.common.extras.find_spec', lambda name: None)
+    monkeypatch.setattr('imu_calib.common.files.find_spec', lambda name: None)
     assert main(['calibrate', 's3://lab/rec']) == 2
     assert "pip install 'imu_calib[remote]'" in capsys.readouterr().err
 

@@ -23,9 +23,9 @@ from imu_calib.calibration.thermal import combine
 from imu_calib.cli.main import main
 from imu_calib.common.budget import Share, Source
 from imu_calib.common.errors import InputError
-from imu_calib.common.instants import at, iso
+from imu_calib.common.files import named_file
 from imu_calib.common.rotations import rotations
-from imu_calib.common.share import named_file
+from imu_calib.common.stream import at, iso
 from imu_calib.reports.attitudes import Stand, attitudes, cube, stands
 from imu_calib.reports.budget import budget_section
 from imu_calib.reports.page import Contents, page

@@ -20,7 +20,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import dispatch, main, resume
 from imu_calib.cli.processes import Processes
 from imu_calib.common.errors import ImuCalibError, InputError
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, Mode
 from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.recordings.journal import Journal

@@ -8,7 +8,7 @@ from sessions import SITE
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.errors import ImuCalibError
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.units import MICRO_G
 from imu_calib.recordings.decode import decode_imu, decode_joints
 from imu_calib.recordings.messages import Messages

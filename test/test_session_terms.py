@@ -22,7 +22,7 @@ from imu_calib.cli.main import main
 from imu_calib.common.budget import Source
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError, NotObservable
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, ImuBlock, TemperatureBlock
 from imu_calib.estimation.converge import NotConverged
 from imu_calib.estimation.equations import Equations

@@ -9,7 +9,7 @@ import yaml
 from imu_calib.cli import dispatch, main, processes, several
 from imu_calib.cli.node_reports import NodeReports
 from imu_calib.common.errors import InputError, NotObservable
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.session.imu import load_imu
 from imu_calib.session.units_file import load_units
 

@@ -22,7 +22,7 @@ except ImuCalibError as error:
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import main
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Mode
 from imu_calib.recordings.kinds import Kind
 from imu_calib.recordings.rosbag2 import open_recording

@@ -13,7 +13,7 @@ from test_other_world import MEDIUM, World, errors, fed
 
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator import Calibrator
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Block, Floats, ImuBlock, Stamps, Units
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup

@@ -21,7 +21,7 @@ from imu_calib.estimation.closed_forms.skewed import (
     _parity,
     gauss_markov_bound,
     parity,
-    solve,
+    solve_skewed,
     variance_by_weights,
 )
 from imu_calib.estimation.layout import OutputLayout
@@ -366,7 +366,7 @@ def test_turns_without_noise_give_the_sixteen_numbers() -> None:
     turns = [turn(axis, rate) for axis in range(3) for rate in (0.5, -0.5, 1.5, -1.5)]
     site = SimpleNamespace(up_rate=UP_RATE)
     held: Any = Turned(turns, OutputLayout(0, 12), site=site, turns_clock_std=7e-6)
-    found = solve(held)
+    found = solve_skewed(held)
     assert found.model.gyro.response == pytest.approx(COUPLINGS[:3, :3], abs=1e-12)
     assert found.model.gyro.bias == pytest.approx(COUPLINGS[:3, 3], abs=1e-12)
     assert found.model.skewed is not None
@@ -383,4 +383,4 @@ def test_turns_without_noise_give_the_sixteen_numbers() -> None:
     assert found.covariance[0, 0] == pytest.approx(wanted[0, 0] + (1.01 * 7e-6) ** 2, rel=1e-9)
     for one in turns:
         one.statistics.mean[:3] += 1e-4 * rng.standard_normal(3)
-    assert solve(held).covariance[9, 9] > 100 * wanted[3, 3]
+    assert solve_skewed(held).covariance[9, 9] > 100 * wanted[3, 3]

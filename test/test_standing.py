@@ -14,7 +14,7 @@ from imu_calib.cli import resume, stand_session
 from imu_calib.cli.main import main
 from imu_calib.cli.terminal import as_options
 from imu_calib.common.errors import ImuCalibError, InputError, NotObservable
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 
 try:
     from live import LIMIT, short_plan

@@ -20,7 +20,7 @@ from test_devices import NS, frame
 from imu_calib.cli import dispatch, listening, main, stand_session
 from imu_calib.cli.node_reports import NodeReports, NothingComes
 from imu_calib.cli.terminal import OUTPUT
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.session.imu import load_imu
 from imu_calib.stand.devices.baud import choose_baud
 from imu_calib.stand.devices.commands import Command, Commands

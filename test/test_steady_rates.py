@@ -15,7 +15,7 @@ from sessions import SITE, Named, beside_exactness, calibrate, paper_imu, quick_
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator_results import Result
 from imu_calib.common.errors import NotObservable
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, JointBlock, Setpoint
 from imu_calib.common.units import ARCSEC, DEG
 from imu_calib.model.sensors import SensorModel

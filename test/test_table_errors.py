@@ -33,7 +33,7 @@ from imu_calib.cli.main import main
 from imu_calib.common.budget import Source
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
-from imu_calib.common.share import share_folder
+from imu_calib.common.files import share_folder
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCMIN, ARCSEC
 from imu_calib.estimation import joint

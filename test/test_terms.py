@@ -14,7 +14,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.calibration.calibrator_results import Result
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
-from imu_calib.common.share import named_file, share_folder
+from imu_calib.common.files import named_file, share_folder
 from imu_calib.estimation import forecast
 from imu_calib.estimation.hand import in_frame_of_accelerometers
 from imu_calib.estimation.methods import JOINT, METHODS, estimated_parameters, method

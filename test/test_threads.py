@@ -13,7 +13,7 @@ from imu_calib.api.calibrating import calibrated
 from imu_calib.api.predict import optimise, predicted, shortest
 from imu_calib.api.repeating import montecarlo
 from imu_calib.api.verify import verify
-from imu_calib.common import threads
+from imu_calib.common import parallel as threads
 
 _COUNT = """
 import os, {module}, numpy
@@ -37,7 +37,7 @@ def test_a_product_of_matrices_takes_one_thread(module):
 _DEEP = """
 import sys
 from threadpoolctl import threadpool_info, threadpool_limits
-from imu_calib.common.threads import by_one_thread
+from imu_calib.common.parallel import by_one_thread
 
 def threads():
     return sorted({pool['num_threads'] for pool in threadpool_info() if pool['user_api'] == 'blas'})

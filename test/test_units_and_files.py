@@ -5,7 +5,7 @@ import pytest
 
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Units
 from imu_calib.common.units import Dimension, parse
 from imu_calib.session.imu import load_imu, read_imu

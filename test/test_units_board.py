@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 from test_web_board import NOON, SETUP, calibration, diagnostics, progress, state
 
-from imu_calib.cli.table_view import view
+from imu_calib.cli.table_view import view_table
 from imu_calib.common.config import Section
 from imu_calib.session.units_file import read_units
 from imu_calib.stand.devices.health import Severity
@@ -105,7 +105,7 @@ def test_a_unit_without_a_result_is_not_passed_over(board):
 
 
 def test_the_terminal_has_a_line_for_each(board):
-    text = printed(view(board.snapshot(2.0), NOON, 100, board.unit_rows(2.0)), 100)
+    text = printed(view_table(board.snapshot(2.0), NOON, 100, board.unit_rows(2.0)), 100)
     lines = text.splitlines()
     assert [sum(serial in line for line in lines) for serial in ('A1', '<B>', 'C3')] == [1, 1, 1]
     (second,) = (line for line in lines if '<B>' in line)

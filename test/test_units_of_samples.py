@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import imu_calib
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.errors import InputError
-from imu_calib.common.share import named_file
+from imu_calib.common.files import named_file
 from imu_calib.common.stream import Floats, ImuBlock, Units
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.recordings.cdr_codec import encode_imu

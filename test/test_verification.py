@@ -22,8 +22,8 @@ from imu_calib.calibration.hypotheses import mistakes
 from imu_calib.calibration.verify import Verdict, Verification, _Trial, verify
 from imu_calib.cli.main import main
 from imu_calib.common.errors import NotObservable
+from imu_calib.common.files import named_file
 from imu_calib.common.rotations import rotation
-from imu_calib.common.share import named_file
 from imu_calib.common.stream import Floats, ImuBlock, Units
 from imu_calib.common.units import ARCMIN, ARCSEC, DEG, DEG_H, PPM, STANDARD_GRAVITY
 from imu_calib.estimation import system

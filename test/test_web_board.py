@@ -13,7 +13,7 @@ from browser import browser as browser  # noqa: PLC0414
 from browser import look_at, needs_chromium, opened, overlaps, width
 from rich.console import Console
 
-from imu_calib.cli.table_view import view
+from imu_calib.cli.table_view import view_table
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.common.units import DEG
@@ -450,14 +450,14 @@ def test_a_urdf_of_another_table_or_no_urdf_is_refused(tmp_path):
 def test_the_terminal_shows_deviations_predictions_limits_and_the_time_left(expected):
     board = Board(expected)
     console = Console(width=100, record=True, file=io.StringIO())
-    console.print(view(board.snapshot(0.0), NOON, 100))
+    console.print(view_table(board.snapshot(0.0), NOON, 100))
     assert 'time left not known' in console.export_text()
     board.take_state(state(100.0), 0.0)
     board.take_progress(progress(90.0, math.nan), 0.0)
     board.take_progress(progress(100.0, 4e-6), 0.0)
     for columns in (100, 60):
         console = Console(width=columns, record=True, file=io.StringIO())
-        console.print(view(board.snapshot(0.0), NOON, columns))
+        console.print(view_table(board.snapshot(0.0), NOON, columns))
         text = console.export_text()
         assert 'step 4 of 28' in text
         assert '10 min 0 s left' in text

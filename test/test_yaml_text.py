@@ -3,9 +3,8 @@
 import pytest
 import yaml
 
-from imu_calib.common.config import Section
+from imu_calib.common.config import Section, load
 from imu_calib.common.errors import InputError
-from imu_calib.common.yaml_text import load
 from imu_calib.recordings.metadata import custom_data_of, read_metadata
 from imu_calib.reports.certificate_fields import read_fields
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..common.errors import InputError, NotStated
-from ..common.share import shipped
+from ..common.files import shipped
 from ..common.stream import Floats, ImuBlock, Units
 from ..common.units import LARGEST, STANDARD_GRAVITY
 from ..recordings.kinds import Kind

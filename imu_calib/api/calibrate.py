@@ -13,11 +13,10 @@ from ..calibration.calibrator_part import calibrator_of
 from ..calibration.calibrator_results import Result
 from ..calibration.hand import HandCalibrator
 from ..calibration.shared_results import SharedResults, estimate_together
-from ..common.arguments import checked
+from ..common.config import checked
 from ..common.errors import ImuCalibError, InputError
-from ..common.progress import Progress, silent
+from ..common.parallel import Progress, by_one_thread, silent
 from ..common.stream import Block, Floats, ImuBlock
-from ..common.threads import by_one_thread
 from ..common.units import counted
 from ..estimation.common_unknowns import TableEstimate
 from ..recordings.remote import AnyPath

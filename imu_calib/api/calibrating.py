@@ -11,8 +11,7 @@ from ..calibration.calibrator_results import Result
 from ..calibration.hand import HandCalibrator
 from ..common.errors import InputError, NotObservable, NotStated
 from ..common.files import printable
-from ..common.progress import Progress, silent
-from ..common.threads import by_one_thread
+from ..common.parallel import Progress, by_one_thread, silent
 from ..recordings.in_order import InOrder
 from ..recordings.remote import AnyPath
 from ..segmentation.stream_facts import Segmented

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..calibration.calibration import Calibration
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, load_calibration
-from ..common.arguments import checked
-from ..common.config import Section
+from ..common.config import Section, checked
 from ..common.errors import InputError
 from ..common.files import user_path, write_whole
 from ..reports.certificate import Certificate, certificate_of

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..calibration.views import draw_columns
-from ..common.arguments import checked
+from ..common.config import checked
 from ..common.errors import InputError
-from ..common.extras import require
+from ..common.files import require
 from ..common.stream import (
     Block,
     ImuBlock,

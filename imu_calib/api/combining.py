@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ..calibration.calibration import Calibration
 from ..calibration.thermal import ThermalCalibration
 from ..calibration.thermal import combine as of_temperatures
-from ..common.arguments import checked
+from ..common.config import checked
 from .named import Named, as_calibration, as_list, name_of
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from ..calibration.agreement import FALSE_ALARM, Agreement
 from ..calibration.calibration import Calibration
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, first_of
 from ..calibration.views import compared_frame, draw_differences
-from ..common.arguments import checked
+from ..common.config import checked
 from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import counted

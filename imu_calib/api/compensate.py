@@ -17,9 +17,9 @@ from ..calibration.samples import Mark
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_unit, first_of
 from ..calibration.turns_seen import TurnsSeen
 from ..calibration.whole_stream import WholeStream
-from ..common.arguments import checked
+from ..common.config import checked
 from ..common.errors import InputError, NotObservable
-from ..common.progress import Progress, silent
+from ..common.parallel import Progress, silent
 from ..common.stream import ImuBlock, Stamps
 from ..common.units import counted
 from ..recordings.cdr_codec import encode_rates

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..calibration.calibrator_results import Result
 from ..calibration.thermal import AnyCalibration, ThermalCalibration
-from ..common.arguments import checked
+from ..common.config import checked
 from ..common.errors import InputError
 from ..common.units import counted
 from ..reports.assessment import Assessed, assess, worst

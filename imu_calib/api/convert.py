@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.progress import Progress
+from ..common.parallel import Progress
 from ..common.stream import Floats, ImuBlock, Stamps, Units
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording, open_recording

@@ -9,8 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.instants import LAST_SECOND
-from ..common.stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock, Units
+from ..common.stream import (
+    LAST_SECOND,
+    Floats,
+    ImuBlock,
+    JointBlock,
+    Stamps,
+    TemperatureBlock,
+    Units,
+)
 from ..common.units import Dimension, counted, parse
 from ..recordings.cdr_codec import encode_joints, encode_temperatures
 from ..recordings.in_order import places_by_stamp

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.files import read_text
-from ..common.share import named_file
+from ..common.files import named_file, read_text
 from ..common.stream import ImuBlock, Units
 from ..common.units import counted
 from ..recordings.cdr_codec import encode_imu, encode_rates

@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ..common.arguments import checked
+from ..common.config import checked
 from ..common.errors import InputError
-from ..common.extras import require
-from ..common.files import refuse_device, user_path
+from ..common.files import refuse_device, require, user_path
 from ..common.other_formats import BAG_OF_ROS_1
-from ..common.progress import Progress, silent
+from ..common.parallel import Progress, silent
 from ..recordings.files import is_storage
 from ..recordings.kinds import Kind
 from ..recordings.remote import AnyPath, local, located

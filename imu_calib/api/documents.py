@@ -12,10 +12,10 @@ import numpy as np
 from ..calibration.calibration import Calibration
 from ..calibration.calibrator_results import Result
 from ..calibration.thermal import AnyCalibration, ThermalCalibration
-from ..common.arguments import checked
+from ..common.config import checked
 from ..common.errors import InputError, NotStated
 from ..common.files import write_whole
-from ..common.progress import Progress, silent
+from ..common.parallel import Progress, silent
 from ..estimation.methods import JOINT
 from ..estimation.term_tests import TermState
 from ..model.earth import MEASURED

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from ..calibration.exported import Exported, ExportSource
 from ..calibration.exports_part import EXPORTS
 from ..calibration.thermal import AnyCalibration, ThermalCalibration, first_of
-from ..common.arguments import checked
+from ..common.config import checked
 from ..common.errors import InputError
 from ..common.files import user_path, write_whole
 from ..session.imu import ImuSpec

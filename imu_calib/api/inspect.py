@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import InputError, NotObservable
-from ..common.progress import Progress
+from ..common.parallel import Progress
 from ..common.stream import Block
 from ..common.units import DEG, DEG_H, counted
 from ..estimation.measured_earth_rate import contradicts, measured_latitude, vertical_earth_rate

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError, NotStated
-from ..common.progress import Progress, silent
+from ..common.parallel import Progress, silent
 from ..common.units import counted
 from ..recordings.kinds import Kind
 from ..recordings.recorded_clock import Extent

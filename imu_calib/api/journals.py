@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..common.instants import NS
+from ..common.stream import NS
 from ..recordings.journal import FINISHED
 from ..recordings.rosbag2 import Recording, open_recording
 from ..recordings.storage import RecordingError

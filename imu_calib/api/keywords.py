@@ -8,7 +8,7 @@ from functools import wraps
 from inspect import Parameter, signature
 from typing import TYPE_CHECKING, ParamSpec, TypedDict, TypeVar
 
-from ..common.arguments import check
+from ..common.config import check
 from .session import Stated
 
 if TYPE_CHECKING:

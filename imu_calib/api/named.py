@@ -15,7 +15,7 @@ from ..calibration.thermal import (
     load_calibration,
 )
 from ..common.errors import InputError
-from ..common.share import named_file
+from ..common.files import named_file
 from ..session.imu import ImuSpec, load_imu
 from ..session.plan import Plan, load_plan
 from ..session.table import Table, load_table

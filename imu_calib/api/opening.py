@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 from ..common.errors import InputError
-from ..common.progress import Progress, silent
+from ..common.parallel import Progress, silent
 from ..common.stream import Block
 from ..estimation.setup import Setup
 from ..recordings.in_order import InOrder

@@ -13,11 +13,9 @@ import numpy as np
 
 from ..calibration.calibration import Calibration
 from ..calibration.views import predicted_frame
-from ..common.engine import run_all
 from ..common.errors import InputError
 from ..common.files import write_whole
-from ..common.progress import Progress, silent
-from ..common.threads import by_one_thread
+from ..common.parallel import Progress, by_one_thread, run_all, silent
 from ..common.units import DEG, counted, parse
 from ..estimation import forecast
 from ..estimation import hand as free_positions

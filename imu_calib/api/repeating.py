@@ -11,8 +11,7 @@ import numpy as np
 from ..calibration.calibration import Calibration
 from ..calibration.views import compared_frame, draw_normalised
 from ..common.errors import InputError, NotObservable
-from ..common.progress import Progress, silent
-from ..common.threads import by_one_thread
+from ..common.parallel import Progress, by_one_thread, silent
 from ..common.units import counted
 from ..estimation.methods import method as solver
 from ..estimation.setup import Setup

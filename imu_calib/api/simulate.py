@@ -13,9 +13,9 @@ import numpy as np
 
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
-from ..common.instants import YEAR_2200
-from ..common.progress import Progress, silent
+from ..common.parallel import Progress, silent
 from ..common.stream import (
+    YEAR_2200,
     Block,
     ImuBlock,
     JointBlock,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
-from ..common.progress import Progress, silent
+from ..common.parallel import Progress, silent
 from ..common.units import counted
 from ..estimation.methods import check_plan
 from ..model.earth import LUOYANG
@@ -29,7 +29,7 @@ from .simulate import options_of, save_true_table, write_blocks
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-_TABLE = 'three_axis'
+_UNITS_TABLE = 'three_axis'
 _TRUTH = 'cao2022_table1'
 
 
@@ -110,7 +110,7 @@ def simulate_units(
         raise InputError(
             f'`imus`: plan {steps.name} is run by hand, without a table: expected one unit (`imu`).'
         )
-    stands = as_table(table or _TABLE)
+    stands = as_table(table or _UNITS_TABLE)
     options = options_of(
         stands,
         azimuth,
@@ -128,7 +128,7 @@ def simulate_units(
         unit = SimulatedUnit(one.topic, spec, true.model, one.mount, one.lever, own_seed)
         units.append(unit)
     stand = SeveralOnTable(steps, stands, units, place, options, seed)
-    data = shared_description(describe(plan, listed[0].imu, table or _TABLE, place))
+    data = shared_description(describe(plan, listed[0].imu, table or _UNITS_TABLE, place))
     for one in listed:
         data |= unit_description(one.topic, one.imu, one.serial_number)
         if one.turned:

@@ -12,8 +12,7 @@ from ..calibration.thermal import AnyCalibration, ThermalCalibration, check_iden
 from ..calibration.verify import Verification
 from ..calibration.verify import verify as judge
 from ..common.errors import InputError, NotObservable, NotStated
-from ..common.progress import Progress, silent
-from ..common.threads import by_one_thread
+from ..common.parallel import Progress, by_one_thread, silent
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..estimation.observed import observe
 from ..recordings.in_order import InOrder

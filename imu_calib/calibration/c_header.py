@@ -33,7 +33,7 @@ _OUTPUT = {
 }
 
 
-def export(source: ExportSource) -> Exported:
+def export_c_header(source: ExportSource) -> Exported:
     """Return the header.
 
     Raises:

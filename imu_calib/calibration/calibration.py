@@ -11,14 +11,12 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ..common.arguments import checked
 from ..common.budget import Budget, Share, Source
-from ..common.config import Section
+from ..common.config import SafeDumper, Section, checked, dump
 from ..common.errors import InputError
 from ..common.files import user_path, write_whole
 from ..common.stream import Floats, Units
 from ..common.units import counted
-from ..common.yaml_text import SafeDumper, dump
 from ..model.alignment import Angles, free_of_frame
 from ..model.changes import KEY as CHANGES
 from ..model.changes import Changes, read_changes

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from ..common.instants import iso
+from ..common.files import version
+from ..common.stream import iso
 from ..common.units import DEG
-from ..common.version import version
 from ..estimation.cross_check import Comparison
 from ..estimation.evidence import Evidence
 from ..estimation.setup import Setup

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from ..common.errors import NotObservable
-from ..common.gaussian import FIVE_SIGMA
+from ..common.rotations import FIVE_SIGMA
 from ..common.stream import Floats
 from ..common.units import ARCMIN, DEG, PPM
 from ..estimation.system import Fit, TriadSystem

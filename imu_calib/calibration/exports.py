@@ -36,7 +36,7 @@ _HEAD = """\
 """
 
 
-def export(source: ExportSource) -> Exported:
+def export_kalibr(source: ExportSource) -> Exported:
     """Return imu.yaml.
 
     Raises:

@@ -9,10 +9,10 @@ from . import exports as kalibr
 from .exported import Exported, ExportSource
 
 EXPORTS: dict[str, Callable[[ExportSource], Exported]] = {
-    'ros': ros.export,
-    'kalibr': kalibr.export,
-    'imucal': imucal.export,
-    'c': c_header.export,
+    'ros': ros.export_ros,
+    'kalibr': kalibr.export_kalibr,
+    'imucal': imucal.export_imucal,
+    'c': c_header.export_c_header,
 }
 
 __all__ = ['EXPORTS', 'ExportSource', 'Exported']

@@ -24,7 +24,7 @@ _BIAS_UNITS = {
 _ANGLE_UNITS = {'degrees': DEG, 'arc minutes': ARCMIN, 'arc seconds': ARCSEC}
 _RATIO_UNITS = {'ppm': PPM, 'per cent': 0.01}
 """The same for ratios."""
-_ALIKE = 0.01
+_ALIKE_HYPOTHESES = 0.01
 """Relative difference from a known factor below. A judgement: scale factors change by less, and the
 factors differ by more."""
 _SHARES = {
@@ -229,6 +229,6 @@ def _channel_words(signed: Floats) -> str:
 def share_in_words(share: float, *, gyros: bool) -> str:
     """Return what may cause a factor on the outputs."""
     for known, words in _SHARES[gyros].items():
-        if abs(share / known - 1) < _ALIKE:
+        if abs(share / known - 1) < _ALIKE_HYPOTHESES:
             return words
     return 'the nominal scale factor or the units are not those of the recording'

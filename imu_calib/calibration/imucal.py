@@ -27,7 +27,7 @@ _UNITS = {
 }
 
 
-def export(source: ExportSource) -> Exported:
+def export_imucal(source: ExportSource) -> Exported:
     """Return a TurntableCalibrationInfo.
 
     Raises:

@@ -8,7 +8,7 @@ from ..common.errors import InputError
 from .exported import Exported, ExportSource, left_out
 
 
-def export(source: ExportSource) -> Exported:
+def export_ros(source: ExportSource) -> Exported:
     """Return parameters that name the calibration file for the node.
 
     The file is not copied: the node reads it again when it changes.

@@ -10,13 +10,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..common.arguments import checked
-from ..common.config import Section
+from ..common.config import Section, checked, dump, load
 from ..common.errors import InputError
 from ..common.files import user_path, write_whole
 from ..common.stream import Floats
 from ..common.units import counted
-from ..common.yaml_text import dump, load
 from ..session.imu import ImuSpec
 from ..session.stamping import StampingClock
 from .calibration import Calibration, calibration_section

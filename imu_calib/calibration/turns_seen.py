@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..common.directions import cross
+from ..common.rotations import cross
 from ..common.stream import Floats, Stamps
 from ..model.wrong_scale import wrong_turns_sentences
 from ..session.imu import SCALE_LIMIT, ImuSpec

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.extras import require
+from ..common.files import require
 from ..common.stream import Floats, Stamps
 from ..common.units import significant
 from ..model.model_parameters import Parameter
-from ..session.channel_noise import TRIADS, ChannelNoise
+from ..session.channel_noise import TRIAD_NAMES, ChannelNoise
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
 
-    from ..common.picture import Picture
+    from ..common.files import Picture
 
 _TRIADS = {'g': 'gyros', 'a': 'accelerometers'}
 _BAR = 2.0
@@ -103,7 +103,7 @@ def draw_residuals(unit_name: str, positions: Sequence[str], residuals: list[Flo
         InputError: matplotlib is not installed.
     """
     figure = empty_figure(2 * _HEIGHT, _HEIGHT)
-    for triad, own, axes in zip(TRIADS, residuals, figure.subplots(1, 2), strict=True):
+    for triad, own, axes in zip(TRIAD_NAMES, residuals, figure.subplots(1, 2), strict=True):
         axes.axhline(0.0, color='0.7', linewidth=0.8)
         for channel, column in zip('xyz', own.T / triad.rate_scale, strict=True):
             axes.plot(column, 'o', markersize=4, label=channel)
@@ -129,7 +129,7 @@ def draw_noise(unit_name: str, seen: Mapping[str, ChannelNoise]) -> Picture:
             'minutes in one of them (docs/report.md).'
         )
     figure = empty_figure(2 * _HEIGHT, _HEIGHT)
-    for triad, axes in zip(TRIADS, figure.subplots(1, 2), strict=True):
+    for triad, axes in zip(TRIAD_NAMES, figure.subplots(1, 2), strict=True):
         for channel in (c for c in triad.channels if c in seen and len(seen[c].tau)):
             noise = seen[channel]
             walk, words = noise.random_walk.value, channel
@@ -233,7 +233,7 @@ def empty_figure(width: float, height: float, what: str = 'A plot') -> Picture:
         InputError: matplotlib is not installed; begins with the feature that needs it.
     """
     require('matplotlib', what, 'plot')
-    from ..common.picture import Picture
+    from ..common.files import Picture
 
     return Picture(figsize=(width, height), layout='constrained')
 

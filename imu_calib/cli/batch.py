@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from ..common.errors import NotObservable
-from ..common.parallel import MEMORY
-from ..common.progress import Show
+from ..common.parallel import MEMORY, Show
 from ..common.units import counted
 from ..fleet.running import batch
 from . import options

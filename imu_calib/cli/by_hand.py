@@ -21,7 +21,7 @@ from .terminal import ERRORS, OUTPUT
 
 _SHOWN = 6
 """Attitudes shown at once: as many as fit above the bars of a small terminal."""
-_BAR = 24
+_HAND_BAR = 24
 """Characters of the longest bar. A choice; layout."""
 _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result.'
 
@@ -45,7 +45,7 @@ def follow(processes: Nodes, reports: NodeReports) -> Outcome:
             processes.check()
             progress = monitor.progress
             if progress is not None and progress.state != progress.WAITING:
-                display.update(view(progress, monitor.refusal))
+                display.update(view_hand(progress, monitor.refusal))
                 shown = _print_changed(progress.text, shown)
             else:
                 if start.words:
@@ -57,7 +57,7 @@ def follow(processes: Nodes, reports: NodeReports) -> Outcome:
         return Outcome(finished, text, monitor.data_span)
 
 
-def view(progress: Any, refusal: str = '') -> Group:
+def view_hand(progress: Any, refusal: str = '') -> Group:
     """Lay out imu_calib_msgs/CalibrationProgress for a person with the unit in hand.
 
     Args:
@@ -68,7 +68,7 @@ def view(progress: Any, refusal: str = '') -> Group:
     rows = plain_table(('next', 'gain', ''), 'lrl')
     pairs = list(zip(progress.next_attitudes, progress.next_gains, strict=True))
     for words, gain in pairs[:_SHOWN]:
-        bar = '#' * round(_BAR * gain / best) if best > 0 else ''
+        bar = '#' * round(_HAND_BAR * gain / best) if best > 0 else ''
         rows.add_row(words, f'{gain:.2f}', bar)
     parts: list[Any] = [Text(progress.text, style='bold'), Text(reached(progress))]
     if pairs:

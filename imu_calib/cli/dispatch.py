@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ..common.errors import ImuCalibError, InputError
-from ..common.files import user_path
+from ..common.files import user_path, version
 from ..common.units import point_for_comma
-from ..common.version import version
 from .interruption import INTERRUPTED, KIND, WORDS, clear_interrupt, end_once
 from .outcome import (
     JSON,

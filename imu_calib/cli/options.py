@@ -10,7 +10,7 @@ from typing import Any
 
 from ..api.session import NO_PLAN, TERM_CHOICES, TRUE_TABLE, Stated
 from ..common.errors import InputError
-from ..common.share import shipped
+from ..common.files import shipped
 from ..common.units import DEG
 from ..model.earth import HEIGHT_STD, LATITUDE_STD, NORMAL_GRAVITY_STD
 

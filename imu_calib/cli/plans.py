@@ -8,7 +8,7 @@ from rich.table import Table as Rows
 
 from ..api.predict import optimise, plan_file, times_on
 from ..common.errors import InputError
-from ..common.share import share_folder
+from ..common.files import share_folder
 from ..common.stream import Mode
 from ..common.units import DEG
 from ..reports.plain_table import plain_table

@@ -15,8 +15,7 @@ import yaml
 
 from ..api.journals import end_of_journal, is_finished
 from ..common.errors import InputError
-from ..common.files import read_text, user_path, write_whole
-from ..common.share import named_file
+from ..common.files import named_file, read_text, user_path, write_whole
 from . import several
 from .terminal import ERRORS
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..common.share import share_folder
+from ..common.files import share_folder
 from .outcome import write_text
 
 

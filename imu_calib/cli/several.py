@@ -13,11 +13,10 @@ import yaml
 
 from ..api.named import load_truth
 from ..calibration.calibration import Calibration
+from ..common.config import load
 from ..common.errors import InputError
-from ..common.files import read_text, user_path, write_whole
-from ..common.share import named_file
+from ..common.files import named_file, read_text, user_path, write_whole
 from ..common.units import significant
-from ..common.yaml_text import load
 from ..reports.parameter_table import engineering
 from ..reports.plain_table import plain_table
 from ..session.imu import load_imu

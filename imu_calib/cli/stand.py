@@ -10,8 +10,7 @@ from ..api.named import load_truth
 from ..api.session import azimuth_of
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
-from ..common.files import user_path
-from ..common.share import shipped
+from ..common.files import shipped, user_path
 from ..model.earth import LUOYANG
 from ..session.imu import ImuSpec, check_live, load_imu
 from ..session.plan import load_plan

@@ -33,7 +33,7 @@ from .embedded import Embedded, Nodes
 from .node_reports import NodeReports, NothingComes
 from .processes import START, Outcome, Processes, free_ports, network_of_hardware, private_network
 from .starting import Start
-from .table_view import view
+from .table_view import view_table
 from .terminal import ERRORS, OUTPUT, sentence_list
 
 _ORDER = (
@@ -362,7 +362,7 @@ def _follow(
             processes.check()
             now = time.monotonic()
             units = board.unit_rows(now) if isinstance(board, UnitsBoard) else ()
-            screen = view(board.snapshot(now), datetime.now(), ERRORS.width, units)
+            screen = view_table(board.snapshot(now), datetime.now(), ERRORS.width, units)
             reading = '' if monitor.is_running else start.words
             display.update(Text(reading) if reading else screen)
             if monitor.outcome is not None:

@@ -33,7 +33,7 @@ _WIDE = 78
 """Characters for two triads side by side; 12 rows then fit a small terminal."""
 
 
-def view(shown: Snapshot, now: datetime, width: int, units: Sequence[UnitRow] = ()) -> Group:
+def view_table(shown: Snapshot, now: datetime, width: int, units: Sequence[UnitRow] = ()) -> Group:
     """Lay out a running session.
 
     Args:

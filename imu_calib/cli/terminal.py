@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ..common.progress import Show, silent
+from ..common.parallel import Show, silent
 
 _WIDTH_OF_A_FILE = 160
 """Characters of a line in a file: wide enough for every table."""

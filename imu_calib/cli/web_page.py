@@ -10,9 +10,9 @@ import socket
 from typing import Any
 
 from ..common.errors import InputError
-from ..common.extras import require
+from ..common.files import require
 from ..session.plan import load_plan
-from ..stand.web.guard import LOOPBACK, address, exposure
+from ..stand.web.guard import LOOPBACK_HOST, address, exposure
 from .embedded import Nodes
 from .processes import free_port
 from .terminal import ERRORS, OUTPUT
@@ -56,12 +56,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         nargs='?',
         const=_PORT,
         metavar='PORT',
-        help=f'show the session at http://{LOOPBACK}:PORT (default: {_PORT}; 0: a free one); the '
+        help=f'show the session at http://{LOOPBACK_HOST}:PORT (default: {_PORT}; 0: a free one); the '
         'page stays when the session is over, until Ctrl-C',
     )
     page.add_argument(
         '--web-host',
-        default=LOOPBACK,
+        default=LOOPBACK_HOST,
         metavar='HOST',
         help='interface that serves the page (default: %(default)s, which this machine alone '
         'reaches; 0.0.0.0: all, without encryption)',
@@ -83,7 +83,7 @@ def check(arguments: argparse.Namespace) -> None:
         InputError: Options that do not go together, a port that is taken, or no NiceGUI.
     """
     if arguments.web is None:
-        if arguments.control or arguments.web_host != LOOPBACK:
+        if arguments.control or arguments.web_host != LOOPBACK_HOST:
             name = '--control' if arguments.control else '--web-host'
             raise InputError(f'{name} is for the page in the browser; give --web, too.')
         return

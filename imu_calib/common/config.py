@@ -2,24 +2,131 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import re
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from functools import cache, wraps
+from inspect import Parameter, Signature, signature
+from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 import yaml
 from yaml.reader import ReaderError
 
 from .errors import InputError
-from .files import read_bytes
+from .files import named_file, read_bytes
 from .other_formats import other_format
-from .share import named_file
 from .stream import Floats
 from .units import LARGEST, Dimension, parse, point_for_comma
-from .yaml_text import load
+
+# Load and dump YAML text, by libyaml if PyYAML has it: several times as fast.
+
+
+try:
+    from yaml import CSafeDumper as SafeDumper
+    from yaml import CSafeLoader as SafeLoader
+except ImportError:  # PyYAML without libyaml reads and writes the same texts.
+    from yaml import SafeDumper, SafeLoader  # type: ignore[assignment]
+
+
+_INT = 'tag:yaml.org,2002:int'
+_DATE = 'tag:yaml.org,2002:timestamp'
+_MOST_BITS = 10_000
+"""Of a whole number, some 3000 digits; Python converts no more than 4300 to text."""
+_MOST_VALUES = 10_000_000
+"""Values of a document; a calibration of 40 parameters has 4000."""
+_SHOWN = 40
+"""Characters of a value that are shown."""
+_WHOLE_NUMBER = re.compile(r'[-+]?(?:0|[1-9][0-9_]*|0b[01_]+|0x[0-9a-fA-F_]+)$')
+
+
+class _Loader(SafeLoader):
+    """Refuses a key that stands twice in a mapping; reads 0012, 12:30 and 2026-02-30 as texts.
+
+    Of two values the first would silently count for nothing. By YAML 1.1 these numbers are octal
+    and sexagesimal, 10 and 750: a serial number would silently become another. Dates are checked
+    by those who ask for one, with the key: PyYAML raises ValueError for a day that does not exist.
+    """
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            found = super().construct_object(node, deep)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
+            # What PyYAML raises for `!!int x`, `0x_`, `!!timestamp x`, `!!bool x`, 5000 digits.
+            raise yaml.constructor.ConstructorError(
+                problem=f'found {str(node.value)[:_SHOWN]!r}, which is no value of its kind',
+                problem_mark=node.start_mark,
+            ) from None
+        if isinstance(found, int) and found.bit_length() > _MOST_BITS:
+            raise yaml.constructor.ConstructorError(
+                problem='found a whole number of thousands of digits', problem_mark=node.start_mark
+            )
+        return found
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        if twice := sorted(key for key, count in Counter(keys).items() if count > 1):
+            raise yaml.constructor.ConstructorError(
+                problem=f'found the key {twice[0]} more than once', problem_mark=node.start_mark
+            )
+        return super().construct_mapping(node, deep)
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [
+        (tag, _WHOLE_NUMBER if tag == _INT else form) for tag, form in resolvers if tag != _DATE
+    ]
+    for first, resolvers in SafeLoader.yaml_implicit_resolvers.items()
+}
+
+
+def load(text: str) -> Any:
+    """Return the value of a text with one document.
+
+    Raises:
+        yaml.YAMLError: Not YAML, or more than plain values.
+    """
+    loader = _Loader(text)
+    try:
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        if _values(node, {}) > _MOST_VALUES:
+            raise yaml.YAMLError(f'found more than {_MOST_VALUES} values by its aliases')
+        return loader.construct_document(node)
+    except RecursionError:
+        raise yaml.YAMLError('found lists or mappings within each other without end') from None
+    finally:
+        loader.dispose()
+
+
+def _values(node: yaml.Node, counts: dict[int, float]) -> float:
+    """Return the number of values below a node, its aliases written out; infinite in a circle."""
+    if isinstance(node, yaml.ScalarNode):
+        return 1
+    if id(node) not in counts:
+        counts[id(node)] = float('inf')
+        of_mapping = isinstance(node, yaml.MappingNode)
+        parts = [p for pair in node.value for p in pair] if of_mapping else node.value
+        counts[id(node)] = 1 + sum(_values(part, counts) for part in parts)
+    return counts[id(node)]
+
+
+def dump(value: Any, dumper: type[SafeDumper] = SafeDumper, **form: Any) -> str:
+    """Return a value as text, keys in their own order.
+
+    Args:
+        value: Of plain values, lists and dictionaries.
+        dumper: Replaces the default one.
+        form: As in `yaml.dump`: `width`, `default_flow_style`.
+    """
+    return str(yaml.dump(value, Dumper=dumper, sort_keys=False, **form))
+
 
 T = TypeVar('T')
 
@@ -298,3 +405,144 @@ def numbers_of(value: object) -> Floats | None:
 def _kind(value: object) -> str:
     names = {dict: 'a mapping', list: 'a list', str: 'a text', type(None): 'nothing'}
     return names.get(type(value), repr(value))
+
+
+# Refuse arguments of a wrong type in a sentence, by the annotations of a function.
+#
+# Libraries that do this (typeguard, beartype) need the classes that annotations name; most of them
+# are loaded for type checkers alone, and their errors are no sentences for a person.
+
+
+Arguments = ParamSpec('Arguments')
+Returned = TypeVar('Returned')
+
+_ALIASES = {
+    'Named': 'str | Path',
+    'AnyCalibration': 'Calibration | ThermalCalibration',
+    'Progress': 'Callable',
+}
+"""Names of unions and protocols in annotations, and what they stand for."""
+_WORDS = {
+    'None': 'None',
+    'bool': 'True or False',
+    'int': 'a whole number',
+    'float': 'a number',
+    'str': 'a text',
+    'Path': 'a path',
+    'Callable': 'a function',
+    'Sequence': 'a list',
+    'Mapping': 'a mapping',
+}
+_PROTOCOLS: dict[str, Any] = {
+    'int': Integral,
+    'float': Real,
+    'Callable': Callable,
+    'Sequence': Sequence,
+    'Mapping': Mapping,
+}
+"""Kinds that types of other libraries, numpy among them, belong to without being derived."""
+_LONGEST = 60
+"""Characters of a value that is shown: a line of a terminal has room for it and its sentence."""
+
+
+def checked(function: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
+    """Check the arguments of a function that is called from Python, before it begins.
+
+    Raises:
+        InputError: From the function: names the keyword, what was found and what was expected.
+    """
+    known = signature(function)
+
+    @wraps(function)
+    def called(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
+        check(known, args, kwargs)
+        return function(*args, **kwargs)
+
+    return called
+
+
+def check(known: Signature, args: tuple[object, ...], kwargs: Mapping[str, object]) -> None:
+    """Refuse arguments that are not of the annotated types.
+
+    Raises:
+        InputError: Names the keyword, what was found and what was expected.
+    """
+    try:
+        given = known.bind(*args, **kwargs).arguments
+    except TypeError:
+        # Missing or unknown arguments: the call itself says so, with the name of the function.
+        return
+    for name, value in given.items():
+        parameter = known.parameters[name]
+        several = parameter.kind is Parameter.VAR_POSITIONAL
+        for one in value if several else (value,):
+            if isinstance(parameter.annotation, str):
+                _check(name, one, _parsed(parameter.annotation))
+
+
+def _check(name: str, value: object, annotation: ast.expr) -> None:
+    """Refuse a value that is of no member of a union, and elements of a list likewise."""
+    kinds = _members(annotation)
+    for kind in kinds:
+        if _is_of(value, _name(kind)):
+            for where, one, part in _elements(name, value, kind):
+                _check(where, one, part)
+            return
+    words = [_words(_name(kind)) for kind in kinds]
+    listed = ' or '.join([', '.join(words[:-1]), words[-1]] if words[1:] else words)
+    hint = point_for_comma(value) if _WORDS['float'] in words else ''
+    raise InputError(f'`{name}`: found {_found(value)}, expected {listed}.{hint}')
+
+
+@cache
+def _parsed(annotation: str) -> ast.expr:
+    """Return an annotation, which is text in this package: its classes may not be loaded."""
+    return ast.parse(annotation, mode='eval').body
+
+
+def _members(node: ast.expr) -> list[ast.expr]:
+    if isinstance(node, ast.BinOp):
+        return [*_members(node.left), *_members(node.right)]
+    if isinstance(node, ast.Name) and node.id in _ALIASES:
+        return _members(_parsed(_ALIASES[node.id]))
+    return [node]
+
+
+def _name(kind: ast.expr) -> str:
+    return ast.unparse(kind.value if isinstance(kind, ast.Subscript) else kind)
+
+
+def _is_of(value: object, kind: str) -> bool:
+    if kind in _PROTOCOLS:
+        # True is an integer, and a text a sequence, of which neither is meant.
+        return isinstance(value, _PROTOCOLS[kind]) and not (
+            isinstance(value, bool | str) and kind != 'Callable'
+        )
+    # There is an object of a class only if it is loaded: the name is enough.
+    return value is None if kind == 'None' else kind in {c.__name__ for c in type(value).__mro__}
+
+
+def _elements(name: str, value: object, kind: ast.expr) -> Iterator[tuple[str, object, ast.expr]]:
+    """Yield the elements of a list or a mapping, each with its name and annotation."""
+    if not isinstance(kind, ast.Subscript):
+        return
+    if isinstance(value, Mapping) and isinstance(kind.slice, ast.Tuple):
+        of_keys, of_values = kind.slice.elts
+        for key, one in value.items():
+            yield f'a key of {name}', key, of_keys
+            yield f'{name}[{key!r}]', one, of_values
+    elif isinstance(value, Sequence):
+        for k, one in enumerate(value):
+            yield f'{name}[{k}]', one, kind.slice
+
+
+def _words(kind: str) -> str:
+    return _WORDS.get(kind, f'{"an" if kind[0] in "AEIOU" else "a"} {kind}')
+
+
+def _found(value: object) -> str:
+    """Return a plain value as it is written, of any other its type."""
+    if value is None or isinstance(value, str | int | float):
+        text = repr(value)
+        return text if len(text) <= _LONGEST else f'{text[:_LONGEST]}...'
+    return f'a value of the type {type(value).__name__}'

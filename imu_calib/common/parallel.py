@@ -1,4 +1,8 @@
-"""Run independent tasks on workers of Dask: of this machine, or of a scheduler."""
+"""Run independent tasks: in this process, in processes of this machine, on workers of Dask.
+
+The results depend on the tasks alone: not on where they run, how many at a time, or in which
+order they end.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +11,24 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from concurrent.futures import CancelledError, ProcessPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, wraps
 from itertools import islice
-from multiprocessing import active_children, resource_tracker
-from typing import TYPE_CHECKING, TypeVar
+from multiprocessing import active_children, get_context, resource_tracker
+from typing import TYPE_CHECKING, ParamSpec, Protocol, TypeAlias, TypeVar
 from uuid import uuid4
 
 from .errors import ImuCalibError, InputError
-from .extras import require
+from .files import require
 
 if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
 
     from distributed import Client, Future
+
+# Run independent tasks on workers of Dask: of this machine, or of a scheduler.
 
 
 Task = TypeVar('Task')
@@ -350,3 +356,176 @@ def _quiet() -> Iterator[None]:
     finally:
         for logger, level in zip(loggers, before, strict=True):
             logger.setLevel(level)
+
+
+# Limit BLAS to one thread: for small matrices more threads cost time by waiting.
+
+
+THREADS = 'OMP_NUM_THREADS'
+"""Read by BLAS when numpy is first loaded: commands and nodes set it to 1 before."""
+
+Arguments = ParamSpec('Arguments')
+ThreadResult = TypeVar('Result')
+
+
+def by_one_thread(function: Callable[Arguments, ThreadResult]) -> Callable[Arguments, ThreadResult]:
+    """Run a function with one thread of linear algebra, whatever the program's setting.
+
+    Twelve positions are calibrated in three quarters of the time with two idle cores, and in a
+    fifth with busy cores. The limit holds for the whole process until the function returns. Without
+    threadpoolctl, which ROS does not install, there is no limit.
+    """
+
+    @wraps(function)
+    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> ThreadResult:
+        with _one_thread():
+            return function(*args, **kwargs)
+
+    return limited
+
+
+def _one_thread() -> AbstractContextManager[object]:
+    if os.environ.get(THREADS) == '1':
+        return nullcontext()
+    try:
+        from threadpoolctl import threadpool_limits
+    except ImportError:
+        return nullcontext()
+    limits: AbstractContextManager[object] = threadpool_limits(1, user_api='blas')
+    return limits
+
+
+_CHUNK = 4
+"""Tasks handed to a process of a pool at once."""
+
+
+def run_all(
+    function: Callable[[Task], Result],
+    tasks: Iterable[Task],
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    ended: Callable[[Result], None] | None = None,
+) -> list[Result]:
+    """Run a function on each of independent tasks; return the results in the order of the tasks.
+
+    Scripts that use several processes must run under `if __name__ == '__main__':`.
+
+    Args:
+        function: Of one task; pickled by its name, with its bound arguments.
+        tasks: Of a finite number.
+        jobs: Processes of this machine; 1 for this one alone, None for one per core. Ignored with a
+            scheduler.
+        scheduler: Address of a Dask scheduler whose workers run the tasks (tcp://host:8786).
+        ended: Called with each result, in the order of the tasks.
+
+    Raises:
+        InputError: No scheduler answers, Dask is not installed, or raised by a task.
+        NotObservable: Raised by a task.
+    """
+    results: list[Result] = []
+
+    def take(result: Result) -> None:
+        results.append(result)
+        if ended is not None:
+            ended(result)
+
+    listed = list(tasks)
+    jobs = min(jobs or os.cpu_count() or 1, len(listed))
+    if scheduler is not None:
+        _on_workers(function, listed, scheduler, take)
+    elif jobs <= 1:
+        for task in listed:
+            take(function(task))
+    else:
+        _in_processes(function, listed, jobs, take)
+    return results
+
+
+def _on_workers(
+    function: Callable[[Task], Result],
+    tasks: list[Task],
+    scheduler: str,
+    take: Callable[[Result], None],
+) -> None:
+    early: dict[int, Result] = {}
+    following = 0
+    with Engine(scheduler).connected() as client:
+        for number, outcome in outcomes(client, function, tasks):
+            if isinstance(outcome, WorkerDied):
+                raise InputError(
+                    f'task {number + 1} of {len(tasks)}: two workers ended while they ran it: it '
+                    'needs more memory than they have, or a library crashes.'
+                )
+            early[number] = outcome
+            while following in early:
+                take(early.pop(following))
+                following += 1
+
+
+def _in_processes(
+    function: Callable[[Task], Result], tasks: list[Task], jobs: int, take: Callable[[Result], None]
+) -> None:
+    others = set(active_children())
+    spawn, share = get_context('spawn'), _share(len(tasks), jobs)
+    chunks = [tasks[k : k + share] for k in range(0, len(tasks), share)]
+    with single_threaded(), ProcessPoolExecutor(jobs, spawn) as pool:
+        try:
+            # Ctrl-C reaches every process of a terminal: this one ends the others.
+            with without_interrupts():
+                submitted = [pool.submit(_one_by_one, function, chunk) for chunk in chunks]
+            for future in submitted:
+                for result in future.result():
+                    take(result)
+        except BaseException:
+            # Otherwise running tasks, whose results are dropped, would be waited for. None is
+            # cancelled, as `pool.map` does: the thread of a pool whose processes are gone fails on
+            # cancelled tasks, with a traceback.
+            end_started(others)
+            raise
+
+
+def _one_by_one(function: Callable[[Task], Result], tasks: list[Task]) -> list[Result]:
+    return [function(task) for task in tasks]
+
+
+def _share(tasks: int, jobs: int) -> int:
+    return max(1, min(_CHUNK, tasks // jobs))
+
+
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """Limit spawned processes to one thread each: small matrices gain nothing from more."""
+    before = os.environ.get(THREADS)
+    os.environ[THREADS] = '1'
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[THREADS]
+        else:
+            os.environ[THREADS] = before
+
+
+# How long work reports its progress.
+
+
+class Show(Protocol):
+    """Takes the amount done, the total, and optionally another text."""
+
+    def __call__(self, done: int, total: int, changed: str = ...) -> None:
+        """Show it."""
+
+
+Progress: TypeAlias = Callable[[str], AbstractContextManager[Show]]
+"""Opened with the name of the work ('reading'); yields the function to call with its progress."""
+
+
+@contextmanager
+def silent(_text: str) -> Iterator[Show]:
+    """Show nothing."""
+
+    def show(done: int, total: int, changed: str = '') -> None:
+        """Do nothing."""
+
+    yield show

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.directions import across
+from ..common.rotations import across
 from ..common.stream import Floats
 from ..segmentation.segments import Turn
 

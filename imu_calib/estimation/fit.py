@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..common.errors import NotObservable
-from ..common.gaussian import FIVE_SIGMA
+from ..common.rotations import FIVE_SIGMA
 from ..common.stream import Floats
 from ..model.model_parameters import PARAMETERS
 from ..model.sensors import terms_of

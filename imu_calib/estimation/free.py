@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.budget import Source
-from ..common.directions import across, cross
-from ..common.rotations import rotations
+from ..common.rotations import across, cross, rotations
 from ..common.stream import Floats
 from ..model.sensors import SensorModel
 from .equations import Equations

@@ -22,8 +22,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.directions import cross
-from ..common.rotations import GENERATORS, rotations
+from ..common.rotations import GENERATORS, cross, rotations
 from ..common.stream import Floats
 from ..model.motion import delay, places
 from ..model.sensors import SensorModel

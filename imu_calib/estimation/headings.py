@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..common.directions import across
+from ..common.rotations import across
 from ..common.stream import Floats
 
-_HEADINGS = 8
+_TURN_HEADINGS = 8
 """Means over so many equal steps of a whole turn are exact for products of up to seven inputs."""
 
 
@@ -20,7 +20,7 @@ def headings(ups: Floats) -> Floats:
     Args:
         ups: (t, 3) up in body axes.
     """
-    angles = np.arange(_HEADINGS // 2) * (2 * np.pi / _HEADINGS)
+    angles = np.arange(_TURN_HEADINGS // 2) * (2 * np.pi / _TURN_HEADINGS)
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
     first, second = (axes[:, None] for axes in across(ups))
     half = np.stack([cosine * first + sine * second, cosine * second - sine * first], axis=-1)
@@ -31,5 +31,5 @@ def headings(ups: Floats) -> Floats:
 
 def mean_over_turn(values: Floats) -> Floats:
     """Return the mean (t, ...) over the `headings` of whole turns, (t, 8, ...)."""
-    half = _HEADINGS // 2
-    return np.asarray((values[:, :half] + values[:, half:]).sum(axis=1) / _HEADINGS)
+    half = _TURN_HEADINGS // 2
+    return np.asarray((values[:, :half] + values[:, half:]).sum(axis=1) / _TURN_HEADINGS)

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..common.directions import across, cross
-from ..common.rotations import rotation, rotation_vectors, rotations
+from ..common.rotations import across, cross, rotation, rotation_vectors, rotations
 from ..common.stream import Floats
 from ..model.earth import Site
 from ..model.sensors import SensorModel

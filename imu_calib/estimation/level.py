@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..common.gaussian import FIVE_SIGMA
-from ..common.rotations import shortest
+from ..common.rotations import FIVE_SIGMA, shortest
 from ..common.stream import Floats
 from ..common.units import ARCSEC
 from ..model.model_parameters import PARAMETERS

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..common.gaussian import FIVE_SIGMA
+from ..common.rotations import FIVE_SIGMA
 from ..model.earth import EARTH_RATE
 from ..segmentation.segments import Segment
 

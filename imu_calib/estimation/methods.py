@@ -31,13 +31,13 @@ METHODS: dict[str, Callable[[Evidence], Solution]] = {
     free_positions.NAME: free_positions.refuse,
     'joint': joint.solve,
     'joint_33': partial(joint.solve, terms=(G_SENSITIVITY,)),
-    'n_positions': n_positions.solve,
-    'off_axis_four': off_axis_four.solve,
-    'rate_24': rate_24.solve,
-    'six_position': six_position.solve,
-    'skewed': skewed.solve,
-    'static_six': static_six.solve,
-    'twelve_position': twelve_position.solve,
+    'n_positions': n_positions.solve_n_positions,
+    'off_axis_four': off_axis_four.solve_off_axis_four,
+    'rate_24': rate_24.solve_rate_24,
+    'six_position': six_position.solve_six_position,
+    'skewed': skewed.solve_skewed,
+    'static_six': static_six.solve_static_six,
+    'twelve_position': twelve_position.solve_twelve_position,
 }
 
 JOINT: dict[str, tuple[Term, ...]] = {'joint': (), 'joint_33': (G_SENSITIVITY,)}
@@ -45,12 +45,12 @@ JOINT: dict[str, tuple[Term, ...]] = {'joint': (), 'joint_33': (G_SENSITIVITY,)}
 
 _ESTIMATES: dict[str, tuple[Parameter, ...]] = {
     free_positions.NAME: free_positions.ESTIMATES,
-    'n_positions': n_positions.ESTIMATES,
-    'off_axis_four': static_six.ESTIMATES,
+    'n_positions': n_positions.N_POSITIONS_ESTIMATES,
+    'off_axis_four': static_six.GYRO_ESTIMATES,
     'rate_24': PARAMETERS,
     'six_position': PARAMETERS,
-    'skewed': skewed.ESTIMATES,
-    'static_six': static_six.ESTIMATES,
+    'skewed': skewed.SKEWED_ESTIMATES,
+    'static_six': static_six.GYRO_ESTIMATES,
     'twelve_position': PARAMETERS,
 }
 """Parameters of the other methods."""
@@ -69,11 +69,11 @@ skewed gyro, or unknown attitudes.
 
 _CHECKS: dict[str, Callable[[Plan, Site], None]] = {
     free_positions.NAME: lambda plan, _: free_positions.check(plan),
-    'n_positions': lambda plan, _: n_positions.check(plan),
-    'off_axis_four': off_axis_four.check,
-    'rate_24': lambda plan, _: n_positions.check(plan, PARAMETERS),
+    'n_positions': lambda plan, _: n_positions.check_positions(plan),
+    'off_axis_four': off_axis_four.check_off_axis_four,
+    'rate_24': lambda plan, _: n_positions.check_positions(plan, PARAMETERS),
     'skewed': lambda plan, _: n_positions.check_turns(plan),
-    'static_six': static_six.check,
+    'static_six': static_six.check_static_six,
 }
 
 

@@ -25,8 +25,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.directions import cross
-from ..common.rotations import cross_matrix, rotation_vector, rotations
+from ..common.rotations import cross, cross_matrix, rotation_vector, rotations
 from ..common.stream import Floats
 from ..model.model_parameters import AXES, PARAMETERS, Parameter, indices_of
 from ..model.motion import motion_parameters

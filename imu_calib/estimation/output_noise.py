@@ -8,8 +8,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..common.directions import cross
 from ..common.errors import NotObservable
+from ..common.rotations import cross
 from ..common.stream import Floats, Units
 from ..segmentation.segments import Segment, Statistics
 from ..segmentation.statistics import pooled_walk

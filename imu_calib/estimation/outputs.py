@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.directions import across
+from ..common.rotations import across
 from ..common.stream import Floats
 from ..common.units import DEG
 from ..segmentation.segments import Segment, Turn

@@ -9,8 +9,7 @@ from enum import Enum
 import numpy as np
 
 from ..common.budget import PROBABILITY
-from ..common.instants import at
-from ..common.stream import Floats
+from ..common.stream import Floats, at
 from ..common.units import ARCSEC, significant
 from ..model.model_parameters import Parameter
 from ..model.sensors import terms_of

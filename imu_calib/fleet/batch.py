@@ -19,10 +19,8 @@ from ..api.session import NO_PLAN
 from ..api.streams import units_of
 from ..calibration.calibrator_results import Result
 from ..common.errors import ImuCalibError, InputError
-from ..common.files import read_text, user_path
-from ..common.instants import NS
-from ..common.share import named_file
-from ..common.version import version
+from ..common.files import named_file, read_text, user_path, version
+from ..common.stream import NS
 from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS, indices_of
 from ..recordings.files import find_files
 from ..recordings.metadata import NAME as METADATA

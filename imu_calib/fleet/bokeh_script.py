@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..common.extras import require
+from ..common.files import require
 
 
 def bokeh_script() -> str:

@@ -21,10 +21,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from ..common.arguments import checked
+from ..common.config import checked
 from ..common.errors import InputError, NotObservable
-from ..common.extras import require
-from ..common.files import printable, user_path, write_whole
+from ..common.files import printable, require, user_path, write_whole
 from ..common.other_formats import other_format
 from ..common.units import counted
 from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS

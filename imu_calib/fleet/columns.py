@@ -76,7 +76,7 @@ def sessions_data(fleet: Fleet) -> str:
     remarks, remark = packed.distinct(['\n'.join(rows.findings[k]) for k in chosen])
     verdicts, verdict = packed.distinct([rows.verdict[k] for k in chosen])
     values, std = rows.values[sessions], rows.std[sessions]
-    differences, steps = packed.differences(values, std)
+    differences, steps = packed.packed_differences(values, std)
     codes, scales = packed.deviations(std)
     shift = _of_sessions(units, lambda h: h.values - h.corrected)
     arrays: dict[str, NDArray[np.generic]] = {

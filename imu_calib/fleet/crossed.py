@@ -28,7 +28,7 @@ _ROUNDS = 100
 """Largest number of reweighting iterations; they end when no weight changes."""
 _SETTLED = 1e-4
 """Change of a weight below which iterations end."""
-_RANK = 1e-9
+_CROSSED_RANK = 1e-9
 """Singular values, of columns scaled to one, that count as zero: far above rounding (1e-14 with
 some hundred sessions), far below any design that separates stands (1 / sessions)."""
 _STEPS = 100
@@ -151,7 +151,9 @@ def _rank(columns: Floats, weight: Floats) -> int:
     matrix = columns.T @ (weight[:, None] * columns)
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale = np.where(scale > 0, scale, 1.0)
-    return int(np.linalg.matrix_rank(matrix / np.outer(scale, scale), tol=_RANK, hermitian=True))
+    return int(
+        np.linalg.matrix_rank(matrix / np.outer(scale, scale), tol=_CROSSED_RANK, hermitian=True)
+    )
 
 
 def _solved(columns: Floats, weight: Floats, values: Floats) -> tuple[Floats, Floats]:
@@ -160,5 +162,5 @@ def _solved(columns: Floats, weight: Floats, values: Floats) -> tuple[Floats, Fl
     With least norm the effects of stands have the sum zero.
     """
     matrix = columns.T @ (weight[:, None] * columns)
-    inverse = np.linalg.pinv(matrix, rcond=_RANK, hermitian=True)
+    inverse = np.linalg.pinv(matrix, rcond=_CROSSED_RANK, hermitian=True)
     return np.asarray(inverse @ (columns.T @ (weight * values))), np.asarray(inverse)

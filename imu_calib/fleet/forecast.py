@@ -19,7 +19,7 @@ from .trends import Lines
 
 _GRID = np.array([0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0])
 """Shares of the horizon that bound the search for the first date."""
-_HALVINGS = 14
+_FORECAST_HALVINGS = 14
 """Bisections of such a part: less than a day of ten years."""
 
 
@@ -95,7 +95,7 @@ def _first(
     place = np.argmax(above, axis=0)
     high = _GRID[place] * horizon
     low = _GRID[np.maximum(place - 1, 0)] * horizon
-    for _ in range(_HALVINGS):
+    for _ in range(_FORECAST_HALVINGS):
         middle = (low + high) / 2
         over = chance(middle) > allowed
         low, high = np.where(over, low, middle), np.where(over, middle, high)

@@ -42,9 +42,9 @@ def unit_table(units: Sequence[UnitHistory]) -> Table:
             unit.serial,
             unit.imu,
             str(len(unit.key)),
-            _day(unit.date[-1]),
+            _urgent_day(unit.date[-1]),
             _UNKNOWN if unit.verdict is None else unit.verdict.value,
-            _day(due.recalibrate),
+            _urgent_day(due.recalibrate),
             due.parameter or _UNKNOWN,
             str(int(unit.trend.significant.sum())),
             str(len(unit.steps)),
@@ -63,7 +63,7 @@ def course_table(unit: UnitHistory) -> Table:
         k = int(np.argmax(np.abs(score)))
         charted = bool(np.isfinite(charts.score[i]).any())
         table.add_row(
-            _day(date),
+            _urgent_day(date),
             unit.stand[i] or _UNKNOWN,
             f'{score[k]:+.2f}' if charted else _UNKNOWN,
             PARAMETER_NAMES[k] if charted else _UNKNOWN,
@@ -102,8 +102,8 @@ def parameter_course_table(unit: UnitHistory, confidence: float) -> Table:
             text(trend.slope[k], finer),
             _interval(text(trend.low[k], finer), text(trend.high[k], finer)),
             shown.unit,
-            _day(due.leaves[k]),
-            _day(due.earliest[k]),
+            _urgent_day(due.leaves[k]),
+            _urgent_day(due.earliest[k]),
         )
     return table
 
@@ -146,5 +146,5 @@ def _number(value: float, places: int) -> str:
     return f'{value:.{places}f}' if np.isfinite(value) else _UNKNOWN
 
 
-def _day(date: np.datetime64) -> str:
+def _urgent_day(date: np.datetime64) -> str:
     return _UNKNOWN if np.isnat(date) else str(date.astype('datetime64[D]'))

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..api.named import Named, as_imu, as_list
-from ..common.arguments import checked
+from ..common.config import checked
 from ..common.errors import InputError, NotObservable
-from ..common.share import is_shipped
+from ..common.files import is_shipped
 from ..common.stream import Floats
 from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS
 from ..session.imu import ImuSpec

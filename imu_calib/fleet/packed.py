@@ -105,7 +105,7 @@ def deviations(std: Floats) -> tuple[NDArray[np.uint8], list[list[float]]]:
     return codes, scales
 
 
-def differences(values: Floats, std: Floats) -> tuple[NDArray[np.int32], list[float]]:
+def packed_differences(values: Floats, std: Floats) -> tuple[NDArray[np.int32], list[float]]:
     """Return values in steps of a share of their smallest deviation, as differences.
 
     Args:

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..common.gaussian import MAD_TO_STD
+from ..common.rotations import MAD_TO_STD
 from ..common.stream import Floats
 
 FEWEST = 15

@@ -15,11 +15,11 @@ import yaml
 
 from ..api.keywords import Session
 from ..api.session import Stated
+from ..common.config import load
 from ..common.errors import InputError
 from ..common.files import read_text, user_path
 from ..common.other_formats import OTHERS, other_format
 from ..common.units import point_for_comma
-from ..common.yaml_text import load
 from ..recordings.files import is_storage
 from ..recordings.remote import AnyPath, RemotePath, is_url, located
 

@@ -13,10 +13,9 @@ import numpy as np
 
 from ..api.named import Named
 from ..api.outputs import page_path
-from ..common.arguments import checked
-from ..common.extras import require
-from ..common.files import write_whole
-from ..common.progress import Progress, silent
+from ..common.config import checked
+from ..common.files import require, write_whole
+from ..common.parallel import Progress, silent
 from ..model.model_parameters import PARAMETER_NAMES
 from ..session.imu import ImuSpec
 from .backtest import backtest

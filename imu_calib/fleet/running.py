@@ -12,8 +12,7 @@ from ..api.keywords import Session, with_keywords
 from ..api.named import as_list
 from ..api.session import Stated
 from ..common.errors import InputError
-from ..common.parallel import MEMORY, Engine, WorkerDied, outcomes
-from ..common.progress import Progress, silent
+from ..common.parallel import MEMORY, Engine, Progress, WorkerDied, outcomes, silent
 from ..common.units import counted
 from ..session.units_file import load_units
 from .batch import CALIBRATED, Done, lost, run

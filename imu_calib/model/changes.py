@@ -13,7 +13,7 @@ import numpy as np
 
 from ..common.config import Section
 from ..common.errors import InputError
-from ..common.gaussian import is_covariance
+from ..common.rotations import is_covariance
 from ..common.stream import Floats
 from ..common.units import significant
 from .model_parameters import Parameter

@@ -52,7 +52,7 @@ def inverted(model: Nonlinear, linear: Floats, gain: Floats) -> tuple[Floats, ND
             break
         inputs = found[at]
         residuals = inputs - linear[at] + times_transpose(model.extra(inputs), gain)
-        step = _solved(np.eye(6) + gain @ model.extra_slopes(inputs), residuals)
+        step = _solved_inputs(np.eye(6) + gain @ model.extra_slopes(inputs), residuals)
         found[at] = inputs - step
         small = np.abs(step).max(axis=1) <= _CONVERGED * (1 + np.abs(inputs).max(axis=1))
         done[at[small]] = True
@@ -73,11 +73,13 @@ def times_transpose(columns: Floats, matrix: Floats) -> Floats:
     return np.ascontiguousarray(found.T)
 
 
-def _solved(matrices: Floats, right: Floats) -> Floats:
+def _solved_inputs(matrices: Floats, right: Floats) -> Floats:
     """Return the solutions (n, 6) of (n, 6, 6) systems; NaN for a singular one."""
     try:
         return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0])
     except np.linalg.LinAlgError:
         if len(matrices) == 1:
             return np.full_like(right, np.nan)
-        return np.vstack([_solved(m[None], r[None]) for m, r in zip(matrices, right, strict=True)])
+        return np.vstack(
+            [_solved_inputs(m[None], r[None]) for m, r in zip(matrices, right, strict=True)]
+        )

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.instants import NS
+from ..common.stream import NS
 from .messages import CdrError
 
 if TYPE_CHECKING:

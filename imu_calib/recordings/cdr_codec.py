@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.instants import LAST_SECOND, NS
+from ..common.stream import LAST_SECOND, NS
 from .cdr import ENCAPSULATION
 from .messages import CdrError, Messages
 
@@ -298,7 +298,7 @@ def encode_setpoints(block: SetpointBlock, frame_id: str = '') -> Messages:
         content = _content(setpoint)
         template = known.get(content)
         if template is None:
-            template = known[content] = _setpoint(setpoint, frame_id)
+            template = known[content] = _encoded_setpoint(setpoint, frame_id)
         payloads.append(template.repeat(np.array([setpoint.stamp], np.int64)).tobytes())
     return Messages.join(payloads)
 
@@ -310,7 +310,7 @@ def _content(setpoint: Setpoint) -> tuple[object, ...]:
     return *words, repr(numbers)
 
 
-def _setpoint(setpoint: Setpoint, frame_id: str) -> _Template:
+def _encoded_setpoint(setpoint: Setpoint, frame_id: str) -> _Template:
     template = _Template()
     template.string(frame_id)
     template.string(setpoint.plan)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from ..common.instants import NS
 from ..common.stream import (
+    NS,
     Block,
     ImuBlock,
     JointBlock,
@@ -124,7 +124,7 @@ def decode_setpoints(messages: Messages, malformed: Malformed | None = None) -> 
         content = _repeated(payload[:2], payload[_AFTER_STAMP:])
         if isinstance(content, str):
             # Compared again with its own stamp and length.
-            content = _setpoint(payload)
+            content = _decoded_setpoint(payload)
         if isinstance(content, str):
             _leave_out(content, malformed)
         else:
@@ -280,10 +280,10 @@ def _temperature_block(layout: Layout, messages: Messages, rows: Bytes) -> Tempe
 @lru_cache(maxsize=_CONTENTS)
 def _repeated(order: bytes, after_stamp: bytes) -> tuple[Any, ...] | str:
     """Decode a setpoint without its stamp: the only field that a repetition changes."""
-    return _setpoint(order + bytes(_AFTER_STAMP - len(order)) + after_stamp)
+    return _decoded_setpoint(order + bytes(_AFTER_STAMP - len(order)) + after_stamp)
 
 
-def _setpoint(payload: bytes) -> tuple[Any, ...] | str:
+def _decoded_setpoint(payload: bytes) -> tuple[Any, ...] | str:
     """Decode the fields of a setpoint that follow its stamp, or return the error in them."""
     try:
         reader = _header(payload)

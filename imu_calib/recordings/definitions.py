@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from ..common.errors import InputError
-from ..common.share import message_folder
+from ..common.files import message_folder
 
 _OWN = 'imu_calib_msgs'
 _RULE = '=' * 80

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.instants import NS
+from ..common.stream import NS
 from .codec import ZSTD_MAGIC
 from .messages import Messages
 from .storage import MessageBatch, Times

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from ..common import yaml_text
+from ..common import config as yaml_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -10,8 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..common.errors import InputError
-from ..common.extras import require
-from ..common.files import user_path
+from ..common.files import require, user_path
 from .remote_copy import Copy, Reader
 from .retries import with_retries
 

@@ -7,13 +7,13 @@ from html import escape
 
 import numpy as np
 
-from ..session.channel_noise import TRIADS, ChannelNoise, Coefficient, TriadUnits
+from ..session.channel_noise import TRIAD_NAMES, ChannelNoise, Coefficient, TriadUnits
 from ..session.imu import ImuSpec, TriadSpec
 from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .noise import written
 from .reports_html import paragraph, table
 
-_WIDTH, _HEIGHT, _LEFT, _TOP = 372.0, 250.0, 56.0, 52.0
+_ALLAN_WIDTH, _ALLAN_HEIGHT, _ALLAN_LEFT, _ALLAN_TOP = 372.0, 250.0, 56.0, 52.0
 """px; layout."""
 _FRAME = 300.0
 """px wide."""
@@ -24,16 +24,16 @@ _CHANNELS = 'xyz'
 
 def noise_plots(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
     """Draw one panel per triad, with the random walk of the data sheet if it is known."""
-    shown = [t for t in TRIADS if any(c in noise for c in t.channels)]
+    shown = [t for t in TRIAD_NAMES if any(c in noise for c in t.channels)]
     if not shown:
         return ''
     drawings = []
     for units in shown:
         channels = {c: noise[c] for c in units.channels if c in noise}
         spec = None if imu is None else _of(units, imu)
-        parts = [legend('XYZ', _WIDTH - 216, 14), *_panel(units, channels, spec).parts]
+        parts = [legend('XYZ', _ALLAN_WIDTH - 216, 14), *_allan_panel(units, channels, spec).parts]
         title = f'Allan deviation of the {units.name}s'
-        drawings.append(drawing(parts, _WIDTH, _TOP + _HEIGHT + 42, title))
+        drawings.append(drawing(parts, _ALLAN_WIDTH, _ALLAN_TOP + _ALLAN_HEIGHT + 42, title))
     return tag('div', ''.join(drawings), class_='panels halves')
 
 
@@ -41,7 +41,7 @@ def _of(units: TriadUnits, imu: ImuSpec) -> TriadSpec:
     return imu.gyro if units.name == 'gyro' else imu.accel
 
 
-def _panel(
+def _allan_panel(
     units: TriadUnits, channels: Mapping[str, ChannelNoise], spec: TriadSpec | None
 ) -> Panel:
     scale = units.rate_scale
@@ -50,10 +50,10 @@ def _panel(
     panel = Panel(
         Axis.decades(taus.tolist()),
         Axis.decades(heights[heights > 0].tolist()),
-        _LEFT,
-        _TOP,
+        _ALLAN_LEFT,
+        _ALLAN_TOP,
         _FRAME,
-        _HEIGHT,
+        _ALLAN_HEIGHT,
     )
     rate = units.rate.replace('ug', '\u00b5g')
     panel.frame('averaging time, s', f'{units.name}s: Allan deviation, {rate}')
@@ -63,7 +63,7 @@ def _panel(
         inside = _clipped(panel, stated)
         panel.curve(inside, '#555555', '5 3')
         x, y = inside[-1]
-        at = panel.across(x) - 5, min(panel.down(y) + 6, _TOP + _HEIGHT - 6)
+        at = panel.across(x) - 5, min(panel.down(y) + 6, _ALLAN_TOP + _ALLAN_HEIGHT - 6)
         panel.parts.append(label('data sheet', *at, class_='tick', text_anchor='end'))
     for name, channel in channels.items():
         k = units.channels.index(name)
@@ -93,7 +93,7 @@ def _clipped(panel: Panel, line: list[tuple[float, float]]) -> list[tuple[float,
 def noise_table(noise: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
     """Return a table of the coefficients of all channels and those of the data sheet."""
     rows = []
-    for units in TRIADS:
+    for units in TRIAD_NAMES:
         spec = TriadSpec() if imu is None else _of(units, imu)
         for axis, name in zip(_CHANNELS, units.channels, strict=True):
             if name not in noise:

@@ -27,13 +27,13 @@ LIMITS = (
 
 _WIDTH, _HEIGHT = 150.0, 16.0
 """px; layout."""
-_SHOWN = 1.4
+_VERDICTS_SHOWN = 1.4
 """Half the width of a bar, in limits."""
 _PLAIN = 5
 """Columns of a table without limits."""
 _OF_TERMS = {term.kind for term in TERMS}
 _LINEAR = frozenset(ParameterKind) - _OF_TERMS
-_GROUPS: tuple[tuple[str, str, Collection[ParameterKind]], ...] = (
+_VERDICT_GROUPS: tuple[tuple[str, str, Collection[ParameterKind]], ...] = (
     ('Gyros', 'g', _LINEAR),
     ('Accelerometers', 'a', _LINEAR),
     *((f'{t.kind.value.words} ({t.name})', t.triad, {t.kind}) for t in TERMS),
@@ -100,7 +100,7 @@ def worst(assessed: Sequence[Assessed]) -> Verdict | None:
 def tables(assessed: Sequence[Assessed]) -> str:
     """Return one table per group of parameters."""
     parts = []
-    for title, triad, kinds in _GROUPS:
+    for title, triad, kinds in _VERDICT_GROUPS:
         rows = [
             _row(a) for a in assessed if a.parameter.triad == triad and a.parameter.kind in kinds
         ]
@@ -166,14 +166,14 @@ def _bar(assessed: Assessed) -> str:
     limit, middle = assessed.limit or 1.0, _HEIGHT / 2
 
     def across(value: float) -> float:
-        share = min(max(value / limit, -_SHOWN), _SHOWN)
-        return _WIDTH / 2 * (1 + share / _SHOWN)
+        share = min(max(value / limit, -_VERDICTS_SHOWN), _VERDICTS_SHOWN)
+        return _WIDTH / 2 * (1 + share / _VERDICTS_SHOWN)
 
     low, high = across(-limit), across(limit)
     reach = COVERAGE * assessed.std
     ends = across(assessed.value - reach), across(assessed.value + reach)
     mark = across(assessed.value)
-    beyond = abs(assessed.value) > _SHOWN * limit
+    beyond = abs(assessed.value) > _VERDICTS_SHOWN * limit
     kind = f'mark {assessed.verdict.value}' if assessed.verdict else 'mark'
     tip = mark + (5 if assessed.value > 0 else -5) * beyond
     parts = [

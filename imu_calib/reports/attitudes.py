@@ -9,9 +9,8 @@ from html import escape
 import numpy as np
 
 from ..calibration.calibrator_results import Result
-from ..common.directions import across
-from ..common.instants import utc
-from ..common.stream import Floats
+from ..common.rotations import across
+from ..common.stream import Floats, utc
 from ..common.units import DEG
 from ..segmentation.naming import attitude_words, up_words
 from ..segmentation.segments import Segment

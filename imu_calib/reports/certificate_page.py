@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from html import escape
 
 from ..common.budget import PROBABILITY
+from ..common.files import version
 from ..common.stream import Units
 from ..common.units import ARCSEC
-from ..common.version import version
 from . import provenance
 from .budget import budget_parts, freedom_words
 from .certificate import OUTPUT, Certificate, Stated, groups

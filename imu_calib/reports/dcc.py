@@ -10,9 +10,9 @@ import numpy as np
 
 from ..calibration.calibration import Calibration
 from ..common.budget import PROBABILITY
+from ..common.files import version
 from ..common.stream import Units
 from ..common.units import ARCSEC
-from ..common.version import version
 from ..model.model_parameters import Parameter
 from . import provenance
 from .budget import MANY

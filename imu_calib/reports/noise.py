@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..calibration.calibration import Calibration
-from ..session.channel_noise import TRIADS, ChannelNoise, Coefficient, TriadUnits
+from ..session.channel_noise import TRIAD_NAMES, ChannelNoise, Coefficient, TriadUnits
 from ..session.imu import TriadSpec
 from .parameter_table import decimals, three_digits
 
@@ -14,7 +14,7 @@ def noise_lines(calibration: Calibration) -> list[str]:
     """Return a line per triad: measured noise, and that of the IMU's file."""
     seen = calibration.noise
     lines = []
-    for units, spec in zip(TRIADS, (calibration.imu.gyro, calibration.imu.accel), strict=True):
+    for units, spec in zip(TRIAD_NAMES, (calibration.imu.gyro, calibration.imu.accel), strict=True):
         found = [seen[c] for c in units.channels if c in seen]
         if found:
             lines.append(_line(units, found, spec))
@@ -22,8 +22,8 @@ def noise_lines(calibration: Calibration) -> list[str]:
 
 
 def _line(units: TriadUnits, found: Sequence[ChannelNoise], spec: TriadSpec) -> str:
-    walk = _listed([c.random_walk for c in found], units.walk_scale)
-    bias = _listed([c.bias_instability for c in found], units.rate_scale)
+    walk = _listed_noise([c.random_walk for c in found], units.walk_scale)
+    bias = _listed_noise([c.bias_instability for c in found], units.rate_scale)
     return (
         f'noise of the {units.name}s: random walk {walk} {units.walk}'
         f'{_stated(spec.random_walk, units.walk_scale)}, '
@@ -31,7 +31,7 @@ def _line(units: TriadUnits, found: Sequence[ChannelNoise], spec: TriadSpec) -> 
     )
 
 
-def _listed(coefficients: Sequence[Coefficient], scale: float) -> str:
+def _listed_noise(coefficients: Sequence[Coefficient], scale: float) -> str:
     return ' '.join(written(c, scale) for c in coefficients)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from ..calibration.calibration import Calibration
-from ..common.instants import at
+from ..common.stream import at
 from ..model.alignment import SCALE, SHOWN
 from ..model.model_parameters import AXES, Parameter
 from ..model.terms import TERMS

@@ -9,7 +9,7 @@ from enum import Enum
 from html import escape
 
 from ..calibration.calibrator_results import Result
-from ..common.instants import utc
+from ..common.stream import utc
 from ..common.units import DEG
 from ..estimation.hand import NAME as FREE_POSITIONS
 from .charts import Axis, Panel, drawing, label, tag

@@ -38,12 +38,12 @@ def limits_line(verification: Verification) -> str:
 
 def dwell_table(verification: Verification) -> Table | None:
     """Return the static dwells, worst first; None without any."""
-    return _table(verification, _AT_REST)
+    return _verification_table(verification, _AT_REST)
 
 
 def turn_table(verification: Verification) -> Table | None:
     """Return the turns, worst first; None without any."""
-    return _table(verification, _IN_TURNS)
+    return _verification_table(verification, _IN_TURNS)
 
 
 def moved_table(moved: Sequence[ShiftedParameter]) -> Table:
@@ -62,7 +62,7 @@ def moved_table(moved: Sequence[ShiftedParameter]) -> Table:
     return table
 
 
-def _table(verification: Verification, quantities: Sequence[Quantity]) -> Table | None:
+def _verification_table(verification: Verification, quantities: Sequence[Quantity]) -> Table | None:
     mine = [c for c in verification.compared if c.quantity in quantities and c.says_something]
     if not mine:
         return None
@@ -72,7 +72,7 @@ def _table(verification: Verification, quantities: Sequence[Quantity]) -> Table 
     for quantity in present:
         headings += [f'{quantity.value}, {_SHOWN[quantity].unit}', 'std']
     table = plain_table([*headings, 'worst/std', ''], f'l{"r" * len(headings)}l')
-    places = {q: _places([c for c in mine if c.quantity is q]) for q in present}
+    places = {q: _verification_places([c for c in mine if c.quantity is q]) for q in present}
     for row in sorted(_rows(mine), key=lambda r: -_worst(r)):
         first = row[0]
         cells = [first.name, f'{first.rate / DEG:+.4g}' if turns else f'{first.at:.1f}']
@@ -106,6 +106,6 @@ def _worst(row: Sequence[ComparedQuantity]) -> float:
     return max(abs(c.ratio) for c in row)
 
 
-def _places(compared: Sequence[ComparedQuantity]) -> int:
+def _verification_places(compared: Sequence[ComparedQuantity]) -> int:
     scale = _SHOWN[compared[0].quantity].scale
     return decimals(float(np.median([c.std for c in compared])) / scale)

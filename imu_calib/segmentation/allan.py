@@ -25,7 +25,7 @@ _OVERLAP = 16
 """Clusters overlap by 15 of 16 parts."""
 _LEAST_CLUSTERS = 3
 """A second difference takes three."""
-_FAR = 4
+_FAR_TIME = 4
 """Octaves: the covariance of variances further apart is negligible."""
 _REACH = 4
 """Cluster lengths: the covariance of second differences further apart is negligible."""
@@ -168,7 +168,7 @@ def _forms(rows: int, lengths: tuple[int, ...], period: float) -> Floats:
     runs = np.array(lengths, dtype=float)
     forms = np.zeros((len(Term), len(Term), rows, rows))
     for a in range(rows):
-        for b in range(a, min(rows, a + _FAR + 1)):
+        for b in range(a, min(rows, a + _FAR_TIME + 1)):
             forms[:, :, a, b] = forms[:, :, b, a] = _shared(1 << a, 1 << b, runs, period)
     return forms
 

@@ -31,14 +31,14 @@ deviation: 1.2533 times 1.4826 (`gaussian`)."""
 MANY = 0.25
 """Share of steps that are short where samples come in bunches: half of them do in pairs."""
 
-_FEWEST = 3
+_FEWEST_BUNCHES = 3
 """Fewest whole bunches that show a pattern; fewest samples in time before which none is missing."""
 
 _ALIKE = 0.75
 """Share of bunches that are of one size, give or take a sample: a reader that polls gets one more
 or less, and queues of delayed samples have all sizes. A judgement."""
 
-_QUEUED = 0.05
+_QUEUED_BUNCH = 0.05
 """Share of short steps from which on samples queue; single late ones are detected as such. A
 judgement."""
 
@@ -171,9 +171,11 @@ def _out_of_queue(stamp: Stamps) -> Stamps:
     # Where a queue ends beyond the samples looked at, the instants follow from the samples before.
     in_time = np.flatnonzero(late - earliest <= _DRIFT * interval)
     level = late[in_time]
-    sure = np.flatnonzero(np.abs(level[_FEWEST - 1 :] - level[: 1 - _FEWEST]) <= _DRIFT * interval)
+    sure = np.flatnonzero(
+        np.abs(level[_FEWEST_BUNCHES - 1 :] - level[: 1 - _FEWEST_BUNCHES]) <= _DRIFT * interval
+    )
     if len(sure):
-        last = int(in_time[sure[-1] + _FEWEST - 1])
+        last = int(in_time[sure[-1] + _FEWEST_BUNCHES - 1])
         earliest[last:] = np.minimum(earliest[last:], late[last])
     return np.asarray(stamp[0] + np.rint(line + earliest).astype(np.int64))
 
@@ -185,7 +187,7 @@ def _interval_in_queue(steps: Stamps) -> float | None:
     mean = float(steps.mean())
     short = steps < SHORT * mean
     in_row = np.count_nonzero(short[1:] & short[:-1])
-    if short.mean() < _QUEUED or in_row < _IN_ROW * np.count_nonzero(short):
+    if short.mean() < _QUEUED_BUNCH or in_row < _IN_ROW * np.count_nonzero(short):
         return None
     apart = steps[~short]
     interval = float(np.median(apart))
@@ -209,7 +211,7 @@ def _bunches(stamp: Stamps) -> NDArray[np.intp] | None:
         return None
     starts = np.concatenate([[0], np.flatnonzero(~short) + 1])
     counts = np.diff(starts)[1:]
-    if len(counts) < _FEWEST:
+    if len(counts) < _FEWEST_BUNCHES:
         return None
     usual = float(np.median(counts))
     if usual <= 1:
@@ -230,7 +232,7 @@ def _are_packets(counts: NDArray[np.intp], size: int) -> bool:
     if float(np.mean(counts == size)) < _ALIKE:
         return False
     between = np.diff(np.flatnonzero(counts < size))
-    return len(between) < _FEWEST or int(np.ptp(between)) > 1
+    return len(between) < _FEWEST_BUNCHES or int(np.ptp(between)) > 1
 
 
 def _places(counts: NDArray[np.intp], slots: NDArray[np.intp]) -> Floats:

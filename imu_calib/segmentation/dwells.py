@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.directions import cross
-from ..common.gaussian import FIVE_SIGMA, MAD_TO_STD
+from ..common.rotations import FIVE_SIGMA, MAD_TO_STD, cross
 from ..common.stream import Floats
 from ..common.units import DEG, MICRO_G, significant
 from .segments import CHANNELS, Statistics

@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.instants import at
-from ..common.stream import Floats, Stamps, Units
+from ..common.stream import Floats, Stamps, Units, at
 from ..common.units import DEG, STANDARD_GRAVITY, counted
 from .interruptions import INTERRUPTION
 from .rows import all_in_row, any_in_row

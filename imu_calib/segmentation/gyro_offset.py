@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..common.gaussian import MAD_TO_STD
+from ..common.rotations import MAD_TO_STD
 from ..common.stream import Floats
 from ..common.units import DEG, STANDARD_GRAVITY
 from ..model.earth import EARTH_RATE

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.instants import at
 from ..common.stream import (
     Floats,
     ImuBlock,
@@ -17,6 +16,7 @@ from ..common.stream import (
     SkewBlock,
     Stamps,
     Units,
+    at,
 )
 from ..common.units import LARGEST, counted
 from ..session.table import Table

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..common.instants import NS, at
-from ..common.stream import Stamps
+from ..common.stream import NS, Stamps, at
 from .bunches import LAG, SHORT
 
 INTERRUPTION = NS

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.gaussian import MAD_TO_STD
-from ..common.instants import at
-from ..common.stream import Stamps
+from ..common.rotations import MAD_TO_STD
+from ..common.stream import Stamps, at
 
 JITTER = 6 * MAD_TO_STD
 """Times the median absolute deviation: six standard deviations of Gaussian jitter."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..common.directions import cross
+from ..common.rotations import cross
 from ..common.stream import Floats
 from ..common.units import DEG
 from .segments import Segment

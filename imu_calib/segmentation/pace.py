@@ -19,7 +19,7 @@ _NEAR_WHOLE = 0.25
 """Of an interval: tolerance of the distance of segments about a whole number of intervals; beyond
 it they lie on two lines."""
 
-_SURE = 0.1
+_SURE_PACE = 0.1
 """Of an interval: largest standard deviation for which the number between is certain."""
 
 _FEWEST_FREE = 2
@@ -130,7 +130,7 @@ class Pace:
         period, error = self.combined(Timing(grid.period, grid.period, grid.period_std))
         passed = (time - last.time) / period
         first = last.number + passed - middle
-        if abs(passed) * error / period > _SURE or abs(first - round(first)) > _NEAR_WHOLE:
+        if abs(passed) * error / period > _SURE_PACE or abs(first - round(first)) > _NEAR_WHOLE:
             return None
         return round(first)
 

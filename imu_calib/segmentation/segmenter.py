@@ -7,7 +7,6 @@ from collections import deque
 
 import numpy as np
 
-from ..common.instants import at
 from ..common.stream import (
     Block,
     Floats,
@@ -16,6 +15,7 @@ from ..common.stream import (
     SetpointBlock,
     SkewBlock,
     TemperatureBlock,
+    at,
 )
 from ..common.units import counted
 from ..session.imu import ImuSpec

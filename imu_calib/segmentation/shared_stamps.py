@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.instants import at
-from ..common.stream import Floats, Stamps
+from ..common.stream import Floats, Stamps, at
 from ..common.units import counted
 from .interruptions import INTERRUPTION, steps_since
 

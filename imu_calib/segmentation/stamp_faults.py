@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.instants import NS, at
-from ..common.stream import Floats, Stamps
+from ..common.stream import NS, Floats, Stamps, at
 from ..common.units import counted
 from .apart import FARTHEST
 from .bunches import SHORT

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.gaussian import MAD_TO_STD, MEDIAN_ERROR
+from ..common.rotations import MAD_TO_STD, MEDIAN_ERROR
 from ..common.stream import Floats, Stamps
 from .bunches import sampling_times
 

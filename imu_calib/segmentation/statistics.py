@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.gaussian import MAD_TO_STD
+from ..common.rotations import MAD_TO_STD
 from ..common.stream import Floats, Stamps, Units
 from ..session.imu import ImuSpec
 from .allan import allan_sums

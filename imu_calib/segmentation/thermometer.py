@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..common.instants import NS
-from ..common.stream import Floats, Stamps, TemperatureBlock
+from ..common.stream import NS, Floats, Stamps, TemperatureBlock
 from ..common.units import counted
 from ..session.imu import COLDEST, HOTTEST
 

@@ -8,8 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..common.instants import NS
-from ..common.stream import Floats, Stamps
+from ..common.stream import NS, Floats, Stamps
 from ..common.units import ARCSEC, DEG, significant
 from ..session.imu import SCALE_LIMIT
 from ..session.table import TURN, Table

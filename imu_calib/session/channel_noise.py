@@ -122,7 +122,7 @@ class TriadUnits:
 
 _ROOT_HOUR = HOUR**0.5
 """sqrt(s)."""
-TRIADS = (
+TRIAD_NAMES = (
     TriadUnits('gyro', ('gx', 'gy', 'gz'), 'deg/sqrt(h)', DEG / _ROOT_HOUR, 'deg/h', DEG_H),
     TriadUnits('accelerometer', ('ax', 'ay', 'az'), '(m/s)/sqrt(h)', 1 / _ROOT_HOUR, 'ug', MICRO_G),
 )

@@ -10,12 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ..common.arguments import checked
-from ..common.config import Section
+from ..common.config import Section, checked, dump
 from ..common.errors import InputError
 from ..common.stream import Floats, Units
 from ..common.units import DEG, PPM, Dimension
-from ..common.yaml_text import dump
 from .specification import Specification, read_specification
 
 FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..common.errors import InputError, NotStated
-from ..common.files import read_text
-from ..common.share import named_file
+from ..common.files import named_file, read_text
 from ..common.stream import Floats
 from ..common.units import DEG
 from ..model.earth import MEASURED, NORMAL_GRAVITY, Site

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..common.arguments import checked
-from ..common.config import Section, numbers_of
+from ..common.config import Section, checked, numbers_of
 from ..common.errors import InputError
 from ..common.rotations import angle_about, rotation
 from ..common.stream import Floats

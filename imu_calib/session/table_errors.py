@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..common.config import Section
-from ..common.directions import across
 from ..common.errors import InputError
+from ..common.rotations import across
 from ..common.stream import Floats
 from ..common.units import ARCSEC, DEG, Dimension
 

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..common.arguments import checked
-from ..common.config import Section
+from ..common.config import Section, checked
 from ..common.errors import InputError
 from ..common.files import user_path
 from ..common.stream import Floats

@@ -20,7 +20,7 @@ _SHORTEST, _LONGEST = 3.3, 4.0
 """s: range of the random duration of a hold; a choice."""
 _RATE = 180 * DEG
 """rad/s: a wrist turns a unit by half a turn in a second."""
-_ACCELERATION = 720 * DEG
+_LIVE_ACCELERATION = 720 * DEG
 """rad/s^2: the rate is reached after a quarter of a second."""
 _AIM = 4 * DEG
 """rad: standard deviation of the attitude of a hold about the requested one."""
@@ -111,7 +111,7 @@ class HeldHardware:
             up = self._order.pop()
         target = self._aimed(up)
         moves = [
-            trapezoid(self.time, float(a), float(b), _RATE, _ACCELERATION)
+            trapezoid(self.time, float(a), float(b), _RATE, _LIVE_ACCELERATION)
             for a, b in zip(self._angles, target, strict=True)
         ]
         track = side_by_side([self._track.columns(slice(k, k + 1)) for k in range(3)])

@@ -8,8 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..common.directions import cross
-from ..common.rotations import all_in_rotated_frame, in_rotated_frame
+from ..common.rotations import all_in_rotated_frame, cross, in_rotated_frame
 from ..common.stream import Floats
 from ..model.earth import Site
 from .tracks import Track

@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 
 from ..calibration.calibrator import Calibrator
-from ..common.engine import run_all
 from ..common.errors import NotObservable
+from ..common.parallel import run_all
 from ..common.stream import Floats
 from ..estimation.setup import Setup
 from ..model.model_parameters import PARAMETERS, Parameter, indices_of

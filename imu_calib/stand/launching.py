@@ -16,9 +16,8 @@ import yaml
 
 from ..common import lifetime
 from ..common.errors import ImuCalibError, InputError
-from ..common.files import user_path
+from ..common.files import named_file, user_path
 from ..common.lifetime import ENDS_WITH
-from ..common.share import named_file
 from ..common.units import point_for_comma
 from ..estimation.methods import METHODS
 from ..model.terms import named_terms

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.instants import LAST_SECOND, NS
-from ..common.stream import JointBlock
+from ..common.stream import LAST_SECOND, NS, JointBlock
 from ..common.units import DEG
 from ..session.table import FARTHEST, TURN, Table
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import ImuCalibError, InputError
-from ..common.share import share_folder
+from ..common.files import share_folder
 from .network import check_domain
 
 OVERRIDE = 'ROS_SECURITY_ENCLAVE_OVERRIDE'

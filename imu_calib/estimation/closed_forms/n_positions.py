@@ -21,10 +21,10 @@ from ..solution import Solution
 from .linear import Gains, bias_names, inverse, position_weights, rate_test_weights, response_names
 from .methods_linear import BIAS
 
-ESTIMATES = parameters_of([G_SENSITIVITY])
+N_POSITIONS_ESTIMATES = parameters_of([G_SENSITIVITY])
 
 
-def solve(evidence: Evidence) -> Solution:
+def solve_n_positions(evidence: Evidence) -> Solution:
     """Estimate the 33 parameters.
 
     Raises:
@@ -40,7 +40,7 @@ def solve(evidence: Evidence) -> Solution:
         evidence.attitudes()[:, 2],
         position_weights(evidence),
         evidence.positions_in_words(),
-        ESTIMATES,
+        N_POSITIONS_ESTIMATES,
     )
     g = evidence.site.gravity
     rates = evidence.attitudes().transpose(0, 2, 1) @ evidence.site.earth_rate
@@ -52,7 +52,7 @@ def solve(evidence: Evidence) -> Solution:
     return Gains(gyro, accel, condition).conclude(evidence, north_known=True)
 
 
-def check(plan: Plan, parameters: tuple[Parameter, ...] = ESTIMATES) -> None:
+def check_positions(plan: Plan, parameters: tuple[Parameter, ...] = N_POSITIONS_ESTIMATES) -> None:
     """Raise if a plan does not separate the parameters of its method, before it is run.
 
     Raises:

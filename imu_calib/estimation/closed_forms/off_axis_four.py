@@ -27,7 +27,7 @@ _LEAST_RATE = 0.5 * DEG_H
 _WORDS = ('X north', 'X south', 'Y north', 'Y south')
 
 
-def solve(evidence: Evidence) -> Solution:
+def solve_off_axis_four(evidence: Evidence) -> Solution:
     """Estimate the 12 parameters of the gyros; the accelerometers are not estimated.
 
     Raises:
@@ -35,22 +35,22 @@ def solve(evidence: Evidence) -> Solution:
             too slow for the noise.
     """
     require_north(evidence)
-    weights = _weights(evidence.attitudes(), evidence.site, 'the recording')
+    weights = _off_axis_weights(evidence.attitudes(), evidence.site, 'the recording')
     # Every column of the four equations is a difference or a mean of all outputs: orthogonal.
     return gyros_only(evidence, weights, _condition(evidence.site))
 
 
-def check(plan: Plan, site: Site) -> None:
+def check_off_axis_four(plan: Plan, site: Site) -> None:
     """Raise if a plan lacks one of the four positions, or for a site where they do not suffice.
 
     Raises:
         NotObservable: Names the position and the parameters.
     """
     held = [p.attitude for p in plan.positions if p.dwell > 0]
-    _weights(np.array(held).reshape(-1, 3, 3), site, f'plan {plan.name}')
+    _off_axis_weights(np.array(held).reshape(-1, 3, 3), site, f'plan {plan.name}')
 
 
-def _weights(attitudes: Floats, site: Site, where: str) -> Floats:
+def _off_axis_weights(attitudes: Floats, site: Site, where: str) -> Floats:
     """Return (4, s) weights on the outputs: responses to X, Y, Z and the bias.
 
     The positions are recognised by the directions of X and Y, so that the same holds with P = (X +

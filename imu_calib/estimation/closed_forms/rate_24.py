@@ -19,7 +19,7 @@ from .methods_linear import BIAS
 from .n_positions import force_weights
 
 
-def solve(evidence: Evidence) -> Solution:
+def solve_rate_24(evidence: Evidence) -> Solution:
     """Estimate the 24 parameters.
 
     Raises:

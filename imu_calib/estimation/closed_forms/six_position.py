@@ -13,7 +13,7 @@ from ..solution import Solution
 from .positions import BiasEquation, finish, solve_gyros
 
 
-def solve(evidence: Evidence) -> Solution:
+def solve_six_position(evidence: Evidence) -> Solution:
     """Estimate the 24 parameters; D_i is the mean of n_i - [(I + M_g) w] over the positions.
 
     Sessions turned by hand need no north: every hold has a separate unknown heading, and the level

@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from ...common.errors import NotObservable
-from ...common.gaussian import FIVE_SIGMA
+from ...common.rotations import FIVE_SIGMA
 from ...common.stream import Floats
 from ...common.units import DEG, DEG_H
 from ...model.model_parameters import indices_of, skewed_parameters
@@ -33,7 +33,7 @@ NAME = 'skewed'
 _PARAMETERS = parameters_of(skewed=1)
 """The 24, and those of one skewed gyro."""
 
-ESTIMATES = tuple(p for p in _PARAMETERS if p.triad == 'g')
+SKEWED_ESTIMATES = tuple(p for p in _PARAMETERS if p.triad == 'g')
 
 _SAME_RATE = 0.05
 """Share: rates closer than that count as one rate of the plan."""
@@ -148,7 +148,7 @@ class RatePoints:
         return np.maximum(result, SMALLEST_VARIANCE)
 
 
-def solve(evidence: Evidence) -> Solution:
+def solve_skewed(evidence: Evidence) -> Solution:
     """Estimate the 12 parameters of the gyros and the four of the skewed one, weighted.
 
     The accelerometers are not estimated.
@@ -292,8 +292,8 @@ def _covariance(
 
 def _in_order(square: Floats) -> Floats:
     """Put (16, 16), channel by channel, in the order of the 24 and the four; NaN elsewhere."""
-    places = [4 * p.row + (BIAS if p.column is None else p.column) for p in ESTIMATES]
-    of_gyros = indices_of(ESTIMATES, _PARAMETERS)
+    places = [4 * p.row + (BIAS if p.column is None else p.column) for p in SKEWED_ESTIMATES]
+    of_gyros = indices_of(SKEWED_ESTIMATES, _PARAMETERS)
     result = np.full((len(_PARAMETERS), len(_PARAMETERS)), np.nan)
     result[np.ix_(of_gyros, of_gyros)] = square[np.ix_(places, places)]
     return result

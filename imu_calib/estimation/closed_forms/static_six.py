@@ -22,14 +22,14 @@ from ..solution import Solution
 from .linear import Gains, bias_names, inverse, position_weights, response_names
 from .methods_linear import BIAS
 
-ESTIMATES = tuple(p for p in PARAMETERS if p.triad == 'g')
+GYRO_ESTIMATES = tuple(p for p in PARAMETERS if p.triad == 'g')
 
 _MEANINGLESS = 0.1
 """Standard deviation of a ratio from which on it is not worth stating. A judgement: data sheets
 know it better."""
 
 
-def solve(evidence: Evidence) -> Solution:
+def solve_static_six(evidence: Evidence) -> Solution:
     """Estimate the 12 parameters of the gyros; the accelerometers are not estimated.
 
     Raises:
@@ -37,7 +37,7 @@ def solve(evidence: Evidence) -> Solution:
             too slow for the noise.
     """
     require_north(evidence)
-    weights, condition = _weights(
+    weights, condition = _static_weights(
         evidence.attitudes(),
         evidence.site,
         position_weights(evidence),
@@ -47,7 +47,7 @@ def solve(evidence: Evidence) -> Solution:
     return gyros_only(evidence, gyro, condition)
 
 
-def check(plan: Plan, site: Site) -> None:
+def check_static_six(plan: Plan, site: Site) -> None:
     """Raise if a plan does not separate the parameters at a site, before it is run.
 
     Raises:
@@ -56,7 +56,7 @@ def check(plan: Plan, site: Site) -> None:
     held = [p for p in plan.positions if p.dwell > 0]
     attitudes = np.array([p.attitude for p in held]).reshape(-1, 3, 3)
     what = f'The {len(held)} positions of plan {plan.name}'
-    _weights(attitudes, site, np.ones(len(held)), what)
+    _static_weights(attitudes, site, np.ones(len(held)), what)
 
 
 def require_north(evidence: Evidence) -> None:
@@ -96,7 +96,9 @@ def gyros_only(evidence: Evidence, gyro: Floats, condition: float) -> Solution:
     return gains.conclude(at_rest, findings=findings, north_known=True)
 
 
-def _weights(attitudes: Floats, site: Site, weights: Floats, what: str) -> tuple[Floats, float]:
+def _static_weights(
+    attitudes: Floats, site: Site, weights: Floats, what: str
+) -> tuple[Floats, float]:
     """Return (4, s) weights for responses to omega_ie and bias, and the condition number."""
     rates = attitudes.transpose(0, 2, 1) @ site.earth_rate / EARTH_RATE
     names = [*(response_names('g', axis) for axis in range(3)), bias_names('g')]

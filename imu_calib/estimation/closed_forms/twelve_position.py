@@ -21,7 +21,7 @@ _LARGEST_MEAN_INPUT = 3e-3
 """Of the mean input: a complete set cancels to within its positioning errors."""
 
 
-def solve(evidence: Evidence) -> Solution:
+def solve_twelve_position(evidence: Evidence) -> Solution:
     """Estimate the 24 parameters; the session's azimuth is not used.
 
     Raises:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...common.errors import InputError
-from ...common.instants import NS
-from ...common.stream import Stamps
+from ...common.stream import NS, Stamps
 from .delays import Delays, Drift
 from .fields import DeviceTime, FrameCounter
 from .host_clock import HostClock

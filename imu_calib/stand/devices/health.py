@@ -9,8 +9,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from ...common.instants import NS
-from ...common.stream import Stamps
+from ...common.stream import NS, Stamps
 from ...session.imu import ImuSpec
 from .clock import DeviceClock
 from .decoder import Counts, Samples

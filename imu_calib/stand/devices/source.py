@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from ...common.errors import InputError
 from ...common.files import user_path
-from ...common.instants import NS
+from ...common.stream import NS
 from ..address import host_and_port
 from .baud import DEFAULT
 from .commands import NOTHING, Command, Commands

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.instants import NS
-from ...common.stream import Floats
+from ...common.stream import NS, Floats
 from .fields import DeviceTime, FrameCounter, differences
 
 Indices = NDArray[np.int64]

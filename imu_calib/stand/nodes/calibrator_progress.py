@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from ...common.instants import NS
+from ...common.stream import NS
 from ..sequencer import Sequencer
 from .diagnostics import Diagnostics, Level
 

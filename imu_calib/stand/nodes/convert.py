@@ -9,8 +9,7 @@ import numpy as np
 
 from ...calibration.calibration import Calibration
 from ...common.errors import InputError
-from ...common.instants import NS
-from ...common.stream import Units
+from ...common.stream import NS, Units
 from ...model.changes import Changes
 from ...model.model_parameters import PARAMETER_NAMES, Parameter
 from ...model.sensors import SensorModel, Skewed, Triad, by_name, parameters_of, terms_of

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ...common.instants import at
-from ...common.stream import Block, ImuBlock, JointBlock
+from ...common.stream import Block, ImuBlock, JointBlock, at
 from ...recordings.kinds import Kind
 from ...segmentation.interruptions import INTERRUPTION, interruption
 from .intake import TopicIntake

@@ -13,8 +13,8 @@ from typing import Any
 
 from ...calibration.calibration import Calibration
 from ...calibration.guidance import direction
-from ...common.instants import NS
-from ...common.share import named_file
+from ...common.files import named_file
+from ...common.stream import NS
 from ...common.units import DEG
 from ...model.earth import LUOYANG, Site
 from ...session.imu import load_imu

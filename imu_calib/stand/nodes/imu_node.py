@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...common.instants import NS
-from ...common.stream import ImuBlock, Stamps, TemperatureBlock, Units
+from ...common.stream import NS, ImuBlock, Stamps, TemperatureBlock, Units
 from ...recordings.cdr_codec import PULSES, RATES, encode_imu, encode_temperatures
 from ...session.imu import load_imu
 from ..devices.baud import choose_baud

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ...common.instants import NS
+from ...common.stream import NS
 
 
 class Pacing:

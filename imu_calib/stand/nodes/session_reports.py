@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...calibration.calibrator_results import Review
-from ...common.instants import NS
+from ...common.stream import NS
 from ...common.units import significant
 from ...model.model_parameters import Parameter
 from ...recordings.kinds import Kind

@@ -18,9 +18,8 @@ import numpy as np
 
 from ...calibration.calibration import Calibration
 from ...common.errors import InputError
-from ...common.instants import NS
-from ...common.share import named_file
-from ...common.stream import Mode, Setpoint
+from ...common.files import named_file
+from ...common.stream import NS, Mode, Setpoint
 from ...common.units import DEG
 from ...model.earth import LUOYANG, Site
 from ...model.sensors import SensorModel

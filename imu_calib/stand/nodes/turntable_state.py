@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ...common.instants import NS
+from ...common.stream import NS
 from ...session.plan import Plan
 from ..middleware import Node, messages
 from ..rules import Phase

@@ -14,10 +14,8 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from ...common.extras import require
-from ...common.files import user_path
-from ...common.instants import NS
-from ...common.stream import ImuBlock, JointBlock, TemperatureBlock
+from ...common.files import require, user_path
+from ...common.stream import NS, ImuBlock, JointBlock, TemperatureBlock
 from ...recordings.kinds import Kind
 from ...recordings.messages import Malformed, Messages
 from ...session.units_file import load_units, remaining

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ...common.instants import NS
+from ...common.stream import NS
 from ...reports.convergence import Courses
 from ...reports.remaining import Pace, in_words
 from ..devices.health import Severity

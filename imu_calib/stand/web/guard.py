@@ -15,7 +15,7 @@ import socket
 from . import policy
 from .policy import App, Receive, Scope, Send
 
-LOOPBACK = '127.0.0.1'
+LOOPBACK_HOST = '127.0.0.1'
 _SAFE = frozenset({'GET', 'HEAD'})
 _FAR = frozenset({'cross-site', 'same-site'})
 

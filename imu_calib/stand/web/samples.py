@@ -10,8 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...common.instants import NS
-from ...common.stream import Floats, ImuBlock, Stamps
+from ...common.stream import NS, Floats, ImuBlock, Stamps
 from ...segmentation.noise import session_noise
 from ...segmentation.segments import Statistics
 from ...segmentation.sensor import Sensor

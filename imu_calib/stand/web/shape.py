@@ -12,9 +12,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ...common.errors import InputError
-from ...common.files import read_text, user_path
+from ...common.files import read_text, share_folder, user_path
 from ...common.rotations import rotation
-from ...common.share import share_folder
 from ...common.stream import Floats
 from ...session.table import Table
 

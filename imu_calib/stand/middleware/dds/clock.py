@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from ....common.instants import NS
+from ....common.stream import NS
 from .messages import message_class
 
 

@@ -18,7 +18,7 @@ _STEP = 20_000_000
 due at each step, and reviews and reports, once a second, are not most of the work."""
 _PACED_STEP = 100_000_000
 """ns of it per step that waited for the wall clock: that of a simulation in real time."""
-_PER_ROUND = 64
+_CALLBACKS_PER_ROUND = 64
 """Messages of one subscription per turn; then the others and the timers follow."""
 _LONGEST_WAIT = 0.05
 """s: the latest time for a signal to be noticed."""
@@ -45,7 +45,7 @@ class Hosted:
         try:
             for one in self.node.awaited():
                 if one.reader.waiting and not one.destroyed:
-                    ran |= one.execute(_PER_ROUND)
+                    ran |= one.execute(_CALLBACKS_PER_ROUND)
             ran |= self.node.run_timers()
         except Exception as error:
             self.fail(error)

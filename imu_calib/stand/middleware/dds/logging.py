@@ -9,7 +9,7 @@ from enum import IntEnum
 from functools import partialmethod
 from typing import IO
 
-from ....common.instants import NS
+from ....common.stream import NS
 
 
 class LoggingSeverity(IntEnum):

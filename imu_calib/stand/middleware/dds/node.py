@@ -6,7 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from ....common.errors import ImuCalibError
-from ....common.instants import NS
+from ....common.stream import NS
 from . import names
 from .clock import Clock, ClockType
 from .context import CONTEXT
