@@ -32,7 +32,7 @@ from imu_calib.common.stream import Floats, ImuBlock, Mode, Units
 from imu_calib.common.units import ARCSEC, DEG
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
-from imu_calib.model.model_parameters import AXES, PARAMETERS
+from imu_calib.model.parameters import AXES, PARAMETERS
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.recordings.kinds import Kind
 from imu_calib.recordings.rosbag2 import open_recording

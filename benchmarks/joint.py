@@ -34,7 +34,7 @@ from imu_calib.common.parallel import run_all
 from imu_calib.common.stream import Floats
 from imu_calib.estimation import joint
 from imu_calib.estimation.closed_forms import twelve_position
-from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table

@@ -28,7 +28,7 @@ from imu_calib.common.units import DEG
 from imu_calib.estimation import forecast
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
-from imu_calib.model.model_parameters import Parameter
+from imu_calib.model.parameters import Parameter
 from imu_calib.model.terms import TERMS
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import Plan, load_plan

@@ -32,7 +32,7 @@ from imu_calib.common.errors import ImuCalibError
 from imu_calib.common.parallel import run_all
 from imu_calib.common.stream import Floats
 from imu_calib.model.alignment import free_of_frame
-from imu_calib.model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS
 from imu_calib.model.terms import term
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import Plan, load_plan

@@ -15,7 +15,7 @@ from imu_calib.common.files import named_file
 from imu_calib.common.units import DEG, DEG_H, MICRO_G
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
-from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table

@@ -37,8 +37,7 @@ from imu_calib.fleet.results import (
     Trend,
     UnitHistory,
 )
-from imu_calib.model.model_parameters import PARAMETER_NAMES, PARAMETERS
-from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from imu_calib.session.specification import Verdict, judge
 
 TODAY = np.datetime64('2026-11-22', 's')

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from imu_calib.fleet.results import Sessions
-from imu_calib.model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS
 
 SCALE = np.array([p.unit.scale for p in PARAMETERS])
 """SI value of ppm, arcmin, deg/h or ug, by parameter."""

@@ -19,7 +19,7 @@ from imu_calib.cli import dispatch, stand_session
 from imu_calib.cli.embedded import Embedded
 from imu_calib.cli.processes import Processes, private_network
 from imu_calib.common.files import named_file
-from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.stand import middleware as ros
 from imu_calib.stand.middleware import messages

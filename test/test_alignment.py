@@ -9,7 +9,7 @@ import pytest
 
 from imu_calib.common.units import ARCSEC
 from imu_calib.model.alignment import GROUPS, free_of_frame
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, Triad
 
 Rows = list[list[float]]

@@ -24,9 +24,8 @@ from imu_calib.calibration.verify import Verdict
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError, NotObservable
 from imu_calib.common.units import DEG_H, MICRO_G, PPM
-from imu_calib.model.changes import Changes
-from imu_calib.model.model_parameters import PARAMETERS
-from imu_calib.model.session_terms import split_terms
+from imu_calib.model.parameters import PARAMETERS
+from imu_calib.model.session_terms import Changes, split_terms
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.reports.tables import in_scale_of
 from imu_calib.session.imu import load_imu

@@ -8,7 +8,7 @@ from sessions import SITE, paper_imu, quick_plan, truth
 
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import ARCSEC, DEG
-from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.session.table import load_table
 
 SPEC, PLAN, TABLE = paper_imu(), quick_plan('twelve_position', 40.0), load_table('three_axis')

@@ -35,7 +35,7 @@ from imu_calib.estimation.methods import method
 from imu_calib.estimation.session_model import Nuisance
 from imu_calib.estimation.solution import Solution
 from imu_calib.model.earth import Site
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel
 from imu_calib.reports.budget import _share_tables, budget_section, budget_tables
 from imu_calib.session.metadata import describe, described_site

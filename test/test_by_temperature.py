@@ -23,9 +23,8 @@ from imu_calib.calibration.thermal import (
 )
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Units
-from imu_calib.model.changes import Changes
 from imu_calib.model.sensors import SensorModel, Triad
-from imu_calib.model.session_terms import Course, change
+from imu_calib.model.session_terms import Changes, Course, change
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.stamping import StampingClock
 

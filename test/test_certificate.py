@@ -30,7 +30,7 @@ from imu_calib.common.budget import Budget
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.files import named_file
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.terms import TERMS
 from imu_calib.reports import printing
 from imu_calib.reports.certificate import Certificate, certificate_of

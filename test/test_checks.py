@@ -39,7 +39,7 @@ from imu_calib.estimation.cross_check import Comparison
 from imu_calib.estimation.equations import Equations
 from imu_calib.estimation.hand import ellipsoid, in_frame_of_accelerometers, scatter_words
 from imu_calib.estimation.solution import Residual
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, Triad
 
 RATE = 15.0410672 * DEG_H

@@ -17,7 +17,7 @@ from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Units
 from imu_calib.common.units import DEG_H, MICRO_G, STANDARD_GRAVITY
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, Skewed, Triad, parameters_of
 from imu_calib.model.terms import G_SENSITIVITY
 from imu_calib.reports.parameter_table import parameter_table

@@ -44,11 +44,9 @@ from imu_calib.estimation.evidence import Evidence
 from imu_calib.estimation.fit import check_observable
 from imu_calib.estimation.free_dwells import Sensors
 from imu_calib.estimation.observed import Observed
-from imu_calib.model.changes import Changes
-from imu_calib.model.model_parameters import PARAMETERS, Parameter
-from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.parameters import PARAMETERS, Parameter, ParameterKind
 from imu_calib.model.sensors import PRODUCTS, SensorModel, gravity_slope, parameters_of
-from imu_calib.model.session_terms import Course, change
+from imu_calib.model.session_terms import Changes, Course, change
 from imu_calib.model.terms import TERMS, Term
 from imu_calib.reports.assessment import assess, tables
 from imu_calib.reports.parameter_table import parameter_table

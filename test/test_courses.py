@@ -27,7 +27,7 @@ from imu_calib.estimation.modulation import (
     temperatures,
     warms,
 )
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.session_terms import Change, Course
 from imu_calib.segmentation.thermometer import Temperature
 

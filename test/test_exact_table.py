@@ -19,7 +19,7 @@ from imu_calib.estimation import joint
 from imu_calib.estimation.exact_table import as_the_best
 from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.solution import Solution
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import Table, load_table, read_table
 from imu_calib.session.table_errors import FINEST, TableErrors

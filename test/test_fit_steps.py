@@ -25,7 +25,7 @@ from imu_calib.estimation.information import Information
 from imu_calib.estimation.outputs import NO_POSITIONING_ERRORS, PositioningErrors
 from imu_calib.estimation.session_model import Nuisance
 from imu_calib.estimation.temperature_change import temperature_finding
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.session_terms import Course, change, session_term
 from imu_calib.model.terms import ACCEL_CUBIC, GYRO_CUBIC

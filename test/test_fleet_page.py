@@ -21,7 +21,7 @@ from browser import browser as browser  # noqa: PLC0414
 import imu_calib
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
-from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.parameters import PARAMETER_NAMES
 
 pytest.importorskip('pyarrow')
 pytest.importorskip('bokeh')

@@ -38,7 +38,7 @@ from imu_calib.estimation.hand import (
     term_words,
 )
 from imu_calib.estimation.layout import OutputLayout
-from imu_calib.model.model_parameters import PARAMETERS, Parameter
+from imu_calib.model.parameters import PARAMETERS, Parameter
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.terms import G_SENSITIVITY
 

@@ -29,8 +29,7 @@ from imu_calib.estimation.methods import check_plan
 from imu_calib.estimation.observation_gyro_paths import propagated
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
-from imu_calib.model.model_parameters import PARAMETERS
-from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.parameters import PARAMETERS, ParameterKind
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.recordings.cdr_codec import RATES, encode_imu
 from imu_calib.recordings.writer import RecordingWriter

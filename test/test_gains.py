@@ -40,7 +40,7 @@ from imu_calib.estimation.methods import (
     provisional,
 )
 from imu_calib.model.earth import EARTH_RATE, Site
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.session_terms import session_term
 from imu_calib.model.terms import G_SENSITIVITY
 from imu_calib.session.plan import UNPLANNED, load_plan

@@ -36,8 +36,7 @@ from imu_calib.estimation import forecast, reach
 from imu_calib.estimation.observed import observe
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
-from imu_calib.model.model_parameters import PARAMETERS
-from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.parameters import PARAMETERS, ParameterKind
 from imu_calib.reports.repeatability import repeated
 from imu_calib.session.metadata import describe, described_site
 from imu_calib.session.table import load_table

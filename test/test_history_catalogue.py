@@ -22,7 +22,7 @@ from imu_calib.fleet.batch import CALIBRATED, Done, failed, limits_of
 from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.recordings import Job, Labels
 from imu_calib.fleet.results import Sessions
-from imu_calib.model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS
 from imu_calib.session.imu import load_imu
 
 needs_modules('pyarrow', 'duckdb')

@@ -13,7 +13,7 @@ from imu_calib.fleet.crossed import crossed
 from imu_calib.fleet.patterns import turned
 from imu_calib.fleet.population import critical_deviate, lot_shifts, outliers
 from imu_calib.fleet.results import Rules
-from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.parameters import PARAMETER_NAMES
 
 LIMITS = {'fog': 1e4 * SCALE}
 THREE = ('east', 'south', 'west')

@@ -23,7 +23,7 @@ from imu_calib.estimation.ideal_moves import (
     next_hold,
     shortest,
 )
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.session.plan import UNPLANNED
 from imu_calib.session.table import load_table

@@ -21,7 +21,7 @@ from imu_calib.estimation.information import (
     unobservable_in_words,
 )
 from imu_calib.model.earth import Site, normal_gravity
-from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.model.sensors import SensorModel
 from imu_calib.segmentation.clock import ClockFit
 from imu_calib.segmentation.segments import Segment, Statistics, Turn

@@ -42,7 +42,7 @@ from imu_calib.estimation.session_model import Nuisance
 from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.solution import Solution
 from imu_calib.model.earth import Site
-from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.model.sensors import SensorModel, parameters_of
 from imu_calib.model.terms import G_SENSITIVITY as G_TERM
 from imu_calib.model.terms import TERMS, Term

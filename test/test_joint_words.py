@@ -19,7 +19,7 @@ from imu_calib.estimation.converge import NotConverged
 from imu_calib.estimation.estimate import estimate
 from imu_calib.estimation.layout import OutputLayout
 from imu_calib.estimation.session_model import Nuisance
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.terms import G_SENSITIVITY
 

@@ -25,8 +25,7 @@ from imu_calib.estimation.moves import (
     coning_variance,
 )
 from imu_calib.estimation.observation_gyro_paths import GyroPath, propagated
-from imu_calib.model.model_parameters import PARAMETERS
-from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.parameters import PARAMETERS, ParameterKind
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.segmentation.stream_facts import Move, VelocitySteps
 

@@ -23,8 +23,7 @@ from imu_calib.common.units import ARCMIN, DEG, PPM
 from imu_calib.estimation.hand import FREE
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
-from imu_calib.model.model_parameters import PARAMETER_NAMES
-from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.parameters import PARAMETER_NAMES, ParameterKind
 from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.recordings.kinds import Kind
 from imu_calib.recordings.rosbag2 import open_recording

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from imu_calib.common.errors import NotObservable
-from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.model.sensors import SensorModel, Triad
 
 

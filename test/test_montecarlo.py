@@ -12,7 +12,7 @@ from test_prediction import brisk
 from imu_calib.api import repeating
 from imu_calib.cli.main import main
 from imu_calib.estimation.setup import Setup
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table
 from imu_calib.simulation.repetition import Outcome, Run, Study, economical, repeat

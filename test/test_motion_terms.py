@@ -23,7 +23,7 @@ from imu_calib.estimation.joint import solve
 from imu_calib.estimation.observed import Observed
 from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.term_tests import TermState
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, parameters_of
 from imu_calib.model.terms import DELAY, SIZE_EFFECT, Term, named_terms
 from imu_calib.session.imu import ImuSpec, TriadSpec, load_imu

@@ -22,7 +22,7 @@ import imu_calib
 from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import info as info_command
 from imu_calib.cli.main import main
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.session.specification import COVERAGE
 
 SCHEMAS = CHECKOUT / 'config' / 'schemas'

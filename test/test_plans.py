@@ -27,8 +27,7 @@ from imu_calib.estimation.fit import check_observable
 from imu_calib.estimation.forecast import information
 from imu_calib.estimation.schedule import duration
 from imu_calib.estimation.setup import Setup
-from imu_calib.model.model_parameters import PARAMETERS
-from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.parameters import PARAMETERS, ParameterKind
 from imu_calib.model.sensors import SensorModel, parameters_of
 from imu_calib.model.session_terms import Course
 from imu_calib.model.terms import TERMS, Term, term

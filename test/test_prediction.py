@@ -23,7 +23,7 @@ from imu_calib.estimation.optimise import candidates, log_information, optimise
 from imu_calib.estimation.schedule import duration
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
-from imu_calib.model.model_parameters import PARAMETER_NAMES
+from imu_calib.model.parameters import PARAMETER_NAMES
 from imu_calib.model.sensors import SensorModel
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import Plan, RateTest, load_plan

@@ -23,8 +23,7 @@ from imu_calib.cli.main import main
 from imu_calib.common.config import Section
 from imu_calib.common.errors import InputError
 from imu_calib.common.units import ARCMIN, DEG_H, MICRO_G, PPM
-from imu_calib.model.model_parameters import PARAMETER_NAMES, PARAMETERS
-from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.reports.charts import Axis
 from imu_calib.reports.page import Contents, page

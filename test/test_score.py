@@ -26,7 +26,7 @@ from imu_calib.estimation.predict import expected
 from imu_calib.estimation.score import Family, Score, WhitenedResiduals, columns_of, shapes_of
 from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.term_tests import TermState, summary
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.sensors import SensorModel, terms_of
 from imu_calib.model.session_terms import LOOKED_FOR
 from imu_calib.model.terms import ACCEL_CROSS, ACCEL_CUBIC, GYRO_ASYMMETRY, Term

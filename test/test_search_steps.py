@@ -49,7 +49,7 @@ from imu_calib.estimation.search import (
     search_terms,
 )
 from imu_calib.estimation.term_tests import findings
-from imu_calib.model.model_parameters import PARAMETERS
+from imu_calib.model.parameters import PARAMETERS
 from imu_calib.model.session_terms import Course, session_term
 from imu_calib.model.terms import ACCEL_CUBIC, GYRO_ASYMMETRY, GYRO_CUBIC, TERMS
 from imu_calib.session.table import load_table

@@ -34,7 +34,7 @@ from imu_calib.estimation.modulation import instant_of, rates, spans
 from imu_calib.estimation.score import families
 from imu_calib.estimation.setup import Setup
 from imu_calib.estimation.term_tests import TermState, summary
-from imu_calib.model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS
 from imu_calib.model.session_terms import Course, split_terms
 from imu_calib.model.terms import named_terms
 from imu_calib.recordings.kinds import Kind

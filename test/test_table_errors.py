@@ -47,8 +47,7 @@ from imu_calib.estimation.outputs import PositioningErrors
 from imu_calib.estimation.predict import expected
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.alignment import free_of_frame
-from imu_calib.model.model_parameters import PARAMETERS
-from imu_calib.model.parameters import ParameterKind
+from imu_calib.model.parameters import PARAMETERS, ParameterKind
 from imu_calib.segmentation.clock import fit_clock
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import Table, load_table, read_table

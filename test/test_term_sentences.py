@@ -19,7 +19,7 @@ from imu_calib.estimation.term_tests import (
     findings,
     summary,
 )
-from imu_calib.model.model_parameters import PARAMETERS, Parameter
+from imu_calib.model.parameters import PARAMETERS, Parameter
 from imu_calib.model.session_terms import Course, session_term
 from imu_calib.model.terms import ACCEL_CUBIC, GYRO_ASYMMETRY, GYRO_CUBIC
 from imu_calib.session.table_errors import TableErrors

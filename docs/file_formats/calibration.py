@@ -8,8 +8,7 @@ from imu_calib.calibration.thermal import MOST
 from imu_calib.common.budget import Source
 from imu_calib.common.stream import Units
 from imu_calib.model.alignment import GROUPS
-from imu_calib.model.model_parameters import AXES, MOST_SKEWED
-from imu_calib.model.parameters import TRIADS
+from imu_calib.model.parameters import AXES, MOST_SKEWED, TRIADS
 from imu_calib.model.session_terms import Course
 from imu_calib.model.terms import TERMS
 

@@ -17,7 +17,7 @@ from ..common.config import checked
 from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import counted
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from ..reports.tables import SideBySide, side_by_side
 from .named import Named, as_applied
 

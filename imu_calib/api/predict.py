@@ -30,7 +30,7 @@ from ..estimation.reach import Reached
 from ..estimation.schedule import duration
 from ..estimation.setup import Setup
 from ..model.earth import LUOYANG
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from ..model.sensors import SensorModel, parameters_of, terms_of
 from ..session.imu import ImuSpec
 from ..session.plan import Plan

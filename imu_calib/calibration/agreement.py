@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
-from ..model.model_parameters import Parameter, indices_of
+from ..model.parameters import Parameter, indices_of
 from .calibration import Calibration
 from .gravity import gravity_deviation, same_place, without_gravity
 

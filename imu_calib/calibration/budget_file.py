@@ -13,7 +13,7 @@ from ..common.config import Section, numbers_of
 from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import LARGEST
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 
 _NOTHING = 1e-24
 """Variance in SI of what is held at its value: what rounding leaves of it is no contradiction."""

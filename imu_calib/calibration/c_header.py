@@ -11,7 +11,7 @@ import numpy as np
 from ..common.errors import NotObservable
 from ..common.stream import Floats, Units
 from ..common.units import DEG, STANDARD_GRAVITY
-from ..model.model_parameters import AXES, Product
+from ..model.parameters import AXES, Product
 from ..model.sensors import SensorModel, terms_of
 from ..session.imu import ImuSpec
 from .calibration import Calibration

@@ -18,18 +18,18 @@ from ..common.files import user_path, write_whole
 from ..common.stream import Floats, Units
 from ..common.units import counted
 from ..model.alignment import Angles, free_of_frame
-from ..model.changes import KEY as CHANGES
-from ..model.changes import Changes, read_changes
-from ..model.model_parameters import (
+from ..model.parameters import (
     AXES,
     MOST_SKEWED,
     PARAMETERS,
+    TRIADS,
     Parameter,
     indices_of,
     skewed_parameters,
 )
-from ..model.parameters import TRIADS
 from ..model.sensors import SensorModel, Skewed, Triad, parameters_of, terms_of
+from ..model.session_terms import KEY as CHANGES
+from ..model.session_terms import Changes, read_changes
 from ..model.terms import TERMS, Term
 from ..session.channel_noise import ChannelNoise, read_noise
 from ..session.imu import ImuSpec, TriadSpec

@@ -16,9 +16,8 @@ from ..estimation.information import attainable_std
 from ..estimation.methods import check_plan, closed_form_of, method, provisional
 from ..estimation.setup import Setup
 from ..estimation.solution import Solution
-from ..model.model_parameters import AXES, Parameter
-from ..model.motion import has_motion_terms
-from ..model.sensors import SensorModel, gravity_covariance
+from ..model.parameters import AXES, Parameter
+from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms
 from ..segmentation.labelling import Labelled, label
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.stream_facts import Segmented

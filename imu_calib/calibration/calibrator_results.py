@@ -15,7 +15,7 @@ from ..estimation.cross_check import Comparison
 from ..estimation.setup import Setup
 from ..estimation.solution import Solution
 from ..estimation.term_tests import summary
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from ..model.sensors import terms_of
 from ..segmentation.labelling import Labelled
 from ..segmentation.stream_facts import Segmented

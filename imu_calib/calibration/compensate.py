@@ -11,10 +11,8 @@ import numpy as np
 
 from ..common.errors import NotObservable
 from ..common.stream import Floats, Units
-from ..model.inversion import inverted
-from ..model.model_parameters import Parameter, Product
-from ..model.motion import has_motion_terms
-from ..model.sensors import PRODUCTS, SensorModel, terms_of
+from ..model.parameters import Parameter, Product
+from ..model.sensors import PRODUCTS, SensorModel, has_motion_terms, inverted, terms_of
 from ..session.imu import FULL_SCALES, NEARLY, TriadSpec
 from .calibration import Calibration
 from .samples import CompensatedSamples, Mark, Marks, concatenated

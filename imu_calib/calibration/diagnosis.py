@@ -14,8 +14,7 @@ from ..common.rotations import FIVE_SIGMA
 from ..common.stream import Floats
 from ..common.units import ARCMIN, DEG, PPM
 from ..estimation.system import Fit, TriadSystem
-from ..model.model_parameters import Parameter
-from ..model.parameters import ParameterKind
+from ..model.parameters import Parameter, ParameterKind
 from ..model.terms import TERMS, Term
 from .hypotheses import Hypothesis, mistakes, share_in_words
 

@@ -21,8 +21,7 @@ from ..estimation.free import FreeEquations
 from ..estimation.hand import ESTIMATES, FEWEST, FREE, initial_equations
 from ..estimation.ideal_moves import ideal_move_by_hand, next_hold
 from ..estimation.information import Information, log_determinant
-from ..model.model_parameters import AXES, PARAMETERS
-from ..model.parameters import ParameterKind
+from ..model.parameters import AXES, PARAMETERS, ParameterKind
 from ..segmentation.segments import Segment
 
 _SCALE_WIDTH = 0.1

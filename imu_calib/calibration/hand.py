@@ -27,7 +27,7 @@ from ..estimation.methods import estimated_parameters
 from ..estimation.output_noise import known_noise, walk_of_sensors, with_own_noise
 from ..estimation.setup import Setup
 from ..estimation.solution import Residual, Solution
-from ..model.model_parameters import PARAMETERS
+from ..model.parameters import PARAMETERS
 from ..model.sensors import SensorModel, gravity_covariance
 from ..segmentation.clock import NO_CLOCK
 from ..segmentation.labelling import Labelled

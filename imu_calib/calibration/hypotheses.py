@@ -11,7 +11,7 @@ import numpy as np
 from ..common.stream import Floats
 from ..common.units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY
 from ..estimation.free_dwells import Sensors
-from ..model.model_parameters import AXES, indices_of
+from ..model.parameters import AXES, indices_of
 from ..model.sensors import Triad, terms_of
 from ..model.terms import G_SENSITIVITY
 from ..session.plausibility import is_of_strapdown

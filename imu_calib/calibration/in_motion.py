@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.stream import Floats, Stamps
-from ..model.model_parameters import AXES
-from ..model.motion import MOTION, delay, motion_parameters, places, slopes
+from ..model.parameters import AXES
+from ..model.sensors import MOTION, delay, motion_parameters, places, slopes
 from .compensate import Compensation
 from .samples import CompensatedSamples
 

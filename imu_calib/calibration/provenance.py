@@ -14,7 +14,7 @@ from ..common.config import Section, as_number
 from ..common.errors import InputError
 from ..common.units import LARGEST
 from ..model.earth import LEAST_GRAVITY, MOST_GRAVITY
-from ..model.model_parameters import MOST_SKEWED
+from ..model.parameters import MOST_SKEWED
 from ..model.sensors import parameters_of
 from ..model.terms import TERMS, coefficients_of
 from ..session.channel_noise import COEFFICIENTS, CURVE

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..common.rotations import cross
 from ..common.stream import Floats, Stamps
-from ..model.wrong_scale import wrong_turns_sentences
+from ..model.alignment import wrong_turns_sentences
 from ..session.imu import SCALE_LIMIT, ImuSpec
 
 _WINDOW = 0.2

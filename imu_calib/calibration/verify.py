@@ -22,10 +22,8 @@ from ..estimation.free_dwells import Sensors, Up, noise_at_rest
 from ..estimation.observed import Observed
 from ..estimation.system import Fit, TriadSystem, factor_of
 from ..model.earth import Site
-from ..model.model_parameters import Parameter, indices_of
-from ..model.motion import has_motion_terms
-from ..model.parameters import ParameterKind
-from ..model.sensors import SensorModel, gravity_covariance, terms_of
+from ..model.parameters import Parameter, ParameterKind, indices_of
+from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms, terms_of
 from ..model.session_terms import Course
 from ..segmentation.stream_facts import Move
 from .calibration import Calibration

@@ -11,7 +11,7 @@ from ..common.errors import InputError
 from ..common.files import require
 from ..common.stream import Floats, Stamps
 from ..common.units import significant
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from ..session.channel_noise import TRIAD_NAMES, ChannelNoise
 
 if TYPE_CHECKING:

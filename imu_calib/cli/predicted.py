@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..estimation.each_term import ChangeForecast, TermForecast
     from ..estimation.forecast import Forecast
     from ..estimation.setup import Setup
-    from ..model.model_parameters import Parameter
+    from ..model.parameters import Parameter
     from ..model.sensors import SensorModel
 
 _ON_A_TABLE = (

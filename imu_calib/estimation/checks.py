@@ -9,10 +9,10 @@ from ..common.errors import Contradiction, InputError, NotObservable
 from ..common.rotations import FIVE_SIGMA
 from ..common.stream import Floats
 from ..common.units import DEG, DEG_H, PPM
+from ..model.alignment import TIMES, wrong_scale_sentences
 from ..model.earth import EARTH_RATE
-from ..model.model_parameters import AXES
+from ..model.parameters import AXES
 from ..model.sensors import SensorModel
-from ..model.wrong_scale import TIMES, wrong_scale_sentences
 from ..session.imu import SCALE_LIMIT
 from .evidence import Evidence
 

@@ -12,7 +12,7 @@ from ..common.budget import Share, Shares, Source, total
 from ..common.rotations import FIVE_SIGMA, MAD_TO_STD, angle_between
 from ..common.stream import Floats
 from ..common.units import DEG, DEG_H
-from ..model.model_parameters import PARAMETERS, RESPONSES, Parameter
+from ..model.parameters import PARAMETERS, RESPONSES, Parameter
 from ..model.sensors import SensorModel
 from .checks import check_axes, check_latitude, clock_finding, far_scales, turns_scatter_finding
 from .equations import LEAST_AZIMUTH, Equations

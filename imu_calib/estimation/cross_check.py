@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from ..common.stream import Floats
-from ..model.model_parameters import Parameter, indices_of
+from ..model.parameters import Parameter, indices_of
 from .solution import Solution
 
 _ONE_IN = 1e-3

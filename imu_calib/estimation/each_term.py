@@ -8,9 +8,8 @@ import numpy as np
 
 from ..common.errors import NotObservable
 from ..common.stream import Floats
-from ..model.model_parameters import AXES, Parameter
-from ..model.motion import has_motion_terms
-from ..model.sensors import SensorModel, terms_of
+from ..model.parameters import AXES, Parameter
+from ..model.sensors import SensorModel, has_motion_terms, terms_of
 from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..model.terms import TERMS, Term
 from .equations import Equations

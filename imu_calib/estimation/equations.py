@@ -16,8 +16,7 @@ import scipy
 from ..common.budget import Share, Source
 from ..common.stream import Floats
 from ..common.units import ARCMIN, DEG
-from ..model.model_parameters import BIASES, Parameter
-from ..model.parameters import ParameterKind
+from ..model.parameters import BIASES, Parameter, ParameterKind
 from .components import Component, Diagonal, Factor, add_all, shares
 from .evidence import SMALLEST_VARIANCE
 from .modulation import stated_changes

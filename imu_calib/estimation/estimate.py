@@ -15,8 +15,8 @@ import scipy
 
 from ..common.budget import Share, Source
 from ..common.stream import Floats
-from ..model.model_parameters import PARAMETERS, Parameter
-from ..model.motion import motion_parameters
+from ..model.parameters import PARAMETERS, Parameter
+from ..model.sensors import motion_parameters
 from ..model.session_terms import Change
 from .equations import Equations
 from .evidence import Evidence

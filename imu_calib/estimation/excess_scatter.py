@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from ..common.budget import Source
 from ..common.stream import Floats
-from ..model.model_parameters import BIASES, indices_of
+from ..model.parameters import BIASES, indices_of
 from ..segmentation.segments import Segment, Turn
 from ..segmentation.stream_facts import Move
 from .bias_drift import (

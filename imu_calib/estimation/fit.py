@@ -16,7 +16,7 @@ import numpy as np
 from ..common.errors import NotObservable
 from ..common.rotations import FIVE_SIGMA
 from ..common.stream import Floats
-from ..model.model_parameters import PARAMETERS
+from ..model.parameters import PARAMETERS
 from ..model.sensors import terms_of
 from .converge import least_squares, linear_step
 from .equations import LEAST_AZIMUTH, Equations

@@ -14,7 +14,7 @@ import numpy as np
 from ..common.budget import Source
 from ..common.errors import NotObservable
 from ..common.stream import Floats
-from ..model.model_parameters import AXES, PARAMETERS, Parameter
+from ..model.parameters import AXES, PARAMETERS, Parameter
 from ..model.sensors import SensorModel, gravity_covariance
 from ..session.table_clock import clock_share
 from . import exact_table

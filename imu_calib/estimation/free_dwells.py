@@ -16,7 +16,7 @@ import numpy as np
 
 from ..common.stream import Floats
 from ..model.earth import EARTH_RATE, Site
-from ..model.model_parameters import AXES, Parameter
+from ..model.parameters import AXES, Parameter
 from ..model.sensors import SensorModel
 from .evidence import SMALLEST_VARIANCE
 

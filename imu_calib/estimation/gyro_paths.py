@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from ..common.rotations import GENERATORS, cross, rotations
 from ..common.stream import Floats
-from ..model.motion import delay, places
-from ..model.sensors import SensorModel
+from ..model.sensors import SensorModel, delay, places
 from ..model.terms import term
 from ..segmentation.stream_facts import VelocitySteps
 from .observation_gyro_paths import GyroPath, summed

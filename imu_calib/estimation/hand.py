@@ -25,11 +25,9 @@ from ..common.budget import Share, Shares, Source
 from ..common.errors import InputError, NotObservable
 from ..common.stream import Floats
 from ..common.units import DEG, STANDARD_GRAVITY, counted, significant
-from ..model.changes import Changes
-from ..model.model_parameters import PARAMETERS, Parameter, indices_of
-from ..model.parameters import ParameterKind
+from ..model.parameters import PARAMETERS, Parameter, ParameterKind, indices_of
 from ..model.sensors import SensorModel, Triad, terms_of
-from ..model.session_terms import Change, Course
+from ..model.session_terms import Change, Changes, Course
 from ..model.terms import ACCEL_ASYMMETRY, ACCEL_CUBIC, ACCEL_QUADRATIC, G_SENSITIVITY, Term
 from ..session.plan import Plan
 from .checks import check_axes

@@ -16,9 +16,9 @@ import numpy as np
 from ..common.errors import Contradiction, InputError
 from ..common.stream import Floats
 from ..common.units import DEG
-from ..model.model_parameters import AXES
+from ..model.alignment import wrong_turns_sentences
+from ..model.parameters import AXES
 from ..model.sensors import SensorModel, Triad
-from ..model.wrong_scale import wrong_turns_sentences
 from ..session.imu import SCALE_LIMIT
 from .evidence import Evidence
 from .measured_earth_rate import measured_latitude, vertical_earth_rate

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from ..common.stream import Floats
 from ..common.units import counted
-from ..model.model_parameters import AXES, PARAMETERS, Parameter
-from ..model.parameters import ParameterKind
+from ..model.parameters import AXES, PARAMETERS, Parameter, ParameterKind
 from ..model.terms import Term
 from .equations import Equations
 from .evidence import Evidence

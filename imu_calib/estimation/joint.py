@@ -16,9 +16,8 @@ import scipy
 
 from ..common.errors import Contradiction, NotObservable
 from ..common.stream import Floats
-from ..model.changes import Changes
 from ..model.sensors import parameters_of
-from ..model.session_terms import Change, Course
+from ..model.session_terms import Change, Changes, Course
 from ..model.terms import Term
 from .checks import (
     WrongLatitude,

@@ -15,7 +15,7 @@ import numpy as np
 from ..common.rotations import FIVE_SIGMA, shortest
 from ..common.stream import Floats
 from ..common.units import ARCSEC
-from ..model.model_parameters import PARAMETERS
+from ..model.parameters import PARAMETERS
 from ..model.sensors import Triad
 from .evidence import UP, Evidence
 

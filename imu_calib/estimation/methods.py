@@ -7,7 +7,7 @@ from functools import partial
 
 from ..common.errors import InputError
 from ..model.earth import Site
-from ..model.model_parameters import PARAMETERS, Parameter
+from ..model.parameters import PARAMETERS, Parameter
 from ..model.sensors import parameters_of
 from ..model.session_terms import Change, names_of
 from ..model.terms import G_SENSITIVITY, Term

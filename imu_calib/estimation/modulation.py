@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from ..common.errors import NotObservable
 from ..common.stream import Floats, Stamps
-from ..model.model_parameters import Parameter
-from ..model.parameters import ParameterKind
+from ..model.parameters import Parameter, ParameterKind
 from ..model.session_terms import Change, Course
 from ..segmentation.segments import Segment, Turn
 from ..segmentation.stream_facts import Move

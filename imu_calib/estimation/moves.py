@@ -27,10 +27,8 @@ from numpy.typing import NDArray
 
 from ..common.rotations import cross, cross_matrix, rotation_vector, rotations
 from ..common.stream import Floats
-from ..model.model_parameters import AXES, PARAMETERS, Parameter, indices_of
-from ..model.motion import motion_parameters
-from ..model.parameters import ParameterKind
-from ..model.sensors import SensorModel, regressors
+from ..model.parameters import AXES, PARAMETERS, Parameter, ParameterKind, indices_of
+from ..model.sensors import SensorModel, motion_parameters, regressors
 from ..segmentation.segments import Segment, Turn
 from ..segmentation.stream_facts import Move
 from .arms import ACCEL_DISTANCE, ARM_STD

@@ -19,7 +19,7 @@ from ..common.errors import ImuCalibError, InputError
 from ..common.rotations import rotation
 from ..common.stream import Floats
 from ..common.units import DEG, counted
-from ..model.model_parameters import PARAMETERS
+from ..model.parameters import PARAMETERS
 from ..model.sensors import SensorModel
 from ..session.plan import BODY_AXES, COMPASS, Plan, Position, RateTest
 from ..session.table import Table

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..common.budget import Source, effective_freedom
 from ..common.stream import Floats
 from ..common.units import DEG
-from ..model.model_parameters import RESPONSES
+from ..model.parameters import RESPONSES
 from ..segmentation.stream_facts import Move
 from .converge import least_squares
 from .equations import Equations

@@ -15,9 +15,8 @@ import scipy
 
 from ..common.errors import InputError
 from ..common.stream import Floats, Mode
-from ..model.model_parameters import BIASES
-from ..model.motion import has_motion_terms
-from ..model.sensors import SensorModel, Skewed
+from ..model.parameters import BIASES
+from ..model.sensors import SensorModel, Skewed, has_motion_terms
 from ..segmentation.clock import ClockFit
 from ..segmentation.moves import COARSEST
 from ..segmentation.segments import Segment, Statistics, Turn

@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 
 from ..common.stream import Floats
 from ..common.units import ARCMIN, ARCSEC, DEG, MICRO_G
-from ..model.model_parameters import AXES, PARAMETERS, Parameter, indices_of
-from ..model.motion import motion_parameters
-from ..model.parameters import ParameterKind
-from ..model.sensors import parameters_of, terms_of
+from ..model.parameters import AXES, PARAMETERS, Parameter, ParameterKind, indices_of
+from ..model.sensors import motion_parameters, parameters_of, terms_of
 from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..model.terms import TERMS, Term
 from ..session.table_errors import TableErrors

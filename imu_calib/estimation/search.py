@@ -20,7 +20,7 @@ import scipy
 from ..common.budget import Share, Source
 from ..common.errors import NotObservable
 from ..common.stream import Floats
-from ..model.model_parameters import PARAMETERS, Parameter, indices_of
+from ..model.parameters import PARAMETERS, Parameter, indices_of
 from ..model.sensors import parameters_of, terms_of
 from ..model.session_terms import Change, Course
 from .converge import NotConverged, linear_step

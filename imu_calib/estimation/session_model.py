@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..common.rotations import GENERATORS
 from ..common.stream import Floats
-from ..model.model_parameters import PARAMETERS, Parameter
+from ..model.parameters import PARAMETERS, Parameter
 from ..model.sensors import SensorModel
 from ..model.session_terms import Change
 from .evidence import Evidence

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from ..model.earth import Site
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from ..model.session_terms import Change
 from ..model.terms import Term
 from ..session.imu import ImuSpec

@@ -8,9 +8,9 @@ import numpy as np
 
 from ..common.budget import Shares
 from ..common.stream import Floats
-from ..model.changes import Changes
-from ..model.model_parameters import PARAMETERS, Parameter
+from ..model.parameters import PARAMETERS, Parameter
 from ..model.sensors import SensorModel
+from ..model.session_terms import Changes
 from .search import Search
 from .term_tests import TermTest
 

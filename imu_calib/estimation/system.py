@@ -22,7 +22,7 @@ from ..common.errors import NotObservable
 from ..common.rotations import rotations
 from ..common.stream import Floats
 from ..model.earth import EARTH_RATE
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from ..model.sensors import Triad
 from ..session.imu import TriadSpec
 from .components import Component, Diagonal

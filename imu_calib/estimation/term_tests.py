@@ -11,7 +11,7 @@ import numpy as np
 from ..common.budget import PROBABILITY
 from ..common.stream import Floats, at
 from ..common.units import ARCSEC, significant
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from ..model.sensors import terms_of
 from ..model.session_terms import Change, Course, largest, names_of
 from ..model.terms import Term

@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ..model.model_parameters import PARAMETERS
+from ..model.parameters import PARAMETERS
 from ..reports.charts import tag
 from ..reports.reports_html import bullets, paragraph, table
 from ..session.specification import COVERAGE

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
-from ..model.model_parameters import PARAMETERS
+from ..model.parameters import PARAMETERS
 from .blocks import sample, typical_variance, units_of
 from .charts import chart_limits
 from .evaluation import Judged, judge_type, population_of

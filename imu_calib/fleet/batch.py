@@ -21,7 +21,7 @@ from ..calibration.calibrator_results import Result
 from ..common.errors import ImuCalibError, InputError
 from ..common.files import named_file, read_text, user_path, version
 from ..common.stream import NS
-from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS, indices_of
+from ..model.parameters import PARAMETER_NAMES, PARAMETERS, indices_of
 from ..recordings.files import find_files
 from ..recordings.metadata import NAME as METADATA
 from ..recordings.remote import AnyPath, is_url, located

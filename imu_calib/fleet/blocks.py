@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
-from ..model.model_parameters import PARAMETERS
+from ..model.parameters import PARAMETERS
 from .results import MONTH_DAYS, Sessions
 from .scatter import sampled
 

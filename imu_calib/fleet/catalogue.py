@@ -26,7 +26,7 @@ from ..common.errors import InputError, NotObservable
 from ..common.files import printable, require, user_path, write_whole
 from ..common.other_formats import other_format
 from ..common.units import counted
-from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from .batch import CALIBRATED, Done
 from .sentences import listed
 

@@ -9,8 +9,7 @@ import numpy as np
 import scipy
 
 from ..common.stream import Floats
-from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS
-from ..model.parameters import ParameterKind
+from ..model.parameters import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from .patterns import turned
 from .results import Cause, Dates, Rules, Step
 from .steps import Places

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
-from ..model.model_parameters import PARAMETERS
+from ..model.parameters import PARAMETERS
 from ..reports.parameter_table import decimals, engineering
 from . import packed
 from .formats import PLACE_OF, day, unit_of

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..common.stream import Floats
-from ..model.model_parameters import PARAMETER_NAMES
+from ..model.parameters import PARAMETER_NAMES
 from ..session.specification import Verdict, judge
 from .blocks import SIZE, Block, blocks, typical_variance
 from .causes import steps_of

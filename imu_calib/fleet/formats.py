@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..model.model_parameters import PARAMETERS, Parameter
+from ..model.parameters import PARAMETERS, Parameter
 from ..reports.parameter_table import decimals, engineering
 
 NO_DATE = 'no date'

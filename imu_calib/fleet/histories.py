@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Table
 
-from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..reports.parameter_table import decimals, engineering
 from ..reports.plain_table import plain_table
 from .results import Population, UnitHistory

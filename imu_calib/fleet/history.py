@@ -15,7 +15,7 @@ from ..common.config import checked
 from ..common.errors import InputError, NotObservable
 from ..common.files import is_shipped
 from ..common.stream import Floats
-from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from ..session.imu import ImuSpec
 from .backtest import backtest
 from .batch import CALIBRATED, limits_of

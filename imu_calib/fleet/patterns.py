@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..common.stream import Floats
-from ..model.model_parameters import AXES, PARAMETER_NAMES, PARAMETERS
-from ..model.parameters import ParameterKind
+from ..model.parameters import AXES, PARAMETER_NAMES, PARAMETERS, ParameterKind
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from .results import QUANTILES, History, Population, Signal, Step
 from .results import UnitHistory as Unit
 

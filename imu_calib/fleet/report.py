@@ -16,7 +16,7 @@ from ..api.outputs import page_path
 from ..common.config import checked
 from ..common.files import require, write_whole
 from ..common.parallel import Progress, silent
-from ..model.model_parameters import PARAMETER_NAMES
+from ..model.parameters import PARAMETER_NAMES
 from ..session.imu import ImuSpec
 from .backtest import backtest
 from .batch import CALIBRATED

@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 
 from ..common.stream import Floats
-from ..model.model_parameters import PARAMETERS
+from ..model.parameters import PARAMETERS
 from ..reports.charts import drawing, tag
 from ..reports.parameter_table import decimals, engineering
 from ..reports.reports_html import paragraph, table

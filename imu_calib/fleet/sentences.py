@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from .results import Cause, Chart, Rules, Signal, StandShift, Step, UnitHistory
 
 _BY_NAME = dict(zip(PARAMETER_NAMES, PARAMETERS, strict=True))

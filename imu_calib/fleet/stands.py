@@ -15,7 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..common.stream import Floats
-from ..model.model_parameters import PARAMETER_NAMES, PARAMETERS
+from ..model.parameters import PARAMETER_NAMES, PARAMETERS
 from .crossed import Effects, crossed, reproducibility
 from .patterns import PATTERNS, Pattern
 from .results import Rules, Stands, StandShift

@@ -2,27 +2,106 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import NotObservable
 from ..common.stream import Floats
-from .inversion import inverted, times_transpose
-from .model_parameters import (
+from .parameters import (
     AXES,
     MOST_SKEWED,
     PARAMETERS,
     Parameter,
+    ParameterKind,
     Product,
     linear_product,
     skewed_parameters,
 )
-from .parameters import ParameterKind
-from .terms import G_SENSITIVITIES, G_SENSITIVITY, TERMS, Term, term
+from .terms import DELAY, G_SENSITIVITIES, G_SENSITIVITY, SIZE_EFFECT, TERMS, Term, term
+
+# Invert a nonlinear sensor model: inputs from outputs.
+
+
+_ROUNDS = 30
+"""Newton's steps double the digits: five suffice for terms of a percent. Where terms exceed the
+linear part, the iteration does not converge."""
+
+_CONVERGED = 1e-12
+"""Relative to one SI unit and to the input itself: after a smaller step only rounding remains."""
+
+
+class Nonlinear(Protocol):
+    """Addition of a model to its linear part, as a function of (..., 6) inputs."""
+
+    def extra(self, inputs: Floats) -> Floats:
+        """Return the addition to the outputs, (..., 6)."""
+
+    def extra_slopes(self, inputs: Floats) -> Floats:
+        """Return its derivatives by the inputs, (..., 6, 6)."""
+
+
+def inverted(model: Nonlinear, linear: Floats, gain: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the inputs x = linear - gain extra(x), by Newton's method.
+
+    A sample gives the same bits alone as among others.
+
+    Args:
+        model: The addition to the outputs.
+        linear: (n, 6) inputs by the linear model alone.
+        gain: (6, 6) inputs of the linear model by its six outputs.
+
+    Returns:
+        (n, 6) inputs, NaN where the steps do not converge, and (n,) whether they did.
+
+    Source: docs/mathematics.md, 'Terms'.
+    """
+    found = linear.copy()
+    # NaN and infinite inputs are kept and not solved for.
+    going: NDArray[np.bool_] = np.asarray(np.isfinite(linear).all(axis=1))
+    done = ~going
+    for _ in range(_ROUNDS):
+        at = np.flatnonzero(going)
+        if not len(at):
+            break
+        inputs = found[at]
+        residuals = inputs - linear[at] + times_transpose(model.extra(inputs), gain)
+        step = _solved_inputs(np.eye(6) + gain @ model.extra_slopes(inputs), residuals)
+        found[at] = inputs - step
+        small = np.abs(step).max(axis=1) <= _CONVERGED * (1 + np.abs(inputs).max(axis=1))
+        done[at[small]] = True
+        going[at] = ~small & np.isfinite(step).all(axis=1)
+    found[~done] = np.nan
+    return found, done
+
+
+def times_transpose(columns: Floats, matrix: Floats) -> Floats:
+    """Return (n, k) columns times the transpose of an (m, k) matrix, summed column by column.
+
+    A BLAS product of many rows may round differently from that of one.
+    """
+    first, *others = np.ascontiguousarray(columns.T)
+    found = matrix[:, :1] * first
+    for k, column in enumerate(others, start=1):
+        found += matrix[:, k, None] * column
+    return np.ascontiguousarray(found.T)
+
+
+def _solved_inputs(matrices: Floats, right: Floats) -> Floats:
+    """Return the solutions (n, 6) of (n, 6, 6) systems; NaN for a singular one."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0])
+    except np.linalg.LinAlgError:
+        if len(matrices) == 1:
+            return np.full_like(right, np.nan)
+        return np.vstack(
+            [_solved_inputs(m[None], r[None]) for m, r in zip(matrices, right, strict=True)]
+        )
+
 
 _IDENTITY = np.eye(3)
 _ENTRIES = np.array([0, 4, 8, 1, 2, 3, 5, 6, 7])
@@ -402,3 +481,77 @@ def gravity_covariance(
     """
     deviation = gravity_slope(model, parameters) * relative_std
     return np.asarray(np.outer(deviation, deviation))
+
+
+# Motion terms: the size effect (places of the accelerometers) and their delay.
+#
+# Accelerometer i is at r_i and measures, beyond the specific force f at the point where r_i is zero,
+#
+# a_i = ([dw/dt] + [w][w]) r_i,      n_i(t) = [(I + M) (f + a_i)]_i (t - T) + d_i
+#
+# A common shift of all three places is equivalent to another choice of that point. So the component
+# of r_i along axis i is zero, and six remain.
+#
+# Source: Hung, Hunter, Stripling and White 1979, Size effect on navigation using a strapdown IMU, US
+# Army T-79-73; IEEE Std 1559 (the words); docs/mathematics.md, 'Terms of motion'.
+
+
+OF_MOTION = frozenset({ParameterKind.PLACE, ParameterKind.DELAY})
+"""Kinds of parameters that neither static dwells nor whole turns determine."""
+
+
+MOTION = (*SIZE_EFFECT.parameters, *DELAY.parameters)
+"""The seven parameters."""
+
+
+def motion_parameters(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
+    """Return the parameters of motion terms."""
+    return tuple(p for p in parameters if p.kind in OF_MOTION)
+
+
+def has_motion_terms(terms: Iterable[Term]) -> bool:
+    """Return whether any of the terms is a motion term."""
+    return any(term.kind in OF_MOTION for term in terms)
+
+
+def places(model: SensorModel) -> Floats:
+    """Return the places of the accelerometers, (3, 3) m: row i is r_i."""
+    found = np.zeros((3, 3))
+    values = model.values(SIZE_EFFECT.parameters)
+    for parameter, value in zip(SIZE_EFFECT.parameters, values, strict=True):
+        found[parameter.row, parameter.column] = value
+    return found
+
+
+def delay(model: SensorModel) -> float:
+    """Return the delay of the accelerometers after the gyros, s."""
+    return float(model.values(DELAY.parameters)[0])
+
+
+def slopes(model: SensorModel, rate: Floats, spin: Floats, change: Floats) -> Floats:
+    """Return the derivatives of the measured specific force by places and delay.
+
+    To first order in the delay. Every sum has a fixed order: a sample has the same bits alone as
+    among others.
+
+    Args:
+        model: The sensors.
+        rate: (n, 3) rad/s.
+        spin: (n, 3) angular acceleration, rad/s^2.
+        change: (n, 3) rate of change of the specific force, m/s^3.
+
+    Returns:
+        (n, 3, 7) m/s^2, in the order of the terms' parameters (`MOTION`).
+    """
+    x, y, z = spin.T
+    nothing = np.zeros_like(x)
+    lever = np.stack([nothing, -z, y, z, nothing, -x, -y, x, nothing], axis=-1).reshape(-1, 3, 3)
+    lever += rate[:, :, None] * rate[:, None, :]
+    lever[:, range(3), range(3)] -= (rate**2).sum(axis=1)[:, None]
+    response = model.accel.response
+    answer = np.linalg.inv(response)
+    columns = []
+    for parameter in SIZE_EFFECT.parameters:
+        row = (lever[:, :, parameter.column] * response[parameter.row]).sum(axis=1)
+        columns.append(row[:, None] * answer[:, parameter.row])
+    return np.stack([*columns, -change], axis=-1)

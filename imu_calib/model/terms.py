@@ -16,8 +16,7 @@ from dataclasses import dataclass
 
 from ..common.errors import InputError
 from ..common.units import DEG
-from .model_parameters import AXES, NOTHING, Parameter, Product
-from .parameters import ParameterKind
+from .parameters import AXES, NOTHING, Parameter, ParameterKind, Product
 from .session_terms import SESSION_TERMS, Change, session_term
 
 NO_TERMS = 'none'

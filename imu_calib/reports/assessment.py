@@ -11,8 +11,7 @@ import numpy as np
 
 from ..calibration.calibration import Calibration
 from ..model.alignment import SCALE, SHOWN
-from ..model.model_parameters import Parameter
-from ..model.parameters import ParameterKind
+from ..model.parameters import Parameter, ParameterKind
 from ..model.terms import TERMS
 from ..session.specification import COVERAGE, Specification, Verdict, judge
 from .charts import drawing, joined, tag

@@ -14,7 +14,7 @@ from rich.table import Table
 from ..calibration.calibration import Calibration
 from ..common.budget import PROBABILITY, Budget, Source
 from ..common.stream import Floats
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from .charts import drawing, label, tag
 from .parameter_table import decimals, engineering
 from .plain_table import plain_table

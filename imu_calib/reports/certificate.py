@@ -14,7 +14,7 @@ from ..common.budget import PROBABILITY, Budget
 from ..common.errors import InputError
 from ..common.stream import Units
 from ..common.units import counted
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from ..session.specification import Specification
 from .certificate_fields import Fields, missing
 from .decision import WORST_LAST, Conformity, decide

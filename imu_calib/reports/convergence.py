@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from ..session.specification import Specification, Verdict, judge
 from .parameter_table import engineering, three_digits
 

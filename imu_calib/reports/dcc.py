@@ -13,7 +13,7 @@ from ..common.budget import PROBABILITY
 from ..common.files import version
 from ..common.stream import Units
 from ..common.units import ARCSEC
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from . import provenance
 from .budget import MANY
 from .certificate import OUTPUT, Certificate, Stated, groups

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..common.units import ARCMIN, DEG_H, PPM
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from rich.table import Table
 from ..calibration.calibration import Calibration
 from ..common.stream import at
 from ..model.alignment import SCALE, SHOWN
-from ..model.model_parameters import AXES, Parameter
+from ..model.parameters import AXES, Parameter
 from ..model.terms import TERMS
 from .plain_table import plain_table
 

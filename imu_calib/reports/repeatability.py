@@ -19,7 +19,7 @@ from ..calibration.calibration import Calibration
 from ..calibration.gravity import same_place, without_gravity
 from ..common.errors import InputError
 from ..common.stream import Floats
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from .charts import tag
 from .parameter_table import decimals, engineering
 from .reports_html import named_rows, paragraph, table

@@ -10,7 +10,7 @@ from rich.table import Table
 from ..calibration.calibration import Calibration
 from ..common.units import ARCSEC, DEG
 from ..estimation.common_unknowns import TableEstimate
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from .parameter_table import decimals, engineering
 from .plain_table import plain_table
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..common.stream import Floats
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from .charts import COLOURS, Axis, Panel, drawing, label, tag
 from .parameter_table import engineering
 

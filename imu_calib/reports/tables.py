@@ -12,9 +12,8 @@ from ..calibration.agreement import Agreement, agreement
 from ..calibration.calibration import Calibration
 from ..common.errors import InputError
 from ..common.stream import Floats
-from ..model.model_parameters import AXES, Parameter
-from ..model.motion import OF_MOTION
-from ..model.parameters import ParameterKind
+from ..model.parameters import AXES, Parameter, ParameterKind
+from ..model.sensors import OF_MOTION
 from .parameter_table import decimals, engineering, section_of
 from .plain_table import plain_table
 

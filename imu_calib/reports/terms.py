@@ -8,7 +8,7 @@ from typing import Any
 
 from ..calibration.calibration import Calibration
 from ..common.units import significant
-from ..model.model_parameters import Parameter
+from ..model.parameters import Parameter
 from ..model.sensors import by_name
 from ..model.session_terms import Change, largest
 from ..model.terms import coefficients_of

@@ -10,8 +10,7 @@ from ..common.errors import InputError
 from ..common.rotations import is_covariance
 from ..common.stream import Floats, Units
 from ..common.units import DEG
-from ..model.model_parameters import Parameter
-from ..model.parameters import TRIADS, ParameterKind
+from ..model.parameters import TRIADS, Parameter, ParameterKind
 from ..model.sensors import SensorModel
 from .imu import ImuSpec
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from ..common.config import Section
-from ..model.model_parameters import Parameter
-from ..model.parameters import TRIADS, ParameterKind
+from ..model.parameters import TRIADS, Parameter, ParameterKind
 
 COVERAGE = 2.0
 """Standard deviations on both sides of a value within which the truth is assumed to lie (95 %)."""

@@ -12,8 +12,7 @@ import numpy as np
 
 from ..common.budget import Share
 from ..common.stream import Floats, Units
-from ..model.model_parameters import Parameter
-from ..model.parameters import ParameterKind
+from ..model.parameters import Parameter, ParameterKind
 from ..model.sensors import PRODUCTS, SensorModel
 
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from ..common.errors import InputError
 from ..common.stream import Floats, ImuBlock, SkewBlock, Stamps, Units
 from ..model.earth import Site
-from ..model.motion import delay, places
-from ..model.sensors import SensorModel
+from ..model.sensors import SensorModel, delay, places
 from ..session.imu import ImuSpec
 from .delivery import DeliveryLine
 from .motion import Motion

@@ -13,7 +13,7 @@ from ..common.errors import NotObservable
 from ..common.parallel import run_all
 from ..common.stream import Floats
 from ..estimation.setup import Setup
-from ..model.model_parameters import PARAMETERS, Parameter, indices_of
+from ..model.parameters import PARAMETERS, Parameter, indices_of
 from ..model.sensors import SensorModel
 from .options import StandOptions
 from .stand import simulate

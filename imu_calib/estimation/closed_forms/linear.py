@@ -15,8 +15,7 @@ import numpy as np
 from ...common.budget import Share, Source
 from ...common.errors import NotObservable
 from ...common.stream import Floats
-from ...model.model_parameters import PARAMETERS, Parameter
-from ...model.parameters import ParameterKind
+from ...model.parameters import PARAMETERS, Parameter, ParameterKind
 from ...model.sensors import SensorModel, Triad, parameters_of
 from ...model.terms import G_SENSITIVITY
 from ..checks import no_turn_about

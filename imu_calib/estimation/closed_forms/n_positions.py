@@ -12,7 +12,7 @@ import numpy as np
 
 from ...common.errors import NotObservable
 from ...common.stream import Floats
-from ...model.model_parameters import Parameter
+from ...model.parameters import Parameter
 from ...model.sensors import parameters_of
 from ...model.terms import G_SENSITIVITIES, G_SENSITIVITY
 from ...session.plan import Plan

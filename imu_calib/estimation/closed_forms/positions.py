@@ -13,7 +13,7 @@ import numpy as np
 
 from ...common.errors import NotObservable
 from ...common.stream import Floats
-from ...model.model_parameters import AXES
+from ...model.parameters import AXES
 from ...model.sensors import SensorModel
 from ..conclusion import conclude
 from ..evidence import Evidence

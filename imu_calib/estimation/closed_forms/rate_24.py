@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.errors import NotObservable
-from ...model.model_parameters import PARAMETERS
+from ...model.parameters import PARAMETERS
 from ..evidence import Evidence
 from ..solution import Solution
 from .linear import Gains, bias_names, position_weights, rate_test_weights

@@ -19,7 +19,7 @@ from ...common.errors import NotObservable
 from ...common.rotations import FIVE_SIGMA
 from ...common.stream import Floats
 from ...common.units import DEG, DEG_H
-from ...model.model_parameters import indices_of, skewed_parameters
+from ...model.parameters import indices_of, skewed_parameters
 from ...model.sensors import SensorModel, Skewed, Triad, parameters_of
 from ..checks import check_axes, clock_finding, far_scales
 from ..evidence import SMALLEST_VARIANCE, Evidence

@@ -14,8 +14,7 @@ from ...common.budget import total
 from ...common.errors import NotObservable
 from ...common.stream import Floats
 from ...model.earth import EARTH_RATE, Site
-from ...model.model_parameters import PARAMETERS
-from ...model.parameters import ParameterKind
+from ...model.parameters import PARAMETERS, ParameterKind
 from ...session.plan import Plan
 from ..evidence import Evidence
 from ..solution import Solution

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...common.errors import NotObservable
 from ...common.stream import Floats
-from ...model.model_parameters import AXES
+from ...model.parameters import AXES
 from ..evidence import Evidence
 from ..solution import Solution
 from .positions import BiasEquation, finish, solve_gyros

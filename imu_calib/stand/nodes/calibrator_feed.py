@@ -11,7 +11,7 @@ from ...calibration.calibrator_part import calibrator_of
 from ...calibration.hand import HandCalibrator
 from ...common.stream import Block
 from ...estimation.setup import Setup
-from ...model.model_parameters import skewed_parameters
+from ...model.parameters import skewed_parameters
 from ...recordings.kinds import Kind
 from .intake import TopicIntake
 

@@ -10,10 +10,9 @@ import numpy as np
 from ...calibration.calibration import Calibration
 from ...common.errors import InputError
 from ...common.stream import NS, Units
-from ...model.changes import Changes
-from ...model.model_parameters import PARAMETER_NAMES, Parameter
+from ...model.parameters import PARAMETER_NAMES, Parameter
 from ...model.sensors import SensorModel, Skewed, Triad, by_name, parameters_of, terms_of
-from ...model.session_terms import Course, change
+from ...model.session_terms import Changes, Course, change
 from ...model.terms import G_SENSITIVITIES, G_SENSITIVITY
 from ...session.imu import ImuSpec, TriadSpec
 from ...session.plausibility import check_plausible

@@ -18,7 +18,7 @@ from ...calibration.hand import HandReview
 from ...common.errors import ImuCalibError
 from ...common.stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
 from ...estimation.setup import Setup
-from ...model.model_parameters import Parameter
+from ...model.parameters import Parameter
 from ...recordings.kinds import Kind
 from ...recordings.messages import Malformed, Messages
 from .calibrator_feed import CalibratorFeed

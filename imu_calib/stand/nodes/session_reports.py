@@ -10,7 +10,7 @@ from typing import Any
 from ...calibration.calibrator_results import Review
 from ...common.stream import NS
 from ...common.units import significant
-from ...model.model_parameters import Parameter
+from ...model.parameters import Parameter
 from ...recordings.kinds import Kind
 from ...reports.parameter_table import engineering
 from ..middleware import messages

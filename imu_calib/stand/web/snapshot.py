@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from ...model.model_parameters import Parameter
+from ...model.parameters import Parameter
 from ...reports.convergence import Converging
 from ...session.specification import Specification
 from ..devices.health import Severity

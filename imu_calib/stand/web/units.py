@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ...model.model_parameters import Parameter
+from ...model.parameters import Parameter
 from ...reports.convergence import Converging
 from ..devices.health import Severity
 from .board import Board, sentences_of
