@@ -38,7 +38,7 @@ from imu_calib.fleet.results import (
     UnitHistory,
 )
 from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS, ParameterKind
-from imu_calib.session.specification import Verdict, judge
+from imu_calib.session.imu import Verdict, judge
 
 TODAY = np.datetime64('2026-11-22', 's')
 LATELY = TODAY - np.timedelta64(1, 'h')

@@ -27,8 +27,7 @@ from imu_calib.segmentation.allan import (
 from imu_calib.segmentation.noise import _non_negative, session_noise
 from imu_calib.segmentation.segments import Statistics
 from imu_calib.segmentation.statistics import statistics_at_rest, to_samples
-from imu_calib.session.channel_noise import ChannelNoise
-from imu_calib.session.imu import ImuSpec, TriadSpec
+from imu_calib.session.imu import ChannelNoise, ImuSpec, TriadSpec
 
 PERIOD = 0.01
 

@@ -40,8 +40,7 @@ from imu_calib.model.sensors import SensorModel
 from imu_calib.reports.budget import _share_tables, budget_section, budget_tables
 from imu_calib.session.metadata import describe, described_site
 from imu_calib.session.table import load_table
-from imu_calib.session.table_clock import clock_share
-from imu_calib.session.table_errors import LEVELLED
+from imu_calib.session.table_errors import LEVELLED, clock_share
 
 NAMES = [p.name for p in PARAMETERS]
 POSITIONING, TABLE_CLOCK = 2 * ARCSEC, 5 * PPM

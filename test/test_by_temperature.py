@@ -26,7 +26,7 @@ from imu_calib.common.stream import Units
 from imu_calib.model.sensors import SensorModel, Triad
 from imu_calib.model.session_terms import Changes, Course, change
 from imu_calib.session.imu import ImuSpec, TriadSpec
-from imu_calib.session.stamping import StampingClock
+from imu_calib.session.table_errors import StampingClock
 
 UNIT = ImuSpec('brick', Units.COUNTS, None, TriadSpec(1e-3), TriadSpec(1e-2))
 BIAS = 9

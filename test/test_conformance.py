@@ -52,9 +52,8 @@ from imu_calib.reports.assessment import assess, tables
 from imu_calib.reports.parameter_table import parameter_table
 from imu_calib.reports.tables import comparison_table, in_scale_of, side_by_side
 from imu_calib.segmentation.segments import Segment, Turn
-from imu_calib.session.imu import load_imu
+from imu_calib.session.imu import check_plausible, load_imu
 from imu_calib.session.plan import load_plan
-from imu_calib.session.plausibility import check_plausible
 from imu_calib.simulation.imu import SimulatedImu
 from imu_calib.simulation.options import ImuOptions
 

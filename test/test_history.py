@@ -13,7 +13,7 @@ from imu_calib.fleet.charts import chart_limits
 from imu_calib.fleet.histories_scatter import between, interval
 from imu_calib.fleet.results import Cause, Chart, Rules
 from imu_calib.fleet.run_length import ewma_limit, mean_run_length
-from imu_calib.session.specification import Verdict
+from imu_calib.session.imu import Verdict
 
 LIMITS = {'fog': 300 * SCALE}
 

@@ -23,7 +23,7 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.cli import info as info_command
 from imu_calib.cli.main import main
 from imu_calib.model.parameters import PARAMETERS
-from imu_calib.session.specification import COVERAGE
+from imu_calib.session.imu import COVERAGE
 
 SCHEMAS = CHECKOUT / 'config' / 'schemas'
 SCHEMA = Draft202012Validator(json.loads((SCHEMAS / 'output.json').read_text()))

@@ -36,8 +36,7 @@ from imu_calib.reports.repeatability import (
 )
 from imu_calib.reports.terms import terms_section
 from imu_calib.segmentation.stream_facts import Rejected
-from imu_calib.session.imu import ImuSpec, load_imu, read_imu
-from imu_calib.session.specification import Specification, Verdict, judge
+from imu_calib.session.imu import ImuSpec, Specification, Verdict, judge, load_imu, read_imu
 
 BROWSER = next(filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'chrome'))), None)
 FIRST = datetime(2026, 1, 1, tzinfo=timezone.utc)

@@ -11,8 +11,7 @@ from ..common.config import checked
 from ..common.errors import InputError
 from ..common.units import counted
 from ..reports.assessment import Assessed, assess, worst
-from ..session.imu import ImuSpec
-from ..session.specification import COVERAGE, Specification, Verdict
+from ..session.imu import COVERAGE, ImuSpec, Specification, Verdict
 from .named import Named, as_calibration, as_combined, as_imu
 
 

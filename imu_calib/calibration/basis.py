@@ -11,7 +11,7 @@ from ..estimation.setup import Setup
 from ..estimation.solution import Solution
 from ..segmentation.labelling import Labelled
 from ..segmentation.stream_facts import Segmented
-from ..session.table_clock import clock_share
+from ..session.table_errors import clock_share
 from .calibrator_provenance import noise, provenance, stamping
 from .calibrator_results import Result, calibrated
 from .losses import assumption_findings

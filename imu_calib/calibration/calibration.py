@@ -31,11 +31,9 @@ from ..model.sensors import SensorModel, Skewed, Triad, parameters_of, terms_of
 from ..model.session_terms import KEY as CHANGES
 from ..model.session_terms import Changes, read_changes
 from ..model.terms import TERMS, Term
-from ..session.channel_noise import ChannelNoise, read_noise
-from ..session.imu import ImuSpec, TriadSpec
-from ..session.plausibility import check_plausible
-from ..session.stamping import KEY as CLOCK
-from ..session.stamping import StampingClock, read_clock
+from ..session.imu import ChannelNoise, ImuSpec, TriadSpec, check_plausible, read_noise
+from ..session.table_errors import KEY as CLOCK
+from ..session.table_errors import StampingClock, read_clock
 from .budget_file import budget_document, read_budget
 from .provenance import read_origin
 

@@ -21,7 +21,7 @@ from ..model.sensors import SensorModel, gravity_covariance, has_motion_terms
 from ..segmentation.labelling import Labelled, label
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.stream_facts import Segmented
-from ..session.table_clock import clock_share
+from ..session.table_errors import clock_share
 from .basis import Basis
 from .calibrator_results import Result, Review
 from .losses import false_samples_first, loss_findings, losses_of_all_segments

@@ -16,7 +16,7 @@ from ..model.sensors import terms_of
 from ..model.session_terms import terms_in_words
 from ..segmentation.noise import session_noise
 from ..segmentation.stream_facts import Segmented
-from ..session.stamping import StampingClock
+from ..session.table_errors import StampingClock
 
 
 def provenance(

@@ -19,8 +19,8 @@ from ..model.parameters import Parameter
 from ..model.sensors import terms_of
 from ..segmentation.labelling import Labelled
 from ..segmentation.stream_facts import Segmented
-from ..session.plausibility import check_plausible
-from ..session.stamping import StampingClock
+from ..session.imu import check_plausible
+from ..session.table_errors import StampingClock
 from .calibration import Calibration, ResidualRow
 from .gravity import with_gravity
 

@@ -21,8 +21,7 @@ from ..common.errors import InputError
 from ..common.stream import Floats, Units
 from ..common.units import HOUR
 from ..estimation.evidence import SMALLEST_VARIANCE
-from ..session.channel_noise import Coefficient
-from ..session.imu import TriadSpec
+from ..session.imu import Coefficient, TriadSpec
 from .exported import Exported, ExportSource, common_omissions
 
 _TOPIC = re.compile(r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*', re.ASCII)

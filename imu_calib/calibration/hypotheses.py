@@ -14,7 +14,7 @@ from ..estimation.free_dwells import Sensors
 from ..model.parameters import AXES, indices_of
 from ..model.sensors import Triad, terms_of
 from ..model.terms import G_SENSITIVITY
-from ..session.plausibility import is_of_strapdown
+from ..session.imu import is_of_strapdown
 
 _BIAS_UNITS = {
     True: {'deg/s': DEG, 'deg/h': DEG_H, 'rad/h': 1 / 3600},

@@ -17,7 +17,7 @@ from ..model.earth import LEAST_GRAVITY, MOST_GRAVITY
 from ..model.parameters import MOST_SKEWED
 from ..model.sensors import parameters_of
 from ..model.terms import TERMS, coefficients_of
-from ..session.channel_noise import COEFFICIENTS, CURVE
+from ..session.imu import COEFFICIENTS, CURVE
 
 _CHANNELS = 6
 """Channels of an IMU, gx to az."""

@@ -16,7 +16,7 @@ from ..common.files import user_path, write_whole
 from ..common.stream import Floats
 from ..common.units import counted
 from ..session.imu import ImuSpec
-from ..session.stamping import StampingClock
+from ..session.table_errors import StampingClock
 from .calibration import Calibration, calibration_section
 from .gravity import gravity_deviation, without_gravity
 

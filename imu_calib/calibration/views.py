@@ -12,7 +12,7 @@ from ..common.files import require
 from ..common.stream import Floats, Stamps
 from ..common.units import significant
 from ..model.parameters import Parameter
-from ..session.channel_noise import TRIAD_NAMES, ChannelNoise
+from ..session.imu import TRIAD_NAMES, ChannelNoise
 
 if TYPE_CHECKING:
     import pandas

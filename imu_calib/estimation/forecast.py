@@ -16,7 +16,7 @@ from ..common.errors import NotObservable
 from ..common.stream import Floats
 from ..model.parameters import AXES, PARAMETERS, Parameter
 from ..model.sensors import SensorModel, gravity_covariance
-from ..session.table_clock import clock_share
+from ..session.table_errors import clock_share
 from . import exact_table
 from . import hand as free_positions
 from .closed_forms import skewed

@@ -13,8 +13,7 @@ from ..model.earth import Site
 from ..model.sensors import SensorModel
 from ..segmentation.segments import Segment
 from ..segmentation.stream_facts import Move, VelocitySteps
-from ..session.courses import Course, moving
-from ..session.table import Table
+from ..session.table import Course, Table, moving
 from .evidence import UP
 
 BY_HAND_MOVE = 2.0

@@ -13,8 +13,8 @@ from ..segmentation.labelling import label
 from ..segmentation.stream_facts import Segmented
 from ..session.imu import ImuSpec
 from ..session.plan import Plan
-from ..session.stamping import StampingClock
 from ..session.table import Table
+from ..session.table_errors import StampingClock
 from .evidence import Evidence
 from .timebase import in_table_time
 

@@ -22,9 +22,8 @@ from ..segmentation.moves import COARSEST
 from ..segmentation.segments import Segment, Statistics, Turn
 from ..segmentation.stream_facts import Move
 from ..segmentation.thermometer import Temperature
-from ..session.courses import Course
 from ..session.imu import NEARLY, ImuSpec, TriadSpec
-from ..session.table import TURN
+from ..session.table import TURN, Course
 from .estimation_bias_drift import STATED_TIME, BiasDrift
 from .evidence import Evidence, thermal_of
 from .hand import NAME as FREE_POSITIONS

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..common.stream import Floats, Mode
-from ..session.courses import travel_time
 from ..session.plan import Step
-from ..session.table import TURN, Table
+from ..session.table import TURN, Table, travel_time
 
 SETTLE = 1.0
 """s from arrival to the start of a dwell, as stand and sequencer wait."""

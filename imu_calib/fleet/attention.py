@@ -12,7 +12,7 @@ import numpy as np
 from ..model.parameters import PARAMETERS
 from ..reports.charts import tag
 from ..reports.reports_html import bullets, paragraph, table
-from ..session.specification import COVERAGE
+from ..session.imu import COVERAGE
 from .formats import PLACE_OF, amount, count, day, unit_of
 from .page_contents import Flag, Fleet, Unit
 from .results import Outlier, Signal

@@ -28,8 +28,7 @@ from ..recordings.remote import AnyPath, is_url, located
 from ..recordings.rosbag2 import Recording, content_hash
 from ..recordings.storage import Losses
 from ..reports.assessment import assess, worst
-from ..session.imu import load_imu
-from ..session.specification import Specification
+from ..session.imu import Specification, load_imu
 from ..session.units_file import MountedUnit, load_units
 from .recordings import OF_ONE, Job
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..common.stream import Floats
 from ..model.parameters import PARAMETER_NAMES
-from ..session.specification import Verdict, judge
+from ..session.imu import Verdict, judge
 from .blocks import SIZE, Block, blocks, typical_variance
 from .causes import steps_of
 from .charts import Correlations, ewma_of, scores_of, signals_of

@@ -10,7 +10,7 @@ from enum import Enum
 import numpy as np
 
 from ..common.stream import Floats
-from ..session.specification import Verdict
+from ..session.imu import Verdict
 from .results import Dates, Flags, History, UnitHistory
 
 AHEAD = 90.0

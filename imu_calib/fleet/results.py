@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..common.errors import InputError
 from ..common.stream import Floats
 from ..common.units import counted
-from ..session.specification import Verdict
+from ..session.imu import Verdict
 
 Dates = NDArray[np.datetime64]
 Flags = NDArray[np.bool_]

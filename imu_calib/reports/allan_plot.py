@@ -7,8 +7,7 @@ from html import escape
 
 import numpy as np
 
-from ..session.channel_noise import TRIAD_NAMES, ChannelNoise, Coefficient, TriadUnits
-from ..session.imu import ImuSpec, TriadSpec
+from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, ImuSpec, TriadSpec, TriadUnits
 from .charts import COLOURS, Axis, Panel, drawing, label, legend, tag
 from .noise import written
 from .reports_html import paragraph, table

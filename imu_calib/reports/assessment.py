@@ -13,7 +13,7 @@ from ..calibration.calibration import Calibration
 from ..model.alignment import SCALE, SHOWN
 from ..model.parameters import Parameter, ParameterKind
 from ..model.terms import TERMS
-from ..session.specification import COVERAGE, Specification, Verdict, judge
+from ..session.imu import COVERAGE, Specification, Verdict, judge
 from .charts import drawing, joined, tag
 from .parameter_table import decimals, engineering
 from .reports_html import table

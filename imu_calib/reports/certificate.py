@@ -15,7 +15,7 @@ from ..common.errors import InputError
 from ..common.stream import Units
 from ..common.units import counted
 from ..model.parameters import Parameter
-from ..session.specification import Specification
+from ..session.imu import Specification
 from .certificate_fields import Fields, missing
 from .decision import WORST_LAST, Conformity, decide
 

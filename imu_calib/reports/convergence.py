@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ..model.parameters import Parameter
-from ..session.specification import Specification, Verdict, judge
+from ..session.imu import Specification, Verdict, judge
 from .parameter_table import engineering, three_digits
 
 _MOST_POINTS = 120

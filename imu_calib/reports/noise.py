@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..calibration.calibration import Calibration
-from ..session.channel_noise import TRIAD_NAMES, ChannelNoise, Coefficient, TriadUnits
-from ..session.imu import TriadSpec
+from ..session.imu import TRIAD_NAMES, ChannelNoise, Coefficient, TriadSpec, TriadUnits
 from .parameter_table import decimals, three_digits
 
 

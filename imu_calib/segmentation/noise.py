@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..common.stream import Floats
-from ..session.channel_noise import ChannelNoise, Coefficient
+from ..session.imu import ChannelNoise, Coefficient
 from .allan import (
     AllanSums,
     Term,

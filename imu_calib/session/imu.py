@@ -4,17 +4,92 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from ..common.config import Section, checked, dump
 from ..common.errors import InputError
+from ..common.rotations import is_covariance
 from ..common.stream import Floats, Units
-from ..common.units import DEG, PPM, Dimension
-from .specification import Specification, read_specification
+from ..common.units import DEG, DEG_H, HOUR, MICRO_G, PPM, Dimension
+from ..model.parameters import TRIADS, Parameter, ParameterKind
+from ..model.sensors import SensorModel
+
+# Limits of a unit's parameters by its specification, and the verdict on a value.
+
+
+COVERAGE = 2.0
+"""Standard deviations on both sides of a value within which the truth is assumed to lie (95 %)."""
+
+
+class Verdict(Enum):
+    """Conformity of a value with its uncertainty to a limit (ISO 14253-1)."""
+
+    PASS = 'pass'
+    """Within the limit, including the uncertainty."""
+    MARGINAL = 'marginal'
+    """The limit is within the uncertainty: neither is proven."""
+    FAIL = 'fail'
+    """Beyond the limit, including the uncertainty."""
+
+
+def judge(value: float, std: float, limit: float) -> Verdict:
+    """Return the verdict on a value for a limit on both sides of zero.
+
+    Args:
+        value: The estimate.
+        std: Its standard deviation.
+        limit: Largest amount allowed.
+    """
+    uncertainty = COVERAGE * std
+    if abs(value) + uncertainty <= limit:
+        return Verdict.PASS
+    return Verdict.FAIL if abs(value) - uncertainty > limit else Verdict.MARGINAL
+
+
+@dataclass(frozen=True)
+class Specification:
+    """The limits of a unit.
+
+    Attributes:
+        limits: Largest amounts, SI units, by kind of parameter and triad ('g' or 'a'); none for
+            others.
+    """
+
+    limits: Mapping[tuple[ParameterKind, str], float] = field(default_factory=dict)
+
+    def limit(self, parameter: Parameter) -> float | None:
+        """Return the largest amount of a parameter, SI; None if not specified.
+
+        A skewed gyro's bias has the gyros' limit; its response depends on its mounting.
+        """
+        return self.limits.get((parameter.kind, parameter.triad))
+
+
+def read_specification(section: Section) -> Specification:
+    """Read the section `specification` of an IMU's YAML.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+    """
+    limits: dict[tuple[ParameterKind, str], float] = {}
+    for triad, name in TRIADS.items():
+        if not section.has(name):
+            continue
+        mine = section.section(name)
+        for kind in ParameterKind:
+            row = kind.value
+            if triad not in row.units or kind is ParameterKind.RESPONSE or not mine.has(row.key):
+                continue
+            limits[kind, triad] = mine.quantity(row.key, row.units[triad].dimension, above=0)
+        mine.finish()
+    section.finish()
+    return Specification(limits)
+
 
 FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
 """Largest counts of 16, 24 and 32 bits, of either sign."""
@@ -272,4 +347,250 @@ def check_live(spec: ImuSpec) -> None:
             f'IMU {spec.id}: units: found {spec.units.value}, expected pulses or counts: a '
             'simulated device sends whole numbers. Simulate another one, for example mems_counts '
             'or fog_medium; imu-calib simulate makes a recording of this one.'
+        )
+
+
+# The noise of a channel as a value and in files, and its units in data sheets.
+
+
+_SIGNIFICANT = 2.0
+"""Standard deviations above which a coefficient is stated; below, a limit is."""
+_NINETY_FIVE = 1.645
+"""One-sided standard deviations of 95 percent."""
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A coefficient of noise: its value if significant, else its upper limit (95 %)."""
+
+    value: float | None
+    std: float | None
+    below: float
+
+    @classmethod
+    def of(cls, square: float, deviation: float) -> Coefficient:
+        """Make one from a squared coefficient and its standard deviation."""
+        below = math.sqrt(max(square, 0.0) + _NINETY_FIVE * deviation)
+        if square < _SIGNIFICANT * deviation or square <= 0:
+            return cls(None, None, below)
+        value = math.sqrt(square)
+        return cls(value, deviation / (2 * value), below)
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelNoise:
+    """The noise of one channel in the static dwells, in SI units.
+
+    Attributes:
+        tau: (k,) averaging times, s.
+        deviation: (k,) Allan deviation, rad/s or m/s^2.
+        std: (k,) its standard deviation.
+        random_walk: rad/sqrt(s) or (m/s)/sqrt(s).
+        bias_instability: rad/s or m/s^2; the curve is flat at 0.664 of it.
+        quantisation: rad or m/s, by slope -1; of a counter the known pulse over sqrt(12).
+        rate_random_walk: (rad/s)/sqrt(s) or (m/s^2)/sqrt(s).
+        timed: Whether `tau` refers to clusters with timed pulses, since single readings of the
+            counter hide the noise below its steps.
+    """
+
+    tau: Floats
+    deviation: Floats
+    std: Floats
+    random_walk: Coefficient
+    bias_instability: Coefficient
+    quantisation: Coefficient
+    rate_random_walk: Coefficient
+    timed: bool
+
+    def document(self) -> dict[str, Any]:
+        """Return it as plain numbers, for a file."""
+        found: dict[str, Any] = {}
+        for name in COEFFICIENTS:
+            coefficient: Coefficient = getattr(self, name)
+            if coefficient.value is not None:
+                found[name] = float(coefficient.value)
+                found[f'{name}_std'] = float(coefficient.std or 0.0)
+            elif math.isfinite(coefficient.below):
+                found[f'{name}_below'] = float(coefficient.below)
+        for name in CURVE:
+            found[name] = [float(v) for v in getattr(self, name)]
+        return {**found, 'timed': self.timed}
+
+    @classmethod
+    def read(cls, document: Mapping[str, Any]) -> ChannelNoise:
+        """Make it from a result of `document`."""
+        coefficients = {
+            name: Coefficient(
+                document.get(name),
+                document.get(f'{name}_std'),
+                document.get(f'{name}_below', math.inf),
+            )
+            for name in COEFFICIENTS
+        }
+        tau, deviation, std = (np.array(document[n], dtype=float) for n in CURVE)
+        return cls(tau, deviation, std, **coefficients, timed=bool(document['timed']))
+
+
+CURVE = ('tau', 'deviation', 'std')
+COEFFICIENTS = ('random_walk', 'bias_instability', 'quantisation', 'rate_random_walk')
+
+
+def read_noise(document: Mapping[str, Any]) -> dict[str, ChannelNoise]:
+    """Return the noise by channel from a calibration's provenance."""
+    return {name: ChannelNoise.read(entry) for name, entry in document.items()}
+
+
+@dataclass(frozen=True)
+class TriadUnits:
+    """Units of the noise of a triad.
+
+    Attributes:
+        name: gyro or accelerometer.
+        channels: Names of its channels.
+        walk: Unit of the random walk in words.
+        walk_scale: Its SI value.
+        rate: Unit of the bias instability and of the Allan deviation in words.
+        rate_scale: Its SI value.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    walk: str
+    walk_scale: float
+    rate: str
+    rate_scale: float
+
+
+_ROOT_HOUR = HOUR**0.5
+"""sqrt(s)."""
+TRIAD_NAMES = (
+    TriadUnits('gyro', ('gx', 'gy', 'gz'), 'deg/sqrt(h)', DEG / _ROOT_HOUR, 'deg/h', DEG_H),
+    TriadUnits('accelerometer', ('ax', 'ay', 'az'), '(m/s)/sqrt(h)', 1 / _ROOT_HOUR, 'ug', MICRO_G),
+)
+
+
+# Check whether the parameters of a calibration are plausible for a strapdown IMU.
+
+
+_SCALE = (0.5, 2.0)
+"""Limits of the response along the input axis. A nominal scale factor wrong by a factor of two is
+that of another unit, another range or another unit of measure; the worst of the shipped truths,
+Cao 2022's Table 1 read literally, is off by 25 %."""
+
+_TILT = 30 * DEG
+"""Largest angle between an input axis and its body axis. Beyond it a channel belongs to another
+axis; data sheets of MEMS units state up to 2 deg of misalignment."""
+
+
+class Estimated(Protocol):
+    """What is checked of a calibration: its members of these names."""
+
+    @property
+    def imu(self) -> ImuSpec: ...  # noqa: D102
+    @property
+    def model(self) -> SensorModel: ...  # noqa: D102
+    @property
+    def covariance(self) -> Floats: ...  # noqa: D102
+    @property
+    def parameters(self) -> tuple[Parameter, ...]: ...  # noqa: D102
+    @property
+    def values(self) -> Floats: ...  # noqa: D102
+    @property
+    def has_accelerometers(self) -> bool: ...  # noqa: D102
+
+
+def is_of_strapdown(response: Floats) -> bool:
+    """Return whether the response (3, 3) is plausible: row i the channel, column j the axis."""
+    lengths = np.linalg.norm(response, axis=1)
+    if not np.all((lengths > _SCALE[0]) & (lengths < _SCALE[1])):
+        return False
+    return bool(np.all(np.diag(response) / lengths >= np.cos(_TILT)))
+
+
+def check_plausible(calibration: Estimated, name: str) -> None:
+    """Refuse implausible parameters before they are applied.
+
+    Biases of ADC codes are not limited: an ADC may count from any offset.
+
+    Raises:
+        InputError: Names the parameter, what was found and what was expected.
+    """
+    _check_scale_factors(calibration, name)
+    for parameter, value in zip(calibration.parameters, calibration.values.tolist(), strict=True):
+        if not np.isfinite(value):
+            raise InputError(f'{name}: {parameter.name}: found {value}, expected a number.')
+    model = calibration.model
+    _check_response(model.gyro.response, 'gyro', name)
+    _check_response(model.accel.response, 'accelerometer', name)
+    if model.skewed is not None:
+        _check_lengths(model.skewed.response, 'skewed gyro', name)
+    _check_limits(calibration, name)
+    _check_covariance(calibration, name)
+
+
+def _check_scale_factors(calibration: Estimated, name: str) -> None:
+    for what, spec in (('gyro', calibration.imu.gyro), ('accelerometer', calibration.imu.accel)):
+        if not 0 < spec.scale_factor < np.inf:
+            raise InputError(
+                f'{name}: {what} scale_factor: found {spec.scale_factor}, expected above 0.'
+            )
+
+
+def _check_response(response: Floats, triad: str, name: str) -> None:
+    _check_lengths(response, triad, name)
+    along = np.diag(response) / np.linalg.norm(response, axis=1)
+    for axis, cosine in zip('XYZ', along, strict=True):
+        if cosine < np.cos(_TILT):
+            angle = np.arccos(np.clip(cosine, -1, 1)) / DEG
+            raise InputError(
+                f'{name}: the input axis of {triad} {axis} lies {angle:.0f} deg off its body axis; '
+                f'expected less than {_TILT / DEG:.0f} deg. Are channels swapped or mirrored?'
+            )
+
+
+def _check_lengths(response: Floats, what: str, name: str) -> None:
+    low, high = _SCALE
+    for k, length in enumerate(np.linalg.norm(response, axis=1)):
+        if not low < length < high:
+            raise InputError(
+                f'{name}: {what} {"XYZ"[k]} answers {length:.4g} times its nominal scale factor; '
+                f'expected {low:g} to {high:g} times. Is it a calibration of another unit?'
+            )
+
+
+def _check_limits(calibration: Estimated, name: str) -> None:
+    """Refuse values beyond the limit of their kind, and biases beyond the range."""
+    imu = calibration.imu
+    ranges = {'g': imu.gyro.range, 'a': imu.accel.range}
+    for parameter, value in zip(calibration.parameters, calibration.values.tolist(), strict=True):
+        limit = parameter.unit.limit
+        words = parameter.kind.value.words
+        if parameter.kind is ParameterKind.BIAS:
+            # An ADC may count from any offset.
+            limit = (
+                None if imu.units is Units.COUNTS else min(limit or np.inf, ranges[parameter.triad])
+            )
+            words = f'{TRIADS[parameter.triad]} bias'
+        if limit is not None and abs(value) > limit:
+            raise InputError(
+                f'{name}: {words}: found {abs(value):.4g} {parameter.unit.si}, expected at most '
+                f'{limit:.4g} {parameter.unit.si} ({parameter.name}).'
+            )
+
+
+def _check_covariance(calibration: Estimated, name: str) -> None:
+    """Refuse an invalid covariance: not finite, asymmetric, or not positive semidefinite."""
+    if (np.diag(calibration.covariance) < 0).any():
+        raise InputError(f'{name}: covariance: found a negative variance.')
+    # A triad that was not estimated is NaN, and only the accelerometers may be missing.
+    estimated = np.array(
+        [p.triad == 'g' or calibration.has_accelerometers for p in calibration.parameters]
+    )
+    covariance = calibration.covariance[np.ix_(estimated, estimated)]
+    if not np.isfinite(covariance).all():
+        raise InputError(f'{name}: covariance: found values that are not numbers.')
+    if not is_covariance(covariance):
+        raise InputError(
+            f'{name}: covariance: not that of any errors (it must be symmetric and positive '
+            'semidefinite).'
         )

@@ -12,14 +12,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from ..common.budget import Share
 from ..common.config import Section
 from ..common.errors import InputError
 from ..common.rotations import across
-from ..common.stream import Floats
-from ..common.units import ARCSEC, DEG, Dimension
+from ..common.stream import Floats, Units
+from ..common.units import ARCSEC, DEG, PPM, Dimension
+from ..model.parameters import Parameter, ParameterKind
+from ..model.sensors import PRODUCTS, SensorModel
 
 LEVELLED = 20 * ARCSEC
 """Standard deviation of a table's tilt about either axis: a tenth of a millimetre on a metre, five
@@ -203,3 +207,125 @@ def attitude_errors(joints: Sequence[JointPoses], errors: TableErrors) -> Floats
             if k and errors.orthogonality:
                 columns.append(errors.orthogonality * (outside - inside) @ direction)
     return np.stack(columns, axis=2) if columns else np.zeros((len(joints[0].read), 3, 0))
+
+
+# The clock that stamps an IMU's samples, against the table's: a value and its section of a file.
+#
+# Parameters refer to seconds of the table's clock. Intervals between stamps, by which pulses are
+# divided, refer to the stamping clock, and are first divided by its relative rate.
+#
+# Source: docs/mathematics.md, 'Clocks'.
+
+
+KEY = 'clock'
+"""Section in calibration.yaml."""
+
+_LARGEST = 0.1
+"""Largest plausible rate error of a clock; the simulator has the same limit."""
+_NOTICED = 0.05 * PPM
+"""Smallest rate error that an interval is corrected for by hand: it rounds to 0.1 ppm, a tenth of
+what the scale factors of the best gyros are known to."""
+
+
+@dataclass(frozen=True)
+class StampingClock:
+    """Relative rate of the stamping clock.
+
+    Attributes:
+        name: The clock.
+        against: The clock that it is compared with.
+        faster: Ratio of its rate to that of the other clock, less one.
+        std: Its standard deviation.
+    """
+
+    name: str
+    against: str
+    faster: float
+    std: float
+
+    @property
+    def is_noticed(self) -> bool:
+        """Whether intervals between its stamps are to be corrected."""
+        return abs(self.faster) >= _NOTICED
+
+    def pace(self, digits: int) -> str:
+        """Return its relative rate in words, in ppm to some decimal digits."""
+        return f'{abs(self.faster) / PPM:.{digits}f} ppm {"fast" if self.faster > 0 else "slow"}'
+
+    def document(self) -> dict[str, Any]:
+        """Return its section of a file."""
+        return {
+            'name': self.name,
+            'against': self.against,
+            'faster': self.faster,
+            'faster_std': self.std,
+        }
+
+
+def read_clock(section: Section) -> StampingClock:
+    """Read a file's section.
+
+    Raises:
+        InputError: A number impossible for a clock; names the key.
+    """
+    clock = StampingClock(
+        section.text('name'),
+        section.text('against'),
+        section.number('faster'),
+        section.number('faster_std'),
+    )
+    section.finish()
+    check_clock(clock, section.where)
+    return clock
+
+
+def check_clock(clock: StampingClock, where: str) -> None:
+    """Refuse numbers that are impossible for a clock.
+
+    Raises:
+        InputError: Names what was found and what was expected.
+    """
+    if not abs(clock.faster) < _LARGEST:
+        raise InputError(
+            f'{where}: faster: found {clock.faster:g}, expected a ratio below {_LARGEST:g}.'
+        )
+    if not clock.std >= 0:
+        raise InputError(f'{where}: faster_std: found {clock.std:g}, expected 0 or more.')
+
+
+# Effect of the table clock's error on the parameters of a calibration.
+#
+# A table's clock runs fast or slow against the second by some ppm, which a session does not show: the
+# rates that it states and the intervals between samples are all by that clock.
+
+
+def clock_slope(model: SensorModel, parameters: Sequence[Parameter], units: Units) -> Floats:
+    """Return the derivatives of parameters by the relative error of the table's clock, (n,).
+
+    If the table counts 1 / (1 + e) of the true seconds, its rates are (1 + e) times as large, and
+    so are pulses per second; counts and SI values do not change. The factor of a product of p rates
+    is multiplied by (1 + e)^(1 - p) for pulses, else by (1 + e)^-p: pulses per angle do not depend
+    on a clock, and neither do accelerations in counts.
+
+    Source: docs/mathematics.md, 'Uncertainty budget'.
+    """
+    one = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in parameters])
+    rates = np.array([PRODUCTS[p].degree_in_rate for p in parameters])
+    degree = (1 if units.per_interval else 0) - rates
+    # Before a session a skewed gyro is unknown: its values are NaN, and count as zero.
+    return np.asarray(degree * (one + np.nan_to_num(model.values(parameters))))
+
+
+def clock_share(
+    model: SensorModel, parameters: Sequence[Parameter], units: Units, deviation: float
+) -> Share:
+    """Return the contribution of the table clock's uncertainty to a covariance.
+
+    Args:
+        model: The values of the parameters.
+        parameters: The parameters of the rows.
+        units: Of the IMU's numbers.
+        deviation: Standard deviation of the clock's rate, relative.
+    """
+    slope = clock_slope(model, parameters, units) * deviation
+    return Share.known(np.outer(slope, slope))

@@ -10,9 +10,8 @@ import numpy as np
 from ..common.errors import InputError
 from ..common.stream import Floats, Mode, Setpoint
 from ..common.units import DEG
-from ..session.courses import travel_time
 from ..session.plan import Plan, Step
-from ..session.table import TURN, Table
+from ..session.table import TURN, Table, travel_time
 
 
 def steps_of_plan(plan: Plan, table: Table, start: Floats) -> tuple[tuple[Step, ...], Step]:

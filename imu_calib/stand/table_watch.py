@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 from ..common.stream import Mode
 from ..common.units import DEG
-from ..session.courses import distance_from_rest, travel_time
 from ..session.plan import Step
-from ..session.table import TURN, Joint, Table
+from ..session.table import TURN, Joint, Table, distance_from_rest, travel_time
 from .plan_steps import WINDOW, Feedback
 from .rules import Rules
 

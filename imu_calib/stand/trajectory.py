@@ -17,8 +17,7 @@ import numpy as np
 
 from ..common.errors import ImuCalibError
 from ..common.stream import Floats, Mode, Setpoint
-from ..session.courses import Course, moving
-from ..session.table import TURN, Table
+from ..session.table import TURN, Course, Table, moving
 from .plan_steps import WINDOW, Feedback
 
 _LEAD = 0.1

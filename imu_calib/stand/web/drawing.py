@@ -16,8 +16,7 @@ from ...reports.charts import number, tag
 from ...reports.convergence import Converging
 from ...reports.reports_html import facts
 from ...segmentation.segments import CHANNELS
-from ...session.imu import ImuSpec
-from ...session.specification import COVERAGE
+from ...session.imu import COVERAGE, ImuSpec
 from ..devices.health import Severity
 from ..rules import Phase
 from .samples import Streams

@@ -15,8 +15,7 @@ from ...segmentation.noise import session_noise
 from ...segmentation.segments import Statistics
 from ...segmentation.sensor import Sensor
 from ...segmentation.statistics import pooled_walk, sample_period, statistics_at_rest, to_samples
-from ...session.channel_noise import ChannelNoise
-from ...session.imu import ImuSpec
+from ...session.imu import ChannelNoise, ImuSpec
 
 _SETTLED = NS
 """ns excluded at either end of a dwell: the table's state and the samples have different delays."""

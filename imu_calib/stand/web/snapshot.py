@@ -8,7 +8,7 @@ from enum import Enum
 
 from ...model.parameters import Parameter
 from ...reports.convergence import Converging
-from ...session.specification import Specification
+from ...session.imu import Specification
 from ..devices.health import Severity
 from ..rules import Phase
 from .samples import Streams
