@@ -37,9 +37,8 @@ os.environ.setdefault(
 
 from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock
-from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.decode import decode_imu
-from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.cdr import Messages
+from imu_calib.recordings.cdr_codec import decode_imu, encode_imu
 from imu_calib.stand import middleware as ros
 from imu_calib.stand.nodes import qos
 

@@ -49,16 +49,15 @@ from imu_calib.common.stream import (
     TemperatureBlock,
 )
 from imu_calib.fleet.recordings import read_manifest
-from imu_calib.recordings import decode as cdr
+from imu_calib.recordings import cdr_codec as cdr
+from imu_calib.recordings.cdr import Malformed, Messages
 from imu_calib.recordings.cdr_codec import (
     encode_imu,
     encode_joints,
     encode_setpoints,
     encode_temperatures,
 )
-from imu_calib.recordings.kinds import Kind
-from imu_calib.recordings.messages import Malformed, Messages
-from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.reports.certificate_fields import read_fields
 from imu_calib.session.imu import read_imu
 from imu_calib.session.plan import read_plan

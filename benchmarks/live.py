@@ -38,10 +38,8 @@ from imu_calib.common.files import named_file
 from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
 from imu_calib.common.units import DEG
 from imu_calib.model.earth import Site
-from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints
-from imu_calib.recordings.decode import part
-from imu_calib.recordings.kinds import Kind
-from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints, part
+from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 from imu_calib.session.table import load_table

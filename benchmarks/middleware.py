@@ -22,9 +22,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imu_calib.common.stream import ImuBlock
-from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.decode import decode_imu
-from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.cdr import Messages
+from imu_calib.recordings.cdr_codec import decode_imu, encode_imu
 
 # The benchmark uses the loopback interface and a private domain.
 os.environ.setdefault('ROS_DOMAIN_ID', str(100 + os.getpid() % 101))

@@ -130,8 +130,8 @@ TESTS = {
 # Tests of certain modules, too slow for every mutant of a package; they run first.
 MORE = {
     'imu_calib/recordings/remote.py': ['remote'],
-    'imu_calib/recordings/remote_copy.py': ['remote_copy', 'remote'],
-    'imu_calib/recordings/retries.py': ['remote_copy', 'remote'],
+    'imu_calib/recordings/remote.py': ['remote_copy', 'remote'],
+    'imu_calib/recordings/remote.py': ['remote_copy', 'remote'],
     'imu_calib/estimation/hand.py': ['free_fit'],
     'imu_calib/estimation/arms.py': ['arms'],
     'imu_calib/estimation/free.py': ['free_fit'],

@@ -24,8 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from imu_calib.common.stream import ImuBlock, JointBlock
 from imu_calib.recordings.cdr_codec import encode_imu, encode_joints
-from imu_calib.recordings.kinds import Kind
-from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.rosbag2 import Kind, open_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -22,11 +22,10 @@ from imu_calib.recordings.cdr_codec import (
     encode_joints,
     encode_setpoints,
     encode_temperatures,
+    part,
 )
-from imu_calib.recordings.decode import part
 from imu_calib.recordings.definitions import definition
-from imu_calib.recordings.kinds import Kind
-from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.rosbag2 import Kind, open_recording
 
 NS = 1_000_000_000
 START = 1_700_000_000 * NS

@@ -89,7 +89,7 @@ class Alone:
 
     def __init__(self, setup: Setup, folder: Path, said: dict[str, str], topics: Any) -> None:
         # Imported here: most tests need no live session.
-        from imu_calib.recordings.journal import Journal
+        from imu_calib.recordings.writer import Journal
         from imu_calib.stand.nodes.parameters import StatedUnit
         from imu_calib.stand.nodes.sessions import Sessions
 

@@ -22,9 +22,8 @@ from test_turntable_node import TABLE as NIMBLE
 
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.stream import Mode, Setpoint, SetpointBlock
-from imu_calib.recordings.cdr_codec import encode_setpoints
-from imu_calib.recordings.decode import decode_joints
-from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.cdr import Messages
+from imu_calib.recordings.cdr_codec import decode_joints, encode_setpoints
 from imu_calib.session.table import load_table
 from imu_calib.simulation.tracks import Track, trapezoid
 from imu_calib.stand.ascii import Move, Reading, Stop

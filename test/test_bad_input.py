@@ -39,8 +39,8 @@ from imu_calib.common.stream import (
     TemperatureBlock,
 )
 from imu_calib.common.units import DEG
-from imu_calib.recordings.kinds import Kind
-from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.cdr import Messages
+from imu_calib.recordings.rosbag2 import Kind
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.imu import ImuSpec
 from imu_calib.session.plan import Plan, read_plan

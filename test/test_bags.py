@@ -43,13 +43,12 @@ from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin, Writer
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
-from imu_calib.recordings import codec, mcap, mcap_chunk
-from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.decode import part
-from imu_calib.recordings.merge import SPAN_NS
-from imu_calib.recordings.messages import Messages
+from imu_calib.recordings import codec, mcap
+from imu_calib.recordings import mcap_records as mcap_chunk
+from imu_calib.recordings.cdr import Messages
+from imu_calib.recordings.cdr_codec import encode_imu, part
 from imu_calib.recordings.rosbag2 import open_recording
-from imu_calib.recordings.storage import Cache, RecordingError, Topic
+from imu_calib.recordings.storage import SPAN_NS, Cache, RecordingError, Topic
 from imu_calib.recordings.writer import RecordingWriter
 
 SESSION = session()

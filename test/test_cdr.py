@@ -18,28 +18,26 @@ from imu_calib.common.stream import (
     SetpointBlock,
     TemperatureBlock,
 )
-from imu_calib.recordings import decode
+from imu_calib.recordings import cdr_codec as decode
+from imu_calib.recordings.cdr import CdrError, Malformed, Messages
 from imu_calib.recordings.cdr_codec import (
     PULSES,
     RATES,
-    encode_imu,
-    encode_joints,
-    encode_rates,
-    encode_setpoints,
-    encode_temperatures,
-    rates_payloads,
-)
-from imu_calib.recordings.decode import (
     ImuDecoder,
     decode_imu,
     decode_joints,
     decode_setpoints,
     decode_temperatures,
+    encode_imu,
+    encode_joints,
+    encode_rates,
+    encode_setpoints,
+    encode_temperatures,
     part,
+    rates_payloads,
 )
 from imu_calib.recordings.definitions import definition
-from imu_calib.recordings.kinds import Kind
-from imu_calib.recordings.messages import CdrError, Malformed, Messages
+from imu_calib.recordings.rosbag2 import Kind
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STORE.register(get_types_from_msg(definition(Kind.SETPOINTS.type_name), Kind.SETPOINTS.type_name))

@@ -7,8 +7,16 @@ import struct
 import pytest
 from mcap_bytes import CHUNK, chunk, record, text
 
-from imu_calib.recordings.mcap_chunk import CHUNK_FIELDS, LONGEST_HEAD, Chunk, chunk_at, chunks_of
-from imu_calib.recordings.mcap_records import Catalogue, Channel, ChunkIndex
+from imu_calib.recordings.mcap_records import (
+    CHUNK_FIELDS,
+    LONGEST_HEAD,
+    Catalogue,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    chunk_at,
+    chunks_of,
+)
 
 FIRST, STORED = 100, 300
 DATA = FIRST + 9 + 40

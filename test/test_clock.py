@@ -7,9 +7,8 @@ from loopback import environment, patience, start, until
 from imu_calib.common.errors import ImuCalibError
 from imu_calib.common.stream import ImuBlock
 from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.journal import Journal
-from imu_calib.recordings.kinds import Kind
-from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.writer import Journal
 from imu_calib.stand.rules import Phase
 
 try:

@@ -16,8 +16,7 @@ from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Floats, ImuBlock, Stamps
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.recordings.cdr_codec import encode_rates
-from imu_calib.recordings.kinds import Kind
-from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.session.metadata import interpolated_from
 

@@ -36,8 +36,8 @@ from imu_calib.api.inspecting import inspect_streams, topics
 from imu_calib.api.session import Stated
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import SetpointBlock
-from imu_calib.recordings import sqlite_rows
-from imu_calib.recordings.decode import part
+from imu_calib.recordings import sqlite3 as sqlite_rows
+from imu_calib.recordings.cdr_codec import part
 from imu_calib.recordings.mcap_records import walk
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.storage import RecordingError

@@ -438,7 +438,7 @@ def test_a_recording_lies_in_a_bucket(
 
 
 def test_a_server_that_does_not_answer_gets_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('imu_calib.recordings.retries.PAUSE', 0.0)
+    monkeypatch.setattr('imu_calib.recordings.remote.PAUSE', 0.0)
     pytest.importorskip('aiohttp')
     row = run(Job('http://127.0.0.1:9/rec.mcap')).row
     assert row is not None and row['exit_code'] == 2

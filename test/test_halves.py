@@ -12,12 +12,11 @@ import imu_calib
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import ImuBlock
+from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.in_order import HELD, InOrder, places_by_stamp
-from imu_calib.recordings.messages import Messages
 from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.storage import Times
-from imu_calib.recordings.text import read_sensors
+from imu_calib.recordings.text import HELD, InOrder, places_by_stamp, read_sensors
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.halves import halves
 

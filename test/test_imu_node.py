@@ -18,9 +18,9 @@ from loopback import CHECKOUT, environment, patience, until
 from test_devices import frame
 
 from imu_calib.common.errors import ImuCalibError, InputError
-from imu_calib.recordings.decode import decode_imu, decode_temperatures
-from imu_calib.recordings.kinds import Kind
-from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.cdr import Messages
+from imu_calib.recordings.cdr_codec import decode_imu, decode_temperatures
+from imu_calib.recordings.rosbag2 import Kind
 from imu_calib.session.imu import load_imu
 from imu_calib.stand.devices.format import load_format
 from imu_calib.stand.devices.source import Chunk, SourceState

@@ -17,8 +17,7 @@ import pytest
 from installed import ROS, needs
 from loopback import CHECKOUT, environment, patience, until
 
-from imu_calib.recordings.kinds import Kind
-from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.rosbag2 import Kind, open_recording
 
 PEER = CHECKOUT / 'test' / 'interop_peer.py'
 RMWS = [pytest.param(rmw, marks=needs(rmw)) for rmw in ('rmw_cyclonedds_cpp', 'rmw_fastrtps_cpp')]

@@ -10,12 +10,10 @@ import pytest
 
 from imu_calib.common.errors import InputError
 from imu_calib.common.stream import Floats, ImuBlock
+from imu_calib.recordings.cdr import Messages
 from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.journal import FINISHED, Journal
-from imu_calib.recordings.kinds import Kind
-from imu_calib.recordings.messages import Messages
-from imu_calib.recordings.rosbag2 import open_recording
-from imu_calib.recordings.writer import RecordingWriter
+from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.writer import FINISHED, Journal, RecordingWriter
 
 NS, EPOCH = 1_000_000_000, 1_700_000_000_000_000_000
 IMU, SKEW = '/imu/pulses', '/imu/skew'

@@ -14,7 +14,7 @@ from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock, SkewBlo
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
 from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints
-from imu_calib.recordings.kinds import Kind
+from imu_calib.recordings.rosbag2 import Kind
 from imu_calib.session.imu import load_imu
 from imu_calib.session.metadata import describe
 from imu_calib.session.plan import RateTest, load_plan

@@ -22,6 +22,7 @@ from mcap_bytes import (
 )
 
 from imu_calib.recordings import mcap_records
+from imu_calib.recordings.cdr import Bytes, Indices
 from imu_calib.recordings.mcap_records import (
     FOOTER_SIZE,
     MAGIC,
@@ -35,7 +36,6 @@ from imu_calib.recordings.mcap_records import (
     strings,
     walk,
 )
-from imu_calib.recordings.messages import Bytes, Indices
 from imu_calib.recordings.storage import Described
 
 KINDS = {SCHEMA, CHANNEL, METADATA, CHUNK_INDEX, Op.ATTACHMENT_INDEX, METADATA_INDEX, STATISTICS}

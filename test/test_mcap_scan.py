@@ -34,7 +34,7 @@ from mcap_bytes import (
 )
 
 from imu_calib.recordings import mcap_scan
-from imu_calib.recordings.mcap_chunk import Chunk
+from imu_calib.recordings.mcap_records import Chunk
 from imu_calib.recordings.mcap_scan import Scan, scan
 from imu_calib.recordings.storage import Losses, RecordingError
 

@@ -28,11 +28,12 @@ from mcap_bytes import (
     text,
 )
 
-from imu_calib.recordings import mcap, mcap_chunk
+from imu_calib.recordings import mcap
+from imu_calib.recordings import mcap_records as mcap_chunk
+from imu_calib.recordings.cdr import Bytes
 from imu_calib.recordings.mcap import McapStorage, Unpacked, _tables, _with_checksum
-from imu_calib.recordings.mcap_chunk import Chunk, chunk_at, grouped
-from imu_calib.recordings.mcap_places import Part, Placed, indexed, located
-from imu_calib.recordings.messages import Bytes
+from imu_calib.recordings.mcap_records import Chunk, chunk_at, grouped
+from imu_calib.recordings.mcap_scan import Part, Placed, indexed, located
 from imu_calib.recordings.storage import Cache, Losses, Memory, MessageBatch
 
 NS = 1_000_000_000

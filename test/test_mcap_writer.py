@@ -9,9 +9,9 @@ import pytest
 from bag_files import ENCODERS, IMU, KINDS, NS, session, stamps, storage_file
 from test_bags import write_own
 
+from imu_calib.recordings.cdr import Messages
+from imu_calib.recordings.cdr_codec import part
 from imu_calib.recordings.codec import unpack
-from imu_calib.recordings.decode import part
-from imu_calib.recordings.messages import Messages
 from imu_calib.recordings.writer import RecordingWriter
 
 SESSION = session()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imu_calib.common.stream import TemperatureBlock
-from imu_calib.recordings.merge import Piece, merge
+from imu_calib.recordings.storage import Piece, merge
 
 SECOND = 10**9
 

@@ -17,9 +17,8 @@ from loopback import environment, patience, start, until
 
 from imu_calib.common.errors import ImuCalibError
 from imu_calib.common.stream import ImuBlock
-from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.decode import decode_imu
-from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.cdr import Messages
+from imu_calib.recordings.cdr_codec import decode_imu, encode_imu
 
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:

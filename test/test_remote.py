@@ -23,7 +23,8 @@ from imu_calib.api.session import Stated
 from imu_calib.cli.main import main
 from imu_calib.common.errors import InputError
 from imu_calib.fleet.recordings import Job, find_jobs
-from imu_calib.recordings import remote_copy, retries
+from imu_calib.recordings import remote as remote_copy
+from imu_calib.recordings import remote as retries
 from imu_calib.recordings.remote import located
 from imu_calib.recordings.rosbag2 import open_recording
 

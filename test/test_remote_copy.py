@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from imu_calib.common.errors import InputError
-from imu_calib.recordings import remote_copy, retries
-from imu_calib.recordings.remote_copy import AHEAD, BLOCK, Copy, Reader
-from imu_calib.recordings.retries import PAUSE
+from imu_calib.recordings import remote as remote_copy
+from imu_calib.recordings import remote as retries
+from imu_calib.recordings.remote import AHEAD, BLOCK, PAUSE, Copy, Reader
 
 URL = 'memory://lab/rec.mcap'
 BLOCKS = 100

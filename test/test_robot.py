@@ -10,8 +10,8 @@ from imu_calib.calibration.calibration import Calibration
 from imu_calib.common.errors import ImuCalibError
 from imu_calib.common.files import named_file
 from imu_calib.common.units import MICRO_G
-from imu_calib.recordings.decode import decode_imu, decode_joints
-from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.cdr import Messages
+from imu_calib.recordings.cdr_codec import decode_imu, decode_joints
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import load_table
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from imu_calib.recordings.sqlite_rows import LAST_ROW, RowQueries
+from imu_calib.recordings.sqlite3 import LAST_ROW, RowQueries
 from imu_calib.recordings.storage import Cache, Losses
 
 COMMON, RARE, NONE = 1, 2, 3

@@ -12,9 +12,8 @@ from imu_calib.common.stream import ImuBlock, JointBlock, SetpointBlock
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints
-from imu_calib.recordings.journal import Journal
-from imu_calib.recordings.kinds import Kind
-from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.rosbag2 import Kind, open_recording
+from imu_calib.recordings.writer import Journal
 from imu_calib.session.metadata import LEFT_OUT
 from imu_calib.session.table import load_table
 from imu_calib.simulation.several import SeveralOnTable, SimulatedUnit

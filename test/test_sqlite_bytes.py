@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imu_calib.recordings import sqlite_pages
-from imu_calib.recordings.sqlite_pages import (
+from imu_calib.recordings import sqlite3 as sqlite_pages
+from imu_calib.recordings.sqlite3 import (
+    LAST_ROW,
     OddPagesError,
     TablePages,
     Window,
@@ -21,7 +22,6 @@ from imu_calib.recordings.sqlite_pages import (
     _integers,
     _varints,
 )
-from imu_calib.recordings.sqlite_rows import LAST_ROW
 
 SIZE = 512
 INTEGERS = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}

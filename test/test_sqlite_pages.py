@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from test_bags import KINDS, SESSION, assert_same, read, write_sqlite
 
 from imu_calib.recordings.rosbag2 import open_recording
-from imu_calib.recordings.sqlite_pages import OddPagesError, TablePages
-from imu_calib.recordings.sqlite_rows import RowQueries
+from imu_calib.recordings.sqlite3 import OddPagesError, RowQueries, TablePages
 
 TABLE = (
     'CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, '

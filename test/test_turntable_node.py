@@ -15,9 +15,8 @@ from loopback import environment, patience, start, until
 from imu_calib.common.errors import ImuCalibError, InputError
 from imu_calib.common.stream import JointBlock, Mode, Setpoint, SetpointBlock
 from imu_calib.common.units import DEG
-from imu_calib.recordings.cdr_codec import encode_joints, encode_setpoints
-from imu_calib.recordings.decode import decode_setpoints
-from imu_calib.recordings.messages import Messages
+from imu_calib.recordings.cdr import Messages
+from imu_calib.recordings.cdr_codec import decode_setpoints, encode_joints, encode_setpoints
 from imu_calib.session.table import load_table
 from imu_calib.simulation.options import TableOptions
 from imu_calib.simulation.table import SimulatedTable

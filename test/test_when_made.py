@@ -20,8 +20,7 @@ from imu_calib.calibration.whole_stream import WholeStream
 from imu_calib.common.stream import ImuBlock, Units
 from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr_codec import encode_imu
-from imu_calib.recordings.kinds import Kind
-from imu_calib.recordings.rosbag2 import open_recording
+from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.bunches import sampling_times
 from imu_calib.session.imu import ImuSpec, TriadSpec

@@ -11,8 +11,7 @@ from ..common.errors import InputError, NotStated
 from ..common.files import shipped
 from ..common.stream import Floats, ImuBlock, Units
 from ..common.units import LARGEST, STANDARD_GRAVITY
-from ..recordings.kinds import Kind
-from ..recordings.rosbag2 import Recording
+from ..recordings.rosbag2 import Kind, Recording
 from ..session.imu import ImuSpec, load_imu
 from ..session.plan import Plan, load_plan
 

@@ -12,8 +12,8 @@ from ..calibration.hand import HandCalibrator
 from ..common.errors import InputError, NotObservable, NotStated
 from ..common.files import printable
 from ..common.parallel import Progress, by_one_thread, silent
-from ..recordings.in_order import InOrder
 from ..recordings.remote import AnyPath
+from ..recordings.text import InOrder
 from ..segmentation.stream_facts import Segmented
 from ..session.imu import HOTTEST
 from ..session.metadata import compensated_already, interpolated_from

@@ -25,8 +25,7 @@ from ..common.stream import (
     Units,
 )
 from ..common.units import counted
-from ..recordings.kinds import Kind
-from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.rosbag2 import Kind, Recording, open_recording
 from ..recordings.storage import Topic
 from .streams import recorded_units
 

@@ -22,11 +22,9 @@ from ..common.errors import InputError, NotObservable
 from ..common.parallel import Progress, silent
 from ..common.stream import ImuBlock, Stamps
 from ..common.units import counted
-from ..recordings.cdr_codec import encode_rates
-from ..recordings.decode import decode_imu
-from ..recordings.kinds import Kind
-from ..recordings.messages import Malformed, Messages
-from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.cdr import Malformed, Messages
+from ..recordings.cdr_codec import decode_imu, encode_rates
+from ..recordings.rosbag2 import Kind, Recording, open_recording
 from ..recordings.storage import Topic
 from ..recordings.writer import RecordingWriter
 from ..session.imu import ImuSpec, compensated_imu

@@ -19,11 +19,10 @@ from ..common.stream import (
     Units,
 )
 from ..common.units import Dimension, counted, parse
+from ..recordings.cdr import Messages
 from ..recordings.cdr_codec import encode_joints, encode_temperatures
-from ..recordings.in_order import places_by_stamp
-from ..recordings.kinds import Kind
-from ..recordings.messages import Messages
-from ..recordings.text import Text
+from ..recordings.rosbag2 import Kind
+from ..recordings.text import Text, places_by_stamp
 from ..recordings.writer import RecordingWriter
 from ..segmentation.gravity_removed import gravity_removed, quiet_means
 from ..segmentation.halves import ROWS_APART, halves

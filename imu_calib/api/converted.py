@@ -12,9 +12,9 @@ from ..common.errors import InputError
 from ..common.files import named_file, read_text
 from ..common.stream import ImuBlock, Units
 from ..common.units import counted
+from ..recordings.cdr import Messages
 from ..recordings.cdr_codec import encode_imu, encode_rates
-from ..recordings.kinds import Kind
-from ..recordings.messages import Messages
+from ..recordings.rosbag2 import Kind
 from ..recordings.writer import RecordingWriter
 from ..session.imu import ImuSpec, load_imu
 from .named import Named

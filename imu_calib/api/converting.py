@@ -10,10 +10,8 @@ from ..common.errors import InputError
 from ..common.files import refuse_device, require, user_path
 from ..common.other_formats import BAG_OF_ROS_1
 from ..common.parallel import Progress, silent
-from ..recordings.files import is_storage
-from ..recordings.kinds import Kind
 from ..recordings.remote import AnyPath, local, located
-from ..recordings.rosbag2 import open_recording
+from ..recordings.rosbag2 import Kind, is_storage, open_recording
 from ..recordings.storage import RecordingError
 from ..recordings.text import read_sensors, read_text
 from .convert import joined

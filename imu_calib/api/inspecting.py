@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 from ..common.errors import InputError, NotStated
 from ..common.parallel import Progress, silent
 from ..common.units import counted
-from ..recordings.kinds import Kind
-from ..recordings.recorded_clock import Extent
-from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.rosbag2 import Kind, Recording, open_recording
+from ..recordings.storage import Extent
 from ..session.metadata import COMPENSATED
 from .keywords import Session, with_keywords
 from .named import Named

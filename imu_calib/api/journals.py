@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..common.stream import NS
-from ..recordings.journal import FINISHED
 from ..recordings.rosbag2 import Recording, open_recording
 from ..recordings.storage import RecordingError
+from ..recordings.writer import FINISHED
 from ..simulation.options import StandOptions
 
 

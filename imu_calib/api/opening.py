@@ -9,9 +9,9 @@ from ..common.errors import InputError
 from ..common.parallel import Progress, silent
 from ..common.stream import Block
 from ..estimation.setup import Setup
-from ..recordings.in_order import InOrder
 from ..recordings.remote import AnyPath, located
 from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.text import InOrder
 from ..session.plan import UNPLANNED
 from .assumed import ASSUMED_BY_HAND, ASSUMED_SI, plan_by_hand, taken_as_si
 from .session import Stated, mounted_on, plan_of, serial_of, site_of, stated_imu, table_of

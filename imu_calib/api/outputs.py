@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..common.errors import InputError
 from ..common.files import user_path
-from ..recordings.files import is_storage
+from ..recordings.rosbag2 import is_storage
 from .named import Named
 
 

@@ -26,9 +26,9 @@ from ..common.stream import (
 )
 from ..estimation.methods import check_plan
 from ..model.earth import LUOYANG
+from ..recordings.cdr import Messages
 from ..recordings.cdr_codec import encode_imu, encode_joints, encode_setpoints, encode_temperatures
-from ..recordings.kinds import Kind
-from ..recordings.messages import Messages
+from ..recordings.rosbag2 import Kind
 from ..recordings.writer import RecordingWriter
 from ..session.imu import COLDEST, HOTTEST, ImuSpec
 from ..session.metadata import describe

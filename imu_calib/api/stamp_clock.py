@@ -13,9 +13,10 @@ from ..common.units import PPM
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    # Loads slowly; most commands do not need it.
-    from ..recordings.recorded_clock import RecordedClock
     from ..recordings.rosbag2 import Recording
+
+    # Loads slowly; most commands do not need it.
+    from ..recordings.storage import RecordedClock
     from .streams import Streams
 
 _DIFFERENT = 1000 * PPM

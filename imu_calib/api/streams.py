@@ -13,7 +13,7 @@ from ..common.config import Section
 from ..common.errors import InputError, NotStated
 from ..common.other_formats import other_encoding
 from ..common.stream import ImuBlock, Units
-from ..recordings.kinds import Kind
+from ..recordings.rosbag2 import Kind
 from ..session.imu import read_imu
 from ..session.metadata import LEFT_OUT, described_imu, serial_key
 from ..session.units_file import namespace

@@ -15,8 +15,8 @@ from ..common.errors import InputError, NotObservable, NotStated
 from ..common.parallel import Progress, by_one_thread, silent
 from ..estimation.hand import NAME as FREE_POSITIONS
 from ..estimation.observed import observe
-from ..recordings.in_order import InOrder
 from ..recordings.rosbag2 import Recording, open_recording
+from ..recordings.text import InOrder
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.thermometer import Temperature
 from ..session.imu import ImuSpec

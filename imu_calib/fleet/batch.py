@@ -22,10 +22,9 @@ from ..common.errors import ImuCalibError, InputError
 from ..common.files import named_file, read_text, user_path, version
 from ..common.stream import NS
 from ..model.parameters import PARAMETER_NAMES, PARAMETERS, indices_of
-from ..recordings.files import find_files
-from ..recordings.metadata import NAME as METADATA
+from ..recordings.definitions import NAME as METADATA
 from ..recordings.remote import AnyPath, is_url, located
-from ..recordings.rosbag2 import Recording, content_hash
+from ..recordings.rosbag2 import Recording, content_hash, find_files
 from ..recordings.storage import Losses
 from ..reports.assessment import assess, worst
 from ..session.imu import Specification, load_imu

@@ -300,7 +300,7 @@ class Catalogue:
 def _make_room(folder: Path) -> None:
     """Refuse a folder that cannot hold a catalogue."""
     # To query a catalogue takes no recording.
-    from ..recordings import metadata
+    from ..recordings import definitions as metadata
 
     if not folder.parent.is_dir():
         raise InputError(f'{folder}: the folder {folder.parent} does not exist.')

@@ -20,8 +20,8 @@ from ..common.errors import InputError
 from ..common.files import read_text, user_path
 from ..common.other_formats import OTHERS, other_format
 from ..common.units import point_for_comma
-from ..recordings.files import is_storage
 from ..recordings.remote import AnyPath, RemotePath, is_url, located
+from ..recordings.rosbag2 import is_storage
 
 _METADATA = 'metadata.yaml'
 _MANIFESTS = ('.csv', '.yaml', '.yml')

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from .messages import Indices, Messages
+    from .cdr import Indices, Messages
 
 _HEAD = RECORD_HEAD + MESSAGE_HEAD
 

@@ -7,23 +7,457 @@ import struct
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .log_order import LogOrder, time_order
-from .metadata import custom_data_of
-from .sqlite_pages import HEADER, OddPagesError, Rows, TablePages, Window
-from .sqlite_rows import DAMAGE, LAST_ROW, RowQueries, damage_text
+from .cdr import Messages
+from .definitions import custom_data_of
+from .mcap import LogOrder, time_order
 from .storage import Cache, Described, Losses, MessageBatch, RecordingError, Times, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
+    from io import FileIO
     from pathlib import Path
 
     from ..common.stream import Stamps
-    from .messages import Indices, Messages
+    from .cdr import Bytes, Indices, Messages
+    from .storage import Losses
+
+# Query SQLite for the messages of a file, skipping damaged parts.
+
+
+LAST_ROW = 2**63 - 1
+"""The largest row id (SQLite file format, section 2.1)."""
+# Python decodes SQLite's own messages as text, which fails for damaged names; a damaged length can
+# request more memory than there is.
+DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError, MemoryError)
+_MIN_ROWS, _MAX_ROWS = 2048, 65536
+"""Rows of a query; a choice between memory and calls."""
+_Row = tuple[Any, ...]
+"""Log time and data, as stored in the file."""
+
+
+class RowQueries:
+    """Read messages in windows of row ids.
+
+    Args:
+        name: Of the file, for sentences.
+        connect: Opens it.
+        last: Its largest row id; None if that is damaged.
+        losses: Receives sentences on unreadable data.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        connect: Callable[[], sqlite3.Connection],
+        last: int | None,
+        losses: Losses,
+    ) -> None:
+        self._name, self._connect = name, connect
+        self._last, self._losses = last, losses
+
+    def read(
+        self, topics: tuple[int, ...], first: int | None, last: int = LAST_ROW
+    ) -> Iterator[tuple[Messages, Stamps, int | None]]:
+        """Read the messages of some topics in windows, wider ones if a topic is rare.
+
+        Args:
+            topics: Their numbers.
+            first: The first row id; None without rows.
+            last: The last row id.
+
+        Yields:
+            Messages, their log times in ns, and the row id after them, None at the end.
+        """
+        start, width = first, _MIN_ROWS
+        with closing(self._connect()) as database:
+            while topics and start is not None and start <= last:
+                rows, following = self._load(database, topics, start, width, last)
+                if rows:
+                    yield _messages(rows), _log(rows), following
+                wider = len(rows) < width // 8
+                width = min(2 * width, _MAX_ROWS) if wider else max(width // 2, _MIN_ROWS)
+                start = following
+
+    def read_by_time(
+        self, topics: tuple[int, ...], state: Callable[[], None]
+    ) -> Iterator[tuple[Messages, Stamps]]:
+        """Read the messages of some topics in the order of their log times.
+
+        Args:
+            topics: Their numbers.
+            state: Called where their row ids are in another order.
+
+        Yields:
+            Messages and their log times in ns.
+        """
+        query = (
+            'SELECT timestamp, data, id FROM messages '
+            f'WHERE topic_id IN ({", ".join("?" * len(topics))}) ORDER BY timestamp, id'
+        )
+        last, row = 0, -LAST_ROW
+        with closing(self._connect()) as database:
+            try:
+                cursor = database.execute(query, topics)
+                while rows := cursor.fetchmany(_MIN_ROWS):
+                    log = _log(rows)
+                    ids = [row, *(int(one[2]) for one in rows)]
+                    if ids != sorted(ids):
+                        state()
+                    last, row = int(log[-1]), ids[-1]
+                    yield _messages(rows), log
+            except DAMAGE as error:
+                self._losses.add(
+                    f'{self._name}: rows after log time {last / 1e9:.3f} s cannot be read '
+                    f'({damage_text(error)}).'
+                )
+
+    def _load(
+        self,
+        database: sqlite3.Connection,
+        topics: tuple[int, ...],
+        start: int,
+        width: int,
+        end: int,
+    ) -> tuple[list[_Row], int | None]:
+        """Return the messages of a window of row ids up to `end`, and the start of the next."""
+        last = min(start + width - 1, end)
+        query = (
+            'SELECT timestamp, data FROM messages WHERE id >= ? AND id <= ? '
+            f'AND topic_id IN ({", ".join("?" * len(topics))}) ORDER BY id'
+        )
+        try:
+            rows = database.execute(query, (start, last, *topics)).fetchall()
+            if rows:
+                return rows, last + 1 if last < LAST_ROW else None
+            beyond = _first_row(database, last + 1, end)
+        except DAMAGE as error:
+            return self._load_damaged(database, topics, start, end, error)
+        return [], beyond[0] if beyond else None
+
+    def _load_damaged(
+        self,
+        database: sqlite3.Connection,
+        topics: tuple[int, ...],
+        start: int,
+        end: int,
+        error: Exception,
+    ) -> tuple[list[_Row], int | None]:
+        """Read row by row up to the damage, state its position, and continue after it."""
+        rows: list[_Row] = []
+        last = start - 1
+        # One query per row: a query for many fails as a whole if its last row is damaged.
+        with suppress(*DAMAGE):
+            while (row := _first_row(database, last + 1, end)) is not None:
+                last = row[0]
+                if row[1] in topics:
+                    rows.append(row[2:])
+                if len(rows) == _MIN_ROWS:
+                    return rows, last + 1
+            return rows, None
+        following = self._next_readable(database, last + 1, end)
+        where = f'rows {last + 1} to {following - 1}' if following else f'the rows after {last}'
+        self._losses.add(f'{self._name}: {where} cannot be read ({damage_text(error)}).')
+        return rows, following
+
+    def _next_readable(self, database: sqlite3.Connection, damaged: int, end: int) -> int | None:
+        """Return the first readable row id after a damaged one, found in growing steps."""
+        if self._last is None:
+            return None
+        beyond = end + 1 if end < self._last else None
+        step = 1
+        while damaged + step <= min(self._last, end):
+            with suppress(*DAMAGE):
+                row = _first_row(database, damaged + step, end)
+                return row[0] if row else beyond
+            step *= 2
+        return beyond
+
+
+def damage_text(error: Exception) -> str:
+    """Return the damage of a file, in words."""
+    if isinstance(error, MemoryError):
+        return 'it states a length beyond the memory of this machine'
+    if str(error) == 'interrupted':
+        return 'its tables take far more work than a recording of its size'
+    return str(error)
+
+
+def _first_row(
+    database: sqlite3.Connection, start: int, end: int
+) -> tuple[int, int, Any, Any] | None:
+    """Return id, topic, log time and data of the first row from an id on, up to another."""
+    if start > end:
+        return None
+    query = 'SELECT id, topic_id, timestamp, data FROM messages WHERE id >= ? ORDER BY id LIMIT 1'
+    row: tuple[int, int, Any, Any] | None = database.execute(query, (start,)).fetchone()
+    if row is not None and not (isinstance(row[0], int) and row[0] >= start):
+        raise sqlite3.DatabaseError('the row ids are out of order')
+    return row if row is not None and row[0] <= end else None
+
+
+def _log(rows: list[_Row]) -> Stamps:
+    """Return log times; one of a wrong type is replaced by the first."""
+    times = [row[0] for row in rows]
+    first = next((time for time in times if isinstance(time, int)), 0)
+    return np.array([time if isinstance(time, int) else first for time in times], np.int64)
+
+
+def _messages(rows: list[_Row]) -> Messages:
+    # Data of a wrong type becomes an empty message, which the decoder counts.
+    return Messages.join([row[1] if isinstance(row[1], bytes) else b'' for row in rows])
+
+
+# Read the rows of rosbag2's table of messages from the pages of an sqlite3 file, in bulk.
+#
+# SQLite returns one row at a time. Here a run of pages is read at once, and NumPy finds the rows in
+# it. Only pages in the form that rosbag2 writes are read; SQLite reads all others, damaged ones
+# included. Sections are those of the SQLite file format, https://www.sqlite.org/fileformat2.html.
+
+
+HEADER = 100
+"""Bytes of the header of a database (section 1.3)."""
+_INTERIOR, _LEAF = 5, 13
+"""Types of the pages of a table (section 1.6)."""
+_HEADS = {_INTERIOR: 12, _LEAF: 8}
+"""Bytes before the cell pointers of a page (section 1.6)."""
+_DEEPEST = 20
+"""Levels of a tree: more than in the largest undamaged file."""
+_WINDOW = 1 << 20
+"""Bytes of pages that are read at once; a choice between memory and calls."""
+_WIDTH = np.array([0, 1, 2, 3, 4, 6, 8, 0, 0, 0])
+"""Bytes of an integer by its serial type (section 2.1); 7 is a float."""
+_BLOB = 12
+"""The first serial type of blobs, which are the even ones (section 2.1)."""
+
+
+class OddPagesError(Exception):
+    """Pages that are damaged, or in a form that rosbag2 does not write."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Messages of some topics, in the order of their row ids.
+
+    Attributes:
+        messages: The serialised messages, in the memory of their pages.
+        topic: (n,) number of the topic of each.
+        log: (n,) log time of each, ns.
+    """
+
+    messages: Messages
+    topic: Indices
+    log: Stamps
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of memory."""
+        return int(self.messages.buffer.nbytes + 4 * self.log.nbytes)
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Some consecutive leaf pages.
+
+    Attributes:
+        first: Their least row id.
+        last: Their largest.
+        pages: (k,) their numbers, in the order of the row ids.
+    """
+
+    first: int
+    last: int
+    pages: Indices
+
+
+class TablePages:
+    """The pages of a table whose columns are id, topic_id, timestamp and data.
+
+    Args:
+        path: The file, which must not be written to meanwhile.
+        root: Number of the root page of the table.
+        first: The least row id of the table.
+
+    Attributes:
+        windows: Its leaf pages, in the order of the row ids.
+
+    Raises:
+        OddPagesError: The pages above the rows are damaged.
+        OSError: The file cannot be read.
+    """
+
+    def __init__(self, path: Path, root: int, first: int) -> None:
+        self._path = path
+        with path.open('rb', buffering=0) as file:
+            head = file.read(HEADER)
+            if len(head) < HEADER:
+                raise OddPagesError
+            size = struct.unpack_from('>H', head, 16)[0]
+            self._size = 65536 if size == 1 else int(size)
+            self._usable = self._size - head[20]
+            if self._size < 512 or self._usable < 480:
+                raise OddPagesError
+            self._count = path.stat().st_size // self._size
+            self.windows = list(self._cut(*self._walk(file, root), first))
+
+    def _cut(self, pages: Indices, last: Indices, first: int) -> Iterator[Window]:
+        """Divide the table into runs of pages."""
+        count = max(_WINDOW // self._size, 1)
+        for start in range(0, len(pages), count):
+            end = int(last[start : start + count][-1])
+            yield Window(first, end, pages[start : start + count])
+            first = end + 1
+
+    def read_rows(self, window: Window, topics: Indices) -> Rows:
+        """Read the rows of some topics.
+
+        Args:
+            window: Pages of this table.
+            topics: Numbers of the topics.
+
+        Returns:
+            The rows; their messages share the memory of the pages.
+
+        Raises:
+            OddPagesError: SQLite must read these rows.
+            OSError: The file cannot be read.
+        """
+        with self._path.open('rb', buffering=0) as file:
+            buffer, base = self._load(file, window.pages)
+        try:
+            return self._decode_rows(buffer, base, window, topics)
+        except IndexError:
+            # An offset beyond the last page.
+            raise OddPagesError from None
+
+    def _decode_rows(self, buffer: Bytes, base: Indices, window: Window, topics: Indices) -> Rows:
+        cell, count = self._cells(buffer, base, _LEAF)
+        payload, at = _varints(buffer, cell)
+        row, body = _varints(buffer, at)
+        head, at = _varints(buffer, body)
+        id_kind, at = _varints(buffer, at)
+        topic_kind, at = _varints(buffer, at)
+        log_kind, at = _varints(buffer, at)
+        data_kind, at = _varints(buffer, at)
+        # The column id is stored as NULL; its value is the row id (section 2.3).
+        _need(id_kind == 0, at - body == head, data_kind >= _BLOB, data_kind % 2 == 0)
+        _need(row[1:] > row[:-1], row[:1] >= window.first, row[-1:] <= window.last)
+        topic, at = _integers(buffer, topic_kind, at)
+        log, at = _integers(buffer, log_kind, at)
+        size = (data_kind - _BLOB) // 2
+        wanted = np.isin(topic, topics)
+        # Longer payloads continue in overflow pages (section 1.6).
+        end = np.repeat(base, count) + self._usable
+        within = (payload <= self._usable - 35) & (body + payload <= end)
+        _need(at + size == body + payload, within | ~wanted)
+        messages = Messages(buffer, at[wanted], size[wanted])
+        return Rows(messages, topic[wanted], log[wanted])
+
+    def _walk(self, file: FileIO, root: int) -> tuple[Indices, Indices]:
+        """Return the leaf pages in the order of their row ids, and the largest id of each."""
+        pages, last = np.array([root]), np.array([LAST_ROW])
+        for _ in range(_DEEPEST):
+            buffer, _ = self._load(file, pages[:1])
+            # All leaves are equally deep (section 1.6).
+            if buffer[0] == _LEAF:
+                return pages, last
+            pages, last = self._below(*self._load(file, pages), last)
+        raise OddPagesError
+
+    def _below(self, buffer: Bytes, base: Indices, last: Indices) -> tuple[Indices, Indices]:
+        """Return the pages one level down, and the largest row id of each."""
+        try:
+            cell, count = self._cells(buffer, base, _INTERIOR)
+            key, _ = _varints(buffer, cell + 4)
+        except IndexError:
+            raise OddPagesError from None
+        # The rightmost child has no cell: its number is in the page header, and it has the largest
+        # ids.
+        place = np.cumsum(count)
+        child = np.insert(_big(buffer, cell, '>u4'), place, _big(buffer, base + 8, '>u4'))
+        key = np.insert(key, place, last)
+        _need(child > 0, child <= self._count, key[1:] > key[:-1])
+        if len(child) > self._count:
+            raise OddPagesError
+        return child, key
+
+    def _load(self, file: FileIO, pages: Indices) -> tuple[Bytes, Indices]:
+        """Read pages; return their bytes, with others in between, and the start of each."""
+        first, last = int(pages.min()), int(pages.max())
+        if last - first < 2 * len(pages):
+            count = last - first + 1
+            content = self._read(file, first, count)
+            base = (pages - first) * self._size
+        else:
+            count = len(pages)
+            content = b''.join(self._read(file, page, 1) for page in pages.tolist())
+            base = np.arange(count) * self._size
+        if len(content) < count * self._size:
+            raise OddPagesError
+        return np.frombuffer(content, np.uint8), base
+
+    def _read(self, file: FileIO, page: int, count: int) -> bytes:
+        file.seek((page - 1) * self._size)
+        return file.read(count * self._size)
+
+    def _cells(self, buffer: Bytes, base: Indices, kind: int) -> tuple[Indices, Indices]:
+        """Return the offsets of the cells, page after page, and the number of cells per page."""
+        head = _HEADS[kind]
+        count = _big(buffer, base + 3, '>u2')
+        # A tree has no empty pages; an empty table is one and has no rows.
+        _need(buffer[base] == kind, count > 0, head + 2 * count <= self._usable)
+        page = np.repeat(base, count)
+        pointer = head + 2 * (np.arange(len(page)) - np.repeat(np.cumsum(count) - count, count))
+        cell = _big(buffer, page + pointer, '>u2')
+        _need(cell > pointer, cell < self._usable)
+        return page + cell, count
+
+
+def _need(*conditions: NDArray[np.bool_]) -> None:
+    """Refuse pages where a condition is not true everywhere."""
+    if not all(bool(condition.all()) for condition in conditions):
+        raise OddPagesError
+
+
+def _big(buffer: Bytes, at: Indices, kind: str) -> Indices:
+    """Return big-endian numbers at any offsets of a buffer."""
+    last = len(buffer) - np.dtype(kind).itemsize + 1
+    anywhere: NDArray[np.generic] = np.ndarray((last,), kind, buffer, 0, (1,))
+    return anywhere[at].astype(np.int64)
+
+
+def _varints(buffer: Bytes, at: Indices) -> tuple[Indices, Indices]:
+    """Return numbers of variable length (section 1.6), and the offsets after them."""
+    byte = buffer[at]
+    value, after = (byte & 0x7F).astype(np.int64), at + 1
+    longer = np.flatnonzero(byte > 0x7F)
+    # The ninth byte, in the largest row ids alone, holds eight bits.
+    for _ in range(7):
+        if not len(longer):
+            return value, after
+        byte = buffer[after[longer]]
+        value[longer] = value[longer] << 7 | byte & 0x7F
+        after[longer] += 1
+        longer = longer[byte > 0x7F]
+    _need(np.zeros(len(longer), np.bool_))
+    return value, after
+
+
+def _integers(buffer: Bytes, kind: Indices, at: Indices) -> tuple[Indices, Indices]:
+    """Return integers of a record (section 2.1), and the offsets after them."""
+    _need(kind >= 1, kind <= 9, kind != 7)
+    width = _WIDTH[kind]
+    # The last of eight bytes are the integer; a page starts with eight header bytes.
+    shift = 64 - 8 * width
+    value = _big(buffer, at + width - 8, '>i8') << shift >> shift
+    # The types 8 and 9 are the constants 0 and 1.
+    return np.where(width > 0, value, kind - 8), at + width
+
 
 _MAGIC = b'SQLite format 3\x00'
 # All versions of the schema have these; later ones add columns and tables.

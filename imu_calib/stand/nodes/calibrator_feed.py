@@ -12,7 +12,7 @@ from ...calibration.hand import HandCalibrator
 from ...common.stream import Block
 from ...estimation.setup import Setup
 from ...model.parameters import skewed_parameters
-from ...recordings.kinds import Kind
+from ...recordings.rosbag2 import Kind
 from .intake import TopicIntake
 
 _SKEW_AWAITED = 10.0

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from ...common.stream import Setpoint
-from ...recordings.decode import decode_setpoints
-from ...recordings.messages import Malformed, Messages
+from ...recordings.cdr import Malformed, Messages
+from ...recordings.cdr_codec import decode_setpoints
 from ..middleware import drain_sources, messages, open_drain
 from ..source import OneSource
 from . import qos

@@ -11,9 +11,8 @@ from ...calibration.compensator import Compensator, Reading
 from ...common.errors import InputError
 from ...common.files import user_path
 from ...common.stream import ImuBlock
-from ...recordings.cdr_codec import rates_payloads
-from ...recordings.decode import ImuDecoder, decode_skew, decode_temperatures
-from ...recordings.messages import Messages
+from ...recordings.cdr import Messages
+from ...recordings.cdr_codec import ImuDecoder, decode_skew, decode_temperatures, rates_payloads
 from .. import middleware as ros
 from ..middleware import messages
 from . import qos

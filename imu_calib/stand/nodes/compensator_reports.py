@@ -13,7 +13,7 @@ from ...calibration.sample_clock import INTERVAL_KNOWN_AFTER
 from ...calibration.samples import Mark
 from ...calibration.thermal import ThermalCalibration, first_of
 from ...calibration.turns_seen import TurnsSeen
-from ...recordings.messages import Malformed
+from ...recordings.cdr import Malformed
 from .diagnostics import Diagnostics, Level
 
 _GRAVITY = 10

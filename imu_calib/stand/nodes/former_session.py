@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ...common.stream import Block, ImuBlock, JointBlock, at
-from ...recordings.kinds import Kind
+from ...recordings.rosbag2 import Kind
 from ...segmentation.interruptions import INTERRUPTION, interruption
 from .intake import TopicIntake
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...common.stream import Block, SetpointBlock
-from ...recordings.kinds import Kind
-from ...recordings.messages import Malformed
+from ...recordings.cdr import Malformed
+from ...recordings.rosbag2 import Kind
 
 
 @dataclass(eq=False)

@@ -19,8 +19,8 @@ from ...common.errors import ImuCalibError
 from ...common.stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
 from ...estimation.setup import Setup
 from ...model.parameters import Parameter
-from ...recordings.kinds import Kind
-from ...recordings.messages import Malformed, Messages
+from ...recordings.cdr import Malformed, Messages
+from ...recordings.rosbag2 import Kind
 from .calibrator_feed import CalibratorFeed
 from .former_session import FormerSession
 from .intake import TopicIntake

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from ...recordings.journal import Journal
-from ...recordings.kinds import Kind
+from ...recordings.rosbag2 import Kind
+from ...recordings.writer import Journal
 from ...session.metadata import mount_description, unit_description
 from .parameters import StatedUnit
 from .sessions import Sessions

@@ -11,7 +11,7 @@ from ...calibration.calibrator_results import Review
 from ...common.stream import NS
 from ...common.units import significant
 from ...model.parameters import Parameter
-from ...recordings.kinds import Kind
+from ...recordings.rosbag2 import Kind
 from ...reports.parameter_table import engineering
 from ..middleware import messages
 from .diagnostics import Diagnostics, Level, PartOfDiagnostics

@@ -10,8 +10,8 @@ import numpy as np
 from ...calibration.calibrator_results import Result, Review
 from ...calibration.shared_results import estimate_together
 from ...common.errors import ImuCalibError
-from ...recordings.journal import Journal
-from ...recordings.kinds import Kind
+from ...recordings.rosbag2 import Kind
+from ...recordings.writer import Journal
 from ...session.metadata import LEFT_OUT
 from ...session.units_file import namespace
 from .live import LiveSession, SessionPhase

@@ -13,8 +13,8 @@ from ...calibration.calibrator import Calibrator
 from ...calibration.calibrator_results import Review
 from ...calibration.hand import HandCalibrator
 from ...common.errors import ImuCalibError, InputError
-from ...recordings.journal import Journal
-from ...recordings.messages import Messages
+from ...recordings.cdr import Messages
+from ...recordings.writer import Journal
 from ..middleware import in_step
 
 AnyCalibrator = Calibrator | HandCalibrator

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ...estimation.setup import Setup
-from ...recordings.kinds import Kind
+from ...recordings.rosbag2 import Kind
 from .. import middleware as ros
 from ..middleware import messages
 from . import qos

@@ -9,9 +9,8 @@ from typing import Any
 
 from ...common.errors import InputError
 from ...common.stream import Mode, Setpoint, SetpointBlock
-from ...recordings.cdr_codec import encode_setpoints
-from ...recordings.decode import decode_joints, decode_setpoints
-from ...recordings.messages import Malformed, Messages
+from ...recordings.cdr import Malformed, Messages
+from ...recordings.cdr_codec import decode_joints, decode_setpoints, encode_setpoints
 from ...session.plan import load_plan
 from ...session.table import load_table
 from ..middleware import (
