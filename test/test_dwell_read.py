@@ -7,10 +7,9 @@ import pytest
 
 from imu_calib.common.stream import Floats, Units
 from imu_calib.common.units import DEG
-from imu_calib.segmentation.segmentation_dwells import read_dwell
+from imu_calib.segmentation.dwells import read_dwell
 from imu_calib.segmentation.segments import Segment
-from imu_calib.segmentation.sensor import Sensor
-from imu_calib.segmentation.statistics import Samples
+from imu_calib.segmentation.statistics import Samples, Sensor
 from imu_calib.segmentation.stream_facts import MountShift, Rejected
 from imu_calib.session.imu import ImuSpec, TriadSpec
 

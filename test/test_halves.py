@@ -18,7 +18,7 @@ from imu_calib.recordings.rosbag2 import open_recording
 from imu_calib.recordings.storage import Times
 from imu_calib.recordings.text import HELD, InOrder, places_by_stamp, read_sensors
 from imu_calib.recordings.writer import RecordingWriter
-from imu_calib.segmentation.halves import halves
+from imu_calib.segmentation.stream_facts import halves
 
 T0 = 1_700_000_000_000_000_000
 AT = np.arange(400)

@@ -31,7 +31,7 @@ from imu_calib.model.earth import Site, normal_gravity
 from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.recordings.writer import RecordingWriter
-from imu_calib.segmentation.sensor import Sensor
+from imu_calib.segmentation.statistics import Sensor
 from imu_calib.segmentation.table_motion import Motion
 from imu_calib.segmentation.turns import Around, read_free_motion
 from imu_calib.session.imu import ImuSpec, TriadSpec, load_imu

@@ -13,8 +13,7 @@ from imu_calib.common.stream import Floats, Units
 from imu_calib.common.units import DEG
 from imu_calib.segmentation.moves import STEP_ANGLE, STEP_SECONDS, MoveReader, joined
 from imu_calib.segmentation.segments import Segment
-from imu_calib.segmentation.sensor import Sensor
-from imu_calib.segmentation.statistics import Samples
+from imu_calib.segmentation.statistics import Samples, Sensor
 from imu_calib.segmentation.stream_facts import Rejected
 from imu_calib.session.imu import ImuSpec, TriadSpec
 

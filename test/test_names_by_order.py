@@ -11,14 +11,14 @@ from ideal import mean_of
 from imu_calib.common.rotations import rotation
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG
-from imu_calib.segmentation.segments import Segment
-from imu_calib.segmentation.stream_facts import FreeMotion
-from imu_calib.segmentation.without_joint_states import (
+from imu_calib.segmentation.labelling import (
     join_motions,
     label_by_order,
     turn_without_encoder,
     up_by_accelerometers,
 )
+from imu_calib.segmentation.segments import Segment
+from imu_calib.segmentation.stream_facts import FreeMotion
 from imu_calib.session.plan import Plan, Position, RateTest
 
 TURN = 2 * np.pi

@@ -36,8 +36,7 @@ from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
 from imu_calib.recordings.writer import RecordingWriter
 from imu_calib.segmentation.clock import fit_clock
-from imu_calib.segmentation.labelling import label
-from imu_calib.segmentation.naming import attitude_words, heading, unique, up_words
+from imu_calib.segmentation.labelling import attitude_words, heading, label, unique, up_words
 from imu_calib.segmentation.segments import Segment, Turn
 from imu_calib.segmentation.stream_facts import Segmented
 from imu_calib.session.plan import UNPLANNED, Plan, Position, RateTest, load_plan

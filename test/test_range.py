@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sessions import paper_imu
 
-from imu_calib.segmentation.sensor import Sensor
+from imu_calib.segmentation.statistics import Sensor
 
 FAST = 20_000.0
 """Hz: at the end of its range, 10 g, an accelerometer of 0.01 (m/s)/pulse passes half a pulse in

@@ -8,9 +8,12 @@ import pytest
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG, STANDARD_GRAVITY
 from imu_calib.model.earth import EARTH_RATE
-from imu_calib.segmentation.gyro_offset import ASSUMED_SPREAD, GyroOffset
-from imu_calib.segmentation.rest_tolerance import RestTolerance
-from imu_calib.segmentation.stillness import StillnessTracker
+from imu_calib.segmentation.stillness import (
+    ASSUMED_SPREAD,
+    GyroOffset,
+    RestTolerance,
+    StillnessTracker,
+)
 from imu_calib.segmentation.table_motion import Motion, Rest
 
 LEAN = DEG * STANDARD_GRAVITY

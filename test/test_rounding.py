@@ -9,7 +9,7 @@ import pytest
 from sessions import Named, calibrate, quick_plan, session
 
 from imu_calib.common.stream import Floats, ImuBlock
-from imu_calib.segmentation.rounding import Rounding
+from imu_calib.segmentation.statistics import Rounding
 from imu_calib.session.imu import TriadSpec, load_imu
 
 SI = load_imu('si')

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imu_calib.segmentation.rows import all_in_row, any_in_row
+from imu_calib.segmentation.counters import all_in_row, any_in_row
 
 
 @pytest.mark.parametrize('columns', [1, 3, 6])

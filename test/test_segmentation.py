@@ -18,14 +18,13 @@ from imu_calib.common.stream import Floats, ImuBlock, Stamps
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
 from imu_calib.segmentation.clock import ClockSample, fit_clock, measured_share
-from imu_calib.segmentation.dwells import find_step, sound_samples
-from imu_calib.segmentation.order import StampOrder
+from imu_calib.segmentation.dwells import find_step, read_dwell, sound_samples
+from imu_calib.segmentation.intake import StampOrder
 from imu_calib.segmentation.plateaus import find_turns
-from imu_calib.segmentation.segmentation_dwells import read_dwell
 from imu_calib.segmentation.segments import Statistics
-from imu_calib.segmentation.sensor import Sensor
 from imu_calib.segmentation.statistics import (
     Samples,
+    Sensor,
     gap_free,
     pooled_walk,
     sample_period,

@@ -38,7 +38,7 @@ from imu_calib.model.parameters import PARAMETER_NAMES, PARAMETERS
 from imu_calib.model.session_terms import Course, split_terms
 from imu_calib.model.terms import named_terms
 from imu_calib.recordings.rosbag2 import Kind, open_recording
-from imu_calib.segmentation.thermometer import Temperature
+from imu_calib.segmentation.stream_facts import Temperature
 from imu_calib.session.imu import load_imu
 from imu_calib.session.table import load_table, read_table
 from imu_calib.session.table_errors import ASSUMED

@@ -18,7 +18,7 @@ from imu_calib.common.stream import Block, Floats, ImuBlock, Stamps, Units
 from imu_calib.common.units import DEG
 from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site, normal_gravity
-from imu_calib.segmentation.shared_stamps import SharedStamps
+from imu_calib.segmentation.stamp_faults import SharedStamps
 from imu_calib.session.imu import ImuSpec, TriadSpec
 from imu_calib.session.plan import load_plan
 from imu_calib.simulation.hand import as_planned

@@ -14,12 +14,11 @@ from test_calibration_session import recut
 
 from imu_calib.common.stream import Floats, ImuBlock, JointBlock, Stamps
 from imu_calib.common.units import DEG
-from imu_calib.segmentation.apart import offset_by_pattern
-from imu_calib.segmentation.bunches import sampling_times
-from imu_calib.segmentation.interruptions import Interruptions
-from imu_calib.segmentation.lateness import Lateness
+from imu_calib.segmentation.false_samples import Interruptions
+from imu_calib.segmentation.plateaus import offset_by_pattern
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.segmentation.stamps import clock_steps
+from imu_calib.segmentation.stamp_faults import Lateness
+from imu_calib.segmentation.stamps import clock_steps, sampling_times
 from imu_calib.segmentation.table_motion import Motion
 from imu_calib.session.plan import Plan
 from imu_calib.session.table import Joint, Table, load_table

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imu_calib.common.stream import Floats, Units
-from imu_calib.segmentation.naming import attitude_words, heading, unique, up_words
+from imu_calib.segmentation.labelling import attitude_words, heading, unique, up_words
 from imu_calib.segmentation.segments import Turn
 from imu_calib.segmentation.statistics import (
     BLOCK_SECONDS,

@@ -11,22 +11,20 @@ import pytest
 
 from imu_calib.common.stream import Floats
 from imu_calib.common.units import DEG
-from imu_calib.segmentation.encoder_line import (
-    Line,
-    _step,
-    _variance,
-    encoder_step,
-    hidden_by_steps,
-)
 from imu_calib.segmentation.plateaus import (
+    Line,
     Plateau,
     _bends,
     _half_turns,
     _seeds,
+    _step,
     _trimmed,
+    _variance,
     _whole_turns,
+    encoder_step,
     find_plateaus,
     find_turns,
+    hidden_by_steps,
     no_turn_reason,
 )
 from imu_calib.segmentation.table_motion import Motion

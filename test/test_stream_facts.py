@@ -17,8 +17,7 @@ from imu_calib.estimation.setup import Setup
 from imu_calib.model.earth import Site
 from imu_calib.recordings.cdr_codec import RATES, encode_imu
 from imu_calib.recordings.writer import RecordingWriter
-from imu_calib.segmentation.gravity_removed import gravity_removed, quiet_means
-from imu_calib.segmentation.segmentation_stream_facts import StreamFacts
+from imu_calib.segmentation.stream_facts import StreamFacts, gravity_removed, quiet_means
 from imu_calib.session.imu import load_imu
 from imu_calib.session.plan import load_plan
 

@@ -22,7 +22,7 @@ from imu_calib.model.sensors import SensorModel
 from imu_calib.recordings.cdr_codec import encode_imu
 from imu_calib.recordings.rosbag2 import Kind, open_recording
 from imu_calib.recordings.writer import RecordingWriter
-from imu_calib.segmentation.bunches import sampling_times
+from imu_calib.segmentation.stamps import sampling_times
 from imu_calib.session.imu import ImuSpec, TriadSpec
 
 START = 1_700_000_000 * 10**9

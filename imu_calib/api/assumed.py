@@ -51,8 +51,7 @@ def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
         InputError: Gravity was removed from them, or rates and accelerations come apart.
     """
     # Loaded here, as the rest of segmentation is: most commands do not need it.
-    from ..segmentation.gravity_removed import gravity_removed, quiet_means
-    from ..segmentation.halves import halves, messages_apart
+    from ..segmentation.stream_facts import gravity_removed, halves, messages_apart, quiet_means
 
     blocks = [b for _, b in islice(recording.read({topic: Kind.IMU}), _BLOCKS)]
     samples = [b for b in blocks if isinstance(b, ImuBlock)]

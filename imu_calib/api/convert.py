@@ -12,8 +12,7 @@ from ..common.stream import Floats, ImuBlock, Stamps, Units
 from ..recordings.remote import AnyPath
 from ..recordings.rosbag2 import Recording, open_recording
 from ..recordings.writer import RecordingWriter
-from ..segmentation.gravity_removed import gravity_removed, quiet_means
-from ..segmentation.halves import ROWS_APART, halves
+from ..segmentation.stream_facts import ROWS_APART, gravity_removed, halves, quiet_means
 from ..session.metadata import interpolation_description
 from .columns import columns_of
 from .converted import RAW, SI, Converted, described, write_imu

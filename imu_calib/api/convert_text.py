@@ -24,8 +24,7 @@ from ..recordings.cdr_codec import encode_joints, encode_temperatures
 from ..recordings.rosbag2 import Kind
 from ..recordings.text import Text, places_by_stamp
 from ..recordings.writer import RecordingWriter
-from ..segmentation.gravity_removed import gravity_removed, quiet_means
-from ..segmentation.halves import ROWS_APART, halves
+from ..segmentation.stream_facts import ROWS_APART, gravity_removed, halves, quiet_means
 from ..session.imu import COLDEST, HOTTEST
 from ..session.metadata import interpolation_description
 from .assumed import against_si

@@ -15,11 +15,9 @@ from ..common.units import DEG, DEG_H, counted
 from ..estimation.measured_earth_rate import contradicts, measured_latitude, vertical_earth_rate
 from ..estimation.setup import Setup
 from ..recordings.rosbag2 import Recording
-from ..segmentation.labelling import Labelled, label
-from ..segmentation.naming import heading, up_words
+from ..segmentation.labelling import Labelled, heading, label, up_by_accelerometers, up_words
 from ..segmentation.segments import Segment
 from ..segmentation.stream_facts import Segmented
-from ..segmentation.without_joint_states import up_by_accelerometers
 from ..session.plan import Plan
 from ..session.table import TURN
 from .opening import Opened

@@ -18,7 +18,7 @@ from ..estimation.observed import observe
 from ..recordings.rosbag2 import Recording, open_recording
 from ..recordings.text import InOrder
 from ..segmentation.segmenter import Segmenter
-from ..segmentation.thermometer import Temperature
+from ..segmentation.stream_facts import Temperature
 from ..session.imu import ImuSpec
 from ..session.metadata import compensated_already
 from ..session.plan import UNPLANNED

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
-from ..segmentation.shared_stamps import SharedStamps
+from ..segmentation.stamp_faults import SharedStamps
 from .calibration import Calibration
 from .compensate import Compensation
 from .gravity_seen import GravitySeen

@@ -16,10 +16,8 @@ import numpy as np
 
 from ..common.errors import Contradiction, InputError, NotObservable
 from ..common.stream import Floats
-from ..segmentation.gravity_removed import gravity_removed
-from ..segmentation.halves import messages_apart
 from ..segmentation.segments import Segment
-from ..segmentation.stream_facts import Move, Segmented
+from ..segmentation.stream_facts import Move, Segmented, gravity_removed, messages_apart
 from .calibrator_results import Review
 
 _FEWEST_MEANS = 2

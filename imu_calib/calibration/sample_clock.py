@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.stream import Floats, Stamps
-from ..segmentation.bunches import MANY, SHORT, Pattern, pattern, sampling_times, usual_interval
-from ..segmentation.lateness import JITTER
+from ..segmentation.stamp_faults import JITTER
+from ..segmentation.stamps import MANY, SHORT, Pattern, pattern, sampling_times, usual_interval
 
 _LEARNT = 32
 """Intervals that determine the usual one: their median holds with ten of them late."""

@@ -11,10 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..common.stream import ImuBlock, Stamps
-from ..segmentation.bunches import SHORT, sampling_times
-from ..segmentation.lateness import late_samples
-from ..segmentation.shared_stamps import SharedStamps
-from ..segmentation.stamps import read_grid
+from ..segmentation.stamp_faults import SharedStamps, late_samples
+from ..segmentation.stamps import SHORT, read_grid, sampling_times
 from .sample_clock import LONGEST
 
 _LONG = 1.5

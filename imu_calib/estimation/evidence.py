@@ -16,8 +16,7 @@ from ..model.earth import Site
 from ..segmentation.clock import ClockFit
 from ..segmentation.labelling import Labelled
 from ..segmentation.segments import Segment, Turn
-from ..segmentation.stream_facts import Move, Segmented
-from ..segmentation.thermometer import Temperature
+from ..segmentation.stream_facts import Move, Segmented, Temperature
 from ..session.imu import ImuSpec
 from ..session.plan import Plan
 from ..session.table import Table

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..common.rotations import rotation
 from ..common.stream import Floats
 from ..model.parameters import PARAMETERS
-from ..segmentation.naming import attitude_words, up_words
+from ..segmentation.labelling import attitude_words, up_words
 from ..segmentation.segments import Segment, Turn
 from ..session.table import TURN
 from .equations import Equations

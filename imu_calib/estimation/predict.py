@@ -20,8 +20,7 @@ from ..model.sensors import SensorModel, Skewed, has_motion_terms
 from ..segmentation.clock import ClockFit
 from ..segmentation.moves import COARSEST
 from ..segmentation.segments import Segment, Statistics, Turn
-from ..segmentation.stream_facts import Move
-from ..segmentation.thermometer import Temperature
+from ..segmentation.stream_facts import Move, Temperature
 from ..session.imu import NEARLY, ImuSpec, TriadSpec
 from ..session.table import TURN, Course
 from .estimation_bias_drift import STATED_TIME, BiasDrift

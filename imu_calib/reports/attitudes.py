@@ -12,7 +12,7 @@ from ..calibration.calibrator_results import Result
 from ..common.rotations import across
 from ..common.stream import Floats, utc
 from ..common.units import DEG
-from ..segmentation.naming import attitude_words, up_words
+from ..segmentation.labelling import attitude_words, up_words
 from ..segmentation.segments import Segment
 from .charts import drawing, joined, label, tag
 from .reports_html import paragraph

@@ -21,8 +21,7 @@ from ..common.rotations import cross
 from ..common.stream import Floats
 from ..common.units import DEG
 from .segments import Segment
-from .sensor import Sensor
-from .statistics import Samples, gap_free
+from .statistics import Samples, Sensor, gap_free
 from .stream_facts import MountShift, Move, Rejected, VelocitySteps
 
 STEP_ANGLE = 1 * DEG

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..common.stream import Floats
 from ..session.imu import ChannelNoise, Coefficient
-from .allan import (
+from .counters import (
     AllanSums,
     Term,
     cluster_sizes,

@@ -12,21 +12,15 @@ import numpy as np
 from ..common.stream import Floats, Stamps
 from ..common.units import DEG
 from ..session.table import TURN, Table
-from .buffer import RowBuffer
-from .bunches import sampling_times
 from .clock import ClockSample, MeasuredShare, cells, clock_sample, measured_share
-from .gaps import LONGEST, Bridged, bridged
+from .dwells import read_dwell
+from .gaps import LONGEST, Bridged, Repetition, bridged
 from .intake import StreamBuffer
-from .lateness import Lateness
 from .moves import MoveReader
-from .pace import Pace
-from .repeated_samples import Repetition
-from .rounding import Rounding
-from .segmentation_dwells import read_dwell
 from .segments import Segment, Turn
-from .sensor import Sensor
-from .stamps import clock_steps
-from .statistics import Samples
+from .stamp_faults import Lateness, Pace
+from .stamps import RowBuffer, clock_steps, sampling_times
+from .statistics import Rounding, Samples, Sensor
 from .stream_facts import FreeMotion, MountShift, Rejected
 from .table_motion import Motion, Rest
 from .turns import MARGIN_NS, Around, read_free_motion, read_turns

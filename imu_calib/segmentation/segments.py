@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..common.stream import Floats
-from .allan import AllanSums
-from .pace import Pace, Timing
+from .counters import AllanSums
+from .stamp_faults import Pace, Timing
 
 CHANNELS = ('gx', 'gy', 'gz', 'ax', 'ay', 'az')
 """Order of every array over channels: three gyros, then three accelerometers."""

@@ -1,18 +1,165 @@
-"""Stamps of a clock that was set back within a session: moved on, so that they increase again."""
+"""Samples that share a stamp: those of one transfer, and repeated ones."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.rotations import MAD_TO_STD
 from ..common.stream import NS, Floats, Stamps, at
 from ..common.units import counted
-from .apart import FARTHEST
-from .bunches import SHORT
-from .interruptions import sample_interval, steps_since
+from .false_samples import INTERRUPTION, sample_interval, steps_since
+from .plateaus import FARTHEST
+from .stamps import SHORT, SampleGrid, read_grid
+
+_STAMPS = 3
+"""Last stamps whose samples are counted: an early transfer follows a late one."""
+
+_MORE = 1.25
+"""Times as many samples as the time since those stamps has intervals are too many. A judgement,
+between one and the four thirds of a single sample too many among three."""
+
+
+class SharedStamps:
+    """Sets samples that share a stamp a nanosecond apart, a bunch (`bunches`); drops repeats.
+
+    A driver that stamps a transfer gives all its samples one stamp. They are samples if no more
+    have come than the time since the last stamps has intervals: two devices on one topic bring
+    twice as many, and the order of the stamps passes only one of these (`order`). A sample with the
+    values of the one before is a repeat, unless values are so coarse that neighbours with separate
+    stamps are as often equal. The result does not depend on how the stream was cut.
+
+    Args:
+        rate: Samples per second as stated; None to take it from the stream.
+
+    Attributes:
+        count: Number of samples set apart.
+    """
+
+    def __init__(self, rate: float | None) -> None:
+        self.count = 0
+        self._interval = 1e9 / rate if rate else 0.0
+        self._most = 0
+        self._first: int | None = None
+        self._last: tuple[Stamps, Floats] | None = None
+        self._within = False
+        self._place = 0
+        self._stamps: list[tuple[int, int]] = []
+        """The last ones, ns, and the number of samples with each."""
+        self._elapsed = self._passed = 0
+        self._same = self._same_alike = 0
+        self._next = self._next_alike = 0
+
+    def take(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats, Stamps]:
+        """Take (n,) stamps, ns, and (n, columns) values; return those kept, and repeats' stamps."""
+        apart, kept = self.separate_stamps(stamp, values)
+        if kept is None:
+            return apart, values, stamp[:0]
+        return apart[kept], values[kept], stamp[~kept]
+
+    def separate_stamps(
+        self, stamp: Stamps, values: Floats
+    ) -> tuple[Stamps, NDArray[np.bool_] | None]:
+        """Process (n,) stamps, ns, and (n, columns) values.
+
+        Returns:
+            Stamps (n,), ns, set apart; and which samples are not repeats, (n,), None if all.
+        """
+        if not len(stamp):
+            return stamp, None
+        last = (stamp[:1] - 1, values[:1]) if self._last is None else self._last
+        if len(stamp) == 1 and self._stamps and not self._within and stamp[0] != last[0][0]:
+            # Faster for a live stream, with the same result.
+            self._last = stamp.copy(), values.copy()
+            self._next_alone(int(stamp[0]))
+            return stamp, None
+        self._last = stamp[-1:].copy(), values[-1:].copy()
+        same = steps_since(last[0][0], stamp) == 0
+        if not self._within and not same.any():
+            self._alone(stamp)
+            return stamp, None
+        within = np.append(self._within, same[:-1])
+        self._within = bool(same[-1])
+        rows = np.flatnonzero(same | within)
+        before = np.concatenate([last[1], values[:-1]])[rows]
+        alike = (values[rows] == before).all(axis=1)
+        apart, kept, done = stamp.copy(), np.ones(len(stamp), dtype=bool), 0
+        for k, again in zip(rows.tolist(), alike.tolist(), strict=True):
+            self._alone(stamp[done:k])
+            done = k + 1
+            if not same[k]:
+                self._next, self._next_alike = self._next + 1, self._next_alike + again
+                self._alone(stamp[k:done])
+                continue
+            self._same, self._same_alike = self._same + 1, self._same_alike + again
+            if again and self._repeats:
+                kept[k] = False
+                continue
+            self._add(int(stamp[k]))
+            apart[k] += self._place
+        self._alone(stamp[done:])
+        return apart, kept
+
+    def words(self, of: str = '') -> list[str]:
+        """Return a sentence on how many samples were set apart."""
+        if self._first is None:
+            return []
+        return [
+            f'{counted(self.count, "sample")}{of} came with the stamp of the one before, up to '
+            f'{self._most} with one stamp, the first at {at(self._first)}: they are spread over '
+            'the time since the stamp before'
+        ]
+
+    @property
+    def _repeats(self) -> bool:
+        """Whether equal samples with shared stamps are closer to certain than to chance.
+
+        Laplace's estimate of that chance: a half without data.
+        """
+        chance = (self._next_alike + 1) / (self._next + 2)
+        return 2 * self._same_alike >= (1 + chance) * self._same
+
+    def _alone(self, stamp: Stamps) -> None:
+        """Add samples with separate stamps."""
+        if not len(stamp):
+            return
+        before = self._stamps[-1][0] if self._stamps else stamp[0]
+        steps = steps_since(before, stamp)
+        self._elapsed += int(np.minimum(np.maximum(steps, 0), INTERRUPTION).sum())
+        self._passed += len(stamp) - (not self._stamps)
+        recent = [(one, 1) for one in stamp[-_STAMPS - 1 :].tolist()]
+        self._stamps = (self._stamps + recent)[-_STAMPS - 1 :]
+        self._place = 0
+
+    def _next_alone(self, stamp: int) -> None:
+        """Add a sample with a separate stamp, ns, that is not the first."""
+        self._elapsed += min(max(stamp - self._stamps[-1][0], 0), INTERRUPTION)
+        self._passed += 1
+        self._stamps = [*self._stamps, (stamp, 1)][-_STAMPS - 1 :]
+        self._place = 0
+
+    def _add(self, stamp: int) -> None:
+        """Add a sample with the stamp of the one before, ns: set apart if it is one."""
+        begin, _ = self._stamps[0]
+        if len(self._stamps) > 1:
+            interval = self._interval or self._elapsed / (self._passed + 1)
+            count = 1 + sum(many for _, many in self._stamps[1:])
+            if count * interval > _MORE * (stamp - begin):
+                return
+            self._passed += 1
+        self._stamps[-1] = stamp, self._stamps[-1][1] + 1
+        self._place += 1
+        self.count += 1
+        self._most = max(self._most, self._place + 1)
+        if self._first is None:
+            self._first = stamp
+
+
+# Stamps of a clock that was set back within a session: moved on, so that they increase again.
+
 
 _SURE = 32
 """Samples in a row, all stamped before the last one, that show a clock that was set back. A
@@ -239,3 +386,212 @@ def set_back_sentences(found: Sequence[SetBack], whose: str, then: str) -> list[
         f'The stamps of {whose} go back {times}: the clock was set back. Later ones are moved on, '
         f'so that they go on an interval after the one before; {then}'
     ]
+
+
+# Count samples that are stamped late by chance, and by how much: a sign of a busy line.
+
+
+JITTER = 6 * MAD_TO_STD
+"""Times the median absolute deviation: six standard deviations of Gaussian jitter."""
+
+_FEW = 1e-3
+"""Share of late samples up to which none is reported: a judgement. A host that was busy for a
+moment has no effect, as the times are known from other samples."""
+
+_LONG = 1.0
+"""s: a single sample that is so late is reported. It looks like an interruption
+(`interruptions`)."""
+
+
+def late_samples(late: Stamps, period: float) -> NDArray[np.bool_]:
+    """Return which samples are stamped after the next one was made, and beyond jitter, (n,).
+
+    Args:
+        late: (n,) delay of their stamps, ns.
+        period: Sample interval, s.
+    """
+    after_next = late > period * 1e9
+    if not after_next.any():
+        return after_next
+    scatter = float(np.median(np.abs(late - np.median(late))))
+    return np.asarray(after_next & (late > JITTER * scatter))
+
+
+class Lateness:
+    """Counts samples that are stamped after the next one was made."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.longest = 0.0
+        self.first: int | None = None
+
+    def note(self, stamp: Stamps, late: Stamps, period: float) -> None:
+        """Add samples.
+
+        Args:
+            stamp: (n,) when they were made, ns.
+            late: (n,) delay of their stamps, ns.
+            period: Sample interval, s.
+        """
+        beyond = late_samples(late, period)
+        if not beyond.any():
+            return
+        self.count += int(np.count_nonzero(beyond))
+        self.longest = max(self.longest, float(late[beyond].max()) * 1e-9)
+        if self.first is None:
+            self.first = int(stamp[beyond][0])
+
+    def words(self, samples: int) -> list[str]:
+        """Return a sentence on how many of so many samples are late, if more than a few."""
+        share = self.count / max(samples, 1)
+        if self.first is None or (share < _FEW and self.longest < _LONG):
+            return []
+        longest = f'{self.longest:.1f} s' if self.longest >= 1 else f'{self.longest * 1e3:.0f} ms'
+        return [
+            f'{self.count} IMU samples ({100 * share:.2g} %) are stamped late, by up to {longest}, '
+            f'the first at {at(self.first)}: they were held up, and when they were sampled is '
+            'taken from those that came in time'
+        ]
+
+
+# Estimate the sample interval from the stamps of a whole session rather than of one segment.
+#
+# The device has one clock. Where stamps jitter, segments a minute apart determine its interval a
+# hundred times better than one of them. Where the stamping clock drifts, the segments do not lie on a
+# line, and each is timed by its own stamps. The two estimates are averaged by their variances
+# (docs/mathematics.md, 'Stamps and lost samples').
+
+
+_NEAR_WHOLE = 0.25
+"""Of an interval: tolerance of the distance of segments about a whole number of intervals; beyond
+it they lie on two lines."""
+
+_SURE_PACE = 0.1
+"""Of an interval: largest standard deviation for which the number between is certain."""
+
+_FEWEST_FREE = 2
+"""Degrees of freedom from which on the scatter of segments about their line is used."""
+
+_LEAST_STD = 1e-10
+"""Of the level of a segment, s: stamps in ns, averaged."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How a segment was timed.
+
+    Attributes:
+        used: Sample interval used for reading it, s.
+        own: That by its own stamps, s.
+        own_std: Its standard deviation, s.
+    """
+
+    used: float
+    own: float
+    own_std: float
+
+
+@dataclass(frozen=True)
+class _Knot:
+    """The middle of a segment: which sample since the first segment, when, s, and its std, s."""
+
+    number: float
+    time: float
+    std: float
+
+
+class Pace:
+    """Times segments of samples in order; the outcome depends on them alone."""
+
+    def __init__(self) -> None:
+        self._start = 0
+        self._reference = 0.0
+        """First interval found, s: lines are relative to it, against rounding."""
+        self._pieces = np.zeros(4)
+        """Sums of a line (`_line`) through the pieces between jumps, each with its own level."""
+        self._knots: list[_Knot] = []
+        self._known: tuple[float, float] | None = None
+        """Result of `_long` since the last segment."""
+
+    def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
+        """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
+        grid = read_grid(stamp, self._long()[0] or None)
+        if not self._reference:
+            self._start, self._reference = int(stamp[0]), grid.period
+        if np.isfinite(grid.period_std):
+            self._note(float(stamp[0] - self._start) * 1e-9, grid)
+        timing = Timing(grid.period, grid.period, grid.period_std)
+        return grid, replace(timing, used=self.combined(timing)[0])
+
+    def begin_line(self) -> None:
+        """Part what follows from the line so far: the clock was set."""
+        self._pieces += _line(self._knots, self._reference)
+        self._knots, self._known = [], None
+
+    @property
+    def interval(self) -> float:
+        """Interval by all segments so far, s; by the first one where no line fits them."""
+        return self._long()[0] or self._reference
+
+    def combined(self, timing: Timing) -> tuple[float, float]:
+        """Return the interval of a segment by its own stamps and all others, and its std, s."""
+        long, long_std = self._long()
+        if not long:
+            return timing.own, timing.own_std
+        weights = np.array([long_std, timing.own_std]) ** -2.0
+        return float(weights @ [long, timing.own] / weights.sum()), float(weights.sum() ** -0.5)
+
+    def _long(self) -> tuple[float, float]:
+        """Return the interval by the line through all segments, and its std, s; 0 without one."""
+        if self._known is None:
+            self._known = self._through_all()
+        return self._known
+
+    def _through_all(self) -> tuple[float, float]:
+        points, xx, xy, yy = (self._pieces + _line(self._knots, self._reference)).tolist()
+        freedom = points - 1
+        if freedom < _FEWEST_FREE or not xx > 0:
+            return 0.0, float('inf')
+        change = xy / xx
+        squares = max(0.0, yy - change * xy) / freedom
+        return self._reference + change, float(np.sqrt(max(1.0, squares) / xx))
+
+    def _note(self, start: float, grid: SampleGrid) -> None:
+        """Add a segment to the line, or begin another if it does not lie on it."""
+        middle = float(grid.index[grid.kept].mean())
+        # The level of a line has the uncertainty of its slope times the spread of its samples.
+        std = grid.period_std * float(np.std(grid.index[grid.kept]))
+        time = start + grid.origin + middle * grid.period
+        first = self._number_of_first(time, middle, grid)
+        if first is None:
+            self.begin_line()
+            first = 0
+        self._knots.append(_Knot(first + middle, time, max(std, _LEAST_STD)))
+        self._known = None
+
+    def _number_of_first(self, time: float, middle: float, grid: SampleGrid) -> int | None:
+        """Return the index of this segment's first sample in the session; None if uncertain."""
+        if not self._knots:
+            return None
+        last = self._knots[-1]
+        period, error = self.combined(Timing(grid.period, grid.period, grid.period_std))
+        passed = (time - last.time) / period
+        first = last.number + passed - middle
+        if abs(passed) * error / period > _SURE_PACE or abs(first - round(first)) > _NEAR_WHOLE:
+            return None
+        return round(first)
+
+
+def _line(knots: list[_Knot], period: float) -> Floats:
+    """Return sums of the residuals of knots from a line of a given interval.
+
+    (4,): the number of knots less one, and the weighted sums of x^2, x y and y^2 about the mean.
+    """
+    if len(knots) < 2:
+        return np.zeros(4)
+    number, time, std = np.array([(k.number, k.time, k.std) for k in knots]).T
+    weight = std**-2
+    residuals = time - number * period
+    x = number - weight @ number / weight.sum()
+    y = residuals - weight @ residuals / weight.sum()
+    return np.array([len(knots) - 1, weight @ x**2, weight @ (x * y), weight @ y**2])

@@ -12,18 +12,19 @@ from numpy.typing import NDArray
 
 from ..common.rotations import MAD_TO_STD
 from ..common.stream import Floats, Stamps, Units
-from ..session.imu import ImuSpec
-from .allan import allan_sums
+from ..common.units import DEG, STANDARD_GRAVITY
+from ..session.imu import FULL_SCALES, NEARLY, ImuSpec, TriadSpec
 from .counters import (
     END_POINT_VARIANCE,
     MeanRate,
+    allan_sums,
     block_edges,
     mean_and_blocks,
     mean_rate,
     rate_between,
 )
-from .pace import Timing
 from .segments import Statistics
+from .stamp_faults import Pace, Timing
 from .stamps import read_grid
 
 BLOCK_SECONDS = 10.0
@@ -414,3 +415,209 @@ def _channel_walk(segments: list[Floats]) -> tuple[float, float]:
         if square == before:
             break
     return square, float(np.sqrt(2 / information))
+
+
+# Properties of samples from an IMU's description: noise, and the ends of the range.
+
+
+_WALK_GUESS = 0.05
+"""Pulses per root of a sample: first weights; the walk is then estimated from the session."""
+_FEW_PULSES = 10.0
+"""Pulses at the end of a range: with fewer one reading does not resolve it to a tenth."""
+_ENOUGH_PULSES = 100.0
+"""Pulses by which it is resolved to a hundredth. A judgement."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """An IMU whose samples are read.
+
+    Attributes:
+        spec: Meaning of their numbers.
+        walk: (6,) random walk to choose weights by, rad/sqrt(s) and (m/s)/sqrt(s).
+    """
+
+    spec: ImuSpec
+    walk: Floats
+
+    @classmethod
+    def of(cls, spec: ImuSpec) -> Sensor:
+        """Take the data sheet's random walk, or a fraction of a pulse.
+
+        Values that are not pulses need no weights, and outliers are found by their own scatter.
+        """
+        guess = _WALK_GUESS if spec.units is Units.PULSES else 0.0
+        walks = [
+            t.random_walk if t.random_walk > 0 else guess * t.scale_factor
+            for t in (spec.gyro, spec.accel)
+        ]
+        return cls(spec, np.repeat(walks, 3))
+
+    @property
+    def counted(self) -> bool:
+        """Whether values are increments over the sample interval."""
+        return self.spec.units.per_interval
+
+    def step(self, seconds: float, values: Floats) -> Floats:
+        """Return the resolution of means over so many seconds by one count or pulse, (2,).
+
+        Of gyros and of accelerometers, rad/s and m/s^2; zeros for values that are no whole numbers.
+
+        Args:
+            seconds: Duration of the mean.
+            values: (n, 6) first samples as delivered.
+        """
+        triads = (self.spec.gyro, self.spec.accel)
+        if not (self.spec.units.whole and whole_channels(values).all()):
+            return np.array([t.pulse / seconds for t in triads])
+        return np.array([t.scale_factor / (seconds if self.counted else 1.0) for t in triads])
+
+    @property
+    def skewed(self) -> Sensor | None:
+        """The skewed gyro as an IMU whose first channel it is; None without one."""
+        if self.spec.skewed is None:
+            return None
+        return Sensor.of(replace(self.spec, gyro=self.spec.skewed, accel=TriadSpec()))
+
+    def samples(self, stamp: Stamps, values: Floats, pace: Pace | None = None) -> Samples:
+        """Return values as increments in SI units, at the instants of a line through their stamps.
+
+        Args:
+            stamp: (n,) ns, at least 2.
+            values: (n, 6) as delivered.
+            pace: Sample interval of the session so far; by the stamps alone if not given.
+        """
+        grid, timing = (pace or Pace()).read(stamp)
+        samples = to_samples(grid.stamps(stamp), values, self.spec, timing.used)
+        # Values delivered as rates need no interval to become rates.
+        return replace(samples, timing=timing) if self.counted else samples
+
+    def saturated(self, values: Floats, samples: Samples) -> NDArray[np.bool_]:
+        """Return for every sample, (n,), whether a channel is at the end of its range.
+
+        Args:
+            values: (n, 6) as the sensor gives them.
+            samples: The same in SI units.
+        """
+        limits = np.repeat([self.spec.gyro.range, self.spec.accel.range], 3) * samples.period
+        ends = np.repeat(self.spec.least_ends, 3) * samples.period
+        clipped = np.zeros(len(values), dtype=bool)
+        # Channel by channel: the absolute values of a million samples of all six are 48 MB.
+        for c, limit in enumerate((NEARLY * limits).tolist()):
+            clipped |= _at_its_end(samples.increments[:, c], limit, float(samples.pulse[c]))
+            if self.spec.units.whole:
+                sizes = np.abs(values[:, c])
+                # NaN, of lost samples, compares false.
+                if not sizes.max(initial=0.0) < FULL_SCALES[0]:
+                    full = np.isin(sizes, FULL_SCALES)
+                    clipped |= full & (np.abs(samples.increments[:, c]) >= ends[c])
+        return clipped
+
+
+def _at_its_end(increments: Floats, limit: float, pulse: float) -> NDArray[np.bool_]:
+    """Return for every increment, (n,), whether its channel is at the end of its range.
+
+    There the increment is the limit, infinite if not stated. If that is a few pulses, one reading
+    does not resolve it: it is a whole number, up to a pulse more than the true increment. Then as
+    many are added as make a hundred pulses.
+    """
+    if not limit < _FEW_PULSES * pulse:
+        return np.asarray(np.abs(increments) >= limit)
+    found = np.zeros(len(increments), dtype=bool)
+    many = math.ceil(_ENOUGH_PULSES * pulse / limit)
+    if len(increments) < many:
+        return found
+    total = np.concatenate([[0.0], np.cumsum(increments)])
+    # The counter's remainder: so many intervals show up to a pulse less than their true sum.
+    for first in np.flatnonzero(np.abs(total[many:] - total[:-many]) >= many * limit - pulse):
+        found[first : first + many] = True
+    return found
+
+
+# Samples that are rounded more coarsely than their noise: their means stay off.
+#
+# The error of rounding is a sawtooth of the value; averaged over Gaussian noise the first term of its
+# Fourier series is left, step / pi * exp(-2 pi^2 (std / step)^2), however long the mean is taken (the
+# theory: Widrow and Kollar, Quantization Noise, 2008).
+
+
+_SAMPLES = 1000
+"""Of a static dwell that are looked at."""
+_FEWEST = 100
+"""Samples that show the noise."""
+_VALUES = 2
+"""Values of which a channel takes no more at rest if its noise is below some 0.15 to 0.3 steps,
+since 1000 samples lie within 3.3 deviations of their mean. With 0.2 steps the mean is off by up to
+14 % of a step, without noise by up to a half."""
+_SMALLEST = np.repeat([1e-3 * DEG / 3600, 1e-6 * STANDARD_GRAVITY], 3)
+"""Steps, rad/s and m/s^2, that matter: biases of navigation grade repeat to more, and samples
+without noise, of a simulation, differ by the rounding of double precision."""
+
+
+class Rounding:
+    """Finds channels of rates that take few values in static dwells.
+
+    The resolution of pulses and counts is part of their noise: those are only tested for values
+    that are no whole numbers.
+
+    Args:
+        spec: The IMU.
+    """
+
+    def __init__(self, spec: ImuSpec) -> None:
+        triads = (spec.gyro, spec.accel)
+        are_rates = spec.units in (Units.SI, Units.RATES)
+        self._channels = [k for k in range(6) if are_rates and triads[k // 3].pulse == 0]
+        self._scale = [triads[k // 3].scale_factor for k in range(6)]
+        self._steps = [math.inf] * 6
+        self._units = spec.units
+        self._has_fractions = False
+
+    def take(self, values: Floats) -> None:
+        """Add the samples of a static dwell.
+
+        Args:
+            values: (n, 6) as delivered; NaN where samples were lost.
+        """
+        looked_at = values[:_SAMPLES]
+        looked_at = looked_at[~np.isnan(looked_at).any(axis=1)]
+        if self._units.whole:
+            self._has_fractions |= not whole_channels(looked_at).all()
+        if len(looked_at) < _FEWEST:
+            return
+        for channel in self._channels:
+            column = looked_at[:, channel]
+            # Most channels show more values at once.
+            if len(np.unique(column[:_FEWEST])) > _VALUES:
+                continue
+            distinct = np.unique(column)
+            if len(distinct) != _VALUES:
+                continue
+            step = float(distinct[1] - distinct[0]) * self._scale[channel]
+            if step > _SMALLEST[channel]:
+                self._steps[channel] = min(self._steps[channel], step)
+
+    @property
+    def sentences(self) -> list[str]:
+        """What was seen, without a full stop: of one value alone the step is not known."""
+        found = []
+        if self._has_fractions:
+            kind = Units.INCREMENTS if self._units.per_interval else Units.RATES
+            found.append(
+                "The values are no whole numbers, but the IMU's file states "
+                f'{self._units.value}: state `units: {kind.value}`, or compensated samples have '
+                'the covariance of values rounded to whole numbers'
+            )
+        for first, triad, unit in ((0, 'gyro', 'rad/s'), (3, 'accelerometer', 'm/s^2')):
+            coarse = [k for k in range(first, first + 3) if math.isfinite(self._steps[k])]
+            if not coarse:
+                continue
+            step = min(self._steps[k] for k in coarse)
+            axes = ', '.join('xyz'[k - first] for k in coarse)
+            channels = f'{triad}s {axes} read' if len(coarse) > 1 else f'{triad} {axes} reads'
+            found.append(
+                f'The {channels} two values in a static dwell, {step:.2g} {unit} apart: they are '
+                'rounded more coarsely than their noise, and their means may be off by up to half '
+                'a step, which the standard deviations do not contain. Record more digits'
+            )
+        return found

@@ -5,17 +5,268 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from ..common.rotations import MAD_TO_STD
 from ..common.stream import Floats, Stamps
-from .buffer import RowBuffer
-from .gyro_offset import GyroOffset
-from .rest_tolerance import RestTolerance
+from ..common.units import DEG, STANDARD_GRAVITY
+from ..model.earth import EARTH_RATE
+from .stamps import RowBuffer
 from .table_motion import Motion, Rest
+
+# The output of the gyros at rest, estimated from the session.
+
+
+_CHUNK_WINDOWS = 5
+"""Windows of a tenth of a second that are averaged: a hand trembles at 8 to 12 Hz (Stiles 1976, J.
+Appl. Physiol. 40), which half a second averages out."""
+
+_STEADY_RATE = 1.0 * DEG
+"""rad/s, with `_STEADY_FORCE`."""
+_STEADY_FORCE = 0.05 * STANDARD_GRAVITY
+"""Agreement of the means of two half seconds in a hand that holds still: 0.6 deg/s and 0.02 g in
+published sessions of five MPU-9150 (mikoff/imu-calib), with a margin for shakier hands."""
+
+_OTHER_WAY_UP = np.cos(np.radians(20))
+"""Attitudes count as different where up differs by more. A judgement: a hand that holds still leans
+by some degrees, and turns are tens of degrees."""
+
+_MOST_LEVELS = 32
+"""Steady rates that are stored, to bound memory; the least supported is dropped. A judgement: a
+turn by hand is steady for less than a second, so that few are ever found."""
+
+_MEMORY = 20
+"""Additions over which a rate is averaged, half a second each: a bias that warms up is followed
+within ten seconds at rest."""
+
+ASSUMED_SPREAD = 0.3 * DEG
+"""Largest change of a gyro's output at rest when it is turned over, where the session does not show
+it yet, rad/s: MEMS gyros read 0.1 deg/s per g (published sessions: up to 0.16)."""
+
+_ATTITUDES = 5
+"""Attitudes from which on the median of the output's change with attitude is used. A judgement: two
+slow turns about the vertical among them do not move it."""
+
+_USUAL_TO_MOST = 3 * MAD_TO_STD
+"""Ratio of three standard deviations of normal scatter to the median of its absolute value."""
+
+
+@dataclass(eq=False)
+class _Attitude:
+    """An attitude in which a steady rate was read: the mean of the rates."""
+
+    up: Floats
+    rate: Floats
+    count: int = 1
+
+
+@dataclass(eq=False)
+class _Level:
+    """A steady rate: its value in each attitude, the latest last.
+
+    The rate is the median over the latest attitudes. A slow turn counts as one attitude, however
+    long it takes; a bias that warms up is followed within three attitudes.
+    """
+
+    ups: list[_Attitude]
+    rate: Floats = field(init=False)
+    support: tuple[int, bool] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._settle()
+
+    def _settle(self) -> None:
+        """Compute the rate from the attitudes: it is read ten times as often as one is added."""
+        rates = np.sort([one.rate for one in self.ups[-_ATTITUDES:]], axis=0)
+        self.rate = (rates[(len(rates) - 1) // 2] + rates[len(rates) // 2]) / 2
+        self.support = len(self.ups), bool((np.abs(self.rate) < _STEADY_RATE).all())
+
+    def holds(self, rate: Floats) -> bool:
+        return bool((np.abs(rate - self.rate) < _STEADY_RATE).all())
+
+    def add(self, rate: Floats, up: Floats) -> None:
+        found = next((one for one in self.ups if up @ one.up >= _OTHER_WAY_UP), None)
+        if found is None:
+            self.ups.append(_Attitude(up, rate))
+            self._settle()
+            return
+        found.count = min(found.count + 1, _MEMORY)
+        found.rate = found.rate + (rate - found.rate) / found.count
+        self.ups = [*(one for one in self.ups if one is not found), found]
+        self._settle()
+
+    @property
+    def spread(self) -> float:
+        """Largest difference between attitudes, rad/s."""
+        if len(self.ups) < _ATTITUDES:
+            return ASSUMED_SPREAD
+        off = np.abs(np.array([one.rate for one in self.ups]) - self.rate).max(axis=1)
+        return max(_USUAL_TO_MOST * float(np.median(off)), 2 * EARTH_RATE)
+
+
+class GyroOffset:
+    """Estimate the gyros' offset from the steady rates of a session.
+
+    At rest the gyros read the same rate in each attitude; a turn about the vertical is just as
+    steady, but its rate changes with the attitude. The steady rate read in the most attitudes is
+    therefore the offset. Of equally supported rates the one below 1 deg/s is chosen, or else the
+    earliest: recordings do not begin within an even turn.
+
+    The result depends only on the windows and their order; memory is bounded.
+    """
+
+    def __init__(self) -> None:
+        self._levels: list[_Level] = []
+        self._level: _Level | None = None
+        self._sum = np.zeros(6)
+        self._windows = 0
+        self._last: Floats | None = None
+
+    @property
+    def value(self) -> Floats:
+        """The offset (3,), rad/s; zeros until a rate was steady."""
+        level = self._level
+        return np.zeros(3) if level is None else level.rate
+
+    @property
+    def spread(self) -> float:
+        """Largest difference of a dwell's rate from the offset, by the attitudes so far, rad/s."""
+        level = self._level
+        return ASSUMED_SPREAD if level is None else level.spread
+
+    @property
+    def others(self) -> list[tuple[Floats, int]]:
+        """Further rates (3,) at which the gyros stood, rad/s, each with its number of attitudes.
+
+        A rate counts if it was steady in half as many attitudes as the offset, and in enough of
+        them: motions that are slow by chance are not alike so often.
+        """
+        if self._level is None:
+            return []
+        enough = max(_ATTITUDES, len(self._level.ups) / 2)
+        found = [one for one in self._levels if len(one.ups) >= enough]
+        return [(one.rate, len(one.ups)) for one in found if one is not self._level]
+
+    def feed(self, mean: Floats) -> None:
+        """Add the mean (6,) of a window of a tenth of a second, rad/s and m/s^2."""
+        self._sum += mean
+        self._windows += 1
+        if self._windows < _CHUNK_WINDOWS:
+            return
+        now, before = self._sum / _CHUNK_WINDOWS, self._last
+        self._sum, self._windows, self._last = np.zeros(6), 0, now
+        if before is None:
+            return
+        apart = np.abs(now - before)
+        if (apart[:3] < _STEADY_RATE).all() and (apart[3:] < _STEADY_FORCE).all():
+            second = (now + before) / 2
+            self._add(second[:3], second[3:] / (np.linalg.norm(second[3:]) or 1.0))
+            # The first of the best: levels are in order of time.
+            self._level = max(self._levels, key=lambda level: level.support)
+
+    def _add(self, rate: Floats, up: Floats) -> None:
+        for level in self._levels:
+            if level.holds(rate):
+                level.add(rate, up)
+                return
+        if len(self._levels) == _MOST_LEVELS:
+            self._levels.remove(min(self._levels, key=lambda level: level.support))
+        self._levels.append(_Level([_Attitude(up, rate)]))
+
+
+# Estimate tolerances for detecting dwells: the deviations while a unit is held still.
+
+
+_BESIDE = 5
+"""Windows before and after each window: a second in all."""
+
+_USUAL = 0.9
+"""Share of the quiet windows that count as still: the rest may be shocks, or turns too slow to be
+detected beforehand. A judgement."""
+
+_MARGIN = 3.0
+"""Three times the limit of nine windows in ten is over six standard deviations of normal noise: a
+window of a unit at rest exceeds it once in many hours."""
+
+_LEAN = 1.0 * DEG * STANDARD_GRAVITY
+"""A hand leans by a degree within a hold, m/s^2; more is another attitude."""
+
+_TURN_RATE = 5.0 * DEG
+"""Mean over a second from which on it is a turn, rad/s: five degrees exceed the lean of any hold,
+with tremor. Published sessions by hand exceed it within 0.2 s of the beginning of turns."""
+
+_MOST_RATE = 20.0 * DEG
+"""rad/s: a stronger tremor is not a hold."""
+_MOST_FORCE = 0.3 * STANDARD_GRAVITY
+"""A larger swing is not a hold: two degrees in a tenth of a second, of which the mean no longer
+resolves a tenth."""
+
+
+@dataclass(frozen=True)
+class RestTolerance:
+    """Largest deviation of the mean of a tenth of a second at rest, in each axis.
+
+    Attributes:
+        rate: From the gyros' output at rest, rad/s.
+        force: From the accelerometers' output at the start of the rest, m/s^2.
+        usual: Deviation of rates in nine windows of ten from the second around, rad/s.
+    """
+
+    rate: float = ASSUMED_SPREAD
+    force: float = _LEAN
+    usual: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        means: Floats,
+        offset: Floats,
+        spread: float = ASSUMED_SPREAD,
+        step: Floats | None = None,
+    ) -> RestTolerance:
+        """Estimate it from the quiet seconds among windows that follow each other.
+
+        It is based on deviations of rates from the second around them, and of forces from one
+        window to the next: for a turn at an even rate these are as small as for a dwell, however
+        slow it is.
+
+        Args:
+            means: (n, 6) means of windows of a tenth of a second, rad/s and m/s^2.
+            offset: (3,) gyros' output at rest, rad/s.
+            spread: Its largest difference between attitudes, rad/s.
+            step: (2,) the size of a count of gyros and accelerometers, rad/s and m/s^2.
+        """
+        width = 2 * _BESIDE + 1
+        least = np.zeros(2) if step is None else step
+        plain = cls(spread + float(least[0]), _LEAN + float(least[1]), float(least[0]))
+        if len(means) < width:
+            return plain
+        around = np.lib.stride_tricks.sliding_window_view(means[:, :3], width, axis=0).mean(axis=2)
+        turned = (np.abs(around - offset) > _TURN_RATE).any(axis=1)
+        # A turn that begins soon is within the neighbouring seconds.
+        quiet = np.convolve(turned, np.ones(width))[_BESIDE:-_BESIDE] == 0
+        if np.count_nonzero(quiet) < width:
+            return plain
+        inner = slice(_BESIDE, len(means) - _BESIDE)
+        shaken = np.abs(means[inner, :3] - around)[quiet]
+        # Difference of two windows with independent noise.
+        pushed = np.abs(means[inner, 3:] - means[_BESIDE - 1 : -_BESIDE - 1, 3:])[quiet] / np.sqrt(
+            2
+        )
+        noise = np.maximum(
+            [_MARGIN * float(np.quantile(part.max(axis=1), _USUAL)) for part in (shaken, pushed)],
+            least,
+        )
+        return cls(
+            min(spread + float(noise[0]), _MOST_RATE),
+            min(_LEAN + float(noise[1]), _MOST_FORCE),
+            float(noise[0]) / _MARGIN,
+        )
+
 
 WINDOW_SECONDS = 0.1
 """s: shorter than any hold, and about one period of a tremor."""

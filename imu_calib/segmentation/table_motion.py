@@ -12,8 +12,8 @@ from ..common.rotations import MAD_TO_STD
 from ..common.stream import Floats, Stamps
 from ..common.units import DEG
 from ..session.table import TURN
-from .buffer import RowBuffer
-from .rows import any_in_row
+from .counters import any_in_row
+from .stamps import RowBuffer
 
 _WINDOW_NS = 250_000_000
 """ns over which a rate is taken: encoders' noise has little effect in it."""

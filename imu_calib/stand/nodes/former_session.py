@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ...common.stream import Block, ImuBlock, JointBlock, at
 from ...recordings.rosbag2 import Kind
-from ...segmentation.interruptions import INTERRUPTION, interruption
+from ...segmentation.false_samples import INTERRUPTION, interruption
 from .intake import TopicIntake
 
 _SET_BACK = 10_000_000_000

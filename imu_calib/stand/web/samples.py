@@ -13,8 +13,13 @@ import numpy as np
 from ...common.stream import NS, Floats, ImuBlock, Stamps
 from ...segmentation.noise import session_noise
 from ...segmentation.segments import Statistics
-from ...segmentation.sensor import Sensor
-from ...segmentation.statistics import pooled_walk, sample_period, statistics_at_rest, to_samples
+from ...segmentation.statistics import (
+    Sensor,
+    pooled_walk,
+    sample_period,
+    statistics_at_rest,
+    to_samples,
+)
 from ...session.imu import ChannelNoise, ImuSpec
 
 _SETTLED = NS
